@@ -103,7 +103,7 @@ class ArrivalQueue:
                 self._waits = False
                 self._condition.notify()
 
-    def take(self, seconds: float) -> deque[RecordedMessage]:
+    def pop_all(self, seconds: float) -> deque[RecordedMessage]:
         """Return all waiting messages after ``seconds``, or earlier for a full batch or on `wake`. For one thread.
 
         Messages are batched because waking the thread for each would cost more than its work.

@@ -34,8 +34,8 @@ def room(folder: Path) -> int | None:
     """Return the free bytes on a folder's disk; None if the system does not report them."""
     if not hasattr(os, "statvfs"):
         return None
-    found = os.statvfs(folder)
-    return found.f_bavail * found.f_frsize if found.f_blocks else None
+    status = os.statvfs(folder)
+    return status.f_bavail * status.f_frsize if status.f_blocks else None
 
 
 class _Out:
@@ -208,8 +208,8 @@ def total(counts: Iterable[TopicCounts]) -> tuple[int, int, dict[str, int]]:
     """Return the messages, bytes, and drops by reason of several topics."""
     messages = size = 0
     dropped: dict[str, int] = {}
-    for each in counts:
-        messages, size = messages + each.messages, size + each.bytes
-        for reason, count in tuple(each.dropped.items()):
+    for topic in counts:
+        messages, size = messages + topic.messages, size + topic.bytes
+        for reason, count in tuple(topic.dropped.items()):
             dropped[reason] = dropped.get(reason, 0) + count
     return messages, size, dropped

@@ -21,7 +21,7 @@ class LatchedState:
 
     def __init__(self, graph: HubGraph) -> None:
         self._graph = graph
-        self._kept: dict[tuple[TopicKey, bytes], deque[RecordedMessage]] = {}
+        self._stored: dict[tuple[TopicKey, bytes], deque[RecordedMessage]] = {}
         self._plain: set[bytes] = set()
         self._unknown: set[tuple[TopicKey, bytes]] = set()
         self._bytes = 0
@@ -32,20 +32,20 @@ class LatchedState:
         if gid in self._plain:
             return
         key = arrival.counts.key, gid
-        if key not in self._kept:
+        if key not in self._stored:
             if len(self._unknown) >= MOST_UNKNOWN and self._graph.endpoint(gid) is None:
                 return
-            self._kept[key] = deque(maxlen=1)
+            self._stored[key] = deque(maxlen=1)
             self._unknown.add(key)
         if key in self._unknown and not self._look_up(key):
             return
-        kept = self._kept[key]
-        if len(kept) == kept.maxlen:
-            self._bytes -= len(kept[0].data)
-        kept.append(arrival)
+        stored = self._stored[key]
+        if len(stored) == stored.maxlen:
+            self._bytes -= len(stored[0].data)
+        stored.append(arrival)
         self._bytes += len(arrival.data)
         while self._bytes > MAX_BYTES:
-            self._forget_oldest()
+            self._drop_oldest()
 
     def _look_up(self, key: tuple[TopicKey, bytes]) -> bool:
         """Whether to keep a publisher's message: it is latched, or unknown, since its message may come first."""
@@ -54,7 +54,7 @@ class LatchedState:
             return True
         self._unknown.discard(key)
         if endpoint.qos.latched:
-            self._kept[key] = deque(self._kept[key], cache_depth(endpoint.qos))
+            self._stored[key] = deque(self._stored[key], cache_depth(endpoint.qos))
             return True
         self._plain.add(key[1])
         self._drop(key)
@@ -62,20 +62,20 @@ class LatchedState:
 
     def _drop(self, key: tuple[TopicKey, bytes]) -> None:
         self._unknown.discard(key)
-        self._bytes -= sum(len(arrival.data) for arrival in self._kept.pop(key))
+        self._bytes -= sum(len(arrival.data) for arrival in self._stored.pop(key))
 
-    def _forget_oldest(self) -> None:
-        key, kept = min(self._kept.items(), key=lambda item: item[1][0].log_time)
-        self._bytes -= len(kept.popleft().data)
-        if not kept:
+    def _drop_oldest(self) -> None:
+        key, stored = min(self._stored.items(), key=lambda item: item[1][0].log_time)
+        self._bytes -= len(stored.popleft().data)
+        if not stored:
             self._drop(key)
 
     def all(self) -> Iterator[RecordedMessage]:
         """Return all kept messages by time; drop those of publishers that left the hub."""
-        here = {endpoint.gid for endpoint in self._graph.publishers()}
-        self._plain &= here
-        for key in [key for key in self._kept if key[1] not in here]:
+        present = {endpoint.gid for endpoint in self._graph.publishers()}
+        self._plain &= present
+        for key in [key for key in self._stored if key[1] not in present]:
             self._drop(key)
         for key in list(self._unknown):
             self._look_up(key)
-        yield from sorted((a for kept in self._kept.values() for a in kept), key=lambda arrival: arrival.log_time)
+        yield from sorted((a for stored in self._stored.values() for a in stored), key=lambda arrival: arrival.log_time)

@@ -20,9 +20,9 @@ def write_metadata(folder: Path, files: Sequence[Written]) -> None:
     """Replace the file, completely or not at all; raises `OSError`."""
     import yaml  # recordings of single files do not need it
 
-    making = folder / ".metadata.yaml"
-    making.write_text(yaml.safe_dump(metadata(files), sort_keys=False), encoding="utf-8")
-    making.replace(folder / "metadata.yaml")
+    temporary = folder / ".metadata.yaml"
+    temporary.write_text(yaml.safe_dump(metadata(files), sort_keys=False), encoding="utf-8")
+    temporary.replace(folder / "metadata.yaml")
 
 
 def metadata(files: Sequence[Written]) -> dict[str, Any]:
@@ -54,7 +54,7 @@ def _topic(channels: Sequence[tuple[ChannelInfo, int]]) -> dict[str, Any]:
     """Return a topic's entry from its channels: one for each origin and file."""
     import yaml
 
-    info, offered = channels[0][0], tuple(dict.fromkeys(qos for each, _ in channels for qos in each.qos))
+    info, offered = channels[0][0], tuple(dict.fromkeys(qos for channel, _ in channels for qos in channel.qos))
     about = {
         "name": info.topic,
         "type": info.type_name,

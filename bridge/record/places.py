@@ -93,12 +93,12 @@ class KeptFolder:
     def base(self) -> Path:
         """Return an unused name."""
         first = self.folder / f"{PREFIX}{stamp()}"
-        taken = {entry.name.removesuffix(".mcap") for entry in self._entries()}
-        number, found = 1, first
-        while found.name in taken:
-            found, number = first.with_name(f"{first.name}-{number}"), number + 1
-        self._created[found.name] = next(self._numbers)
-        return found
+        used = {entry.name.removesuffix(".mcap") for entry in self._entries()}
+        number, path = 1, first
+        while path.name in used:
+            path, number = first.with_name(f"{first.name}-{number}"), number + 1
+        self._created[path.name] = next(self._numbers)
+        return path
 
     def next(self) -> Path:
         """Return the path of the next file, each under a new name."""
@@ -113,10 +113,10 @@ class KeptFolder:
 
     def prune(self) -> None:
         """Delete the oldest recordings until the rest is within the limits; the newest stays."""
-        found = sorted(self._entries(), key=self._order)
-        sizes = {entry: _size(entry) for entry in found}
-        while len(found) > 1 and self._too_much(len(found), sum(sizes[entry] for entry in found)):
-            oldest = found.pop(0)
+        entries = sorted(self._entries(), key=self._order)
+        sizes = {entry: _size(entry) for entry in entries}
+        while len(entries) > 1 and self._too_much(len(entries), sum(sizes[entry] for entry in entries)):
+            oldest = entries.pop(0)
             if oldest == self._now:
                 continue
             _log.info("deleting %s, which exceeds record.keep", oldest)

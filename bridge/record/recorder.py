@@ -82,11 +82,11 @@ class Recorder:
         self._commands: deque[tuple[Future[Any], Callable[[], Any]]] = deque()
         self._file: RecordFile | None = None
         self._on = self._ending = False
-        self._turn = threading.Lock()
+        self._subscribing = threading.Lock()
         self._gone: dict[TopicKey, float] = {}
         self._left = [0, 0]
         self._flushed = self._retry = 0.0
-        self._turned = time.monotonic()
+        self._last_step = time.monotonic()
         self._closed_files = 0
         self._last_path: Path | None = None
         ring = place if isinstance(place, Ring) else None
@@ -97,24 +97,24 @@ class Recorder:
 
     # -- subscriptions -------------------------------------------------------------------------------------------------
 
-    def look(self) -> dict[TopicKey, HubTopic]:
+    def refresh(self) -> dict[TopicKey, HubTopic]:
         """Subscribe to new selected topics, drop those that left the hub, and return all topics of the hub."""
-        with self._turn:
-            found = self.topics.refresh()
+        with self._subscribing:
+            topics = self.topics.look()
             if not self._on:
-                return found
-            heard = {each.key for each in self.topics.subscribed()}
-            for key, topic in found.items():
-                if key not in heard and self.selection.wants(topic):
-                    self._hear(topic)
+                return topics
+            subscribed = {end.key for end in self.topics.heard()}
+            for key, topic in topics.items():
+                if key not in subscribed and self.selection.wants(topic):
+                    self._subscribe(topic)
             now = time.monotonic()
-            self._gone = {key: self._gone.get(key, now) for key in heard - found.keys()}
+            self._gone = {key: self._gone.get(key, now) for key in subscribed - topics.keys()}
             for key in [key for key, since in self._gone.items() if now - since > GONE_SECONDS]:
                 del self._gone[key]
-                self._unhear(key)
-            return found
+                self._unsubscribe(key)
+            return topics
 
-    def _hear(self, topic: HubTopic) -> None:
+    def _subscribe(self, topic: HubTopic) -> None:
         key = topic.key
         counts = self._counts.get(key)
         if counts is None:
@@ -123,17 +123,17 @@ class Recorder:
                 return
             counts = self._counts[key] = TopicCounts(tapped(key.topic)[1], key)
         self.topics.definitions.find(*key[1:])  # requests a definition from other nodes early
-        end = self.topics.subscribe(topic, partial(self._heard, counts))
+        end = self.topics.hear(topic, partial(self._on_sample, counts))
         if end.trouble:
             _log.warning("%s is not recorded: %s", key.topic, end.trouble)
 
-    def _unhear(self, key: TopicKey) -> None:
-        end = self.topics.unsubscribe(key)
+    def _unsubscribe(self, key: TopicKey) -> None:
+        end = self.topics.unhear(key)
         if end is not None:
             self._left[0] += end.lost
             self._left[1] += end.refused
 
-    def _heard(self, counts: TopicCounts, sample: HubSample) -> None:
+    def _on_sample(self, counts: TopicCounts, sample: HubSample) -> None:
         """Queue a message, on a thread of zenoh."""
         now = time.time_ns()
         origin = self.topics.origin(sample)
@@ -151,16 +151,16 @@ class Recorder:
     def begin(self) -> Path | None:
         """Start or continue, and return the file. Raises `OSError` if it cannot be created, which is retried."""
         self._on = True
-        self.look()
+        self.refresh()
         path: Path | None = self._do(self._open_now)
         return path
 
     def pause(self) -> Path | None:
         """Unsubscribe from all topics, and close and return the file; `begin` continues in another one."""
-        with self._turn:
+        with self._subscribing:
             self._on = False
-            for topic in self.topics.subscribed():
-                self._unhear(topic.key)
+            for topic in self.topics.heard():
+                self._unsubscribe(topic.key)
         path: Path | None = self._do(self._close_file)
         return path
 
@@ -184,12 +184,12 @@ class Recorder:
 
     def close(self) -> None:
         """Write all waiting messages while that makes progress, and stop. Safe to call twice."""
-        with self._turn:
+        with self._subscribing:
             self._on = False
             self.topics.close()
         self._ending = True
         self._queue.wake()
-        while self._thread.is_alive() and time.monotonic() - self._turned < _COMMAND_SECONDS:
+        while self._thread.is_alive() and time.monotonic() - self._last_step < _COMMAND_SECONDS:
             self._thread.join(0.5)
 
     # -- the writer thread ---------------------------------------------------------------------------------------------
@@ -197,15 +197,15 @@ class Recorder:
     def _run(self) -> None:
         while True:
             ending = self._ending
-            waiting = self._queue.take(0.0 if self._commands or ending else GATHER_SECONDS)
+            waiting = self._queue.pop_all(0.0 if self._commands or ending else GATHER_SECONDS)
             while waiting:
-                self._turned = time.monotonic()
+                self._last_step = time.monotonic()
                 arrival = waiting.popleft()
                 self._write(arrival)
                 self._queue.wrote(arrival)
-            self._obey()
-            self._due()
-            self._turned = time.monotonic()
+            self._run_commands()
+            self._run_periodic()
+            self._last_step = time.monotonic()
             if ending:
                 break
         with contextlib.suppress(OSError):
@@ -213,7 +213,7 @@ class Recorder:
         if isinstance(self._place, Ring):
             self._place.discard()
 
-    def _obey(self) -> None:
+    def _run_commands(self) -> None:
         while self._commands:
             future, action = self._commands.popleft()
             try:
@@ -293,7 +293,7 @@ class Recorder:
             ChannelInfo(arrival.counts.name, type_name, type_hash, definition, offered, side, arrival.origin, tap),
         )
 
-    def _due(self) -> None:
+    def _run_periodic(self) -> None:
         now = time.monotonic()
         file = self._file
         if file is not None and now - self._flushed >= FLUSH_SECONDS:
@@ -351,7 +351,7 @@ class Recorder:
         """Raise `RuntimeError` if the writer thread has exited, and `TimeoutError` if it hangs."""
         if not self._thread.is_alive() and not self._ending:
             raise RuntimeError("the writer thread has exited")
-        still = time.monotonic() - self._turned
+        still = time.monotonic() - self._last_step
         if still > STILL_SECONDS:
             raise TimeoutError(f"the writer thread has hung for {still:.0f} s: is the disk unreachable?")
 
@@ -362,9 +362,9 @@ class Recorder:
         file = self._file
         counts = list(self._counts.values())
         messages, size, dropped = total(counts)
-        heard = self.topics.subscribed()
-        lost = self._left[0] + sum(each.lost for each in heard)
-        refused = self._left[1] + sum(each.refused for each in heard)
+        subscriptions = self.topics.heard()
+        lost = self._left[0] + sum(item.lost for item in subscriptions)
+        refused = self._left[1] + sum(item.refused for item in subscriptions)
         dropped |= {reason: count for reason, count in (("lost", lost), ("refused", refused)) if count}
         return {
             "state": "blocked" if self.trouble else "recording" if self._on else "stopped",
@@ -377,5 +377,5 @@ class Recorder:
             "bytes": size,
             "dropped": dropped,
             "error": self.trouble,
-            "topics": [each.as_dict() for each in counts],
+            "topics": [item.as_dict() for item in counts],
         }

@@ -31,21 +31,21 @@ class Taps:
         self._due = 0.0
         self._busy = False
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Send the requests if they are due; returns at once."""
         if self._selection.may_tap and not self._busy and time.monotonic() >= self._due:
             self._busy = True
             self._due = time.monotonic() + TAP_SECONDS / 3
-            self._executor.submit(self._ask)
+            self._executor.submit(self._send_requests)
 
-    def _ask(self) -> None:
+    def _send_requests(self) -> None:
         try:
             for worker, daemon, topics in self._wanted():
                 if len(topics) > _MAX_TAPS:
                     _log.warning("of %s %d topics do not cross; %d are recorded", worker, len(topics), _MAX_TAPS)
                 for topic in topics[:_MAX_TAPS]:
-                    what = {"topic": topic, "seconds": TAP_SECONDS}
-                    self._hub.ask("tap", what, daemon, worker, timeout=_ASK_SECONDS)
+                    request = {"topic": topic, "seconds": TAP_SECONDS}
+                    self._hub.ask("tap", request, daemon, worker, timeout=_ASK_SECONDS)
         except HubError as err:
             _log.debug("taps: %s", err)
         finally:
@@ -53,7 +53,7 @@ class Taps:
 
     def _wanted(self) -> list[tuple[str, str, list[str]]]:
         """Return each worker with its daemon and the selected topics of its side that do not cross."""
-        found: list[tuple[str, str, list[str]]] = []
+        wanted: list[tuple[str, str, list[str]]] = []
         for answer in self._hub.ask("explain", {"topic": ""}, timeout=_ASK_SECONDS):
             entries = answer.value if isinstance(answer.value, list) else ()
             topics = {
@@ -64,8 +64,8 @@ class Taps:
                 if self._selection.taps(answer.worker, str(entry.get("topic")))
             }
             if topics:
-                found.append((answer.worker, answer.daemon, sorted(topics)))
-        return found
+                wanted.append((answer.worker, answer.daemon, sorted(topics)))
+        return wanted
 
     def close(self) -> None:
         """Stop the requests."""

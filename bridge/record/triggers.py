@@ -41,28 +41,28 @@ class Triggers:
         self._quiet_until = 0.0
         host.node.server(SERVICE, _SERVICE_TYPE, self._serve)
         if section.goals:
-            host.node.subscription(_STATUS_TOPIC, _STATUS, self._navigates, Qos(depth=10))
+            host.node.subscription(_STATUS_TOPIC, _STATUS, self._on_status, Qos(depth=10))
         if section.halt:
             host.answer("halt", self._halt)
 
-    def look(self, topics: Iterable[TopicKey]) -> None:
+    def refresh(self, topics: Iterable[TopicKey]) -> None:
         """Subscribe to the hub's topics that are triggers."""
         for key in topics:
             if key.topic in self._section.topics and key not in self._ends:
                 try:
                     # volatile, since older latched messages are not triggers
-                    self._ends[key] = self._host.node.hub.subscription(*key, Qos(), lambda _, k=key: self._came(k))  # type: ignore[misc]
+                    self._ends[key] = self._host.node.hub.subscription(*key, Qos(), lambda _, k=key: self._on_message(k))  # type: ignore[misc]
                 except HubError as err:
                     _log.warning("trigger %s: %s", key.topic, err)
 
-    def _came(self, key: TopicKey) -> None:
+    def _on_message(self, key: TopicKey) -> None:
         self._pull(f"a message on {key.topic}")
 
     def _halt(self, _params: Any) -> dict[str, Any]:
         self._pull("halt")
         return RECORDED
 
-    def _navigates(self, status: dict[str, Any]) -> None:
+    def _on_status(self, status: dict[str, Any]) -> None:
         before, self._state = self._state, str(status["state"])
         if self._state in _FAILED and before != self._state:
             self._pull(f"a goal failed: {status['reason'] or self._state}")
@@ -80,7 +80,7 @@ class Triggers:
             self._quiet_until = 0.0
 
     def _serve(self, _request: dict[str, Any], answer: Answer) -> None:
-        self._keep(f"a call of {SERVICE}").add_done_callback(lambda future: answer(_said(future)))
+        self._keep(f"a call of {SERVICE}").add_done_callback(lambda future: answer(_reply(future)))
 
     def close(self) -> None:
         """Close the topic subscriptions; the host closes the rest."""
@@ -89,7 +89,7 @@ class Triggers:
         self._ends.clear()
 
 
-def _said(future: Future[Path | None]) -> dict[str, Any]:
+def _reply(future: Future[Path | None]) -> dict[str, Any]:
     err = future.exception()
     if err is not None:
         return {"success": False, "message": str(err)}

@@ -32,8 +32,8 @@ VERB = "record"
 """The request on the control plane, with the parameter ``do``: ``start``, ``stop``, ``split`` or ``trigger``."""
 
 _NICE = 5
-_LOOK_SECONDS = 0.25
-_AGAIN_SECONDS = 5.0
+_REFRESH_SECONDS = 0.25
+_RETRY_SECONDS = 5.0
 
 
 class Recording:
@@ -55,34 +55,34 @@ class Recording:
             self.recorder = Recorder(self.host.node.hub, registry, section, place, about, self._changed.set)
         self._taps = Taps(self.host.node.hub, self.recorder.selection)
         self.triggers: Triggers | None = None
-        self._looks = 0
+        self._refreshes = 0
         self.host.loop.start()
-        self.host.loop.every(_LOOK_SECONDS, self._look)
+        self.host.loop.every(_REFRESH_SECONDS, self._refresh)
 
         self._process = psutil.Process(os.getpid())
         self.host.answer("status", self._status)
 
     def _status(self, _params: Any) -> dict[str, Any]:
-        told = self.recorder.status()
-        state = "waiting" if told["error"] else "running"
-        about = {"side": "record", "state": state, "text": summary(told), "pid": os.getpid(), **costs(self._process)}
-        error = {"error": f"recording stopped: {told['error']}"} if told["error"] else {}
-        return {**about, **error, "recording": told, "metrics": metrics(told)}
+        status = self.recorder.status()
+        state = "waiting" if status["error"] else "running"
+        about = {"side": "record", "state": state, "text": summary(status), "pid": os.getpid(), **costs(self._process)}
+        error = {"error": f"recording stopped: {status['error']}"} if status["error"] else {}
+        return {**about, **error, "recording": status, "metrics": metrics(status)}
 
     def add_triggers(self, section: RecordSection) -> None:
         """Start the triggers of the configuration."""
         self.triggers = Triggers(self.host, section.trigger, self.recorder.trigger)
         self._changed.set()
 
-    def _look(self) -> None:
-        self._taps.look()
-        self._looks += 1
+    def _refresh(self) -> None:
+        self._taps.refresh()
+        self._refreshes += 1
         # also without changes: to drop topics that left the hub, and to retry failed subscriptions
-        if self._changed.is_set() or self._looks % int(_AGAIN_SECONDS / _LOOK_SECONDS) == 0:
+        if self._changed.is_set() or self._refreshes % int(_RETRY_SECONDS / _REFRESH_SECONDS) == 0:
             self._changed.clear()
-            found = self.recorder.look()
+            topics = self.recorder.refresh()
             if self.triggers is not None:
-                self.triggers.look(found)
+                self.triggers.refresh(topics)
 
     def close(self) -> None:
         """Write all waiting messages, and leave the hub."""
@@ -110,7 +110,7 @@ def yielding() -> Iterator[None]:
 
 def _threads() -> set[int]:
     tasks = Path("/proc/self/task")
-    return {int(each.name) for each in tasks.iterdir()} if tasks.is_dir() else set()
+    return {int(task.name) for task in tasks.iterdir()} if tasks.is_dir() else set()
 
 
 def default_folder(config: Config) -> Path:
@@ -135,12 +135,12 @@ class RecordWorker(Worker):
         self._config = config
         section = config.record
         place = ring_or_files(KeptFolder(default_folder(config), section.keep), section)
-        made = self._recording = Recording("record", config, section, place)
+        recording = self._recording = Recording("record", config, section, place)
         if section.ring.seconds:
-            made.add_triggers(section)
-        made.host.answer(VERB, self._do)
+            recording.add_triggers(section)
+        recording.host.answer(VERB, self._do)
         try:
-            _log.info("recording into %s", made.recorder.begin())
+            _log.info("recording into %s", recording.recorder.begin())
         except OSError:
             _log.debug("recording did not start, as the recorder logged", exc_info=True)
 
@@ -153,26 +153,26 @@ class RecordWorker(Worker):
         assert self._recording is not None
         self._recording.host.loop.computes()
         self._recording.recorder.computes()
-        told = self._recording.recorder.status()
-        return Health("waiting" if told["error"] else "running", summary(told))
+        status = self._recording.recorder.status()
+        return Health("waiting" if status["error"] else "running", summary(status))
 
     def _do(self, params: dict[str, Any]) -> dict[str, Any]:
         """Run a command; raises `HubError` if it fails."""
         assert self._recording is not None
-        recorder, word = self._recording.recorder, params.get("do")
+        recorder, verb = self._recording.recorder, params.get("do")
         try:
-            if word == "start":
+            if verb == "start":
                 path = recorder.begin()
-            elif word == "stop":
+            elif verb == "stop":
                 path = recorder.pause()
-            elif word == "split":
+            elif verb == "split":
                 path = recorder.split()
-            elif word == "trigger":
+            elif verb == "trigger":
                 path = recorder.trigger("midspan record --daemon trigger").result(10.0)
             else:
-                raise HubError(f"{word!r} is none of start, stop, split and trigger")
+                raise HubError(f"{verb!r} is none of start, stop, split and trigger")
         except (OSError, TimeoutError) as err:
-            raise HubError(f"{word}: {err}") from None
+            raise HubError(f"{verb}: {err}") from None
         return {"file": str(path or ""), "recording": recorder.status()}
 
     def stop(self) -> None:
@@ -182,28 +182,28 @@ class RecordWorker(Worker):
             recording.close()
 
 
-def metrics(told: dict[str, Any]) -> dict[str, float]:
+def metrics(status: dict[str, Any]) -> dict[str, float]:
     """Return a recording's figures for Prometheus, without labels; each known drop reason exists from the start."""
-    dropped = {reason: told["dropped"].get(reason, 0) for reason in ("queue", "disk", "lost", "refused")}
+    dropped = {reason: status["dropped"].get(reason, 0) for reason in ("queue", "disk", "lost", "refused")}
     return {
-        "written_messages_total": told["messages"],
-        "written_bytes_total": told["bytes"],
-        "files_total": told["files"],
-        "topics": len(told["topics"]),
-        "recording": float(told["state"] == "recording"),
-        "blocked": float(told["state"] == "blocked"),
+        "written_messages_total": status["messages"],
+        "written_bytes_total": status["bytes"],
+        "files_total": status["files"],
+        "topics": len(status["topics"]),
+        "recording": float(status["state"] == "recording"),
+        "blocked": float(status["state"] == "blocked"),
         **{f"dropped_{reason}_total": count for reason, count in dropped.items()},
     }
 
 
-def summary(told: dict[str, Any]) -> str:
+def summary(status: dict[str, Any]) -> str:
     """Return a recording's status in one line."""
-    if told["state"] == "stopped":
+    if status["state"] == "stopped":
         return "stopped; 'midspan record --daemon start' continues"
-    dropped = sum(told["dropped"].values())
-    reasons = ", ".join(f"{count} {reason}" for reason, count in told["dropped"].items())
+    dropped = sum(status["dropped"].values())
+    reasons = ", ".join(f"{count} {reason}" for reason, count in status["dropped"].items())
     drops = f", {dropped} dropped ({reasons})" if dropped else ""
-    figures = f"{told['messages']} messages, {told['bytes'] / 1e6:.1f} MB, {len(told['topics'])} topics{drops}"
-    if told["state"] == "blocked":
-        return f"not recording: {told['error']}; {figures}"
-    return f"{'ring' if told['ring'] else 'recording'} {told['file']}, {figures}"
+    figures = f"{status['messages']} messages, {status['bytes'] / 1e6:.1f} MB, {len(status['topics'])} topics{drops}"
+    if status["state"] == "blocked":
+        return f"not recording: {status['error']}; {figures}"
+    return f"{'ring' if status['ring'] else 'recording'} {status['file']}, {figures}"

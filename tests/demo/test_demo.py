@@ -51,14 +51,14 @@ def start(folder: Path, *options: str, what: str = "topics", out: Any = subproce
 
 def processes_of(folder: Path) -> list[str]:
     """Names of the processes that a demo with this temporary folder started and that live."""
-    found = []
+    processes = []
     for process in psutil.process_iter():
         try:
             if process.environ().get(MARK, "").startswith(str(folder)) and process.status() != psutil.STATUS_ZOMBIE:
-                found.append(" ".join(process.cmdline()))
+                processes.append(" ".join(process.cmdline()))
         except psutil.Error:
             continue
-    return found
+    return processes
 
 
 def run(folder: Path, *options: str, what: str = "topics") -> tuple[int, str, dict[str, Any]]:
@@ -77,12 +77,12 @@ def leftovers(folder: Path) -> list[str]:
     return processes_of(folder) + [p.name for p in folder.iterdir() if p.name.startswith("midspan-demo-")]
 
 
-def test_everything_crosses_every_way(folder: Path) -> None:
+def test_every_topic_is_bridged_in_every_direction(folder: Path) -> None:
     code, output, seen = run(folder, "--seconds", "0")
     assert code == 0, output
-    ways = {(check["from"], check["to"]) for check in seen["checks"]}
+    pairs = {(check["from"], check["to"]) for check in seen["checks"]}
     names = ("ROS 1", "ROS 2", "zenoh", "YARP")
-    assert ways >= {(a, b) for a in names for b in names if a != b}
+    assert pairs >= {(a, b) for a in names for b in names if a != b}
     assert all(check["ok"] for check in seen["checks"])
     scan = [route for route in seen["routes"] if route["topic"] == "/scan"]
     assert {(route["worker"], route["direction"]) for route in scan} == {
@@ -95,7 +95,7 @@ def test_everything_crosses_every_way(folder: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_topic_that_does_not_cross_fails_the_demo_and_is_named(folder: Path) -> None:
+def test_a_topic_that_is_not_bridged_fails_the_demo_and_is_named(folder: Path) -> None:
     config = folder / "deny.yaml"
     config.write_text("routing:\n  rules:\n    - topic: /scan\n      deny: true\n")
     code, output, seen = run(folder, "--seconds", "0", "--config", str(config))
@@ -109,7 +109,7 @@ def test_a_topic_that_does_not_cross_fails_the_demo_and_is_named(folder: Path) -
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_nothing_is_left_when_the_demo_is_interrupted(folder: Path, number: signal.Signals) -> None:
+def test_an_interrupted_demo_leaves_nothing(folder: Path, number: signal.Signals) -> None:
     demo = start(folder, "--stay")
     try:
         until(lambda: any("robot" in line for line in processes_of(folder)), "the robot runs", 30.0)
@@ -123,7 +123,7 @@ def test_nothing_is_left_when_the_demo_is_interrupted(folder: Path, number: sign
         assert leftovers(folder) == []
 
 
-def test_a_wrong_configuration_is_told_before_anything_starts(folder: Path) -> None:
+def test_an_invalid_configuration_is_reported_before_anything_starts(folder: Path) -> None:
     config = folder / "wrong.yaml"
     config.write_text("routing:\n  ruels: []\n")
     code, output, _ = run(folder, "--config", str(config))
@@ -144,7 +144,7 @@ def test_the_address_of_the_console_is_printed_at_the_start(folder: Path) -> Non
         reader = threading.Thread(target=demo.stdout.read)  # else the demo blocks once the pipe is full
         reader.start()
 
-        def answers() -> bool:
+        def responds() -> bool:
             try:
                 with urllib.request.urlopen(address[1], timeout=5) as answer:
                     return b"Midspan" in answer.read()
@@ -152,7 +152,7 @@ def test_the_address_of_the_console_is_printed_at_the_start(folder: Path) -> Non
                 assert demo.poll() is None
                 return False
 
-        until(answers, "the console answers", 60.0)
+        until(responds, "the console answers", 60.0)
     finally:
         demo.send_signal(signal.SIGINT)
         demo.wait(40)

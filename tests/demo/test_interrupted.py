@@ -42,7 +42,7 @@ def runs(folder: Path, *parts: str) -> bool:
 
 def memory(folder: Path) -> set[Path]:
     """Files in shared memory that processes of the demo use, but those of LTTng, which are the user's for ever."""
-    runs_in = [found for found in folder.iterdir() if found.name.startswith("midspan-demo-")]
+    runs_in = [folder_ for folder_ in folder.iterdir() if folder_.name.startswith("midspan-demo-")]
     used = {file for run in runs_in for pid in left.marked(run) for file in left.used_by(pid)}
     return {file for file in used if not file.name.startswith("lttng-")}
 
@@ -67,27 +67,27 @@ MOMENTS = {
     "the daemon starts": lambda folder, _words: runs(folder, "bridge.cli.main"),
     "workers start": lambda folder, _words: runs(folder, "worker ros2", "worker modules"),
     "a client starts": lambda folder, _words: runs(folder, "goto_location_yarp"),
-    "the robot drives": lambda _folder, words: "status_moving" in words.read_text(),
+    "the robot drives": lambda _folder, output: "status_moving" in output.read_text(),
 }
 
 
 @pytest.mark.parametrize("moment", MOMENTS)
-def test_ctrl_c_ends_it_in_time_and_leaves_nothing(folder: Path, moment: str) -> None:
-    words = folder / "words.txt"
-    with words.open("w") as out:
+def test_ctrl_c_ends_the_demo_in_time_and_leaves_nothing(folder: Path, moment: str) -> None:
+    output = folder / "words.txt"
+    with output.open("w") as out:
         demo = start(folder, "--stay", what="rooms", out=out)
         try:
             reached = MOMENTS[moment]
-            until(lambda: demo.poll() is not None or reached(folder, words), moment, 120.0)
-            assert demo.poll() is None, words.read_text()
+            until(lambda: demo.poll() is not None or reached(folder, output), moment, 120.0)
+            assert demo.poll() is None, output.read_text()
             assert_ends(demo, folder)
         finally:
             demo.kill()
-    assert "Traceback" not in words.read_text()
+    assert "Traceback" not in output.read_text()
 
 
 @pytest.mark.parametrize("seconds", [0.5, 1.5, 2.5, 4.0])
-def test_ctrl_c_at_any_second_of_the_start(folder: Path, seconds: float) -> None:
+def test_ctrl_c_at_any_second_of_the_start_ends_it_in_time(folder: Path, seconds: float) -> None:
     demo = start(folder, "--stay")
     try:
         time.sleep(seconds)
@@ -97,7 +97,7 @@ def test_ctrl_c_at_any_second_of_the_start(folder: Path, seconds: float) -> None
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_other_ways_to_end_it_are_the_same(folder: Path, number: signal.Signals) -> None:
+def test_other_signals_end_it_in_time(folder: Path, number: signal.Signals) -> None:
     demo = start(folder, "--stay")
     try:
         until(lambda: runs(folder, "bridge.demo.topics_demo.robot"), "the robot runs", 120.0)
@@ -117,7 +117,7 @@ with Shutdown() as ending:
 """
 
 
-def test_what_hangs_is_left_in_time(tmp_path: Path) -> None:
+def test_a_hanging_demo_is_ended_in_time(tmp_path: Path) -> None:
     """As Python where it waits for a library's thread."""
     command = [sys.executable, "-c", STUCK]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as stuck:
@@ -131,7 +131,7 @@ def test_what_hangs_is_left_in_time(tmp_path: Path) -> None:
         assert stuck.stdout.read() == "erased\n"
 
 
-def test_a_signal_waits_for_what_must_be_whole_and_comes_once() -> None:
+def test_a_signal_is_deferred_by_a_held_block_and_raised_once() -> None:
     code = """
 import os, signal
 from bridge.demo.shutdown import Shutdown
@@ -153,7 +153,7 @@ ending.exit_if_interrupted(3)
     assert (done.stdout.split(), done.returncode) == (["whole", "raised", "undone"], 3), done.stderr
 
 
-def test_without_a_signal_handlers_are_as_they_were() -> None:
+def test_signal_handlers_are_restored_without_a_signal() -> None:
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     threads = psutil.Process().num_threads()
     with Shutdown() as ending:

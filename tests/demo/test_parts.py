@@ -30,7 +30,7 @@ IMAGE = "8 x 6 rgb8, 144 bytes"
 DRIVE = Drive(ROS2, (0.3, 0.0), (0.0, 0.0, 0.0), (0.8, 0.0, 0.0), 25, 25, (0.0, 0.0), seen=True)
 
 
-def test_ear_tells_a_message_that_came_twice() -> None:
+def test_a_duplicated_message_is_counted() -> None:
     ear = TopicReceived()
     for key in (1, 2, 2, None, None):
         ear.add(key, "text")
@@ -47,23 +47,23 @@ def reports() -> dict[str, dict[str, Any]]:
     }
     robot = {expectation.topic: expectation.reads for expectation in expectations(MAP, IMAGE)} | greetings
 
-    def heard(reads: dict[str, str]) -> dict[str, Any]:
+    def topic_reports(reads: dict[str, str]) -> dict[str, Any]:
         return {"heard": {topic: {"count": 100, "repeated": 0, "detail": text} for topic, text in reads.items()}}
 
     return {
-        ROS1: {**heard(greetings), "map": MAP, "image": IMAGE},
-        **{name: heard(robot) for name in (ROS2, ZENOH, YARP)},
+        ROS1: {**topic_reports(greetings), "map": MAP, "image": IMAGE},
+        **{name: topic_reports(robot) for name in (ROS2, ZENOH, YARP)},
     }
 
 
-def failed(told: dict[str, dict[str, Any]], *drives: Drive) -> set[tuple[str, str, str]]:
-    return {(c.name, c.target, c.topic) for c in evaluate(told, drives) if not c.ok}
+def failed(all_reports: dict[str, dict[str, Any]], *drives: Drive) -> set[tuple[str, str, str]]:
+    return {(c.name, c.target, c.topic) for c in evaluate(all_reports, drives) if not c.ok}
 
 
 ALL = (DRIVE, *(replace(DRIVE, source=name) for name in (ZENOH, YARP, YARP_TEXT)))
 
 
-def test_checks_hold_when_all_crossed() -> None:
+def test_checks_pass_when_everything_is_bridged() -> None:
     assert failed(reports(), *ALL) == set()
 
 
@@ -76,16 +76,16 @@ def test_checks_hold_when_all_crossed() -> None:
         (messages.ODOM, {"repeated": 1}, "odometry"),
     ],
 )
-def test_checks_name_what_is_missing_wrong_or_doubled(topic: str, change: dict[str, Any], name: str) -> None:
-    told = reports()
-    told[ROS2]["heard"][topic] |= change
-    assert failed(told, *ALL) == {(name, ROS2, topic)}
+def test_checks_name_missing_wrong_and_duplicated_messages(topic: str, change: dict[str, Any], name: str) -> None:
+    all_reports = reports()
+    all_reports[ROS2]["heard"][topic] |= change
+    assert failed(all_reports, *ALL) == {(name, ROS2, topic)}
 
 
-def test_checks_see_an_echo() -> None:
-    told = reports()
-    told[ROS1]["heard"][messages.FROM_ROS1]["repeated"] = 2
-    assert ("no echo", ROS1, messages.FROM_ROS1) in failed(told, *ALL)
+def test_checks_detect_an_echo() -> None:
+    all_reports = reports()
+    all_reports[ROS1]["heard"][messages.FROM_ROS1]["repeated"] = 2
+    assert ("no echo", ROS1, messages.FROM_ROS1) in failed(all_reports, *ALL)
 
 
 @pytest.mark.parametrize(
@@ -96,28 +96,28 @@ def test_checks_see_an_echo() -> None:
         ({"seen": False}, {"drive seen"}),
     ],
 )
-def test_checks_see_a_robot_that_does_not_obey(change: dict[str, Any], names: set[str]) -> None:
-    told = evaluate(reports(), (replace(DRIVE, **change), *ALL[1:]))
-    assert {check.name for check in told if not check.ok} == names
+def test_checks_detect_a_robot_that_ignores_commands(change: dict[str, Any], names: set[str]) -> None:
+    checks = evaluate(reports(), (replace(DRIVE, **change), *ALL[1:]))
+    assert {check.name for check in checks if not check.ok} == names
 
 
-def test_no_report_and_no_drive_is_no_success() -> None:
+def test_missing_reports_and_drives_fail() -> None:
     checks = evaluate({ROS1: {}, ROS2: {}, ZENOH: {}, YARP: {}}, ())
     assert not any(check.ok for check in checks)
 
 
-def test_places_meet_nobody() -> None:
-    with Sandbox(None) as one, Sandbox(None) as other:
-        assert one.domain != other.domain
-        ports = {port for box in (one, other) for port in (box.master_port, box.router_port, box.yarp_port)}
+def test_sandboxes_are_isolated() -> None:
+    with Sandbox(None) as first, Sandbox(None) as other:
+        assert first.domain != other.domain
+        ports = {port for box in (first, other) for port in (box.master_port, box.router_port, box.yarp_port)}
         assert len(ports) == 6
-        assert one.config.ros1.master == one.master
-        assert one.config.hub.listen.endswith(f":{one.router_port}")
-        folders = (one.folder, other.folder)
+        assert first.config.ros1.master == first.master
+        assert first.config.hub.listen.endswith(f":{first.router_port}")
+        folders = (first.folder, other.folder)
     assert not any(folder.exists() for folder in folders)
 
 
-def test_place_keeps_the_rules_of_its_template(tmp_path: Path) -> None:
+def test_a_sandbox_keeps_the_rules_of_its_template(tmp_path: Path) -> None:
     template = tmp_path / "rules.yaml"
     template.write_text(
         "name: mine\nhub: {listen: tcp/127.0.0.1:7447}\nrouting:\n  rules:\n    - {topic: /a, deny: true}\n"
@@ -128,7 +128,7 @@ def test_place_keeps_the_rules_of_its_template(tmp_path: Path) -> None:
         assert not box.config.hub.listen.endswith(":7447")
 
 
-def test_what_goes_on_without_ros1_needs_none(tmp_path: Path) -> None:
+def test_a_demo_without_ros1_needs_no_ros1(tmp_path: Path) -> None:
     template = tmp_path / "without.yaml"
     template.write_text(f"ros1: {{packages: {tmp_path}}}\n")
     with Sandbox(template) as box:
@@ -139,17 +139,17 @@ def test_what_goes_on_without_ros1_needs_none(tmp_path: Path) -> None:
         assert box.config.ros2.enabled
 
 
-def test_the_shipped_configuration_is_sound() -> None:
+def test_the_shipped_configuration_is_valid() -> None:
     from bridge.demo.sandbox import CONFIG
 
     with Sandbox(CONFIG) as box:
         assert box.config.routing.rules
 
 
-def test_shared_memory_of_others_is_left_alone() -> None:
+def test_shared_memory_of_others_is_preserved() -> None:
     ports = range(10000, 10250)
-    own = [n for n in ("12.zenoh", "fastrtps_0123456789abcdef", "fastrtps_port10011_el") if leftovers.is_own(n, ports)]
-    assert len(own) == 3
+    own_names = [n for n in ("12.zenoh", "fastrtps_0123456789abcdef", "fastrtps_port10011_el") if leftovers.is_own(n, ports)]
+    assert len(own_names) == 3
     others = ("lttng-ust-wait-6", "fastrtps_port7000", "sem.fastrtps_port9999_mutex", "psm_1234", "zenoh")
     assert not any(leftovers.is_own(name, ports) for name in others)
 
@@ -157,7 +157,7 @@ def test_shared_memory_of_others_is_left_alone() -> None:
 HOLDS = "import sys; held = [open(name, 'rb') for name in sys.argv[1:]]; print('held', flush=True); sys.stdin.read()"
 
 
-def test_a_port_of_a_participant_that_was_killed_before_it_locked_it_is_removed(tmp_path: Path) -> None:
+def test_an_unlocked_port_of_a_killed_participant_is_removed(tmp_path: Path) -> None:
     """A port that another process reads, which holds its lock, stays. No participant has a port number above 65535."""
     stem = f"fastrtps_port{70_000 + os.getpid()}"
     mine, others = (Path("/dev/shm", f"{stem}{end}") for end in "01")
@@ -182,13 +182,13 @@ def test_a_port_of_a_participant_that_was_killed_before_it_locked_it_is_removed(
             file.unlink(missing_ok=True)
 
 
-def test_what_is_missing_is_told_with_its_cure(tmp_path: Path) -> None:
+def test_missing_software_is_reported_with_its_cure(tmp_path: Path) -> None:
     from bridge.config.model import Config
 
     config = Config.model_validate({"ros1": {"packages": str(tmp_path)}})
-    told = sandbox.missing(config)
-    assert told
-    assert str(tmp_path) in told[0]
+    reasons = sandbox.missing(config)
+    assert reasons
+    assert str(tmp_path) in reasons[0]
 
 
 @pytest.mark.parametrize("what", ["rooms", "topics"])
@@ -204,12 +204,12 @@ def test_a_demo_without_a_package_names_the_extra_that_has_it(
 
 
 def test_a_demo_that_lacks_compiled_kernels_only_does_not_name_the_extra() -> None:
-    with pytest.raises(CliError) as told:
+    with pytest.raises(CliError) as raised:
         command._require(["kernels: they are not compiled"])
-    assert "midspan[demo]" not in str(told.value)
+    assert "midspan[demo]" not in str(raised.value)
 
 
-def test_ports_of_a_place_are_none_that_connections_going_out_take() -> None:
+def test_a_sandboxes_ports_are_outside_the_ephemeral_range() -> None:
     with Sandbox(None) as first, socket.socket() as taken:
         low, domain = first.master_port, first.domain
         taken.bind(("127.0.0.1", first.router_port))
@@ -219,7 +219,7 @@ def test_ports_of_a_place_are_none_that_connections_going_out_take() -> None:
         assert low == free[0]
 
 
-def test_a_program_that_waits_for_ever_ends_with_its_input() -> None:
+def test_a_hanging_program_ends_with_its_input() -> None:
     """As rospy does, whose master died while it registered with it."""
     waits = (
         "from bridge.demo.topics_demo import report; report.LAST_SECONDS = 1; report.Reporter();"
@@ -240,7 +240,7 @@ time.sleep(600)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="orphans are found on Linux")
-def test_a_guard_leaves_nothing_behind_that_its_command_left() -> None:
+def test_a_guard_kills_what_its_command_left() -> None:
     """As a daemon leaves its router that had to be killed, and a roscore its master."""
     command = [str(part) for part in guarded(sys.executable, "-c", LEAVES_ONE_BEHIND)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as guard:

@@ -36,14 +36,14 @@ class Robot:
     def publisher(self, topic: str, qos: Qos | None = None, type_name: str = STRING) -> HubPublisher:
         return self.hub.publisher(topic, type_name, self.registry.ros2(type_name).type_id, qos or Qos())
 
-    def text(self, words: str) -> bytes:
-        return from_json(self.registry, STRING, {"data": words})
+    def text(self, text_: str) -> bytes:
+        return from_json(self.registry, STRING, {"data": text_})
 
     def message(self, type_name: str, fields: dict[str, Any]) -> bytes:
         return from_json(self.registry, type_name, fields)
 
 
-class Found(NamedTuple):
+class FoundMessage(NamedTuple):
     topic: str
     sequence: int
     log_time: int
@@ -54,13 +54,13 @@ class Found(NamedTuple):
 class Contents(NamedTuple):
     """What a file holds: ``whole`` with its end."""
 
-    messages: list[Found]
+    messages: list[FoundMessage]
     channels: dict[str, list[Channel]]
     metadata: dict[str, dict[str, str]]
     whole: bool
 
     def texts(self, topic: str) -> list[str]:
-        return [text_of(found.data) for found in self.messages if found.topic == topic]
+        return [text_of(message.data) for message in self.messages if message.topic == topic]
 
 
 def text_of(data: bytes) -> str:
@@ -69,22 +69,22 @@ def text_of(data: bytes) -> str:
 
 def read(path: Path) -> Contents:
     """A file's records in order, as far as it goes, by the format's own library."""
-    found = Contents([], {}, {}, whole=True)
+    contents = Contents([], {}, {}, whole=True)
     names: dict[int, str] = {}
     with path.open("rb") as stream:
         try:
             for record in StreamReader(stream).records:
                 if isinstance(record, Channel) and record.id not in names:
                     names[record.id] = record.topic
-                    found.channels.setdefault(record.topic, []).append(record)
+                    contents.channels.setdefault(record.topic, []).append(record)
                 elif isinstance(record, Message):
                     about = record.sequence, record.log_time, record.publish_time, record.data
-                    found.messages.append(Found(names[record.channel_id], *about))
+                    contents.messages.append(FoundMessage(names[record.channel_id], *about))
                 elif isinstance(record, Metadata):
-                    found.metadata[record.name] = record.metadata
+                    contents.metadata[record.name] = record.metadata
         except (EndOfFile, struct.error):
-            return found._replace(whole=False)
-    return found
+            return contents._replace(whole=False)
+    return contents
 
 
 def config(hubs: QuickHub, state: Path, **section: Any) -> Config:
@@ -94,21 +94,21 @@ def config(hubs: QuickHub, state: Path, **section: Any) -> Config:
 @contextmanager
 def recording(hubs: QuickHub, state: Path, place: RecordPlace, **section: Any) -> Iterator[Recording]:
     """A recorder on a hub that has begun."""
-    made = Recording("recorder", config(hubs, state, **section), RecordSection.model_validate(section), place)
+    recorded = Recording("recorder", config(hubs, state, **section), RecordSection.model_validate(section), place)
     try:
-        until(made.host.node.hub.linked, "it has joined")
-        yield made
+        until(recorded.host.node.hub.linked, "it has joined")
+        yield recorded
     finally:
-        made.close()
+        recorded.close()
 
 
-def await_topics(made: Recording, count: int) -> None:
-    until(lambda: len(made.recorder.topics.subscribed()) >= count, f"{count} topics are heard")
+def await_topics(recorded: Recording, count: int) -> None:
+    until(lambda: len(recorded.recorder.topics.heard()) >= count, f"{count} topics are heard")
 
 
-def await_written(made: Recording, count: int) -> dict[str, Any]:
+def await_written(recorded: Recording, count: int) -> dict[str, Any]:
     def status() -> dict[str, Any] | None:
-        told = made.recorder.status()
-        return told if told["messages"] >= count else None
+        status = recorded.recorder.status()
+        return status if status["messages"] >= count else None
 
     return until(status, f"{count} messages are written")

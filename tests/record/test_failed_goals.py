@@ -15,36 +15,36 @@ from tests.record.robot import config, read
 from tests.support.wait import until
 
 
-def test_each_goal_that_the_planner_rejects_or_gives_up_writes_the_ring(
+def test_each_rejected_or_aborted_goal_keeps_the_ring(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(triggers, "QUIET_SECONDS", 0.0)
     worker = RecordWorker()
     with Rig(tmp_path / "gateway") as rig:
-        hears = len(rig.client.node.hub.graph.subscriptions("/navigation/status"))
+        subscribers = len(rig.client.node.hub.graph.subscriptions("/navigation/status"))
         worker.start(config(rig.hubs, tmp_path, enabled=True, ring={"seconds": 30.0}))
         try:
             graph = rig.client.node.hub.graph
-            until(lambda: len(graph.subscriptions("/navigation/status")) > hears, "the gateway is followed")
+            until(lambda: len(graph.subscriptions("/navigation/status")) > subscribers, "the gateway is followed")
 
-            def kept() -> list[str]:
+            def kept_reasons() -> list[str]:
                 folders = sorted((tmp_path / "robot1" / "recordings").glob(f"{PREFIX}*/metadata.yaml"))
-                return [read(max(each.parent.glob("*.mcap"))).metadata["midspan.end"]["trigger"] for each in folders]
+                return [read(max(folder_.parent.glob("*.mcap"))).metadata["midspan.end"]["trigger"] for folder_ in folders]
 
             rig.gateway.link.presence.unreachable_at = 0.0  # it has been there for a while: a rejection is believed
             for count in (1, 2):
                 rig.planner.rejects = 1
-                status, why = Asked(rig.client, pose(1.0)).end()
-                assert (status, why) == ("ABORTED", "robot_goto rejected the goal")
-                until(lambda n=count: len(kept()) == n, "it is written")  # type: ignore[misc]
+                status, reason = Asked(rig.client, pose(1.0)).end()
+                assert (status, reason) == ("ABORTED", "robot_goto rejected the goal")
+                until(lambda n=count: len(kept_reasons()) == n, "it is written")  # type: ignore[misc]
             given = Asked(rig.client, pose(2.0))
             rig.planner.give_up(rig.planner.until(1), "no way leads there")
             assert given.end()[0] == "ABORTED"
-            until(lambda: len(kept()) == 3, "it is written")
+            until(lambda: len(kept_reasons()) == 3, "it is written")
             reached = Asked(rig.client, pose(3.0))
             rig.planner.reach(rig.planner.until(2))
             assert reached.end()[0] == "SUCCEEDED"
             rig.state(State.REACHED)
-            assert kept() == [f"a goal failed: {why}", f"a goal failed: {why}", "a goal failed: no way leads there"]
+            assert kept_reasons() == [f"a goal failed: {reason}", f"a goal failed: {reason}", "a goal failed: no way leads there"]
         finally:
             worker.stop()

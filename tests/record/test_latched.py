@@ -43,30 +43,30 @@ def message(number: int, gid: bytes = GID) -> RecordedMessage:
     return RecordedMessage(counts, gid, None, number, number, number, b"data")
 
 
-def kept(state: LatchedState) -> list[int]:
-    return [each.sequence for each in state.all()]
+def stored(state: LatchedState) -> list[int]:
+    return [message_.sequence for message_ in state.all()]
 
 
-def test_a_message_may_come_before_the_graph_tells_of_its_publisher(graph: Graph, state: LatchedState) -> None:
+def test_a_message_may_arrive_before_its_publisher_is_in_the_graph(graph: Graph, state: LatchedState) -> None:
     state.saw(message(1))
     graph.ends.append(endpoint("/map", GID, LATCHED))
-    assert kept(state) == [1]
+    assert stored(state) == [1]
     state.saw(message(2))
-    assert kept(state) == [2]
+    assert stored(state) == [2]
     graph.ends.clear()
-    assert kept(state) == []
+    assert stored(state) == []
 
 
-def test_of_a_publisher_that_turns_out_to_keep_nothing_nothing_is_kept(graph: Graph, state: LatchedState) -> None:
+def test_messages_of_a_volatile_publisher_are_dropped_once_it_is_known(graph: Graph, state: LatchedState) -> None:
     state.saw(message(1))
     state.saw(message(2))
     graph.ends.append(endpoint("/map", GID, STREAM))
-    assert kept(state) == []
+    assert stored(state) == []
     state.saw(message(3))
-    assert kept(state) == []
+    assert stored(state) == []
 
 
-def test_of_publishers_that_nobody_knows_few_messages_wait(
+def test_messages_of_unknown_publishers_are_limited(
     graph: Graph, state: LatchedState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(latched, "MOST_UNKNOWN", 2)
@@ -77,4 +77,4 @@ def test_of_publishers_that_nobody_knows_few_messages_wait(
     graph.ends.append(endpoint("/map", known, LATCHED))
     state.saw(message(9, known))  # those that nobody knows take no room from it
     graph.ends += [endpoint("/map", gid, LATCHED) for gid in gids]
-    assert kept(state) == [0, 1, 9]
+    assert stored(state) == [0, 1, 9]

@@ -35,9 +35,9 @@ PARTS = {
 
 @pytest.fixture(scope="module")
 def hubs() -> Iterator[QuickHub]:
-    made = QuickHub()
-    yield made
-    made.stop_router()
+    hub = QuickHub()
+    yield hub
+    hub.stop_router()
 
 
 @pytest.fixture(autouse=True)
@@ -51,60 +51,60 @@ def robot(hubs: QuickHub) -> Iterator[Robot]:
         yield Robot(hub)
 
 
-def test_messages_are_recorded_as_they_came(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
+def test_messages_are_recorded_unchanged(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
     robot.hub.set_origin(Origin("yarp", "here", "robot2"))
-    said, other = robot.publisher("/said"), robot.publisher("/camera/other")
-    with recording(hubs, tmp_path, Files(tmp_path / "one", split=False), exclude=["^/camera"]) as made:
-        path = made.recorder.begin()
-        until(said.matched, "it is heard")
-        said.put(robot.text("one"), 1_000)
-        said.put(robot.text("two"), 2_000)
+    chat, other = robot.publisher("/said"), robot.publisher("/camera/other")
+    with recording(hubs, tmp_path, Files(tmp_path / "one", split=False), exclude=["^/camera"]) as recorded:
+        path = recorded.recorder.begin()
+        until(chat.matched, "it is heard")
+        chat.put(robot.text("one"), 1_000)
+        chat.put(robot.text("two"), 2_000)
         other.put(robot.text("not this"))
-        told = await_written(made, 2)
+        status = await_written(recorded, 2)
     assert path == tmp_path / "one.mcap"
-    found = read(path)
-    assert found.whole
-    assert [(m.sequence, m.publish_time, m.data) for m in found.messages] == [
+    contents = read(path)
+    assert contents.whole
+    assert [(m.sequence, m.publish_time, m.data) for m in contents.messages] == [
         (1, 1_000, robot.text("one")), (2, 2_000, robot.text("two")),
     ]  # fmt: skip
-    assert set(found.channels) == {"/said"}
-    metadata = found.channels["/said"][0].metadata
+    assert set(contents.channels) == {"/said"}
+    metadata = contents.channels["/said"][0].metadata
     assert (metadata["side"], metadata["origin"], metadata["daemon"]) == ("yarp", "here", "robot2")
-    assert found.metadata["midspan"]["daemon"] == "robot1"
-    assert (told["file"], told["dropped"]) == (str(path), {})
+    assert contents.metadata["midspan"]["daemon"] == "robot1"
+    assert (status["file"], status["dropped"]) == (str(path), {})
 
 
-def test_each_file_of_a_split_begins_with_what_is_latched(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
-    maps, gone = robot.publisher("/map", LATCHED), robot.publisher("/gone", LATCHED)
+def test_each_file_of_a_split_starts_with_latched_messages(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
+    maps, closed = robot.publisher("/map", LATCHED), robot.publisher("/gone", LATCHED)
     history = robot.publisher("/history", Qos(durability=Durability.TRANSIENT_LOCAL, depth=2))
-    said = robot.publisher("/said")
+    chat = robot.publisher("/said")
     maps.put(robot.text("old map"))
     maps.put(robot.text("map"))
-    gone.put(robot.text("gone"))
+    closed.put(robot.text("gone"))
     for number in range(3):
         history.put(robot.text(f"h{number}"))
-    with recording(hubs, tmp_path, BagFolder(tmp_path / "run")) as made:
-        made.recorder.begin()
-        until(said.matched, "it is heard")
-        said.put(robot.text("first"))
-        await_written(made, 5)
-        gone.close()
-        until(lambda: not made.recorder.topics.refresh().keys() & {gone_key(made)}, "it is gone")
-        first = made.recorder.split()
-        said.put(robot.text("second"))
-        await_written(made, 6)
+    with recording(hubs, tmp_path, BagFolder(tmp_path / "run")) as recorded:
+        recorded.recorder.begin()
+        until(chat.matched, "it is heard")
+        chat.put(robot.text("first"))
+        await_written(recorded, 5)
+        closed.close()
+        until(lambda: not recorded.recorder.topics.look().keys() & {closed_topic_key(recorded)}, "it is gone")
+        first = recorded.recorder.split()
+        chat.put(robot.text("second"))
+        await_written(recorded, 6)
     assert first is not None
-    one, two = read(first), read(tmp_path / "run" / "run_1.mcap")
-    assert one.texts("/map") == two.texts("/map") == ["map"]
-    assert one.texts("/history") == two.texts("/history") == ["h1", "h2"]
-    assert (one.texts("/gone"), two.texts("/gone")) == (["gone"], [])
-    assert two.texts("/said") == ["second"]
-    assert [m.topic for m in two.messages][-1] == "/said"
+    first_file, second_file = read(first), read(tmp_path / "run" / "run_1.mcap")
+    assert first_file.texts("/map") == second_file.texts("/map") == ["map"]
+    assert first_file.texts("/history") == second_file.texts("/history") == ["h1", "h2"]
+    assert (first_file.texts("/gone"), second_file.texts("/gone")) == (["gone"], [])
+    assert second_file.texts("/said") == ["second"]
+    assert [m.topic for m in second_file.messages][-1] == "/said"
     with Reader(tmp_path / "run") as bag:  # by the folder's metadata
-        assert bag.message_count == len(one.messages) + len(two.messages)
+        assert bag.message_count == len(first_file.messages) + len(second_file.messages)
     with AnyReader([tmp_path / "run"]) as any_bag:
-        words = [any_bag.deserialize(raw, c.msgtype) for c, _, raw in any_bag.messages() if c.topic == "/said"]
-    assert [word.data for word in words] == ["first", "second"]  # type: ignore[attr-defined]
+        texts = [any_bag.deserialize(raw, c.msgtype) for c, _, raw in any_bag.messages() if c.topic == "/said"]
+    assert [text.data for text in texts] == ["first", "second"]  # type: ignore[attr-defined]
 
 
 def test_rosbags_opens_a_folder_with_the_parts_of_actions_and_services(
@@ -114,98 +114,98 @@ def test_rosbags_opens_a_folder_with_the_parts_of_actions_and_services(
     ends = {type_name: robot.publisher(topic, LATCHED, type_name) for topic, type_name in PARTS.items()}
     for type_name, end in ends.items():
         end.put(robot.message(type_name, {}))
-    with recording(hubs, tmp_path, BagFolder(tmp_path / "run")) as made:
-        made.recorder.begin()
-        await_written(made, len(PARTS))
+    with recording(hubs, tmp_path, BagFolder(tmp_path / "run")) as recorded:
+        recorded.recorder.begin()
+        await_written(recorded, len(PARTS))
     with AnyReader([tmp_path / "run"]) as bag:
-        found = {c.topic: type(bag.deserialize(raw, c.msgtype)).__name__ for c, _, raw in bag.messages()}
-    assert found == {topic: type_name.replace("/", "__") for topic, type_name in PARTS.items()}
+        types = {c.topic: type(bag.deserialize(raw, c.msgtype)).__name__ for c, _, raw in bag.messages()}
+    assert types == {topic: type_name.replace("/", "__") for topic, type_name in PARTS.items()}
 
 
-def test_the_metadata_of_a_folder_have_the_qos_of_all_publishers(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
+def test_a_folders_metadata_has_the_qos_of_all_publishers(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
     with Hub.open(hubs.settings("yarp_robot")) as hub:
         hub.set_origin(Origin("yarp", "here", "robot2"))
         ends = [robot.publisher("/said"), Robot(hub).publisher("/said", LATCHED)]
-        with recording(hubs, tmp_path, BagFolder(tmp_path / "run")) as made:
-            made.recorder.begin()
+        with recording(hubs, tmp_path, BagFolder(tmp_path / "run")) as recorded:
+            recorded.recorder.begin()
             until(lambda: all(end.matched() for end in ends), "both are heard")
             for end in ends:
                 end.put(robot.text("hi"))
-            await_written(made, 2)
-    told = yaml.safe_load((tmp_path / "run" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    (topic,) = told["topics_with_message_count"]
+            await_written(recorded, 2)
+    status = yaml.safe_load((tmp_path / "run" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    (topic,) = status["topics_with_message_count"]
     offered = topic["topic_metadata"]["offered_qos_profiles"]
     assert topic["message_count"] == 2
     assert sorted(qos["durability"] for qos in offered) == ["transient_local", "volatile"]
 
 
-def gone_key(made: Any) -> Any:
-    return next(each.key for each in made.recorder.topics.subscribed() if each.key.topic == "/gone")
+def closed_topic_key(recorded: Any) -> Any:
+    return next(end.key for end in recorded.recorder.topics.heard() if end.key.topic == "/gone")
 
 
-def test_a_pause_hears_nothing_and_a_start_goes_on_in_another_file(
+def test_a_pause_unsubscribes_and_a_start_continues_in_another_file(
     hubs: QuickHub, robot: Robot, tmp_path: Path
 ) -> None:
-    said = robot.publisher("/said")
-    with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as made:
-        made.recorder.begin()
-        until(said.matched, "it is heard")
-        said.put(robot.text("before"))
-        await_written(made, 1)
-        assert made.recorder.pause() == tmp_path / "one.mcap"
-        until(lambda: not said.matched(), "nobody hears it")
-        said.put(robot.text("meanwhile"))
-        assert made.recorder.begin() == tmp_path / "one_1.mcap"
-        until(said.matched, "the recorder subscribes again")
-        said.put(robot.text("after"))
-        await_written(made, 2)
+    chat = robot.publisher("/said")
+    with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as recorded:
+        recorded.recorder.begin()
+        until(chat.matched, "it is heard")
+        chat.put(robot.text("before"))
+        await_written(recorded, 1)
+        assert recorded.recorder.pause() == tmp_path / "one.mcap"
+        until(lambda: not chat.matched(), "nobody hears it")
+        chat.put(robot.text("meanwhile"))
+        assert recorded.recorder.begin() == tmp_path / "one_1.mcap"
+        until(chat.matched, "the recorder subscribes again")
+        chat.put(robot.text("after"))
+        await_written(recorded, 2)
     assert read(tmp_path / "one.mcap").texts("/said") == ["before"]
     assert read(tmp_path / "one_1.mcap").texts("/said") == ["after"]
 
 
-def test_a_ring_keeps_the_last_moments_when_it_is_triggered(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
+def test_a_trigger_keeps_the_rings_last_moments(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
     section = RecordSection.model_validate({"ring": {"seconds": 5.0}})
     ring = Ring(KeptFolder(tmp_path, section.keep), section.ring)
-    said, kept = robot.publisher("/said"), robot.publisher("/map", LATCHED)
+    chat, latched = robot.publisher("/said"), robot.publisher("/map", LATCHED)
     bumper = robot.publisher("/bumper")
-    kept.put(robot.text("map"))
+    latched.put(robot.text("map"))
     section = RecordSection.model_validate({"ring": {"seconds": 5.0}, "trigger": {"topics": ["/bumper"]}})
-    with recording(hubs, tmp_path, ring, ring={"seconds": 5.0}) as made:
-        made.add_triggers(section)
-        made.recorder.begin()
-        until(said.matched, "it is heard")
-        await_topics(made, 3)
-        said.put(robot.text("before it"))
-        await_written(made, 2)
+    with recording(hubs, tmp_path, ring, ring={"seconds": 5.0}) as recorded:
+        recorded.add_triggers(section)
+        recorded.recorder.begin()
+        until(chat.matched, "it is heard")
+        await_topics(recorded, 3)
+        chat.put(robot.text("before it"))
+        await_written(recorded, 2)
         assert not list(tmp_path.glob(f"{PREFIX}*"))
         until(lambda: len(robot.hub.graph.subscriptions("/bumper")) >= 2, "the trigger is followed")
         bumper.put(robot.text("bump"))
         folder = until(lambda: next(iter(tmp_path.glob(f"{PREFIX}*/metadata.yaml")), None), "it is written").parent
     files = sorted(folder.glob("*.mcap"))
-    found = [read(file) for file in files]
-    assert found[0].texts("/map") == ["map"]
-    assert "before it" in [word for each in found for word in each.texts("/said")]
-    assert found[-1].metadata["midspan.end"]["trigger"] == "a message on /bumper"
+    contents = [read(file) for file in files]
+    assert contents[0].texts("/map") == ["map"]
+    assert "before it" in [text for part in contents for text in part.texts("/said")]
+    assert contents[-1].metadata["midspan.end"]["trigger"] == "a message on /bumper"
     with Reader(folder) as bag:
         assert {c.topic for c in bag.connections} >= {"/said", "/map"}
     assert not (tmp_path / ".ring").exists()
 
 
-def test_a_ring_forgets_what_is_older(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
+def test_a_ring_deletes_older_files(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
     section = RecordSection.model_validate({"ring": {"seconds": 0.2}})
     ring = Ring(KeptFolder(tmp_path, section.keep), section.ring)
-    said = robot.publisher("/said")
-    with recording(hubs, tmp_path, ring, ring={"seconds": 0.2}) as made:
-        made.recorder.begin()
-        until(said.matched, "it is heard")
-        said.put(robot.text("old"))
-        await_written(made, 1)
-        made.recorder.split()
+    chat = robot.publisher("/said")
+    with recording(hubs, tmp_path, ring, ring={"seconds": 0.2}) as recorded:
+        recorded.recorder.begin()
+        until(chat.matched, "it is heard")
+        chat.put(robot.text("old"))
+        await_written(recorded, 1)
+        recorded.recorder.split()
         until(lambda: not list((tmp_path / ".ring").glob("*.mcap")), "it is forgotten")
-        assert made.recorder.trigger("nothing").result(10) is None
+        assert recorded.recorder.trigger("nothing").result(10) is None
 
 
-def test_what_a_killed_run_left_in_its_ring_is_kept(tmp_path: Path) -> None:
+def test_the_ring_of_a_killed_run_is_kept(tmp_path: Path) -> None:
     section = RecordSection.model_validate({"ring": {"seconds": 5.0}})
     (tmp_path / ".ring").mkdir()
     for name in ("1.mcap", "2.mcap"):
@@ -217,81 +217,81 @@ def test_what_a_killed_run_left_in_its_ring_is_kept(tmp_path: Path) -> None:
     assert not list((tmp_path / ".ring").iterdir())
 
 
-def test_what_a_side_keeps_at_home_is_asked_of_its_worker(hubs: QuickHub, tmp_path: Path) -> None:
-    asked: list[str] = []
+def test_topics_that_are_not_bridged_are_requested_from_their_worker(hubs: QuickHub, tmp_path: Path) -> None:
+    requests: list[str] = []
     decided = [("/arm/home", "private", "in"), ("/arm/out", "bridged", "in"), ("/leg/home", "denied", "in")]
     with Hub.open(hubs.settings("yarp_worker", worker="yarp")) as hub:
         hub.set_origin(Origin("yarp", "here", "robot1"))
         robot = Robot(hub)
         hub.serve("explain", lambda _: [{"topic": t, "decision": d, "direction": w} for t, d, w in decided])
-        hub.serve("tap", lambda what: asked.append(what["topic"]))
+        hub.serve("tap", lambda what: requests.append(what["topic"]))
         shown = robot.publisher("/_midspan/yarp/arm/home", LATCHED)
         shown.put(robot.text("at home"))
         unasked = robot.publisher("/_midspan/yarp/other", LATCHED)
         unasked.put(robot.text("of another"))
         section = {"topics": ["/arm/**"], "sides": ["yarp"]}
-        with recording(hubs, tmp_path, Files(tmp_path / "one", split=False), **section) as made:
-            made.recorder.begin()
-            await_written(made, 1)
-            until(lambda: asked, "it is asked for")
-    assert set(asked) == {"/arm/home"}
-    found = read(tmp_path / "one.mcap")
-    assert found.texts("/arm/home") == ["at home"]
-    assert set(found.channels) == {"/arm/home"}
+        with recording(hubs, tmp_path, Files(tmp_path / "one", split=False), **section) as recorded:
+            recorded.recorder.begin()
+            await_written(recorded, 1)
+            until(lambda: requests, "it is asked for")
+    assert set(requests) == {"/arm/home"}
+    contents = read(tmp_path / "one.mcap")
+    assert contents.texts("/arm/home") == ["at home"]
+    assert set(contents.channels) == {"/arm/home"}
 
 
-def test_a_folder_that_cannot_be_made_is_told_and_tried_again(
+def test_a_folder_that_cannot_be_created_is_reported_and_retried(
     hubs: QuickHub, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(record_recorder, "RETRY_SECONDS", 0.1)
     place = tmp_path / "place"
     place.write_text("a file with the name of the folder")
-    said = robot.publisher("/said")
+    chat = robot.publisher("/said")
     keep = RecordSection().keep
-    with recording(hubs, tmp_path, KeptFolder(place, keep)) as made:
+    with recording(hubs, tmp_path, KeptFolder(place, keep)) as recorded:
         with pytest.raises(OSError, match=r"exists|directory"):
-            made.recorder.begin()
-        assert made.recorder.status()["state"] == "blocked"
+            recorded.recorder.begin()
+        assert recorded.recorder.status()["state"] == "blocked"
         place.unlink()
-        until(lambda: not made.recorder.status()["error"], "it goes on")
-        until(said.matched, "it is heard")
-        said.put(robot.text("after"))
-        told = await_written(made, 1)
-    assert read(Path(told["file"])).texts("/said") == ["after"]
+        until(lambda: not recorded.recorder.status()["error"], "it goes on")
+        until(chat.matched, "it is heard")
+        chat.put(robot.text("after"))
+        status = await_written(recorded, 1)
+    assert read(Path(status["file"])).texts("/said") == ["after"]
 
 
-def test_a_full_disk_stops_recording_until_there_is_room(
+def test_a_full_disk_stops_recording_until_space_is_free(
     hubs: QuickHub, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     free = [100 << 20]
     monkeypatch.setattr(record_file, "room", lambda _: free[0])
     monkeypatch.setattr(record_recorder, "room", lambda _: free[0])
     monkeypatch.setattr(record_recorder, "RETRY_SECONDS", 0.1)
-    said = robot.publisher("/said")
-    with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as made:
-        made.recorder.begin()
-        until(said.matched, "it is heard")
-        said.put(robot.text("before"))
-        await_written(made, 1)
+    chat = robot.publisher("/said")
+    with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as recorded:
+        recorded.recorder.begin()
+        until(chat.matched, "it is heard")
+        chat.put(robot.text("before"))
+        await_written(recorded, 1)
         free[0] = 1 << 20
-        said.put(robot.text("last"))
-        told = until(lambda: (now := made.recorder.status())["error"] and now, "it stops")
-        assert told["state"] == "blocked"
-        assert "only 1 MB are free" in told["error"]
+        chat.put(robot.text("last"))
+        status = until(lambda: (now := recorded.recorder.status())["error"] and now, "it stops")
+        assert status["state"] == "blocked"
+        assert "only 1 MB are free" in status["error"]
         until(lambda: read(tmp_path / "one.mcap").whole, "the file is closed")
         assert read(tmp_path / "one.mcap").texts("/said") == ["before", "last"]
-        said.put(robot.text("lost"))
-        until(lambda: made.recorder.status()["dropped"].get("disk") == 1, "it is counted")
+        chat.put(robot.text("lost"))
+        until(lambda: recorded.recorder.status()["dropped"].get("disk") == 1, "it is counted")
         free[0] = 100 << 20
-        until(lambda: not made.recorder.status()["error"], "it goes on")
-        said.put(robot.text("after"))
-        told = await_written(made, 3)
-    assert told["dropped"] == {"disk": 1}
-    assert Path(told["file"]).name == "one_1.mcap"
-    assert read(Path(told["file"])).texts("/said") == ["after"]
+        until(lambda: not recorded.recorder.status()["error"], "it goes on")
+        chat.put(robot.text("after"))
+        status = await_written(recorded, 3)
+    assert status["dropped"] == {"disk": 1}
+    assert Path(status["file"]).name == "one_1.mcap"
+    assert read(Path(status["file"])).texts("/said") == ["after"]
 
 
-def test_what_is_too_much_for_the_queue_is_dropped_and_counted_large_ones_first() -> None:
+def test_a_full_queue_drops_and_counts_messages_large_ones_first() -> None:
     queue = ArrivalQueue(1 << 20)
     images, small = (TopicCounts(name, None) for name in ("/image", "/small"))  # type: ignore[arg-type]
 
@@ -312,14 +312,14 @@ def test_what_is_too_much_for_the_queue_is_dropped_and_counted_large_ones_first(
     assert len(queue.take(0.0)) == 1
 
 
-def test_a_folder_is_made_once_however_often_its_first_file_fails(tmp_path: Path) -> None:
+def test_a_folder_is_created_once_even_if_its_first_file_fails_repeatedly(tmp_path: Path) -> None:
     place = BagFolder(tmp_path / "run")
     assert {place.next() for _ in range(3)} == {tmp_path / "run" / "run_0.mcap"}
     with pytest.raises(FileExistsError):
         BagFolder(tmp_path / "run").next()
 
 
-def test_the_oldest_recordings_make_room(tmp_path: Path) -> None:
+def test_the_oldest_recordings_are_deleted_beyond_the_limits(tmp_path: Path) -> None:
     keep = RecordSection.model_validate({"keep": {"size": 1, "files": 3}}).keep
     folder = KeptFolder(tmp_path, keep)
     (tmp_path / "mine.mcap").write_bytes(bytes(5 << 20))
@@ -352,7 +352,7 @@ def test_a_ring_does_not_depend_on_the_system_clock(
     assert [written.path.exists() for written in closed] == [False] * 3
 
 
-def test_recordings_of_before_the_clock_was_set_back_are_the_older_ones(
+def test_recordings_before_a_clock_setback_count_as_older(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     keep = RecordSection.model_validate({"keep": {"files": 2}}).keep
