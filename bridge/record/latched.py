@@ -11,9 +11,9 @@ from bridge.modules.hub_topics import TopicKey
 from bridge.record.arrivals import RecordedMessage
 
 MAX_BYTES = 128 << 20
-"""Maximum bytes of kept messages; the oldest are dropped first."""
+"""Maximum bytes of stored messages; the oldest are dropped first."""
 MOST_UNKNOWN = 256
-"""Maximum publishers that are not in the graph yet, with a kept message each."""
+"""Maximum publishers that are not in the graph yet, with a stored message each."""
 
 
 class LatchedState:
@@ -27,7 +27,7 @@ class LatchedState:
         self._bytes = 0
 
     def saw(self, arrival: RecordedMessage) -> None:
-        """Keep a recorded message if its publisher is latched."""
+        """Store a recorded message if its publisher is latched."""
         gid = arrival.gid
         if gid in self._plain:
             return
@@ -48,7 +48,7 @@ class LatchedState:
             self._drop_oldest()
 
     def _look_up(self, key: tuple[TopicKey, bytes]) -> bool:
-        """Whether to keep a publisher's message: it is latched, or unknown, since its message may come first."""
+        """Return whether to store a publisher's message: if it is latched, or unknown, since its message may be first."""
         endpoint = self._graph.endpoint(key[1])
         if endpoint is None:
             return True
@@ -71,7 +71,7 @@ class LatchedState:
             self._drop(key)
 
     def all(self) -> Iterator[RecordedMessage]:
-        """Return all kept messages by time; drop those of publishers that left the hub."""
+        """Yield all stored messages by time; drop those of publishers that left the hub."""
         present = {endpoint.gid for endpoint in self._graph.publishers()}
         self._plain &= present
         for key in [key for key in self._stored if key[1] not in present]:

@@ -61,7 +61,7 @@ class Recorder:
         section: the configuration.
         place: names the files.
         about: metadata of each file.
-        changed: called on a thread of zenoh after a change of the graph, to have `look` called.
+        changed: called on a thread of zenoh after a change of the graph, to have `refresh` called.
 
     Attributes:
         topics: of the hub.

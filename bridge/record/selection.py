@@ -15,7 +15,7 @@ class Selection:
 
     Attributes:
         name: whether a topic of this name is recorded.
-        sides: those from which messages are taken; none: all.
+        sides: sides whose messages are recorded; empty for all.
     """
 
     def __init__(self, section: RecordSection) -> None:
@@ -24,33 +24,33 @@ class Selection:
         self.sides: Sequence[str] = section.sides
 
     def wants(self, topic: HubTopic) -> bool:
-        """Whether a topic on the hub is recorded; of what workers show on request (a tap) what was asked for."""
+        """Return whether a topic on the hub is recorded; one that a worker forwards on request (a tap) needs a request."""
         side, name = tapped(topic.key.topic)
         if side:
             return self.taps(side, name)
         return self.name(name) and (not self.sides or not set(self.sides).isdisjoint(topic.sides))
 
     def taps(self, side: str, name: str) -> bool:
-        """Whether a topic that does not cross is to be had of its side: it is named in full, or all of the side is."""
+        """Return whether a topic that is not bridged is requested of its side: by full name, or with all of the side."""
         return self.name(name) and (side in self.sides or (not self.sides and name in self._named))
 
     @property
     def may_tap(self) -> bool:
-        """Whether topics that do not cross may be wanted."""
+        """Whether topics that are not bridged may be requested."""
         return bool(self.sides or self._named)
 
     def origin(self, origin: Origin | None) -> bool:
-        """Whether messages from there are recorded."""
+        """Return whether messages of this origin are recorded."""
         return not self.sides or side_of(origin) in self.sides
 
 
 def side_of(origin: Origin | None) -> str:
-    """The side of an origin, ``zenoh`` for a native participant of the hub."""
+    """Return the side of an origin, ``zenoh`` for a native participant of the hub."""
     return "zenoh" if origin is None else origin.side
 
 
 def tapped(topic: str) -> tuple[str, str]:
-    """Side and name of a topic that a worker shows on request; of any other one "" and its name."""
+    """Return side and name of a topic that a worker forwards on request; for any other one "" and its name."""
     if not topic.startswith(TAPS):
         return "", topic
     side, _, name = topic.removeprefix(TAPS).partition("/")

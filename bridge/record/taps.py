@@ -1,4 +1,4 @@
-"""Taps: topics that do not cross, which the worker of their side forwards to the recorder on request."""
+"""Taps: topics that are not bridged, which the worker of their side forwards to the recorder on request."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ class Taps:
         try:
             for worker, daemon, topics in self._wanted():
                 if len(topics) > _MAX_TAPS:
-                    _log.warning("of %s %d topics do not cross; %d are recorded", worker, len(topics), _MAX_TAPS)
+                    _log.warning(
+                        "%s: %d topics are not bridged; %d of them are recorded", worker, len(topics), _MAX_TAPS
+                    )
                 for topic in topics[:_MAX_TAPS]:
                     request = {"topic": topic, "seconds": TAP_SECONDS}
                     self._hub.ask("tap", request, daemon, worker, timeout=_ASK_SECONDS)
@@ -52,7 +54,7 @@ class Taps:
             self._busy = False
 
     def _wanted(self) -> list[tuple[str, str, list[str]]]:
-        """Return each worker with its daemon and the selected topics of its side that do not cross."""
+        """Return each worker with its daemon and the selected topics of its side that are not bridged."""
         wanted: list[tuple[str, str, list[str]]] = []
         for answer in self._hub.ask("explain", {"topic": ""}, timeout=_ASK_SECONDS):
             entries = answer.value if isinstance(answer.value, list) else ()

@@ -51,7 +51,9 @@ class Triggers:
             if key.topic in self._section.topics and key not in self._ends:
                 try:
                     # volatile, since older latched messages are not triggers
-                    self._ends[key] = self._host.node.hub.subscription(*key, Qos(), lambda _, k=key: self._on_message(k))  # type: ignore[misc]
+                    self._ends[key] = self._host.node.hub.subscription(
+                        *key, Qos(), lambda _, k=key: self._on_message(k)
+                    )  # type: ignore[misc]
                 except HubError as err:
                     _log.warning("trigger %s: %s", key.topic, err)
 
@@ -94,4 +96,4 @@ def _reply(future: Future[Path | None]) -> dict[str, Any]:
     if err is not None:
         return {"success": False, "message": str(err)}
     path = future.result()
-    return {"success": path is not None, "message": str(path or "the ring holds nothing yet")}
+    return {"success": path is not None, "message": str(path or "the ring is empty")}

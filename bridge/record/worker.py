@@ -170,7 +170,7 @@ class RecordWorker(Worker):
             elif verb == "trigger":
                 path = recorder.trigger("midspan record --daemon trigger").result(10.0)
             else:
-                raise HubError(f"{verb!r} is none of start, stop, split and trigger")
+                raise HubError(f"{verb!r} is not one of start, stop, split and trigger")
         except (OSError, TimeoutError) as err:
             raise HubError(f"{verb}: {err}") from None
         return {"file": str(path or ""), "recording": recorder.status()}
@@ -183,7 +183,7 @@ class RecordWorker(Worker):
 
 
 def metrics(status: dict[str, Any]) -> dict[str, float]:
-    """Return a recording's figures for Prometheus, without labels; each known drop reason exists from the start."""
+    """Return a recording's metrics for Prometheus, without labels; each known drop reason exists from the start."""
     dropped = {reason: status["dropped"].get(reason, 0) for reason in ("queue", "disk", "lost", "refused")}
     return {
         "written_messages_total": status["messages"],

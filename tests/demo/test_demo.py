@@ -1,4 +1,4 @@
-"""The demo with real programs: it ends by itself, reports what crossed, and removes what it started."""
+"""The demo with real programs: it ends by itself, reports what was bridged, and removes everything it started."""
 
 from __future__ import annotations
 
@@ -33,24 +33,24 @@ pytestmark = [needs(ROS1), needs(ROS2), needs(DART), needs(COMPILER)]
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
-    """For the demo's temporary files; pytest's own would be too deep for it."""
+    """Return a folder for the demo's temporary files; pytest's own path would be too long for it."""
     with tempfile.TemporaryDirectory(prefix="midspan-t-") as name:
         yield Path(name)
 
 
 def start(folder: Path, *options: str, what: str = "topics", out: Any = subprocess.PIPE) -> subprocess.Popen[str]:
-    """Start the demo as a user does, with this folder for temporary files."""
+    """Start the demo like a user, with this folder for temporary files."""
     env = {k: v for k, v in os.environ.items() if k not in ("STAY", "JSON")}
     env |= {"TMPDIR": str(folder), "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "bridge.cli.main", "demo", what, *options]
-    # as the systemd units do: no worker may need memory that is written and then run
+    # like the systemd units: no worker may need memory that is writable and executable
     return subprocess.Popen(
         command, env=env, cwd=folder, stdout=out, stderr=subprocess.STDOUT, text=True, preexec_fn=seal
     )
 
 
 def processes_of(folder: Path) -> list[str]:
-    """Names of the processes that a demo with this temporary folder started and that live."""
+    """Return the names of the living processes of a demo with this temporary folder."""
     processes = []
     for process in psutil.process_iter():
         try:
@@ -62,7 +62,7 @@ def processes_of(folder: Path) -> list[str]:
 
 
 def run(folder: Path, *options: str, what: str = "topics") -> tuple[int, str, dict[str, Any]]:
-    """Run the demo to its end: exit code, output, the JSON file's content."""
+    """Run the demo to its end; return exit code, output, and the JSON file's content."""
     file = folder / "seen.json"
     demo = start(folder, "--json", str(file), *options, what=what)
     try:
@@ -103,7 +103,7 @@ def test_a_topic_that_is_not_bridged_fails_the_demo_and_is_named(folder: Path) -
     failed = {(check["name"], check["to"], check["topic"]) for check in seen["checks"] if not check["ok"]}
     assert failed == {("laser scan", name, "/scan") for name in ("ROS 2", "zenoh", "YARP")}, output
     assert "3 of " in output
-    assert "/scan: ros1" in output, "the worker's own reason is shown"
+    assert "/scan: ros1" in output, "the worker's reason is shown"
     assert leftovers(folder) == []
 
 
@@ -141,7 +141,7 @@ def test_the_address_of_the_console_is_printed_at_the_start(folder: Path) -> Non
         first = demo.stdout.readline()
         address = re.search(r"^console: (http://127\.0\.0\.1:\d+/) ", first)
         assert address, first
-        reader = threading.Thread(target=demo.stdout.read)  # else the demo blocks once the pipe is full
+        reader = threading.Thread(target=demo.stdout.read)  # otherwise the demo blocks once the pipe is full
         reader.start()
 
         def responds() -> bool:
@@ -152,7 +152,7 @@ def test_the_address_of_the_console_is_printed_at_the_start(folder: Path) -> Non
                 assert demo.poll() is None
                 return False
 
-        until(responds, "the console answers", 60.0)
+        until(responds, "the console responds", 60.0)
     finally:
         demo.send_signal(signal.SIGINT)
         demo.wait(40)
@@ -176,7 +176,7 @@ Paths:
 @pytest.mark.thorough
 @pytest.mark.parametrize("clients", [("YARP", "ROS 1", "ROS 2"), ("YARP", "ROS 2")], ids=["all", "no-ros1"])
 def test_clients_of_three_sides_send_the_robot_to_rooms(folder: Path, clients: tuple[str, ...]) -> None:
-    """As configs/navigation.yaml has it, to places that are near; and without ROS 1, as on Ubuntu 24.04."""
+    """With configs/navigation.yaml, to nearby places; and without ROS 1, as on Ubuntu 24.04."""
     config = yaml.safe_load((CONFIGS / "navigation.yaml").read_text())
     (folder / "near.ini").write_text(PLACES)
     config["store"] = {"maps": str(CONFIGS / config["store"]["maps"]), "locations": str(folder / "near.ini")}
@@ -188,7 +188,7 @@ def test_clients_of_three_sides_send_the_robot_to_rooms(folder: Path, clients: t
     code, output, seen = run(folder, *options, what="rooms")
     assert code == 0, output
     assert [(drive["client"], drive["reached"]) for drive in seen["drives"]] == [(client, True) for client in clients]
-    assert ("goes on without ROS 1" in output) == ("ROS 1" not in clients)
+    assert ("continues without its ROS 1 client" in output) == ("ROS 1" not in clients)
     assert "##" in output  # the map
     with Image.open(drawn) as picture:
         assert picture.width > 500

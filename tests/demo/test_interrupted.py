@@ -1,4 +1,4 @@
-"""Ctrl-C ends the demo within 3 s at any moment, and nothing of it is left."""
+"""Ctrl-C ends the demo within 3 s at any moment, and leaves nothing."""
 
 from __future__ import annotations
 
@@ -30,25 +30,25 @@ pytestmark = [
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
-    """For the demo's temporary files; pytest's own would be too deep for it."""
+    """Return a folder for the demo's temporary files; pytest's own path would be too long for it."""
     with tempfile.TemporaryDirectory(prefix="midspan-t-") as name:
         yield Path(name)
 
 
 def runs(folder: Path, *parts: str) -> bool:
-    """Whether each of these is in the command of a process of the demo."""
+    """Return whether each part is in the command of a process of the demo."""
     return all(any(part in line for line in processes_of(folder)) for part in parts)
 
 
 def memory(folder: Path) -> set[Path]:
-    """Files in shared memory that processes of the demo use, but those of LTTng, which are the user's for ever."""
+    """Return files in shared memory used by the demo's processes, except LTTng's, which persist for the user."""
     runs_in = [folder_ for folder_ in folder.iterdir() if folder_.name.startswith("midspan-demo-")]
     used = {file for run in runs_in for pid in left.marked(run) for file in left.used_by(pid)}
     return {file for file in used if not file.name.startswith("lttng-")}
 
 
 def assert_ends(demo: subprocess.Popen[str], folder: Path, number: signal.Signals = signal.SIGINT) -> None:
-    """Send the signal, and see that the demo ends in time with nothing left."""
+    """Send the signal, and check that the demo ends in time without leftovers."""
     used = memory(folder)
     began = time.monotonic()
     demo.send_signal(number)
@@ -118,13 +118,13 @@ with Shutdown() as ending:
 
 
 def test_a_hanging_demo_is_ended_in_time(tmp_path: Path) -> None:
-    """As Python where it waits for a library's thread."""
+    """Like Python waiting for a library's thread."""
     command = [sys.executable, "-c", STUCK]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as stuck:
         assert stuck.stdout is not None
         assert stuck.stdout.readline() == "stuck\n"
         began = time.monotonic()
-        for _ in range(3):  # an impatient hand
+        for _ in range(3):  # an impatient user
             stuck.send_signal(signal.SIGINT)
         assert stuck.wait(60) == 130
         assert time.monotonic() - began < SECONDS

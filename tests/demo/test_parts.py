@@ -1,4 +1,4 @@
-"""The demo's own logic: the simulated robot, the listeners' ears, the checks."""
+"""The demo's own logic: the simulated robot, the received topics, the checks."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_a_duplicated_message_is_counted() -> None:
 
 
 def reports() -> dict[str, dict[str, Any]]:
-    """Return the programs' reports of a run in which everything crossed."""
+    """Return the programs' reports of a run in which everything was bridged."""
     greetings = {
         messages.FROM_ROS1: "hello 9 from ROS 1",
         messages.FROM_ROS2: "hello 9 from ROS 2",
@@ -91,8 +91,8 @@ def test_checks_detect_an_echo() -> None:
 @pytest.mark.parametrize(
     ("change", "names"),
     [
-        ({"after": (0.05, 0.0, 0.0)}, {"drive", "silence stops it"}),
-        ({"velocity": (0.3, 0.0)}, {"silence stops it"}),
+        ({"after": (0.05, 0.0, 0.0)}, {"drive", "timeout stops it"}),
+        ({"velocity": (0.3, 0.0)}, {"timeout stops it"}),
         ({"seen": False}, {"drive seen"}),
     ],
 )
@@ -148,7 +148,9 @@ def test_the_shipped_configuration_is_valid() -> None:
 
 def test_shared_memory_of_others_is_preserved() -> None:
     ports = range(10000, 10250)
-    own_names = [n for n in ("12.zenoh", "fastrtps_0123456789abcdef", "fastrtps_port10011_el") if leftovers.is_own(n, ports)]
+    own_names = [
+        n for n in ("12.zenoh", "fastrtps_0123456789abcdef", "fastrtps_port10011_el") if leftovers.is_own(n, ports)
+    ]
     assert len(own_names) == 3
     others = ("lttng-ust-wait-6", "fastrtps_port7000", "sem.fastrtps_port9999_mutex", "psm_1234", "zenoh")
     assert not any(leftovers.is_own(name, ports) for name in others)
@@ -158,7 +160,7 @@ HOLDS = "import sys; held = [open(name, 'rb') for name in sys.argv[1:]]; print('
 
 
 def test_an_unlocked_port_of_a_killed_participant_is_removed(tmp_path: Path) -> None:
-    """A port that another process reads, which holds its lock, stays. No participant has a port number above 65535."""
+    """A port of another process that holds its lock stays. No participant has a port number above 65535."""
     stem = f"fastrtps_port{70_000 + os.getpid()}"
     mine, others = (Path("/dev/shm", f"{stem}{end}") for end in "01")
     lock = others.with_name(f"{others.name}_el")
@@ -196,7 +198,7 @@ def test_missing_software_is_reported_with_its_cure(tmp_path: Path) -> None:
 def test_a_demo_without_a_package_names_the_extra_that_has_it(
     monkeypatch: pytest.MonkeyPatch, what: str, module: str
 ) -> None:
-    monkeypatch.setitem(sys.modules, module, None)  # not to be found
+    monkeypatch.setitem(sys.modules, module, None)  # cannot be imported
     monkeypatch.setattr("bridge.adapters.ros2.environment._unsourced", lambda: None)
     args = build_parser(["demo"]).parse_args(["demo", what])
     with pytest.raises(CliError, match=r"(?s)needs more than this machine has:.*pip install 'midspan\[demo\]'"):
@@ -220,7 +222,7 @@ def test_a_sandboxes_ports_are_outside_the_ephemeral_range() -> None:
 
 
 def test_a_hanging_program_ends_with_its_input() -> None:
-    """As rospy does, whose master died while it registered with it."""
+    """Like rospy, whose master died while it registered."""
     waits = (
         "from bridge.demo.topics_demo import report; report.LAST_SECONDS = 1; report.Reporter();"
         " import time; time.sleep(600)"
@@ -241,7 +243,7 @@ time.sleep(600)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="orphans are found on Linux")
 def test_a_guard_kills_what_its_command_left() -> None:
-    """As a daemon leaves its router that had to be killed, and a roscore its master."""
+    """Like a killed daemon that leaves its router, or a roscore that leaves its master."""
     command = [str(part) for part in guarded(sys.executable, "-c", LEAVES_ONE_BEHIND)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as guard:
         assert guard.stdin is not None

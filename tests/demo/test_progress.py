@@ -1,4 +1,4 @@
-"""What counts as progress while a demo comes up and drives, and what is said where there is none."""
+"""What counts as progress while a demo starts and drives, and the messages without progress."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_new_texts_are_progress_and_repeated_ones_are_not() -> None:
     assert demo_progress.stalled
     demo_progress.begin()
     assert not demo_progress.stalled
-    assert demo_progress.note("ros2", "joining"), "of what is waited for now it is the first word"
+    assert demo_progress.note("ros2", "joining"), "it is the first text for the new condition"
 
 
 def test_changed_numbers_are_progress_only_on_request() -> None:
@@ -85,14 +85,14 @@ def test_processor_time_of_a_starting_process_is_progress() -> None:
             assert demo_progress.still == 0.0
             clock.now += 10.0
             demo_progress.note_work([busy.pid])
-            assert demo_progress.still == 10.0, "it sleeps"
+            assert demo_progress.still == 10.0, "the process sleeps"
         finally:
             busy.kill()
 
 
 @pytest.fixture
 def daemon_status(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """What the daemon says of its workers."""
+    """Set the daemon's status of its workers."""
     status: dict[str, Any] = {"workers": []}
     monkeypatch.setattr(progress_module, "ask_daemon", lambda _config: status)
     monkeypatch.setattr(progress_module, "_ASK_EVERY", -1.0)
@@ -119,7 +119,7 @@ def test_a_worker_that_cannot_work_or_restarts_repeatedly_has_failed(daemon_stat
     daemon_status["workers"] = [worker("ros1", Phase.UP), worker("ros2", Phase.STARTING, "importing rclpy")]
     assert refreshed()[0].failed is None
     daemon_status["workers"][1] = worker("ros2", Phase.PAUSED, "died", restarts=1)
-    assert refreshed()[0].failed is None, "it is started again"
+    assert refreshed()[0].failed is None, "it is being restarted"
     daemon_status["workers"][1] = worker("ros2", Phase.PAUSED, "died", restarts=3)
     assert refreshed()[0].failed is not None
     daemon_status["workers"][1] = worker("ros2", Phase.FAILED, "no rclpy for this Python")
@@ -138,11 +138,11 @@ def test_a_stalled_part_is_named_with_its_last_output_and_advice(daemon_status: 
         worker("modules", Phase.UP, "waiting: robot_goto: no scan"),
     ]
     text = refreshed("modules: a warning of its own")[0].stall_text("the robot")
-    assert "nothing has moved for 60 s, and the robot is not there" in text
+    assert "no progress for 60 s while waiting for the robot" in text
     assert "modules: running, waiting, robot_goto: no scan" in text
     assert "a warning of its own" in text
     assert "ros1" not in text
-    assert "What to try" in text
+    assert "free -m" in text
 
 
 def test_a_workers_new_phase_is_progress(daemon_status: dict[str, Any]) -> None:

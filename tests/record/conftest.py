@@ -1,4 +1,4 @@
-"""What the tests of recording share."""
+"""Fixtures shared by the tests of recording."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ from bridge.record import worker
 
 @pytest.fixture(autouse=True)
 def priority(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A recorder in the tests' process yields to nobody: zenoh's threads stay, and all later tests would, too."""
+    """Keep the normal priority in the tests' process: zenoh's threads persist, and later tests would inherit it."""
     monkeypatch.setattr(worker, "yielding", nullcontext)

@@ -1,4 +1,4 @@
-"""A participant of the hub that publishes for the recorder's tests, and what is read back of files."""
+"""A participant of the hub that publishes for the recorder's tests, and a reader of the written files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ STRING = "std_msgs/msg/String"
 
 
 class Robot:
-    """Publishes text."""
+    """A publisher of texts."""
 
     def __init__(self, hub: Hub) -> None:
         self.hub, self.registry = hub, Registry()
@@ -52,7 +52,7 @@ class FoundMessage(NamedTuple):
 
 
 class Contents(NamedTuple):
-    """What a file holds: ``whole`` with its end."""
+    """The content of a file; ``whole``: it has its end."""
 
     messages: list[FoundMessage]
     channels: dict[str, list[Channel]]
@@ -68,7 +68,7 @@ def text_of(data: bytes) -> str:
 
 
 def read(path: Path) -> Contents:
-    """A file's records in order, as far as it goes, by the format's own library."""
+    """Read a file's records in order, as far as possible, with the format's own library."""
     contents = Contents([], {}, {}, whole=True)
     names: dict[int, str] = {}
     with path.open("rb") as stream:
@@ -93,17 +93,17 @@ def config(hubs: QuickHub, state: Path, **section: Any) -> Config:
 
 @contextmanager
 def recording(hubs: QuickHub, state: Path, place: RecordPlace, **section: Any) -> Iterator[Recording]:
-    """A recorder on a hub that has begun."""
+    """Run a recorder on a hub."""
     recorded = Recording("recorder", config(hubs, state, **section), RecordSection.model_validate(section), place)
     try:
-        until(recorded.host.node.hub.linked, "it has joined")
+        until(recorded.host.node.hub.linked, "it has joined the hub")
         yield recorded
     finally:
         recorded.close()
 
 
 def await_topics(recorded: Recording, count: int) -> None:
-    until(lambda: len(recorded.recorder.topics.heard()) >= count, f"{count} topics are heard")
+    until(lambda: len(recorded.recorder.topics.heard()) >= count, f"{count} topics are subscribed")
 
 
 def await_written(recorded: Recording, count: int) -> dict[str, Any]:

@@ -74,7 +74,9 @@ def test_times_are_parsed(text: str, value: float) -> None:
         (["--daemon", "split"], "set record.enabled"),
     ],
 )
-def test_invalid_options_are_reported(arguments: list[str], message: str, file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_options_are_reported(
+    arguments: list[str], message: str, file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["record", *arguments, "--config", str(file)]) == 1
     assert message in capsys.readouterr().err
 
@@ -92,9 +94,7 @@ def test_invalid_values_are_refused(argument: str, message: str, capsys: pytest.
     assert message in capsys.readouterr().err
 
 
-def test_an_existing_file_is_not_overwritten(
-    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_existing_file_is_not_overwritten(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     existing = tmp_path / "there.mcap"
     existing.write_text("mine")
     assert main(["record", "-a", "-o", str(existing), "--config", str(file)]) == 1
@@ -103,7 +103,7 @@ def test_an_existing_file_is_not_overwritten(
 
 
 def recorder(file: Path, *arguments: str, limit: str = "unlimited") -> subprocess.Popen[str]:
-    """Start the verb as a process; ``limit``: kilobytes that its files may have."""
+    """Start the verb as a process; ``limit``: largest file size in kilobytes."""
     command = [sys.executable, "-m", "bridge.cli.main", "record", *arguments, "--config", str(file)]
     return subprocess.Popen(
         ["bash", "-c", f"ulimit -f {limit}; exec {shlex.join(command)}"],
@@ -115,7 +115,7 @@ def test_ctrl_c_ends_a_recording_with_a_summary(robot: Robot, file: Path, tmp_pa
     publisher, latched = robot.publisher("/said"), robot.publisher("/kept", LATCHED)
     latched.put(robot.text("kept"))
     program = recorder(file, "/said", "/k*", "-o", str(tmp_path / "run"), "--folder", "--json")
-    until(lambda: publisher.matched() or program.poll() is not None, "it is heard")
+    until(lambda: publisher.matched() or program.poll() is not None, "it is subscribed")
     for number in range(10):
         publisher.put(robot.text(str(number)))
     publisher.put(robot.text("last"))
@@ -134,10 +134,10 @@ def test_ctrl_c_ends_a_recording_with_a_summary(robot: Robot, file: Path, tmp_pa
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a thread's priority")
 def test_the_recorder_yields_to_publishers(robot: Robot, file: Path, tmp_path: Path) -> None:
-    """Its threads yield, once each; the main one, which reports its health, does not."""
+    """Each of its threads yields; the main one, which reports its health, does not."""
     publisher = robot.publisher("/said")
     program = recorder(file, "/said", "-o", str(tmp_path / "run.mcap"))
-    until(lambda: publisher.matched() or program.poll() is not None, "it is heard")
+    until(lambda: publisher.matched() or program.poll() is not None, "it is subscribed")
     of_all = {}
     for task in Path(f"/proc/{program.pid}/task").iterdir():
         with suppress(OSError):  # it has just ended
@@ -157,13 +157,11 @@ def has_subscriber(robot: Robot, topic: str) -> bool:
     return bool(robot.hub.graph.subscriptions(topic))
 
 
-def test_a_failed_write_leaves_a_file_of_complete_chunks(
-    robot: Robot, file: Path, tmp_path: Path
-) -> None:
+def test_a_failed_write_leaves_a_file_of_complete_chunks(robot: Robot, file: Path, tmp_path: Path) -> None:
     publisher = robot.publisher("/said", Qos(depth=1000))
     path = tmp_path / "run.mcap"
     program = recorder(file, "/said", "-o", str(path), "--compression", "none", limit=str(3 << 10))
-    until(lambda: publisher.matched() or program.poll() is not None, "it is heard")
+    until(lambda: publisher.matched() or program.poll() is not None, "it is subscribed")
     try:
         for number in range(60):
             publisher.put(robot.text(f"{number:05}" + "x" * 100_000))
@@ -184,7 +182,7 @@ def test_a_failed_write_leaves_a_file_of_complete_chunks(
 
 @pytest.fixture
 def worker(hubs: QuickHub, tmp_path: Path) -> Iterator[RecordWorker]:
-    """The daemon's worker with a ring."""
+    """Return the daemon's worker with a ring."""
     worker_ = RecordWorker()
     worker_.start(config(hubs, tmp_path, enabled=True, ring={"seconds": 30.0}, exclude=["^/navigation"]))
     yield worker_
@@ -192,7 +190,7 @@ def worker(hubs: QuickHub, tmp_path: Path) -> Iterator[RecordWorker]:
 
 
 def kept_reasons(folder: Path) -> list[str]:
-    """Why each folder was written."""
+    """Return the reason for each kept folder."""
     files = sorted((folder / "robot1" / "recordings").glob(f"{PREFIX}*/metadata.yaml"))
     return [read(max(file.parent.glob("*.mcap"))).metadata["midspan.end"]["trigger"] for file in files]
 
@@ -203,17 +201,17 @@ def test_halt_failed_goal_call_and_verb_keep_the_ring(
 ) -> None:  # fmt: skip
     monkeypatch.setattr(triggers, "QUIET_SECONDS", 0.0)
     publisher = robot.publisher("/said")
-    until(publisher.matched, "it is heard")
+    until(publisher.matched, "it is subscribed")
 
     def after(step: str) -> None:
         publisher.put(robot.text(step))
         written = len(kept_reasons(tmp_path))
-        until(lambda: worker_status(robot)["topics"], "it is told")
+        until(lambda: worker_status(robot)["topics"], "it is reported")
         steps[step]()
         until(lambda: len(kept_reasons(tmp_path)) == written + 1, f"{step} writes it")
 
     status = robot.publisher("/navigation/status", LATCHED, STATUS)
-    until(lambda: has_subscriber(robot, "/navigation/status"), "the gateway is followed")
+    until(lambda: has_subscriber(robot, "/navigation/status"), "the gateway's status is subscribed")
     caller = HubSide(robot.hub, robot.registry)
     steps = {
         "halt": lambda: [a.value for a in robot.hub.ask("halt", {})] == [RECORDED] or pytest.fail("not recorded"),
@@ -237,7 +235,7 @@ def worker_status(robot: Robot) -> dict:  # type: ignore[type-arg]
 
 def test_health_and_metrics_show_what_is_written(worker: RecordWorker, robot: Robot) -> None:
     publisher = robot.publisher("/said")
-    until(publisher.matched, "it is heard")
+    until(publisher.matched, "it is subscribed")
     publisher.put(robot.text("one"))
     until(lambda: worker_status(robot)["messages"] == 1, "it is written")
     health = worker.health()

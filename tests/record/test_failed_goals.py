@@ -1,4 +1,4 @@
-"""The ring is written when a goal fails, as the real gateway tells of it."""
+"""The ring is kept when a goal fails, as the real gateway reports it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,7 @@ from tests.record.robot import config, read
 from tests.support.wait import until
 
 
-def test_each_rejected_or_aborted_goal_keeps_the_ring(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_rejected_or_aborted_goal_keeps_the_ring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(triggers, "QUIET_SECONDS", 0.0)
     worker = RecordWorker()
     with Rig(tmp_path / "gateway") as rig:
@@ -25,13 +23,18 @@ def test_each_rejected_or_aborted_goal_keeps_the_ring(
         worker.start(config(rig.hubs, tmp_path, enabled=True, ring={"seconds": 30.0}))
         try:
             graph = rig.client.node.hub.graph
-            until(lambda: len(graph.subscriptions("/navigation/status")) > subscribers, "the gateway is followed")
+            until(
+                lambda: len(graph.subscriptions("/navigation/status")) > subscribers,
+                "the gateway's status is subscribed",
+            )
 
             def kept_reasons() -> list[str]:
                 folders = sorted((tmp_path / "robot1" / "recordings").glob(f"{PREFIX}*/metadata.yaml"))
-                return [read(max(folder_.parent.glob("*.mcap"))).metadata["midspan.end"]["trigger"] for folder_ in folders]
+                return [
+                    read(max(folder_.parent.glob("*.mcap"))).metadata["midspan.end"]["trigger"] for folder_ in folders
+                ]
 
-            rig.gateway.link.presence.unreachable_at = 0.0  # it has been there for a while: a rejection is believed
+            rig.gateway.link.presence.unreachable_at = 0.0  # it has been available for a while: a rejection counts
             for count in (1, 2):
                 rig.planner.rejects = 1
                 status, reason = Asked(rig.client, pose(1.0)).end()
@@ -45,6 +48,10 @@ def test_each_rejected_or_aborted_goal_keeps_the_ring(
             rig.planner.reach(rig.planner.until(2))
             assert reached.end()[0] == "SUCCEEDED"
             rig.state(State.REACHED)
-            assert kept_reasons() == [f"a goal failed: {reason}", f"a goal failed: {reason}", "a goal failed: no way leads there"]
+            assert kept_reasons() == [
+                f"a goal failed: {reason}",
+                f"a goal failed: {reason}",
+                "a goal failed: no way leads there",
+            ]
         finally:
             worker.stop()

@@ -1,4 +1,4 @@
-"""What is latched now: of which publishers it is kept, and for how long."""
+"""The latched state: which publishers' messages are stored, and for how long."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GID = b"g" * 16
 
 
 class Graph:
-    """The publishers that the hub tells of."""
+    """The publishers in the hub's graph."""
 
     def __init__(self) -> None:
         self.ends: list[Any] = []
@@ -75,6 +75,6 @@ def test_messages_of_unknown_publishers_are_limited(
         state.saw(message(number, gid))
     known = b"k" * 16
     graph.ends.append(endpoint("/map", known, LATCHED))
-    state.saw(message(9, known))  # those that nobody knows take no room from it
+    state.saw(message(9, known))  # unknown publishers do not displace it
     graph.ends += [endpoint("/map", gid, LATCHED) for gid in gids]
     assert stored(state) == [0, 1, 9]

@@ -56,7 +56,7 @@ def test_messages_are_recorded_unchanged(hubs: QuickHub, robot: Robot, tmp_path:
     chat, other = robot.publisher("/said"), robot.publisher("/camera/other")
     with recording(hubs, tmp_path, Files(tmp_path / "one", split=False), exclude=["^/camera"]) as recorded:
         path = recorded.recorder.begin()
-        until(chat.matched, "it is heard")
+        until(chat.matched, "it is subscribed")
         chat.put(robot.text("one"), 1_000)
         chat.put(robot.text("two"), 2_000)
         other.put(robot.text("not this"))
@@ -85,11 +85,11 @@ def test_each_file_of_a_split_starts_with_latched_messages(hubs: QuickHub, robot
         history.put(robot.text(f"h{number}"))
     with recording(hubs, tmp_path, BagFolder(tmp_path / "run")) as recorded:
         recorded.recorder.begin()
-        until(chat.matched, "it is heard")
+        until(chat.matched, "it is subscribed")
         chat.put(robot.text("first"))
         await_written(recorded, 5)
         closed.close()
-        until(lambda: not recorded.recorder.topics.look().keys() & {closed_topic_key(recorded)}, "it is gone")
+        until(lambda: not recorded.recorder.topics.look().keys() & {closed_topic_key(recorded)}, "it is closed")
         first = recorded.recorder.split()
         chat.put(robot.text("second"))
         await_written(recorded, 6)
@@ -100,7 +100,7 @@ def test_each_file_of_a_split_starts_with_latched_messages(hubs: QuickHub, robot
     assert (first_file.texts("/gone"), second_file.texts("/gone")) == (["gone"], [])
     assert second_file.texts("/said") == ["second"]
     assert [m.topic for m in second_file.messages][-1] == "/said"
-    with Reader(tmp_path / "run") as bag:  # by the folder's metadata
+    with Reader(tmp_path / "run") as bag:  # through the folder's metadata
         assert bag.message_count == len(first_file.messages) + len(second_file.messages)
     with AnyReader([tmp_path / "run"]) as any_bag:
         texts = [any_bag.deserialize(raw, c.msgtype) for c, _, raw in any_bag.messages() if c.topic == "/said"]
@@ -128,7 +128,7 @@ def test_a_folders_metadata_has_the_qos_of_all_publishers(hubs: QuickHub, robot:
         ends = [robot.publisher("/said"), Robot(hub).publisher("/said", LATCHED)]
         with recording(hubs, tmp_path, BagFolder(tmp_path / "run")) as recorded:
             recorded.recorder.begin()
-            until(lambda: all(end.matched() for end in ends), "both are heard")
+            until(lambda: all(end.matched() for end in ends), "both are subscribed")
             for end in ends:
                 end.put(robot.text("hi"))
             await_written(recorded, 2)
@@ -149,11 +149,11 @@ def test_a_pause_unsubscribes_and_a_start_continues_in_another_file(
     chat = robot.publisher("/said")
     with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as recorded:
         recorded.recorder.begin()
-        until(chat.matched, "it is heard")
+        until(chat.matched, "it is subscribed")
         chat.put(robot.text("before"))
         await_written(recorded, 1)
         assert recorded.recorder.pause() == tmp_path / "one.mcap"
-        until(lambda: not chat.matched(), "nobody hears it")
+        until(lambda: not chat.matched(), "it is unsubscribed")
         chat.put(robot.text("meanwhile"))
         assert recorded.recorder.begin() == tmp_path / "one_1.mcap"
         until(chat.matched, "the recorder subscribes again")
@@ -173,14 +173,14 @@ def test_a_trigger_keeps_the_rings_last_moments(hubs: QuickHub, robot: Robot, tm
     with recording(hubs, tmp_path, ring, ring={"seconds": 5.0}) as recorded:
         recorded.add_triggers(section)
         recorded.recorder.begin()
-        until(chat.matched, "it is heard")
+        until(chat.matched, "it is subscribed")
         await_topics(recorded, 3)
         chat.put(robot.text("before it"))
         await_written(recorded, 2)
         assert not list(tmp_path.glob(f"{PREFIX}*"))
-        until(lambda: len(robot.hub.graph.subscriptions("/bumper")) >= 2, "the trigger is followed")
+        until(lambda: len(robot.hub.graph.subscriptions("/bumper")) >= 2, "the trigger is subscribed")
         bumper.put(robot.text("bump"))
-        folder = until(lambda: next(iter(tmp_path.glob(f"{PREFIX}*/metadata.yaml")), None), "it is written").parent
+        folder = until(lambda: next(iter(tmp_path.glob(f"{PREFIX}*/metadata.yaml")), None), "it is kept").parent
     files = sorted(folder.glob("*.mcap"))
     contents = [read(file) for file in files]
     assert contents[0].texts("/map") == ["map"]
@@ -197,11 +197,11 @@ def test_a_ring_deletes_older_files(hubs: QuickHub, robot: Robot, tmp_path: Path
     chat = robot.publisher("/said")
     with recording(hubs, tmp_path, ring, ring={"seconds": 0.2}) as recorded:
         recorded.recorder.begin()
-        until(chat.matched, "it is heard")
+        until(chat.matched, "it is subscribed")
         chat.put(robot.text("old"))
         await_written(recorded, 1)
         recorded.recorder.split()
-        until(lambda: not list((tmp_path / ".ring").glob("*.mcap")), "it is forgotten")
+        until(lambda: not list((tmp_path / ".ring").glob("*.mcap")), "it is deleted")
         assert recorded.recorder.trigger("nothing").result(10) is None
 
 
@@ -233,7 +233,7 @@ def test_topics_that_are_not_bridged_are_requested_from_their_worker(hubs: Quick
         with recording(hubs, tmp_path, Files(tmp_path / "one", split=False), **section) as recorded:
             recorded.recorder.begin()
             await_written(recorded, 1)
-            until(lambda: requests, "it is asked for")
+            until(lambda: requests, "it is requested")
     assert set(requests) == {"/arm/home"}
     contents = read(tmp_path / "one.mcap")
     assert contents.texts("/arm/home") == ["at home"]
@@ -253,8 +253,8 @@ def test_a_folder_that_cannot_be_created_is_reported_and_retried(
             recorded.recorder.begin()
         assert recorded.recorder.status()["state"] == "blocked"
         place.unlink()
-        until(lambda: not recorded.recorder.status()["error"], "it goes on")
-        until(chat.matched, "it is heard")
+        until(lambda: not recorded.recorder.status()["error"], "it continues")
+        until(chat.matched, "it is subscribed")
         chat.put(robot.text("after"))
         status = await_written(recorded, 1)
     assert read(Path(status["file"])).texts("/said") == ["after"]
@@ -270,7 +270,7 @@ def test_a_full_disk_stops_recording_until_space_is_free(
     chat = robot.publisher("/said")
     with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as recorded:
         recorded.recorder.begin()
-        until(chat.matched, "it is heard")
+        until(chat.matched, "it is subscribed")
         chat.put(robot.text("before"))
         await_written(recorded, 1)
         free[0] = 1 << 20
@@ -283,7 +283,7 @@ def test_a_full_disk_stops_recording_until_space_is_free(
         chat.put(robot.text("lost"))
         until(lambda: recorded.recorder.status()["dropped"].get("disk") == 1, "it is counted")
         free[0] = 100 << 20
-        until(lambda: not recorded.recorder.status()["error"], "it goes on")
+        until(lambda: not recorded.recorder.status()["error"], "it continues")
         chat.put(robot.text("after"))
         status = await_written(recorded, 3)
     assert status["dropped"] == {"disk": 1}
@@ -352,9 +352,7 @@ def test_a_ring_does_not_depend_on_the_system_clock(
     assert [written.path.exists() for written in closed] == [False] * 3
 
 
-def test_recordings_before_a_clock_setback_count_as_older(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_recordings_before_a_clock_setback_count_as_older(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     keep = RecordSection.model_validate({"keep": {"files": 2}}).keep
     folder = KeptFolder(tmp_path, keep)
     (tmp_path / f"{PREFIX}2026_01_01.mcap").touch()

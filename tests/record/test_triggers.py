@@ -1,4 +1,4 @@
-"""Triggers that come one after the other."""
+"""Consecutive triggers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_a_trigger_that_kept_nothing_does_not_block_the_next_one() -> None:
     (_, halt), _ = host.answer.call_args
     halt({})
     halt({})
-    assert len(requests) == 1, "it is being written"
+    assert len(requests) == 1, "it is being kept"
     requests[0].set_result(None)
     halt({})
     requests[1].set_exception(OSError("the disk is full"))
