@@ -48,7 +48,7 @@ class LatchedState:
             self._drop_oldest()
 
     def _look_up(self, key: tuple[TopicKey, bytes]) -> bool:
-        """Return whether to store a publisher's message: if it is latched, or unknown, since its message may be first."""
+        """Return whether to store a publisher's message: if latched, or unknown, since its message may come first."""
         endpoint = self._graph.endpoint(key[1])
         if endpoint is None:
             return True

@@ -24,14 +24,14 @@ class Selection:
         self.sides: Sequence[str] = section.sides
 
     def wants(self, topic: HubTopic) -> bool:
-        """Return whether a topic on the hub is recorded; one that a worker forwards on request (a tap) needs a request."""
+        """Return whether a topic on the hub is recorded; a tap, which workers forward on request, must be wanted."""
         side, name = tapped(topic.key.topic)
         if side:
             return self.taps(side, name)
         return self.name(name) and (not self.sides or not set(self.sides).isdisjoint(topic.sides))
 
     def taps(self, side: str, name: str) -> bool:
-        """Return whether a topic that is not bridged is requested of its side: by full name, or with all of the side."""
+        """Return whether a topic that is not bridged is wanted from its side: by full name, or with all of the side."""
         return self.name(name) and (side in self.sides or (not self.sides and name in self._named))
 
     @property

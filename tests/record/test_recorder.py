@@ -304,12 +304,12 @@ def test_a_full_queue_drops_and_counts_messages_large_ones_first() -> None:
         put(small, 100)
     assert images.dropped["queue"] == 20 - 9
     assert not small.dropped
-    waiting = queue.take(0.0)
+    waiting = queue.pop_all(0.0)
     assert len(waiting) == 109
     for arrival in waiting:
         queue.wrote(arrival)
     put(images, 100_000)
-    assert len(queue.take(0.0)) == 1
+    assert len(queue.pop_all(0.0)) == 1
 
 
 def test_a_folder_is_created_once_even_if_its_first_file_fails_repeatedly(tmp_path: Path) -> None:
