@@ -6,12 +6,13 @@ import logging
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from bridge.config.sections.record import TriggerSection
 from bridge.hub.control import RECORDED
-from bridge.hub.endpoints.subscription import HubSubscription
+from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.errors import HubError
 from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
@@ -51,13 +52,12 @@ class Triggers:
             if key.topic in self._section.topics and key not in self._ends:
                 try:
                     # volatile, since older latched messages are not triggers
-                    self._ends[key] = self._host.node.hub.subscription(
-                        *key, Qos(), lambda _, k=key: self._on_message(k)
-                    )  # type: ignore[misc]
+                    on_message = partial(self._on_message, key)
+                    self._ends[key] = self._host.node.hub.subscription(*key, Qos(), on_message)
                 except HubError as err:
                     _log.warning("trigger %s: %s", key.topic, err)
 
-    def _on_message(self, key: TopicKey) -> None:
+    def _on_message(self, key: TopicKey, _sample: HubSample) -> None:
         self._pull(f"a message on {key.topic}")
 
     def _halt(self, _params: Any) -> dict[str, Any]:

@@ -148,8 +148,8 @@ class HostileConsole:
         """Open a socket as a page does, and send frames; the first byte of each piece gives its kind."""
         with socket.create_connection(("127.0.0.1", self.port), 10) as sock:
             sock.sendall(opening(self.host))
-            content = _Frames(sock)
-            head = content.head()
+            received = _Frames(sock)
+            head = received.head()
             if not head.startswith(b"HTTP/1.1 101 "):
                 assert int(head[9:12]) == 503, head[:200]
                 return
@@ -162,7 +162,7 @@ class HostileConsole:
                     whole &= kind != b"r"
                     sock.sendall(_frames(kind, content))
                 sock.sendall(client_frame(9, b"the end"))
-                content.until_pong(b"the end", 10.0 if whole else 0.02)
+                received.until_pong(b"the end", 10.0 if whole else 0.02)
             except OSError:
                 pass  # the console has closed it
         if self._may_drive == math.inf:

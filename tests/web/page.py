@@ -78,10 +78,10 @@ class TestPage:
             self.read()
         return result
 
-    def value(self, feed: str, wanted: Callable[[Any], Any] = bool, description: str = "") -> Any:
+    def value(self, feed: str, wanted: Callable[[Any], Any] = bool, what: str = "") -> Any:
         """Wait until a feed has the wanted value, and return it."""
-        description = description or f"the feed {feed} has a value"
-        self.until(lambda: feed in self.values and wanted(self.values[feed]["value"]), description)
+        what = what or f"the feed {feed} has a value"
+        self.until(lambda: feed in self.values and wanted(self.values[feed]["value"]), what)
         return self.values[feed]["value"]
 
     def call(self, verb: str, **args: Any) -> dict[str, Any]:

@@ -162,7 +162,7 @@ def test_an_unreadable_configuration_is_reported(desk: Desk, daemon: Daemon, fil
         file.write_text("name: [\npassword: hunter2hunter2\n")
         config = page.call("config")["value"]
         assert config["text"] is None
-        assert "no YAML" in config["why"]
+        assert "not valid YAML" in config["why"]
         assert "not valid YAML" in config["problems"][0]["text"]
         assert "hunter2" not in str(config)
 

@@ -82,7 +82,7 @@ def test_a_map_is_imported(page: TestPage, store: Store, tmp_path: Path, form: s
     assert (kept.occupancy == grid.occupancy).all()
     assert (kept.flags == grid.flags).all() or form == ".yaml"
     assert store.current_map() == "office"
-    assert "forgotten" in page.call("import_map", key=key)["error"]
+    assert "expired" in page.call("import_map", key=key)["error"]
 
 
 def test_a_map_is_replaced_only_on_request(page: TestPage, store: Store, tmp_path: Path) -> None:

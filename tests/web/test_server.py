@@ -149,7 +149,7 @@ def test_other_paths_are_not_found(desk: Desk, path: str) -> None:
 def test_unknown_hosts_are_refused(desk: Desk) -> None:
     status, _, body = ask(desk.port, "/", Host=f"evil.example:{desk.port}")
     assert status == 403
-    assert b"no such host" in body
+    assert b"unknown host" in body
 
 
 def test_clients_cannot_forge_their_address(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:

@@ -11,7 +11,7 @@ from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
 from bridge.daemon.log_query import ask_log
 from bridge.modules.host import Host
-from bridge.web.feeds.hub import AskingFeed
+from bridge.web.feeds.hub import PolledFeed
 from bridge.web.verbs.verbs import PageVerb
 
 LEVELS = ("debug", "info", "warning", "error")
@@ -68,9 +68,9 @@ class LogFollower:
         return {"last": last, "lines": matching[-MOST_RETURNED:]}
 
 
-def log_feed(host: Host, executor: SerialExecutor, follower: LogFollower) -> AskingFeed:
+def log_feed(host: Host, executor: SerialExecutor, follower: LogFollower) -> PolledFeed:
     """Return the feed ``log``: the number of the newest line, and the workers that have lines."""
-    return AskingFeed(host, "log", executor, follower.ask, LOG_SECONDS)
+    return PolledFeed(host, "log", executor, follower.ask, LOG_SECONDS)
 
 
 def _number(value: Any) -> int:
