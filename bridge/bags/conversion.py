@@ -118,15 +118,15 @@ class FileTopics:
         A name that two topics would get goes to the first, as on the hub.
         """
         if (other := self._names.get(form.name, topic.name)) != topic.name:
-            what = f"{topic.name} would become {form.name}, as {other} does"
-            raise BagError(self._path, what, None, "-x leaves one of them out")
+            problem = f"{topic.name} would become {form.name}, as {other} does"
+            raise BagError(self._path, problem, None, "-x leaves one of them out")
         types = _members(form)
         for name, members in types.items():
             known, other = self._types.get(name, (members, ""))
             if known != members:
-                what = f"{topic.name} has another definition of {name.split()[0]} than {other}"
-                where = "a .bag has room for both" if other == topic.name else "convert them into several files with -x"
-                raise BagError(self._path, f"{what}, and a file of ROS 2 has one for each type", None, where)
+                problem = f"{topic.name} has another definition of {name.split()[0]} than {other}"
+                cure = "a .bag has room for both" if other == topic.name else "convert them into several files with -x"
+                raise BagError(self._path, f"{problem}, and a file of ROS 2 has one for each type", None, cure)
         self._names[form.name] = topic.name
         for name, members in types.items():
             self._types.setdefault(name, (members, topic.name))
@@ -134,12 +134,12 @@ class FileTopics:
 
 def _members(form: TopicForm) -> dict[str, object]:
     """Return the fields of each type of a topic, and the hash of its own type."""
-    found: dict[str, object] = {f"{form.type_name} (hash)": form.type_hash} if form.type_hash else {}
+    members: dict[str, object] = {f"{form.type_name} (hash)": form.type_hash} if form.type_hash else {}
     if form.definition:
         with suppress(MessageTypeError):
             types = without_char(full_schema(form.type_name, form.definition)).types
-            found |= {name: [(field.name, field.type) for field in types[name].fields] for name in types}
-    return found
+            members |= {name: [(field.name, field.type) for field in types[name].fields] for name in types}
+    return members
 
 
 def _form(conversion: Conversion) -> TopicForm:
@@ -181,8 +181,8 @@ def _actionlib_name(name: str) -> str:
 
 
 def _refusal(path: Path, topic: BagTopic, err: MessageTypeError) -> BagError:
-    what = f"{topic.name} has type {topic.type_name}, which cannot be converted: {err}"
-    return BagError(path, what, None, _cure(topic, err))
+    problem = f"{topic.name} has type {topic.type_name}, which cannot be converted: {err}"
+    return BagError(path, problem, None, _cure(topic, err))
 
 
 def _cure(topic: BagTopic, err: MessageTypeError) -> str:

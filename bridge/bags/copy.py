@@ -127,8 +127,8 @@ def convert(
             if form.name not in ("", topic.name):
                 done.renamed[topic.name] = form.name
             if form.undefined is not None:
-                why = form.undefined
-                done.undefined.setdefault(topic.name, Undefined(topic.type_name, why.what, why.cure))
+                reason = form.undefined
+                done.undefined.setdefault(topic.name, Undefined(topic.type_name, reason.what, reason.cure))
     check_compression(target, kind, compression or COMPRESSIONS[kind][0])
     with written_whole(target, kind) as making:
         usual = compression or COMPRESSIONS[kind][0]
@@ -195,7 +195,7 @@ def _copy_chunks(
             inside = start <= span.start and span.end < end
             chunk = bag.whole_chunk(span) if inside else None
             if chunk is not None and (chunk.compression or "none") == compression:
-                copier.take(chunk)
+                copier.copy_chunk(chunk)
                 done.messages += sum(chunk.counts.values())
                 done.data += chunk.size
             else:
@@ -231,8 +231,8 @@ def _latched(bag: Bag, topics: list[BagTopic], start_ns: int) -> list[BagMessage
     }
     for message in bag.messages(latched, None, start_ns):
         last[message.topic].append(message)
-    found = [message._replace(time_ns=start_ns) for each in last.values() for message in each]
-    return sorted(found, key=attrgetter("publish_ns"))
+    messages = [message._replace(time_ns=start_ns) for messages_ in last.values() for message in messages_]
+    return sorted(messages, key=attrgetter("publish_ns"))
 
 
 def _copy(
@@ -244,11 +244,11 @@ def _copy(
         changes = {topic: form.convert for topic, form in forms.items()}
         for some in columns:
             try:
-                made = _converted(some, changes)
+                data = _converted(some, changes)
             except ConversionError:
-                some, made = _sound(bag, some, changes, done, skip_bad=skip_bad)
-            writer.write([places[topic] for topic in some.topics], some.times, some.publish_times, made)
-            done.messages += len(made)
+                some, data = _sound(bag, some, changes, done, skip_bad=skip_bad)
+            writer.write([places[topic] for topic in some.topics], some.times, some.publish_times, data)
+            done.messages += len(data)
             done.data += sum(map(len, some.data))
             if done.undefined:
                 for topic, count in Counter(some.topics).items():
@@ -263,23 +263,23 @@ def _copy(
 
 def _converted(some: Columns, changes: Mapping[BagTopic, Convert | None]) -> list[bytes]:
     """Return the messages' data in the forms of their topics; raises `ConversionError`."""
-    each = zip(map(changes.__getitem__, some.topics), some.data, strict=True)
-    return [data if change is None else change(data) for change, data in each]
+    pairs = zip(map(changes.__getitem__, some.topics), some.data, strict=True)
+    return [data if change is None else change(data) for change, data in pairs]
 
 
 def _sound(
     bag: Bag, some: Columns, changes: Mapping[BagTopic, Convert | None], done: Copied, *, skip_bad: bool
 ) -> tuple[Columns, list[bytes]]:
     """Return the messages that match their types, and their converted data; leave out the others, or raise."""
-    sound, made = list[BagMessage](), list[bytes]()
+    sound, converted = list[BagMessage](), list[bytes]()
     for message in map(BagMessage, *some):
         topic, change = message.topic, changes[message.topic]
         try:
-            made.append(message.data if change is None else change(message.data))
+            converted.append(message.data if change is None else change(message.data))
             sound.append(message)
         except ConversionError as err:
             if not skip_bad:
-                what = f"a message of {topic.name} at {message.time_ns} ns is bad: {err}"
-                raise BagError(bag.path, what, None, "--skip-bad leaves it out") from None
+                problem = f"a message of {topic.name} at {message.time_ns} ns is bad: {err}"
+                raise BagError(bag.path, problem, None, "--skip-bad leaves it out") from None
             done.refused[topic.name] = done.refused.get(topic.name, 0) + 1
-    return Columns(*zip(*sound, strict=True)) if sound else Columns((), (), (), ()), made
+    return Columns(*zip(*sound, strict=True)) if sound else Columns((), (), (), ()), converted

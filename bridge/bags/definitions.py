@@ -137,8 +137,8 @@ def _part_of_file(type_name: str, base: str, contents: tuple[str, ...], sections
         return ""
     if type_name not in types:
         return ""
-    rest = (f"{_LINE}\nMSG: {name}\n{own_text(types[name])}" for name in types if name != type_name)
-    return "".join((own_text(types[type_name]), *rest))
+    nested = (f"{_LINE}\nMSG: {name}\n{own_text(types[name])}" for name in types if name != type_name)
+    return "".join((own_text(types[type_name]), *nested))
 
 
 def without_char(schema: Schema) -> Schema:
@@ -195,8 +195,8 @@ def _text_of_idl(type_name: str, text: str) -> str:
     if type_name not in types:
         return ""
     constants, fields = types.pop(type_name)
-    rest = (f"{_LINE}\nMSG: {name.replace('/msg/', '/')}\n{''.join(_msg_lines(*types[name]))}" for name in types)
-    return "".join((*_msg_lines(constants, fields), *rest)) or "\n"  # of an empty message
+    nested = (f"{_LINE}\nMSG: {name.replace('/msg/', '/')}\n{''.join(_msg_lines(*types[name]))}" for name in types)
+    return "".join((*_msg_lines(constants, fields), *nested)) or "\n"  # of an empty message
 
 
 def _msg_lines(constants: Any, fields: Any) -> Iterator[str]:

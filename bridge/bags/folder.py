@@ -73,8 +73,8 @@ class FilesBag(Bag):
             key = (topic.name, topic.type_name, topic.world, topic.definition, topic.type_hash, topic.profiles)
             joined.setdefault((*key, *sorted(topic.metadata.items())), []).append(topic)
         for same in joined.values():
-            one = replace(same[0], count=sum(topic.count for topic in same))
-            self._topic_of.update(dict.fromkeys(same, one))
+            merged = replace(same[0], count=sum(topic.count for topic in same))
+            self._topic_of.update(dict.fromkeys(same, merged))
         self.topics = tuple(dict.fromkeys(self._topic_of.values()))
         times = [part for part in self._parts if any(topic.count for topic in part.topics)]
         self.start_ns = min((part.start_ns for part in times), default=0)
@@ -150,8 +150,8 @@ class FolderBag(FilesBag):
         by_message = str(metadata.get("compression_mode", "")).lower() == "message"
         packing = str(metadata.get("compression_format", "")) if by_message else ""
         if packing not in ("", "zstd"):
-            what = f"its messages are compressed by {packing!r}; only zstd is read"
-            raise BagError(path, what, None, "convert it with 'ros2 bag convert' on a machine with that plugin")
+            problem = f"its messages are compressed by {packing!r}; only zstd is read"
+            raise BagError(path, problem, None, "convert it with 'ros2 bag convert' on a machine with that plugin")
         super().__init__(path, files, open_file, broken)
         if not metadata and not self._broken:
             self.unfinished = True

@@ -115,11 +115,11 @@ def misfits(bag: Bag, topics: Iterable[BagTopic], registry: Registry) -> dict[Ba
 
 
 def _misfit(bag: Bag, topic: BagTopic, err: ConversionError) -> BagError:
-    what = (
+    problem = (
         f"{topic.name} has type {topic.type_name}, of which the bag holds no complete definition, and its messages do"
         f" not fit the one known here: {err}"
     )
-    return BagError(bag.path, what, None, FOLDERS)
+    return BagError(bag.path, problem, None, FOLDERS)
 
 
 def _check(registry: Registry, topic: BagTopic) -> Callable[[bytes], object]:
@@ -129,9 +129,9 @@ def _check(registry: Registry, topic: BagTopic) -> Callable[[bytes], object]:
     check = registry.hub_check(topic.type_name, ros2_type(registry, topic).type_id)
 
     def strict(data: bytes) -> None:
-        rest = data[len(check(data)) :]
-        if len(rest) > _PADDING and any(rest):
-            what = f"{len(rest)} bytes are left over after the last field"
-            raise ConversionError(f"bad {topic.type_name} message: {what}")
+        trailing = data[len(check(data)) :]
+        if len(trailing) > _PADDING and any(trailing):
+            problem = f"{len(trailing)} bytes are left over after the last field"
+            raise ConversionError(f"bad {topic.type_name} message: {problem}")
 
     return strict

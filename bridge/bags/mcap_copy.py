@@ -117,12 +117,12 @@ class ChunkedMcap(BagWriter):
             if self._size > CHUNK_BYTES:
                 self._close_chunk()
 
-    def take(self, chunk: WholeChunk) -> None:
+    def copy_chunk(self, chunk: WholeChunk) -> None:
         """Copy a chunk of the source with its indexes."""
         self._write_chunks()
-        self._put(chunk)
+        self._append_chunk(chunk)
 
-    def _put(self, chunk: WholeChunk) -> None:
+    def _append_chunk(self, chunk: WholeChunk) -> None:
         at = self._file.tell()
         self._file.write(chunk.record)
         self._file.write(chunk.indexes)
@@ -201,7 +201,7 @@ class ChunkedMcap(BagWriter):
         head = _CHUNK.pack(start, end, size, crc, len(name)) + name + len(packed).to_bytes(8, "little")
         record = b"".join((_RECORD.pack(Opcode.CHUNK, len(head) + len(packed)), head, packed))
         indexes, offsets, counts = _message_indexes(heads)
-        self._put(WholeChunk(record, indexes, offsets, counts, self._compression, len(packed), size, start, end))
+        self._append_chunk(WholeChunk(record, indexes, offsets, counts, self._compression, len(packed), size, start, end))
 
     def _statistics(self) -> Statistics:
         return Statistics(
@@ -257,14 +257,14 @@ def _message_indexes(heads: NDArray[Any]) -> tuple[bytes, dict[int, int], dict[i
     sizes = heads["length"] + (_HEAD.itemsize - _BODY)
     entries = np.stack((heads["time"], np.cumsum(sizes) - sizes), axis=1, dtype="<u8")
     entries = entries[np.argsort(heads["channel"], kind="stable")]
-    channels, firsts, found = np.unique(heads["channel"], return_index=True, return_counts=True)
-    ends = np.cumsum(found)
+    channels, firsts, counts_ = np.unique(heads["channel"], return_index=True, return_counts=True)
+    ends = np.cumsum(counts_)
     indexes, offsets, counts = bytearray(), dict[int, int](), dict[int, int]()
     for place in np.argsort(firsts).tolist():
-        number, count, end = int(channels[place]), int(found[place]), int(ends[place])
+        number, count, end = int(channels[place]), int(counts_[place]), int(ends[place])
         offsets[number], counts[number] = len(indexes), count
-        own = entries[end - count : end].tobytes()
-        indexes += _INDEX.pack(Opcode.MESSAGE_INDEX, len(own) + 6, number, len(own)) + own
+        own_bytes = entries[end - count : end].tobytes()
+        indexes += _INDEX.pack(Opcode.MESSAGE_INDEX, len(own_bytes) + 6, number, len(own_bytes)) + own_bytes
     return bytes(indexes), offsets, counts
 
 

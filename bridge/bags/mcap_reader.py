@@ -98,7 +98,7 @@ class McapBag(SpanBag):
 
     def number_of(self, topic: BagTopic) -> int:
         """Return the number of a topic's channel."""
-        return next(number for number, each in self.topic_of.items() if each is topic)
+        return next(number for number, candidate in self.topic_of.items() if candidate is topic)
 
     def spans(self) -> list[FileSpan]:
         """Return the pieces of the file, in order of their first times."""
@@ -165,7 +165,7 @@ class McapBag(SpanBag):
         elif opcode in _TABLES:
             if length > _LARGEST_TABLE:
                 raise BagError(self.path, f"a record of type {opcode} declares {length} bytes", at)
-            self._take(opcode, self._read(body, length))
+            self._store_record(opcode, self._read(body, length))
         elif opcode == Opcode.METADATA and length <= _LARGEST_METADATA and len(self.records) < _MOST_METADATA:
             self.records.append(Metadata.read(ReadDataStream(io.BytesIO(self._read(body, length)))))
             self.about = {record.name: record.metadata for record in self.records}
@@ -200,7 +200,7 @@ class McapBag(SpanBag):
         else:
             self._spans.append(FileSpan(at, size, time, time, chunk=False))
 
-    def _take(self, opcode: int, data: bytes) -> None:
+    def _store_record(self, opcode: int, data: bytes) -> None:
         """Keep a record that describes the whole file."""
         stream = ReadDataStream(io.BytesIO(data))
         if opcode == Opcode.HEADER:
@@ -298,12 +298,12 @@ class McapBag(SpanBag):
             if opcode == Opcode.MESSAGE:
                 raise BagError(self.path, f"a message record has only {length} bytes", span.offset)
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._take(opcode, data[body:at])
+                self._store_record(opcode, data[body:at])
 
     def _load(self, span: FileSpan) -> Rows:
         rows = self._split(span)
         for number in np.unique(rows.numbers).tolist():
             if number not in self.topic_of and number not in self._left_out:
-                what = f"a message refers to channel {number}, which is missing in the file"
-                raise BagError(self.path, what, span.offset)
+                problem = f"a message refers to channel {number}, which is missing in the file"
+                raise BagError(self.path, problem, span.offset)
         return rows

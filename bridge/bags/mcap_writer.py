@@ -56,12 +56,12 @@ class ChannelInfo:
 
     def metadata(self) -> dict[str, str]:
         """The channel's metadata."""
-        found = {"offered_qos_profiles": qos_yaml(self.qos), "topic_type_hash": self.type_hash}
+        values = {"offered_qos_profiles": qos_yaml(self.qos), "topic_type_hash": self.type_hash}
         if self.side:
-            found["side"] = self.side
+            values["side"] = self.side
         if self.origin is not None:
-            found |= {"origin": self.origin.network, "daemon": self.origin.daemon}
-        return found | self.more
+            values |= {"origin": self.origin.network, "daemon": self.origin.daemon}
+        return values | self.more
 
 
 class McapWriter:

@@ -42,8 +42,8 @@ def unpacked_file(file: Path, stack: ExitStack) -> Path:
             room -= len(piece)
             if room < 0:
                 cure = f"unpack it with 'zstd -d', or set TMPDIR to a larger disk than that of {folder.parent}"
-                what = f"unpacks to more than {_MOST_PACKED} times its size, or to more than the disk has room for"
-                raise BagError(file, what, None, cure)
+                problem = f"unpacks to more than {_MOST_PACKED} times its size, or to more than the disk has room for"
+                raise BagError(file, problem, None, cure)
             plain.write(piece)
     return target
 

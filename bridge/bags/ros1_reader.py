@@ -109,7 +109,7 @@ class Ros1Bag(SpanBag):
                 raise BagError(self.path, f"a record of the index declares {size} bytes", at)
             data = self._read(body, size)
             if kind == _CONNECTION:
-                self._take(fields, data)
+                self._store_record(fields, data)
             else:
                 self._infos[int.from_bytes(fields[b"chunk_pos"], "little")] = (
                     _time(fields[b"start_time"]),
@@ -129,7 +129,7 @@ class Ros1Bag(SpanBag):
         cure = "the records before it can be read; 'midspan bag mend' writes them into a whole file"
         self.trouble = BagError(self.path, what, offset, cure)
 
-    def _take(self, fields: Fields, data: bytes) -> None:
+    def _store_record(self, fields: Fields, data: bytes) -> None:
         number = _U32.unpack(fields[b"conn"])[0]
         if number in self._connections:
             return
@@ -144,9 +144,9 @@ class Ros1Bag(SpanBag):
         counts: Counter[int] = Counter()
         for place, span in enumerate(self._spans):
             if span.offset in self._infos:
-                start, end, own = self._infos[span.offset]
+                start, end, own_counts = self._infos[span.offset]
                 self._spans[place] = span._replace(start=start, end=max(start, end))
-                counts.update(own)
+                counts.update(own_counts)
                 continue
             try:
                 with reading(self.path, span.offset):
@@ -199,7 +199,7 @@ class Ros1Bag(SpanBag):
             table[filled] = _U32.unpack(fields[b"conn"])[0], time, time, body, count
             filled += 1
         elif kind == _CONNECTION:
-            self._take(fields, data[body : body + count])
+            self._store_record(fields, data[body : body + count])
         return body + count, filled
 
     def _resume(self, data: bytes, table: NDArray[np.uint64], at: int, filled: int) -> tuple[int, int]:

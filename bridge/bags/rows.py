@@ -33,19 +33,19 @@ class Rows(NamedTuple):
         """The times by which messages are ordered."""
         return self.table[:, 1]
 
-    def take(self, which: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Rows:
+    def select(self, which: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Rows:
         """Return some of the messages, by place or by mask."""
         return Rows(self.data, self.table[which])
 
     def ordered(self) -> Rows:
         """Return the messages in order of time; messages of the same time keep their order."""
         times = self.times
-        return self if (times[1:] >= times[:-1]).all() else self.take(np.argsort(times, kind="stable"))
+        return self if (times[1:] >= times[:-1]).all() else self.select(np.argsort(times, kind="stable"))
 
-    def of(self, numbers: Collection[int]) -> Rows:
+    def of_channels(self, numbers: Collection[int]) -> Rows:
         """Return the messages of some channels."""
-        found = set(np.unique(self.numbers).tolist())
-        return self if found <= set(numbers) else self.take(np.isin(self.numbers, np.array(list(numbers), np.uint64)))
+        present = set(np.unique(self.numbers).tolist())
+        return self if present <= set(numbers) else self.select(np.isin(self.numbers, np.array(list(numbers), np.uint64)))
 
     def within(self, start_ns: int | None, end_ns: int | None) -> Rows:
         """Return the messages with ``start_ns <= time < end_ns``."""
@@ -54,7 +54,7 @@ class Rows(NamedTuple):
             mask &= self.times >= start_ns
         if end_ns is not None:
             mask &= self.times < end_ns
-        return self if mask.all() else self.take(mask)
+        return self if mask.all() else self.select(mask)
 
     def compact(self) -> Rows:
         """Return the same messages without the data of others."""
@@ -81,7 +81,7 @@ class Rows(NamedTuple):
         start, before = 0, 0
         while start < len(weights):
             end = max(start + 1, int(np.searchsorted(weights, np.uint64(before + _BLOCK), "right")))
-            yield self.take(slice(start, end))
+            yield self.select(slice(start, end))
             start, before = end, int(weights[end - 1])
 
     def messages(self) -> list[bytes]:

@@ -68,16 +68,16 @@ class SpanBag(Bag):
         ]
         waiting: Rows | None = None
         for place, span in enumerate(spans):
-            rows = self._read_span(span).of(numbers).within(start_ns, end_ns)
+            rows = self._read_span(span).of_channels(numbers).within(start_ns, end_ns)
             if waiting is not None:
                 rows = rows.behind(waiting)
             rows = rows.ordered()
             due = len(rows.table)
             if place + 1 < len(spans):
                 due = _due(rows, spans[place + 1].start)
-            for block in rows.take(slice(due)).blocks():
+            for block in rows.select(slice(due)).blocks():
                 yield self._columns(block)
-            waiting = rows.take(slice(due, None)).compact() if due < len(rows.table) else None
+            waiting = rows.select(slice(due, None)).compact() if due < len(rows.table) else None
 
     def messages(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
@@ -118,8 +118,8 @@ class SpanBag(Bag):
 
     def _read(self, offset: int, length: int) -> bytes:
         if length > MAX_CHUNK + _MORE:
-            what = f"a record has {length} bytes; the limit for chunks and messages is {MAX_CHUNK}"
-            raise BagError(self.path, what, offset)
+            problem = f"a record has {length} bytes; the limit for chunks and messages is {MAX_CHUNK}"
+            raise BagError(self.path, problem, offset)
         self._file.seek(offset)
         data = self._file.read(length)
         if len(data) != length:
@@ -143,8 +143,8 @@ def _due(rows: Rows, next_start: int) -> int:
 
 def count_rows(rows: Rows, counts: Counter[int], span: FileSpan) -> FileSpan:
     """Add the number of messages of each channel, and return the piece with the times of its messages."""
-    numbers, found = np.unique(rows.numbers, return_counts=True)
-    counts.update(dict(zip(numbers.tolist(), found.tolist(), strict=True)))
+    numbers, counts_ = np.unique(rows.numbers, return_counts=True)
+    counts.update(dict(zip(numbers.tolist(), counts_.tolist(), strict=True)))
     times = rows.times
     return span._replace(start=int(times.min()), end=int(times.max())) if len(times) else span
 

@@ -93,8 +93,8 @@ class Ros1(BagWriter):
         """See `BagWriter.write`."""
         for place, time_ns, message in zip(places, times, data, strict=True):
             if not 0 <= time_ns < _MAX_SECONDS * _NS:
-                what = f"a message of {place.topic} has time {time_ns} ns, which no ROS 1 bag can hold"
-                raise BagError(self._path, what)
+                problem = f"a message of {place.topic} has time {time_ns} ns, which no ROS 1 bag can hold"
+                raise BagError(self._path, problem)
             self._writer.write(place, time_ns, message)
 
     def finish(self) -> None:
@@ -202,18 +202,18 @@ def open_writer(path: Path, kind: Kind, compression: str) -> BagWriter:
 @contextmanager
 def written_whole(target: Path, kind: Kind) -> Iterator[Path]:
     """Yield the path to write a bag to, which is moved to ``target`` at the end; raises `BagError`."""
-    if why := forbidden(target.name):
-        raise BagError(target, why)
+    if reason := forbidden(target.name):
+        raise BagError(target, reason)
     if target.exists():
         raise BagError(target, "exists already", None, "remove it, or choose another name")
     making = target.parent / f".{target.name}.{secrets.token_hex(4)}"
     try:
         making.mkdir(0o700)  # inside `try`, since a signal may come as soon as it exists
-        made = making / target.name
-        yield made
+        path = making / target.name
+        yield path
         if kind == "db3" and target.suffix:  # only the file, without its folder
-            made = made / f"{made.name}.db3"
-        made.rename(target)
+            path = path / f"{path.name}.db3"
+        path.rename(target)
     except (BagError, MemoryError):
         raise
     except OSError as err:

@@ -92,7 +92,7 @@ class Stage:
         self.wait: Wait = self.clock.wait
         self.timeline = Timeline(paused=paused, now=self.clock.now, wait=lambda *given: self.wait(*given))
         self.tape = Tape(*messages)
-        self.player = Player(self.tape, self.ears, self.timeline, tell=self.said.append, **more)
+        self.player = Player(self.tape, self.ears, self.timeline, report=self.said.append, **more)
 
 
 def test_each_message_is_played_at_its_time_and_a_velocity_ends_with_zero() -> None:

@@ -24,7 +24,7 @@ from bridge.messages.registry import Registry
 
 _CLOCK = struct.Struct("<4siI")
 _LITTLE = b"\x00\x01\x00\x00"
-_LOOK = 0.02
+_POLL_SECONDS = 0.02
 _NS = 1_000_000_000
 
 _Key = tuple[str, str, str, Qos]
@@ -43,7 +43,7 @@ class HubOutput:
         self._ends: dict[PlayTopic, HubPublisher] = {}
         latched = Counter(_key(topic) for topic in topics if topic.qos.latched and not topic.static)
         for topic in topics:
-            self._ends[topic] = self._made(topic, latched[_key(topic)])
+            self._ends[topic] = self._create(topic, latched[_key(topic)])
         self._zeros = {t: from_json(registry, t.type_name, {}) for t in topics if t.velocity}
         self._lock = threading.Lock()
         self._moving: dict[HubPublisher, bytes] = {}
@@ -54,7 +54,7 @@ class HubOutput:
             self._clock = hub.publisher(CLOCK_TOPIC, CLOCK_TYPE, kind, Qos(depth=1))
         self._unserve = hub.serve(VERB, self._define)
 
-    def _made(self, topic: PlayTopic, latched: int) -> HubPublisher:
+    def _create(self, topic: PlayTopic, latched: int) -> HubPublisher:
         key = _key(topic)
         if key not in self._publishers:
             qos = replace(topic.qos, depth=max(topic.qos.depth, latched)) if topic.qos.latched else topic.qos
@@ -85,8 +85,8 @@ class HubOutput:
     def clock(self, time_ns: int) -> None:
         """Say the bag's time."""
         if self._clock is not None:
-            seconds, rest = divmod(time_ns, _NS)
-            self._clock.put(_CLOCK.pack(_LITTLE, seconds, rest))
+            seconds, nanoseconds = divmod(time_ns, _NS)
+            self._clock.put(_CLOCK.pack(_LITTLE, seconds, nanoseconds))
 
     def end_velocities(self) -> bool:
         """Command zero where a velocity was played; whether there was any."""
@@ -107,8 +107,8 @@ class HubOutput:
         """The nodes of others that publish what is to be played, by topic."""
         ends: Iterable[HubPublisher] = self._publishers.values()
         names = {end.topic for end in ends} | ({CLOCK_TOPIC} if self._clock is not None else set())
-        found = {name: [_who(e) for e in self._hub.graph.publishers(name) if not e.own] for name in sorted(names)}
-        return {name: nodes for name, nodes in found.items() if nodes}
+        nodes_of = {name: [_node_of(e) for e in self._hub.graph.publishers(name) if not e.own] for name in sorted(names)}
+        return {name: nodes for name, nodes in nodes_of.items() if nodes}
 
     def await_listeners(self, seconds: float, ended: threading.Event) -> bool:
         """Wait until zenoh knows of all that subscribe by the hub's graph; whether anybody does."""
@@ -116,9 +116,9 @@ class HubOutput:
         graph = self._hub.graph
         ends = [*self._publishers.values(), *([self._clock] if self._clock is not None else [])]
         while True:
-            heard = [each for each in ends if any(not s.own for s in graph.subscriptions(each.topic))]
-            if (heard and all(each.matched() for each in heard)) or time.monotonic() >= end or ended.wait(_LOOK):
-                return bool(heard)
+            subscribed = [publisher for publisher in ends if any(not s.own for s in graph.subscriptions(publisher.topic))]
+            if (subscribed and all(publisher.matched() for publisher in subscribed)) or time.monotonic() >= end or ended.wait(_POLL_SECONDS):
+                return bool(subscribed)
 
     def close(self) -> None:
         """Leave the hub's graph. Safe to call twice."""
@@ -127,7 +127,7 @@ class HubOutput:
             end.close()
 
 
-def _who(end: HubEndpoint) -> str:
+def _node_of(end: HubEndpoint) -> str:
     return end.node if end.origin is None else f"{end.node} of {end.origin.side}"
 
 

@@ -73,14 +73,14 @@ class Player:
 
     def __init__(
         self, source: Messages, output: PlayOutput, timeline: Timeline, *, loop: bool = False,
-        tell: Callable[[str], object] = lambda _: None,
+        report: Callable[[str], object] = lambda _: None,
     ) -> None:  # fmt: skip
         self._source, self._output, self.timeline = source, output, timeline
-        self._loop, self._tell = loop, tell
+        self._loop, self._report = loop, report
         self.played: Counter[str] = Counter()
         self.dropped: Counter[tuple[str, str]] = Counter()
         self.loops = 0
-        self._told = 0.0
+        self._reported = 0.0
 
     def run(self) -> None:
         """Play; raises `bridge.bags.bag.BagError` where a bag is damaged, `HubError` where the hub has gone."""
@@ -95,16 +95,16 @@ class Player:
         """Play from the beginning to the end; False where it was stopped."""
         source, timeline = self._source, self.timeline
         kept = source.kept()
-        for topic, why in source.bad:
-            self._drop(topic, "bad", why)
-        for why in source.troubles:
-            self._tell(why)
+        for topic, reason in source.bad:
+            self._drop(topic, "bad", reason)
+        for reason in source.troubles:
+            self._report(reason)
         source.bad.clear()
         source.troubles.clear()
         timeline.begin(source.begin_ns)
         self._output.clock(source.begin_ns)
         for message in kept:
-            self._put(message.topic, message.data, ready=message.ready)
+            self._publish(message.topic, message.data, ready=message.ready)
         for message in source.messages():
             if not self._play(message):
                 return False
@@ -142,13 +142,13 @@ class Player:
         if topic.command and self.timeline.late > COMMAND_LATE:
             self._drop(topic, "late")
         else:
-            self._put(topic, message.data, ready=message.ready)
+            self._publish(topic, message.data, ready=message.ready)
         if due is Due.STEP:
             self._output.clock(self.timeline.now_ns())
-        self._tell_lag()
+        self._report_lag()
         return True
 
-    def _put(self, topic: PlayTopic, data: bytes, *, ready: bool) -> None:
+    def _publish(self, topic: PlayTopic, data: bytes, *, ready: bool) -> None:
         try:
             self._output.put(topic, topic.convert(data) if topic.convert is not None and not ready else data)
         except HubClosedError:
@@ -161,11 +161,11 @@ class Player:
     def _drop(self, topic: PlayTopic, reason: str, why: str = "") -> None:
         self.dropped[topic.name, reason] += 1
         if why and self.dropped[topic.name, reason] == 1:
-            self._tell(f"{topic.name}: a message is left out: {why}")
+            self._report(f"{topic.name}: a message is left out: {why}")
 
-    def _tell_lag(self) -> None:
+    def _report_lag(self) -> None:
         """Say that it cannot keep up, again each time that it has become twice as bad."""
         behind = self.timeline.behind
-        if behind > 2 * self._told:
-            self._told = behind
-            self._tell(f"cannot keep up with a rate of {self.timeline.rate:g}: {behind:.1f} s behind so far")
+        if behind > 2 * self._reported:
+            self._reported = behind
+            self._report(f"cannot keep up with a rate of {self.timeline.rate:g}: {behind:.1f} s behind so far")

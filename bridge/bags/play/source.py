@@ -13,10 +13,10 @@ from bridge.bags.play.topics import PlayTopic
 from bridge.messages.errors import ConversionError
 from bridge.routing.rewrites import StaticTransforms
 
-MAX_KEPT = 100
+MAX_LATCHED = 100
 """Messages of a latched topic from before the beginning that are played at most."""
 
-MAX_KEPT_BYTES = 64 << 20
+MAX_LATCHED_BYTES = 64 << 20
 """Bytes of all of them at most; those of topics that come later are left out."""
 
 _NS = 1e9
@@ -78,7 +78,7 @@ class PlaySource:
 
     def _static(self) -> Iterator[Played]:
         whole: dict[tuple[str, str], tuple[PlayTopic, StaticTransforms, bytes]] = {}
-        for topic, _, data, _ in self._found(lambda topic: topic.static, None):
+        for topic, _, data, _ in self._selected(lambda topic: topic.static, None):
             key = topic.name, topic.type_hash
             first, transforms, before = whole.get(key, (topic, StaticTransforms(), b""))
             try:
@@ -94,18 +94,18 @@ class PlaySource:
         """Those from before the beginning."""
         if all(bag.start_ns >= self.begin_ns for bag in self._bags):
             return
-        kept: dict[PlayTopic, deque[Played]] = {}
-        for message in self._found(lambda topic: topic.qos.latched and not topic.static, self.begin_ns):
-            depth = min(max(message.topic.qos.depth, 1), MAX_KEPT)
-            kept.setdefault(message.topic, deque(maxlen=depth)).append(message)
+        latched: dict[PlayTopic, deque[Played]] = {}
+        for message in self._selected(lambda topic: topic.qos.latched and not topic.static, self.begin_ns):
+            depth = min(max(message.topic.qos.depth, 1), MAX_LATCHED)
+            latched.setdefault(message.topic, deque(maxlen=depth)).append(message)
         size = 0
-        for messages in kept.values():
+        for messages in latched.values():
             size += sum(len(message.data) for message in messages)
-            if size > MAX_KEPT_BYTES:
+            if size > MAX_LATCHED_BYTES:
                 return
             yield from messages
 
-    def _found(self, wanted: Callable[[PlayTopic], bool], end_ns: int | None) -> Iterator[Played]:
+    def _selected(self, wanted: Callable[[PlayTopic], bool], end_ns: int | None) -> Iterator[Played]:
         """All messages of some topics; what stands behind the last of them is not read."""
         left = sum(topic.topic.count for topics in self._bags.values() for topic in topics if wanted(topic))
         if not left:

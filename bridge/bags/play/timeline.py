@@ -65,7 +65,7 @@ class Timeline:
         self.late = self.behind = 0.0
         self._now, self._wait = now, wait
         self._changed = threading.Condition()
-        self._paused, self._tell = paused, False
+        self._paused, self._pause_pending = paused, False
         self._steps = 0
         self._stopped = False
         self._period = 1.0 / clock_hz if clock_hz else 0.0
@@ -109,22 +109,22 @@ class Timeline:
             self._next = max(self._next, time_ns)
             while True:
                 now = self._now()
-                if (due := self._other(now)) is not None:
+                if (due := self._event_before(now)) is not None:
                     return due
                 deadline = self._deadline()
                 if deadline is not None and now >= deadline:
-                    self._followed(now, now - deadline)
+                    self._record_delay(now, now - deadline)
                     return Due.MESSAGE
                 ends = [end for end in (deadline, self._clock_due if self._period else None) if end is not None]
                 # a thread can wait for 292 years at once, and a bag's times span 584, more at a low rate
                 self._wait(self._changed, min(min(ends) - now, threading.TIMEOUT_MAX) if ends else None)
 
-    def _other(self, now: float) -> Due | None:
+    def _event_before(self, now: float) -> Due | None:
         """What comes before the message."""
         if self._stopped:
             return Due.STOPPED
-        if self._tell:
-            self._tell = False
+        if self._pause_pending:
+            self._pause_pending = False
             return Due.PAUSED
         if self._period and now >= self._clock_due:
             self._clock_due = max(self._clock_due + self._period, now)
@@ -140,7 +140,7 @@ class Timeline:
             return None
         return self._since + (self._next - self._at) / (self.rate * _NS)
 
-    def _followed(self, now: float, late: float) -> None:
+    def _record_delay(self, now: float, late: float) -> None:
         self.late = late
         if late > LATE:
             self.behind += late
@@ -153,7 +153,7 @@ class Timeline:
                 return
             if paused:
                 self._at = self._position()
-            self._paused = self._tell = paused
+            self._paused = self._pause_pending = paused
             self._since = self._now()
             self._steps = 0
             self._changed.notify_all()

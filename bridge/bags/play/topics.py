@@ -130,26 +130,26 @@ def choose(
 ) -> tuple[dict[Bag, list[PlayTopic]], list[LeftOut]]:
     """Return the topics to play of each bag, and those that were selected but are left out."""
     moving = CommandTopics(config)
-    found: dict[Bag, list[PlayTopic]] = {}
+    playable: dict[Bag, list[PlayTopic]] = {}
     left: dict[LeftOut, None] = {}
     for bag in bags:
-        found[bag] = []
+        playable[bag] = []
         chosen = [topic for topic in bag.topics if wanted.name(_absolute(topic.name))]
         unfit = misfits(bag, chosen, registry)
         for topic in chosen:
-            made = _made(bag.path, topic, registry, moving, wanted, unfit.get(topic))
-            if isinstance(made, PlayTopic):
-                found[bag].append(made)
+            topic_ = _resolve(bag.path, topic, registry, moving, wanted, unfit.get(topic))
+            if isinstance(topic_, PlayTopic):
+                playable[bag].append(topic_)
             else:
-                left[made] = None
-    return found, list(left)
+                left[topic_] = None
+    return playable, list(left)
 
 
 def _absolute(name: str) -> str:
     return name if name.startswith("/") else f"/{name}"
 
 
-def _made(
+def _resolve(
     path: Path, topic: BagTopic, registry: Registry, moving: CommandTopics, wanted: PlayChoice, unfit: BagError | None
 ) -> PlayTopic | LeftOut:
     source = _absolute(topic.name)
