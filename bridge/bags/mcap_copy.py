@@ -201,7 +201,9 @@ class ChunkedMcap(BagWriter):
         head = _CHUNK.pack(start, end, size, crc, len(name)) + name + len(packed).to_bytes(8, "little")
         record = b"".join((_RECORD.pack(Opcode.CHUNK, len(head) + len(packed)), head, packed))
         indexes, offsets, counts = _message_indexes(heads)
-        self._append_chunk(WholeChunk(record, indexes, offsets, counts, self._compression, len(packed), size, start, end))
+        self._append_chunk(
+            WholeChunk(record, indexes, offsets, counts, self._compression, len(packed), size, start, end)
+        )
 
     def _statistics(self) -> Statistics:
         return Statistics(

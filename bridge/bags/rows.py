@@ -25,7 +25,7 @@ class Rows(NamedTuple):
 
     @property
     def numbers(self) -> NDArray[np.uint64]:
-        """The channels, or connections."""
+        """The channels or connections."""
         return self.table[:, 0]
 
     @property
@@ -45,7 +45,9 @@ class Rows(NamedTuple):
     def of_channels(self, numbers: Collection[int]) -> Rows:
         """Return the messages of some channels."""
         present = set(np.unique(self.numbers).tolist())
-        return self if present <= set(numbers) else self.select(np.isin(self.numbers, np.array(list(numbers), np.uint64)))
+        return (
+            self if present <= set(numbers) else self.select(np.isin(self.numbers, np.array(list(numbers), np.uint64)))
+        )
 
     def within(self, start_ns: int | None, end_ns: int | None) -> Rows:
         """Return the messages with ``start_ns <= time < end_ns``."""

@@ -1,9 +1,9 @@
 """Finds the messages among the records of a chunk of MCAP, or of a bag of ROS 1. A kernel, see `bridge.kernels`.
 
-Of each message a row of a table is filled: its channel or connection, its log and publish times in nanoseconds, the
-byte at which its data begin, and how many they are. Each function goes on from byte ``at`` and row ``filled`` up to the
-first record that it does not take for a good message, which is the caller's to look at; it returns the byte of that
-record, or the chunk's size, and the rows that are filled then. Every read is checked before it is made.
+For each message a row of a table is filled: its channel or connection, its log and publish times in nanoseconds, and
+the first byte and the size of its data. Each function continues at byte ``at`` and row ``filled`` up to the first
+record that is not a valid message, which the caller has to handle; it returns the byte of that record, or the chunk's size,
+and the number of filled rows. Every read is checked in advance.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ROS1_MESSAGE = cython.declare(cython.longlong, 2)
 
 
 def new_table(size: int) -> NDArray[np.uint64]:
-    """Room for the messages of a chunk of so many bytes."""
+    """Return a table with room for the messages of a chunk of ``size`` bytes."""
     return np.empty((size // (_MCAP_HEAD + _MCAP_BODY) + 1, COLUMNS), np.uint64)
 
 
@@ -31,7 +31,7 @@ def new_table(size: int) -> NDArray[np.uint64]:
 @cython.nogil
 @cython.exceptval(check=False)
 def _load(source: cython.p_const_uchar, at: cython.longlong, count: cython.longlong) -> cython.ulonglong:
-    """A number of so many bytes."""
+    """Return the little-endian number in ``count`` bytes."""
     value: cython.ulonglong = 0
     k: cython.longlong
     for k in range(count):
@@ -45,12 +45,12 @@ def _load(source: cython.p_const_uchar, at: cython.longlong, count: cython.longl
 def split_mcap(
     data: bytes, table: cython.ulonglong[:, ::1], at: cython.longlong, filled: cython.longlong
 ) -> tuple[int, int]:
-    """The messages of a chunk of MCAP (https://mcap.dev/spec)."""
+    """Find the messages in a chunk of MCAP (https://mcap.dev/spec)."""
     source: cython.p_const_uchar = data
     size: cython.longlong = len(data)
     room: cython.longlong = table.shape[0]
     while filled < room and at + _MCAP_HEAD + _MCAP_BODY <= size and source[at] == _MCAP_MESSAGE:
-        length: cython.longlong = _load(source, at + 1, 8)  # less than zero where it is beyond all bounds
+        length: cython.longlong = _load(source, at + 1, 8)  # negative if it is out of range
         body: cython.longlong = at + _MCAP_HEAD
         if length < _MCAP_BODY or length > size - body:
             break
@@ -69,7 +69,7 @@ def split_mcap(
 def split_ros1(
     data: bytes, table: cython.ulonglong[:, ::1], at: cython.longlong, filled: cython.longlong
 ) -> tuple[int, int]:
-    """The messages of a chunk of ROS 1 (http://wiki.ros.org/Bags/Format/2.0), whose heads have no further fields."""
+    """Find the messages in a chunk of ROS 1 (http://wiki.ros.org/Bags/Format/2.0); headers with more fields end it."""
     source: cython.p_const_uchar = data
     size: cython.longlong = len(data)
     room: cython.longlong = table.shape[0]
@@ -80,7 +80,7 @@ def split_ros1(
         time: cython.longlong = -1
         field: cython.longlong = at + 4
         body: cython.longlong = at + _ROS1_HEAD + 4
-        while head == _ROS1_HEAD - 4 and field + 8 <= body - 4:  # the shortest field that is known has 8 bytes
+        while head == _ROS1_HEAD - 4 and field + 8 <= body - 4:  # the shortest known field has 8 bytes
             length: cython.longlong = _load(source, field, 4)
             name: cython.ulonglong = _load(source, field + 4, 4)
             field += 4 + length

@@ -218,7 +218,7 @@ def written_whole(target: Path, kind: Kind) -> Iterator[Path]:
         raise
     except OSError as err:
         raise BagError(target, f"cannot be written: {err.strerror or err}") from err
-    except Exception as err:  # libraries raise errors of their own: sqlite3.Error for a full disk
+    except Exception as err:  # libraries raise other errors, such as sqlite3.Error for a full disk
         raise BagError(target, f"cannot be written: {type(err).__name__}: {err}") from err
     finally:
         try:

@@ -1,1 +1,1 @@
-"""Bags played onto the hub, each topic as its side would say it."""
+"""Playing bags onto the hub, each topic as its side would publish it."""

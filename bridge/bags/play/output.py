@@ -1,4 +1,4 @@
-"""What a play says on the hub: its publishers, its clock, and the zero that ends a velocity."""
+"""The output of a play on the hub: its publishers, its clock, and the zero that ends a velocity."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ _Key = tuple[str, str, str, Qos]
 
 
 class HubOutput:
-    """Publishers of all topics that are played, as they were recorded. Safe to use from any thread.
+    """Publishers of all topics to play, with their recorded QoS. Safe to use from any thread.
 
-    A topic that several publishers latched, or several files hold, has one publisher that keeps as many messages.
+    A topic that was latched by several publishers, or is in several files, has one publisher with the same total depth.
     """
 
     def __init__(self, hub: Hub, registry: Registry, topics: Sequence[PlayTopic], *, clock: bool = False) -> None:
@@ -64,13 +64,13 @@ class HubOutput:
         return self._publishers[key]
 
     def _define(self, params: dict[str, Any]) -> dict[str, Any]:
-        """Workers that lack a type ask for it; on a thread of the hub."""
+        """Return the definition of a type, which a worker lacks; called on a thread of the hub."""
         name = str(params.get("name", ""))
         type_hash, definition = self._definitions.get(name, ("", ""))
         return {"name": name, "hash": type_hash, "definition": definition} if definition else {}
 
     def put(self, topic: PlayTopic, data: bytes) -> None:
-        """Publish CDR; raises `bridge.hub.errors.HubError` where the hub does not take it, or all is finished."""
+        """Publish CDR; raises `bridge.hub.errors.HubError` if the hub refuses it, or after `finish`."""
         end = self._ends[topic]
         zero = self._zeros.get(topic)
         if zero is None:
@@ -83,13 +83,13 @@ class HubOutput:
             end.put(data)
 
     def clock(self, time_ns: int) -> None:
-        """Say the bag's time."""
+        """Publish the bag's time."""
         if self._clock is not None:
             seconds, nanoseconds = divmod(time_ns, _NS)
             self._clock.put(_CLOCK.pack(_LITTLE, seconds, nanoseconds))
 
     def end_velocities(self) -> bool:
-        """Command zero where a velocity was played; whether there was any."""
+        """Command zero on each topic with a played velocity; return whether there was any."""
         with self._lock:
             moving, self._moving = self._moving, {}
             for end, zero in moving.items():
@@ -97,31 +97,39 @@ class HubOutput:
         return bool(moving)
 
     def finish(self) -> None:
-        """Take no velocity any more, from a thread that still plays, and end those that were played."""
+        """Refuse further velocities, from a thread that still plays, and end those that were played."""
         with self._lock:
             self._finished = True
         with suppress(HubError):
             self.end_velocities()
 
     def others(self) -> dict[str, list[str]]:
-        """The nodes of others that publish what is to be played, by topic."""
+        """Return the other nodes that publish the topics to play, by topic."""
         ends: Iterable[HubPublisher] = self._publishers.values()
         names = {end.topic for end in ends} | ({CLOCK_TOPIC} if self._clock is not None else set())
-        nodes_of = {name: [_node_of(e) for e in self._hub.graph.publishers(name) if not e.own] for name in sorted(names)}
+        nodes_of = {
+            name: [_node_of(e) for e in self._hub.graph.publishers(name) if not e.own] for name in sorted(names)
+        }
         return {name: nodes for name, nodes in nodes_of.items() if nodes}
 
     def await_listeners(self, seconds: float, ended: threading.Event) -> bool:
-        """Wait until zenoh knows of all that subscribe by the hub's graph; whether anybody does."""
+        """Wait until zenoh has matched all subscribers in the hub's graph; return whether there are any."""
         end = time.monotonic() + seconds
         graph = self._hub.graph
         ends = [*self._publishers.values(), *([self._clock] if self._clock is not None else [])]
         while True:
-            subscribed = [publisher for publisher in ends if any(not s.own for s in graph.subscriptions(publisher.topic))]
-            if (subscribed and all(publisher.matched() for publisher in subscribed)) or time.monotonic() >= end or ended.wait(_POLL_SECONDS):
+            subscribed = [
+                publisher for publisher in ends if any(not s.own for s in graph.subscriptions(publisher.topic))
+            ]
+            if (
+                (subscribed and all(publisher.matched() for publisher in subscribed))
+                or time.monotonic() >= end
+                or ended.wait(_POLL_SECONDS)
+            ):
                 return bool(subscribed)
 
     def close(self) -> None:
-        """Leave the hub's graph. Safe to call twice."""
+        """Close the publishers. Safe to call twice."""
         self._unserve()
         for end in [*self._publishers.values(), *([self._clock] if self._clock is not None else [])]:
             end.close()

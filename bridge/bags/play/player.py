@@ -1,7 +1,7 @@
-"""Plays bags: message by message when it is due.
+"""Plays bags, message by message, each when it is due.
 
-Commands are never late, latched or queued: one that is late is dropped, a step passes them over, and zero ends a
-velocity at the end, on a pause and on a stop.
+Commands are never late, latched or queued: a late one is dropped, a step skips them, and zero ends a velocity at the
+end, on a pause and on a stop.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from bridge.hub.errors import HubClosedError, HubError
 from bridge.messages.errors import ConversionError
 
 COMMAND_LATE = 0.1
-"""Seconds from which a command is too late to be obeyed."""
+"""Seconds of delay from which a command is too late to be published."""
 
 LEAST_SECONDS = 0.1
-"""Of a loop, so that a bag of one message is not played without a rest."""
+"""Minimum duration of a loop, so that a bag of one message is not played without a pause."""
 
 _NS = 1_000_000_000
 
 
 class Messages(Protocol):
-    """What is played: `bridge.bags.play.source.PlaySource`."""
+    """The messages to play: `bridge.bags.play.source.PlaySource`."""
 
     begin_ns: int
     end_ns: int
@@ -35,40 +35,40 @@ class Messages(Protocol):
     troubles: list[str]
 
     def kept(self) -> list[Played]:
-        """What stands at the beginning."""
+        """Return the messages at the start."""
         ...
 
     def messages(self) -> Iterator[Played]:
-        """All others by time."""
+        """Yield all others in order of time."""
         ...
 
 
 class PlayOutput(Protocol):
-    """Where it is played: `bridge.bags.play.output.HubOutput`."""
+    """The destination: `bridge.bags.play.output.HubOutput`."""
 
     def put(self, topic: PlayTopic, data: bytes) -> None:
         """Publish CDR."""
         ...
 
     def clock(self, time_ns: int) -> None:
-        """Say the bag's time."""
+        """Publish the bag's time."""
         ...
 
     def end_velocities(self) -> bool:
-        """Command zero where a velocity was played."""
+        """Command zero on each topic with a played velocity."""
         ...
 
 
 class Player:
-    """Plays once, or again and again until it is stopped.
+    """Plays once, or repeatedly until it is stopped.
 
     Args:
-        tell: called with what a person should know, on the thread that plays.
+        report: called with messages for people, on the playing thread.
 
     Attributes:
-        played: messages, by topic.
-        dropped: those that were not, by topic and reason: ``late``, ``stepped`` over, ``bad``.
-        loops: how often the end was reached.
+        played: number of messages by topic.
+        dropped: number of messages that were not played, by topic and reason: ``late``, ``stepped``, ``bad``.
+        loops: number of completed runs.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Player:
         self._reported = 0.0
 
     def run(self) -> None:
-        """Play; raises `bridge.bags.bag.BagError` where a bag is damaged, `HubError` where the hub has gone."""
+        """Play; raises `bridge.bags.bag.BagError` for a damaged bag, `HubError` if the hub is lost."""
         try:
             while self._once() and self._loop:
                 pass
@@ -92,7 +92,7 @@ class Player:
                 self._output.end_velocities()
 
     def _once(self) -> bool:
-        """Play from the beginning to the end; False where it was stopped."""
+        """Play from start to end; return False if it was stopped."""
         source, timeline = self._source, self.timeline
         kept = source.kept()
         for topic, reason in source.bad:
@@ -119,7 +119,7 @@ class Player:
         return True
 
     def _await(self, time_ns: int) -> Due:
-        """Wait until the bag's time is there, or it is to end."""
+        """Wait until the bag's time reaches ``time_ns``, or a step or a stop."""
         while True:
             due = self.timeline.next(time_ns)
             if due is Due.CLOCK:
@@ -130,14 +130,14 @@ class Player:
                 return due
 
     def _play(self, message: Played) -> bool:
-        """Play a message when it is due; False where it is to end."""
+        """Play a message when it is due; return False if the play is stopped."""
         topic = message.topic
         due = self._await(message.time_ns)
         if due is Due.STOPPED:
             return False
         if topic.command and due is Due.STEP:
             self._drop(topic, "stepped")
-            self.timeline.step()  # it was for the next one
+            self.timeline.step()  # apply the step to the next message
             return True
         if topic.command and self.timeline.late > COMMAND_LATE:
             self._drop(topic, "late")
@@ -161,10 +161,10 @@ class Player:
     def _drop(self, topic: PlayTopic, reason: str, why: str = "") -> None:
         self.dropped[topic.name, reason] += 1
         if why and self.dropped[topic.name, reason] == 1:
-            self._report(f"{topic.name}: a message is left out: {why}")
+            self._report(f"{topic.name}: a message was skipped: {why}")
 
     def _report_lag(self) -> None:
-        """Say that it cannot keep up, again each time that it has become twice as bad."""
+        """Report that it cannot keep up, and again whenever the lag has doubled."""
         behind = self.timeline.behind
         if behind > 2 * self._reported:
             self._reported = behind

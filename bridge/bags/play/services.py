@@ -1,4 +1,4 @@
-"""Pause and step by services on the hub, for who has no terminal: from any side that the rules let through."""
+"""Pause and step by services on the hub, for clients without a terminal, on any side that the rules allow."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ PAUSE, STEP = f"{PREFIX}/pause", f"{PREFIX}/step"
 
 
 class PlayServices:
-    """``std_srvs/SetBool`` pauses (true) or goes on (false); ``std_srvs/Trigger`` plays one message while paused.
+    """``std_srvs/SetBool`` pauses (true) or resumes (false); ``std_srvs/Trigger`` plays one message while paused.
 
     Args:
-        commands: commands are played, so that a halt of the robot pauses them.
+        commands: whether commands are played, so that a halt of the robot pauses the play.
 
     Attributes:
-        taken: another player has services of these names on the hub.
+        taken: whether another player has services of these names on the hub.
     """
 
     def __init__(self, hub: Hub, registry: Registry, timeline: Timeline, *, commands: bool = False) -> None:
@@ -44,15 +44,15 @@ class PlayServices:
 
     def _step(self, _request: dict[str, Any], answer: Answer) -> None:
         stepped = self._timeline.step()
-        answer({"success": stepped, "message": "" if stepped else f"it is not paused: call {PAUSE} first"})
+        answer({"success": stepped, "message": "" if stepped else f"not paused: call {PAUSE} first"})
 
     def _halt(self, _params: dict[str, Any]) -> dict[str, Any]:
-        """Before it is answered no more velocity is played; on a thread of the hub."""
+        """Pause before the halt is confirmed, so that no further velocity is played; called on a thread of the hub."""
         self._timeline.pause(True)
         return RECORDED
 
     def close(self) -> None:
-        """Serve no more."""
+        """Close the services."""
         if self._unserve is not None:
             self._unserve()
         self._node.close()

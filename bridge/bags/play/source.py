@@ -1,4 +1,4 @@
-"""The messages of several bags in order of time, and what is latched at the beginning."""
+"""The messages of several bags in order of time, and the latched messages at the start."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from bridge.messages.errors import ConversionError
 from bridge.routing.rewrites import StaticTransforms
 
 MAX_LATCHED = 100
-"""Messages of a latched topic from before the beginning that are played at most."""
+"""Maximum number of a latched topic's messages from before the start."""
 
 MAX_LATCHED_BYTES = 64 << 20
-"""Bytes of all of them at most; those of topics that come later are left out."""
+"""Maximum bytes of all of these; those of further topics are skipped."""
 
 _NS = 1e9
 
 
 @dataclass(frozen=True)
 class PlayPart:
-    """Which part of the bags is played: seconds from the beginning of the first one."""
+    """The part of the bags to play: seconds from the start of the first one."""
 
     start: float = 0.0
     duration: float | None = None
 
 
 class Played(NamedTuple):
-    """A message: ``data`` in the wire of the bag, or CDR where ``ready``."""
+    """A message: ``data`` in the bag's serialization, or CDR if ``ready``."""
 
     topic: PlayTopic
     time_ns: int
@@ -40,40 +40,40 @@ class Played(NamedTuple):
 
 
 class PlaySource:
-    """What is played, again and again.
+    """The messages to play, which can be read repeatedly.
 
     Attributes:
-        begin_ns: time of the bags at which it begins.
-        end_ns: and ends.
-        bad: messages that could not be kept, and why; the player takes them.
-        troubles: what else `kept` met.
+        begin_ns: start in the bags' time.
+        end_ns: end in the bags' time.
+        bad: messages of `kept` that could not be converted, with the reason; cleared by the player.
+        troubles: other problems found by `kept`.
 
     Raises:
-        BagError: nothing lies in that part.
+        BagError: the part has no messages.
     """
 
     def __init__(self, bags: Mapping[Bag, Sequence[PlayTopic]], part: PlayPart) -> None:
         self._bags = bags
         spans = [(bag.start_ns, bag.end_ns) for bag in bags if bag.end_ns]
         if not spans:
-            raise BagError(next(iter(bags)).path, "there is no message in it")
+            raise BagError(next(iter(bags)).path, "has no messages")
         first, last = min(start for start, _ in spans), max(end for _, end in spans)
         self.begin_ns = first + int(part.start * _NS)
         if self.begin_ns > last:
-            raise BagError(next(iter(bags)).path, f"it has {(last - first) / _NS:.1f} s, and --start is {part.start:g}")
+            raise BagError(next(iter(bags)).path, f"has {(last - first) / _NS:.1f} s, but --start is {part.start:g}")
         self.end_ns = last if part.duration is None else min(last, self.begin_ns + int(part.duration * _NS))
         self.bad: list[tuple[PlayTopic, str]] = []
         self.troubles: list[str] = []
         self._kept: list[Played] | None = None
 
     def kept(self) -> list[Played]:
-        """What publishers kept for late joiners when this part began, and all static transforms of the bags, as one."""
+        """Return the latched messages at the part's start, and all static transforms of the bags, merged."""
         if self._kept is None:
             self._kept = [*self._static(), *self._latched()]
         return self._kept
 
     def messages(self) -> Iterator[Played]:
-        """All others of this part, by time."""
+        """Yield all others of this part, in order of time."""
         return self._merged(lambda topic: not topic.static, self.begin_ns, self.end_ns + 1)
 
     def _static(self) -> Iterator[Played]:
@@ -91,7 +91,7 @@ class PlaySource:
                 yield Played(topic, self.begin_ns, data, ready=True)
 
     def _latched(self) -> Iterator[Played]:
-        """Those from before the beginning."""
+        """Yield the latched messages from before the start."""
         if all(bag.start_ns >= self.begin_ns for bag in self._bags):
             return
         latched: dict[PlayTopic, deque[Played]] = {}
@@ -106,7 +106,7 @@ class PlaySource:
             yield from messages
 
     def _selected(self, wanted: Callable[[PlayTopic], bool], end_ns: int | None) -> Iterator[Played]:
-        """All messages of some topics; what stands behind the last of them is not read."""
+        """Yield all messages of some topics; the bags are read only up to the last of them."""
         left = sum(topic.topic.count for topics in self._bags.values() for topic in topics if wanted(topic))
         if not left:
             return
@@ -116,7 +116,7 @@ class PlaySource:
                 left -= 1
                 if not left:
                     return
-        except BagError as err:  # what stands before the damage is played nevertheless
+        except BagError as err:  # messages before the damage are played nevertheless
             self.troubles.append(str(err))
 
     def _merged(

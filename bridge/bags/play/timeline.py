@@ -1,4 +1,4 @@
-"""When the messages of a bag are due: the bag's time against the monotonic clock, with pause and step."""
+"""When the messages of a bag are due: the bag's time on a monotonic clock, with pause and step."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from collections.abc import Callable
 from enum import Enum
 
 LATE = 0.2
-"""Seconds of lag from which the bag's time is set back: it does not run on while messages cannot follow."""
+"""Lag in seconds from which the bag's time is set back: it does not run ahead of messages that cannot keep up."""
 
 MAX_STEPS = 1000
-"""Steps that wait at most."""
+"""Maximum number of pending steps."""
 
 _NS = 1e9
 
 Wait = Callable[[threading.Condition, float | None], object]
-"""Waits on the condition for so many seconds; None: until it is told."""
+"""Waits on the condition for a number of seconds; None: until it is notified."""
 
 
 class Due(Enum):
-    """What is to be done now."""
+    """What to do now."""
 
     MESSAGE = "message"
     STEP = "step"
-    """The message is due because somebody asked for it while paused."""
+    """The message is due because of a step during a pause."""
     CLOCK = "clock"
     PAUSED = "paused"
-    """A pause has begun."""
+    """A pause has started."""
     STOPPED = "stopped"
 
 
@@ -36,20 +36,20 @@ def _wait(condition: threading.Condition, seconds: float | None) -> object:
 
 
 class Timeline:
-    """The bag's time. It never passes a message that has not been played; so nobody's clock is ahead of what is said.
+    """The bag's time. It never passes a message that has not been played, so no clock is ahead of the messages.
 
-    One thread asks for what is `next`; any thread may pause, step and stop.
+    One thread waits for the `next` event; any thread may pause, step and stop.
 
     Args:
-        rate: seconds of the bag for each second.
-        paused: begin so.
-        clock_hz: how often a second `Due.CLOCK` comes, also while paused; 0: never.
-        now: seconds of a monotonic clock.
+        rate: seconds of the bag per second.
+        paused: whether to start paused.
+        clock_hz: rate of `Due.CLOCK`, also during a pause; 0: never.
+        now: returns the seconds of a monotonic clock.
         wait: see `Wait`.
 
     Attributes:
-        late: seconds that the last message was late.
-        behind: seconds that the play has lost because messages could not follow, in all.
+        late: delay of the last message in seconds.
+        behind: total lag in seconds because messages could not keep up.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Timeline:
 
     @property
     def paused(self) -> bool:
-        """Whether the bag's time stands still."""
+        """Whether the bag's time is stopped."""
         return self._paused
 
     @property
@@ -84,13 +84,13 @@ class Timeline:
         return self._stopped
 
     def begin(self, time_ns: int) -> None:
-        """Set the bag's time, which runs from here on unless it is paused."""
+        """Set the bag's time, which runs from now on unless it is paused."""
         with self._changed:
             self._at = self._next = time_ns
             self._since = self._clock_due = self._now()
 
     def now_ns(self) -> int:
-        """The bag's time."""
+        """Return the bag's time."""
         with self._changed:
             return self._position()
 
@@ -101,9 +101,9 @@ class Timeline:
         return min(self._at + passed, self._next)
 
     def next(self, time_ns: int) -> Due:
-        """Wait until a message of this time is due, or something else; ask again after that.
+        """Wait until a message of this time is due, or for another event; call it again after that.
 
-        Deadlines count from when the bag's time began to run, so that waits that were too long do not add up.
+        Deadlines count from when the bag's time started to run, so that too long waits do not add up.
         """
         with self._changed:
             self._next = max(self._next, time_ns)
@@ -120,7 +120,7 @@ class Timeline:
                 self._wait(self._changed, min(min(ends) - now, threading.TIMEOUT_MAX) if ends else None)
 
     def _event_before(self, now: float) -> Due | None:
-        """What comes before the message."""
+        """Return an event that precedes the message."""
         if self._stopped:
             return Due.STOPPED
         if self._pause_pending:
@@ -147,7 +147,7 @@ class Timeline:
             self._at, self._since = self._next, now
 
     def pause(self, paused: bool) -> None:
-        """Have the bag's time stand still, or run again from where it stands."""
+        """Stop the bag's time, or let it continue."""
         with self._changed:
             if paused == self._paused:
                 return
@@ -159,7 +159,7 @@ class Timeline:
             self._changed.notify_all()
 
     def step(self) -> bool:
-        """Play one message while paused; False where it is not, or too many steps wait."""
+        """Play one message while paused; return False if it is not paused, or too many steps are pending."""
         with self._changed:
             if not self._paused or self._steps >= MAX_STEPS:
                 return False
@@ -168,7 +168,7 @@ class Timeline:
             return True
 
     def stop(self) -> None:
-        """Have `next` say so from now on."""
+        """Let `next` return `Due.STOPPED` from now on."""
         with self._changed:
             self._stopped = True
             self._changed.notify_all()

@@ -32,7 +32,7 @@ class PlayTopic:
 
     Attributes:
         topic: the topic in the bag.
-        name: on the hub.
+        name: the name on the hub.
         convert: converts the bag's bytes to CDR, or checks them; raises `bridge.messages.errors.ConversionError`.
         definition: of the type, for participants without it; "" if unknown.
         command: whether it moves the robot.
@@ -159,11 +159,9 @@ def _resolve(
         return LeftOut(name, topic.type_name, why, command)  # with the type's name in the bag
 
     if wanted.clock and name == CLOCK_TOPIC:
-        return left("--clock takes its place")
+        return left("--clock replaces it")
     if name.startswith(TAPS) or not ROS2_NAME.fullmatch(name):
-        return left(
-            "it is not a valid topic name (letters, digits and underscores between slashes); --remap gives it another"
-        )
+        return left("not a valid topic name (letters, digits and underscores between slashes); --remap renames it")
     try:
         if unfit is not None:
             raise unfit
