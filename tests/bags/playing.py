@@ -40,8 +40,8 @@ def write_bag(path: Path, messages: Iterable[Said], latched: Iterable[str] = ())
 
 def stamp(at: float) -> dict[str, int]:
     """The bag's time as ROS 1 has it."""
-    seconds, rest = divmod(START + round(at * NS), NS)
-    return {"sec": seconds, "nanosec": rest}
+    seconds, nanoseconds = divmod(START + round(at * NS), NS)
+    return {"sec": seconds, "nanosec": nanoseconds}
 
 
 def transform(parent: str, child: str, at: float = 0.0, x: float = 0.0) -> dict[str, Any]:

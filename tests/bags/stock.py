@@ -31,8 +31,8 @@ def write_ros1(files: Mapping[Path, Sequence[Ros1Message]]) -> None:
 def rosbag(files: Sequence[Path]) -> list[list[Message] | str]:
     """Read bags with ROS 1's ``rosbag``: the messages of each file, or the error."""
     return [
-        found if isinstance(found, str) else [(topic, type_name, value) for topic, type_name, value in found]
-        for found in json.loads(_ros1("read", *files))
+        messages_ if isinstance(messages_, str) else [(topic, type_name, value) for topic, type_name, value in messages_]
+        for messages_ in json.loads(_ros1("read", *files))
     ]
 
 
@@ -62,13 +62,13 @@ def mcap(file: Path) -> list[Message]:
 
 def _each(read: Callable[[Path], list[Message]]) -> Callable[[Sequence[Path]], list[list[Message] | str]]:
     def read_all(files: Sequence[Path]) -> list[list[Message] | str]:
-        found: list[list[Message] | str] = []
+        messages_: list[list[Message] | str] = []
         for file in files:
             try:
-                found.append(read(file))
+                messages_.append(read(file))
             except Exception as err:
-                found.append(f"{type(err).__name__}: {err}")
-        return found
+                messages_.append(f"{type(err).__name__}: {err}")
+        return messages_
 
     return read_all
 

@@ -35,8 +35,8 @@ def chunk(compression: bytes, data: bytes, size: int) -> bytes:
 
 def ros1_record(content: bytes, **fields: bytes) -> bytes:
     """One record of a bag of ROS 1."""
-    made = [name.encode() + b"=" + value for name, value in fields.items()]
-    head = b"".join(struct.pack("<I", len(field)) + field for field in made)
+    built = [name.encode() + b"=" + value for name, value in fields.items()]
+    head = b"".join(struct.pack("<I", len(field)) + field for field in built)
     return struct.pack("<I", len(head)) + head + struct.pack("<I", len(content)) + content
 
 
@@ -129,7 +129,7 @@ ENDS = {
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "bz2"])
 @pytest.mark.parametrize("end", ENDS)
-def test_a_bad_head_behind_good_ones_is_told_with_its_chunk(end: str, compression: str, tmp_path: Path) -> None:
+def test_an_invalid_header_after_valid_ones_is_reported_with_its_chunk(end: str, compression: str, tmp_path: Path) -> None:
     plain = CONNECTION + 2 * TEXT + ENDS[end]
     packed = {"none": bytes, "lz4": lz4.frame.compress, "bz2": bz2.compress}[compression](plain)
     whole = ros1_chunk(b"none", CONNECTION + 2 * TEXT, len(CONNECTION + 2 * TEXT))
@@ -173,12 +173,12 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("what", BROKEN)
-def test_of_a_damaged_chunk_of_ros_1_the_other_messages_are_saved(what: str, tmp_path: Path) -> None:
+def test_the_other_messages_of_a_damaged_ros1_chunk_are_saved(what: str, tmp_path: Path) -> None:
     record, expected = BROKEN[what]
     plain = b"".join([CONNECTION, *TEXTS[:2], record, *TEXTS[3:]])
     start = ros1_chunk(b"none", b"", 0)
-    found = saved(tmp_path / "a.bag", start + ros1_chunk(b"none", plain, len(plain))[START_BYTES:])
-    assert found == (expected, [found[1][0], len(start)])  # the missing index is reported first
+    salvaged = saved(tmp_path / "a.bag", start + ros1_chunk(b"none", plain, len(plain))[START_BYTES:])
+    assert salvaged == (expected, [salvaged[1][0], len(start)])  # the missing index is reported first
 
 
 def broken_bz2(plain: bytes) -> bytes:
@@ -198,7 +198,7 @@ def broken_lz4(plain: bytes) -> bytes:
 
 
 @pytest.mark.parametrize(("compression", "broken"), [("bz2", broken_bz2), ("lz4", broken_lz4)])
-def test_of_a_packed_chunk_of_ros_1_what_is_before_the_damage_is_saved(
+def test_messages_before_the_damage_of_a_compressed_ros1_chunk_are_saved(
     compression: str, broken: Callable[[bytes], bytes], tmp_path: Path
 ) -> None:
     plain = CONNECTION + b"".join(text(number, 2500) for number in range(80))
@@ -215,7 +215,7 @@ def test_a_chunk_that_was_never_closed_is_read_to_the_files_end(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(("compression", "pack"), [("none", bytes), ("lz4", lz4.frame.compress)])
-def test_a_chunk_within_which_the_file_ends_is_read_up_to_there(
+def test_a_chunk_truncated_with_the_file_is_read_up_to_its_end(
     compression: str, pack: Callable[[bytes], bytes], tmp_path: Path
 ) -> None:
     plain = CONNECTION + b"".join(text(number, 20_000) for number in range(20))
@@ -304,7 +304,7 @@ def test_a_file_of_sqlite_that_was_cut_is_an_error(part: float, tmp_path: Path) 
         list(bag.messages())
 
 
-def test_a_database_that_is_no_bag_or_computes_without_end_is_an_error(tmp_path: Path) -> None:
+def test_a_database_that_is_not_a_bag_or_computes_endlessly_is_an_error(tmp_path: Path) -> None:
     other = sqlite3.connect(tmp_path / "other.db3")
     other.execute("CREATE TABLE things(id)")
     other.commit()
@@ -335,7 +335,7 @@ def test_a_folder_reads_nothing_outside_of_itself(tmp_path: Path) -> None:
         open_bag(folder)
 
 
-def test_a_definition_that_nobody_can_read_is_an_error_that_names_the_type(tmp_path: Path) -> None:
+def test_an_unreadable_definition_is_an_error_that_names_the_type(tmp_path: Path) -> None:
     data = mcap_bytes(3, "none").replace(b"std_msgs/msg/String", b"odd_msgs/msg/Strong")
     data = data.replace(b"string data", b"stronk data")
     path = tmp_path / "a.mcap"
@@ -346,13 +346,13 @@ def test_a_definition_that_nobody_can_read_is_an_error_that_names_the_type(tmp_p
 
 def crc_of_nobody(data: bytes) -> bytes:
     """The file without its chunks' checksums."""
-    made, at = bytearray(data), 8
-    while at < len(made) - 8:
-        opcode, length = struct.unpack_from("<BQ", made, at)
+    built, at = bytearray(data), 8
+    while at < len(built) - 8:
+        opcode, length = struct.unpack_from("<BQ", built, at)
         if opcode == 6:
-            made[at + 33 : at + 37] = bytes(4)
+            built[at + 33 : at + 37] = bytes(4)
         at += 9 + length
-    return bytes(made)
+    return bytes(built)
 
 
 def test_a_damaged_table_stops_a_conversion_and_not_a_mending(tmp_path: Path) -> None:

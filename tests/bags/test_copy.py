@@ -64,7 +64,7 @@ def raw_of(path: Path) -> list[tuple[str, str, int, bytes]]:
         return [(m.topic.name, m.topic.type_name, m.time_ns, m.data) for m in bag.messages()]
 
 
-def test_a_bag_goes_round_all_formats_and_stays_the_same(registry: Registry, tmp_path: Path) -> None:
+def test_a_bag_is_unchanged_after_all_formats(registry: Registry, tmp_path: Path) -> None:
     steps = [ros1_bag(tmp_path / "a.bag"), *(tmp_path / name for name in ("b.mcap", "c.db3", "d", "e.bag"))]
     for source, target in pairwise(steps):
         assert copied(source, target, registry).messages == 21
@@ -78,13 +78,13 @@ def test_a_bag_goes_round_all_formats_and_stays_the_same(registry: Registry, tmp
                 assert str(message.pose) == str(message2.pose)
                 assert str(message.header.stamp) == str(message2.header.stamp)
     with AnyReader([steps[-1]]) as bag:
-        told = {c.topic: c.ext for c in bag.connections}
-    assert told == {
+        progress = {c.topic: c.ext for c in bag.connections}
+    assert progress == {
         "/map_name": ConnectionExtRosbag1("/midspan", 1), "/pose": ConnectionExtRosbag1("/midspan", 0),
     }  # fmt: skip
 
 
-def test_what_comes_to_mcap_is_read_by_ros_2s_own_decoder(registry: Registry, tmp_path: Path) -> None:
+def test_ros2s_own_decoder_reads_converted_mcap(registry: Registry, tmp_path: Path) -> None:
     copied(ros1_bag(tmp_path / "a.bag"), tmp_path / "b.mcap", registry)
     with (tmp_path / "b.mcap").open("rb") as stream:
         decoded = list(make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["/pose"]))
@@ -94,7 +94,7 @@ def test_what_comes_to_mcap_is_read_by_ros_2s_own_decoder(registry: Registry, tm
     assert decoded[0].channel.metadata["callerid"] == "/robot"
 
 
-def test_large_and_nested_messages_go_both_ways(registry: Registry, tmp_path: Path) -> None:
+def test_large_and_nested_messages_are_converted_both_ways(registry: Registry, tmp_path: Path) -> None:
     types = ROS1.types
     header = types["std_msgs/msg/Header"](seq=0, stamp=types["builtin_interfaces/msg/Time"](1, 2), frame_id="cam")
     image = types["sensor_msgs/msg/Image"](header, 480, 640, "rgb8", 0, 1920, np.arange(921600, dtype=np.uint8))
@@ -123,7 +123,7 @@ def custom_bag(path: Path) -> Path:
     return path
 
 
-def test_a_type_of_the_bag_alone_goes_round(tmp_path: Path) -> None:
+def test_a_type_defined_only_in_the_bag_is_converted_and_back(tmp_path: Path) -> None:
     source = custom_bag(tmp_path / "a.bag")
     copied(source, tmp_path / "b.mcap", Registry())  # another process has not seen its types
     copied(tmp_path / "b.mcap", tmp_path / "c.db3", Registry())
@@ -153,11 +153,11 @@ def test_a_message_that_is_not_of_its_type_is_named_or_left_out(registry: Regist
     assert (done.messages, done.refused) == (1, {"/text": 1})
 
 
-def test_what_cannot_be_written_leaves_nothing(registry: Registry, tmp_path: Path) -> None:
+def test_a_failed_write_leaves_nothing(registry: Registry, tmp_path: Path) -> None:
     source = mcap_file(tmp_path / "a.mcap")
     (tmp_path / "there.bag").write_text("mine")
-    for name, words in {"there.bag": "exists already", "gone/b.bag": "cannot be written"}.items():
-        with pytest.raises(BagError, match=words):
+    for name, text in {"there.bag": "exists already", "gone/b.bag": "cannot be written"}.items():
+        with pytest.raises(BagError, match=text):
             copied(source, tmp_path / name, registry)
     with pytest.raises(BagError, match="bag has none, lz4, bz2"):
         copied(source, tmp_path / "b.bag", registry, compression="zstd")
@@ -168,7 +168,7 @@ def test_what_cannot_be_written_leaves_nothing(registry: Registry, tmp_path: Pat
     big = long_mcap(tmp_path / "big.mcap", 100, 5000)
     for name in ("b.bag", "b.mcap", "b.db3", "folder"):
         with pytest.raises(KeyboardInterrupt):
-            copied(big, tmp_path / name, registry, told=interrupt)
+            copied(big, tmp_path / name, registry, progress=interrupt)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "big.mcap", "there.bag"]
     assert (tmp_path / "there.bag").read_text() == "mine"
 
@@ -184,15 +184,15 @@ def test_a_part_is_cut_with_what_was_latched_before(form: str, tmp_path: Path) -
     with open_bag(source()) as bag:
         cut(bag, target, BagSelection(start_ns=start, end_ns=start + SECOND // 2, latched=True))
         topics = {topic.name: (topic.type_name, topic.definition, topic.qos) for topic in bag.topics}
-    found = raw_of(target)
-    assert [(name, time) for name, _, time, _ in found] == [
+    result = raw_of(target)
+    assert [(name, time) for name, _, time, _ in result] == [
         ("/map_name", start), *(("/pose", start + number * SECOND // 10) for number in range(5)),
     ]  # fmt: skip
     with open_bag(target) as bag:
         assert {topic.name: (topic.type_name, topic.definition, topic.qos) for topic in bag.topics} == topics
 
 
-def test_a_cut_of_mcap_keeps_what_only_others_understand(tmp_path: Path) -> None:
+def test_a_cut_of_mcap_keeps_channels_of_other_encodings(tmp_path: Path) -> None:
     stream = io.BytesIO()
     writer = Writer(stream)
     writer.start("ros1", "their library")
@@ -215,11 +215,11 @@ def test_a_cut_of_mcap_keeps_what_only_others_understand(tmp_path: Path) -> None
     assert [(m.log_time, m.publish_time) for _, _, m in rows] == [(time, time + 1) for time in range(5, 10)]
 
 
-def test_topics_are_chosen_by_name_and_glob(registry: Registry, tmp_path: Path) -> None:
+def test_topics_are_selected_by_name_and_glob(registry: Registry, tmp_path: Path) -> None:
     source = mcap_file(tmp_path / "a.mcap")
     assert copied(source, tmp_path / "b.mcap", registry, choice=BagSelection(NameFilter(["map*"]))).messages == 1
-    rest = BagSelection(NameFilter(exclude=["^/map"]))
-    assert copied(source, tmp_path / "c.mcap", registry, choice=rest).messages == 20
+    others = BagSelection(NameFilter(exclude=["^/map"]))
+    assert copied(source, tmp_path / "c.mcap", registry, choice=others).messages == 20
     with pytest.raises(BagError, match="has no topic /nowhere"):
         copied(source, tmp_path / "d.mcap", registry, choice=BagSelection(NameFilter(["/pose", "/nowhere"])))
 
@@ -236,13 +236,13 @@ def test_each_publishers_qos_is_kept(registry: Registry, tmp_path: Path) -> None
         with AnyReader([tmp_path / name]) as bag:
             (connection,) = bag.connections
             assert isinstance(connection.ext, ConnectionExtRosbag2)
-            found = [(qos.durability, qos.depth) for qos in connection.ext.offered_qos_profiles]
-        assert found == [(QosDurability.TRANSIENT_LOCAL, 1), (QosDurability.VOLATILE, 10)], name
+            result = [(qos.durability, qos.depth) for qos in connection.ext.offered_qos_profiles]
+        assert result == [(QosDurability.TRANSIENT_LOCAL, 1), (QosDurability.VOLATILE, 10)], name
         with open_bag(tmp_path / name) as ours:
             assert (ours.topics[0].qos.latched, ours.topics[0].count) == (True, 2)
 
 
-def test_what_a_killed_recorder_left_is_mended(tmp_path: Path) -> None:
+def test_the_file_of_a_killed_recorder_is_mended(tmp_path: Path) -> None:
     whole = mcap_bytes(200, finished=False)
     for number, length in enumerate((len(whole), len(whole) - 5, len(whole) // 2)):
         source, target = tmp_path / f"{number}.mcap", tmp_path / f"{number}-whole.mcap"
@@ -273,7 +273,7 @@ def test_a_bag_of_ros_1_without_its_index_is_mended(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["bag", "mcap"])
-def test_a_chunk_that_was_changed_is_told_of_and_the_rest_is_saved(form: str, tmp_path: Path) -> None:
+def test_a_modified_chunk_is_reported_and_the_rest_is_saved(form: str, tmp_path: Path) -> None:
     path = ros1_bag(tmp_path / "a.bag", 100, "lz4") if form == "bag" else mcap_file(tmp_path / "a.mcap", 100)
     data = bytearray(path.read_bytes())
     magic = b"\x04\x22\x4d\x18" if form == "bag" else b"\x28\xb5\x2f\xfd"
@@ -306,7 +306,7 @@ def test_a_folder_of_mcap_is_cut_into_one_file_of_mcap(tmp_path: Path) -> None:
     assert raw_of(tmp_path / "b.mcap") == raw_of(tmp_path / "run")
 
 
-def test_damage_in_a_file_of_a_folder_costs_its_chunk_alone(tmp_path: Path) -> None:
+def test_damage_in_a_file_of_a_folder_loses_only_its_chunk(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     folder.mkdir()
     for number in range(2):

@@ -22,11 +22,11 @@ FILES = 20
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Three files of the same 21 times."""
-    made = tmp_path / "run"
-    made.mkdir()
+    bag_ = tmp_path / "run"
+    bag_.mkdir()
     for number in range(3):
-        mcap_file(made / f"run_{number}.mcap")
-    return made
+        mcap_file(bag_ / f"run_{number}.mcap")
+    return bag_
 
 
 def test_files_that_overlap_are_read_in_order_of_time(folder: Path) -> None:
@@ -64,7 +64,7 @@ class Watched(Bag):
         """Nothing is open."""
 
 
-def test_of_many_files_those_are_read_whose_time_has_come(tmp_path: Path) -> None:
+def test_only_files_of_the_current_time_are_read(tmp_path: Path) -> None:
     for number in range(FILES):
         (tmp_path / f"{number:02}.mcap").touch()
     with FolderBag(tmp_path, Watched) as bag:
@@ -74,17 +74,17 @@ def test_of_many_files_those_are_read_whose_time_has_come(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(("content", "words"), [(EMPTY, "is empty"), (GARBAGE, "is neither MCAP")])
-def test_a_file_that_cannot_be_opened_costs_itself_alone(
+def test_a_file_that_cannot_be_opened_loses_only_its_messages(
     content: bytes, words: str, folder: Path, tmp_path: Path
 ) -> None:
     (folder / "run_1.mcap").write_bytes(content)
     with open_bag(folder) as bag:
         assert "run_1.mcap" in str(bag.trouble)
         assert words in str(bag.trouble)
-        found: list[BagMessage] = []
+        messages_: list[BagMessage] = []
         with pytest.raises(BagError, match=r"run_1\.mcap"):  # a play goes on to there
-            found.extend(bag.messages())
-        assert len(found) == 42
+            messages_.extend(bag.messages())
+        assert len(messages_) == 42
         for refused in (
             lambda: convert(bag, tmp_path / "a.bag", "bag", Registry()), lambda: cut(bag, tmp_path / "a.mcap")
         ):  # fmt: skip
@@ -96,7 +96,7 @@ def test_a_file_that_cannot_be_opened_costs_itself_alone(
         assert (whole.trouble, sum(1 for _ in whole.messages())) == (None, 42)
 
 
-def test_several_that_cannot_be_opened_are_all_told(folder: Path, tmp_path: Path) -> None:
+def test_all_files_that_cannot_be_opened_are_reported(folder: Path, tmp_path: Path) -> None:
     for number in (0, 2):
         (folder / f"run_{number}.mcap").write_bytes(GARBAGE)
     with open_bag(folder) as bag:

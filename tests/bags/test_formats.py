@@ -89,11 +89,11 @@ ASK = "int32 a\n---\nint32 b\n"
 @pytest.fixture(scope="module")
 def registry() -> Registry:
     """A registry with the types of the sources; each conversion has a new one."""
-    made = Registry()
-    made.learn_ros1("my_msgs/Own", OWN)
-    made.learn_ros2("my_msgs/msg/Own", OWN)
-    made.learn_ros2("my_robot/srv/Ask", ASK)
-    return made
+    built = Registry()
+    built.learn_ros1("my_msgs/Own", OWN)
+    built.learn_ros2("my_msgs/msg/Own", OWN)
+    built.learn_ros2("my_robot/srv/Ask", ASK)
+    return built
 
 
 def _ros2(registry: Registry, kind: Kind) -> tuple[str, str, str, str, bytes]:
@@ -120,12 +120,12 @@ def _db3(registry: Registry, files: dict[Path, Kind]) -> None:
 
 
 def _bag(registry: Registry, files: dict[Path, Kind]) -> None:
-    made: dict[Path, list[Ros1Message]] = {}
+    built: dict[Path, list[Ros1Message]] = {}
     for path, kind in files.items():
         assert kind.ros1 is not None
         topic, type_name, values = kind.ros1
-        made[path] = [(topic, type_name, registry.ros1(type_name).definition, values)]
-    write_ros1(made)
+        built[path] = [(topic, type_name, registry.ros1(type_name).definition, values)]
+    write_ros1(built)
 
 
 def _mcap1(registry: Registry, files: dict[Path, Kind]) -> None:
@@ -160,9 +160,9 @@ def measured(sources: dict[Path, Kind], ending: str) -> list[str]:
     files = [(target, kind) for (target, kind), good in zip(done, converted, strict=True) if good]
     decoded: dict[Path, list[str]] = {target: [] for target, _ in files}
     for name, read in READERS[ending].items():
-        for (target, kind), found in zip(files, read([target for target, _ in files]), strict=True):
+        for (target, kind), results in zip(files, read([target for target, _ in files]), strict=True):
             path, value = kind.in_ros1 or kind.member if _is_ros1(target, sources) else kind.member
-            if not isinstance(found, str) and [member(message, path) for *_, message in found] == [value]:
+            if not isinstance(results, str) and [member(message, path) for *_, message in results] == [value]:
                 decoded[target].append(name)
     return [", ".join(decoded[target]) if target in decoded else "error" for target, _ in done]
 
@@ -196,8 +196,8 @@ def test_the_table_of_conversions(world: str, ending: str, target: str, registry
     kinds = [kind for kind, of in ROWS if of == world]
     sources = {tmp_path / f"{world} {kind}{ending}": KINDS[kind] for kind in kinds}
     SOURCES[world][ending](registry, sources)
-    found = dict(zip(kinds, measured(sources, target), strict=True))
-    assert found == {kind: shown(kind, world)[TARGETS.index(target)] for kind in kinds}
+    results = dict(zip(kinds, measured(sources, target), strict=True))
+    assert results == {kind: shown(kind, world)[TARGETS.index(target)] for kind in kinds}
 
 
 def test_the_table_has_no_other_rows() -> None:

@@ -63,7 +63,7 @@ def converted(source: Path, target: Path, **more: Any) -> Copied:
         return convert(bag, target, kind_of(target), Registry(), **more)
 
 
-def test_names_that_ros_2_forbids_become_those_of_the_hub(tmp_path: Path) -> None:
+def test_names_invalid_in_ros2_become_the_hubs_names(tmp_path: Path) -> None:
     names = {
         "chatter": "/chatter", "/a-b": "/a_b", "/camera/1/image": "/camera/n1/image",
         "/option/Enable Auto Exposure/value": "/option/Enable_Auto_Exposure/value", "/fine": "/fine",
@@ -80,7 +80,7 @@ def test_names_that_ros_2_forbids_become_those_of_the_hub(tmp_path: Path) -> Non
     assert converted(source, tmp_path / "f.mcap", choice=wanted).messages == 1
 
 
-def test_a_name_that_ros_2_forbids_in_a_bag_of_ros_2_is_changed_too(tmp_path: Path) -> None:
+def test_invalid_names_in_a_ros2_bag_are_changed_too(tmp_path: Path) -> None:
     source = ros2_file(
         tmp_path / "a.mcap", [("/camera/1/image", "std_msgs/msg/String", "string data\n", b"\3\0\0\0hi\0")]
     )
@@ -89,7 +89,7 @@ def test_a_name_that_ros_2_forbids_in_a_bag_of_ros_2_is_changed_too(tmp_path: Pa
 
 
 @pytest.mark.parametrize("target", ["b.mcap", "b.db3", "b"])
-def test_of_two_topics_that_would_get_one_name_the_first_gets_it(target: str, tmp_path: Path) -> None:
+def test_the_first_of_two_topics_gets_a_common_name(target: str, tmp_path: Path) -> None:
     topics = [(name, "std_msgs/String", "string data\n", TEXT) for name in ("/a b", "/a-b", "/c")]
     source = ros1_file(tmp_path / "a.bag", topics)
     with pytest.raises(BagError, match=r"/a-b would become /a_b, as /a b does; -x .*--skip-unknown"):
@@ -111,7 +111,7 @@ CLASHES = {
 
 @pytest.mark.parametrize("target", ["b.mcap", "b.db3", "b"])
 @pytest.mark.parametrize("case", CLASHES)
-def test_of_two_definitions_of_a_type_the_first_is_kept(case: str, target: str, tmp_path: Path) -> None:
+def test_the_first_of_two_definitions_of_a_type_is_kept(case: str, target: str, tmp_path: Path) -> None:
     topics, others, kept = CLASHES[case]
     source = ros1_file(tmp_path / "a.bag", topics)
     with pytest.raises(BagError, match=rf"{others[0]} has another definition of my_msgs/msg/V.*--skip-unknown"):
@@ -125,8 +125,8 @@ def test_of_two_definitions_of_a_type_the_first_is_kept(case: str, target: str, 
 def test_a_bag_of_ros_1_keeps_two_definitions_of_a_type(tmp_path: Path) -> None:
     source = ros1_file(tmp_path / "a.bag", CLASHES["on a topic"][0])
     converted(source, tmp_path / "b.bag")
-    (found,) = rosbag([tmp_path / "b.bag"])
-    assert found == [
+    (types,) = rosbag([tmp_path / "b.bag"])
+    assert types == [
         ("/x", "my_msgs/V", {"a": 1}), ("/x", "my_msgs/V", {"a": 1, "b": 2}), ("/y", "my_msgs/V", {"a": 1, "b": 2}),
     ]  # fmt: skip
 
@@ -139,8 +139,8 @@ def test_a_bag_of_ros_1_gets_two_definitions_of_a_type_of_ros_2(tmp_path: Path) 
         with pytest.raises(BagError, match=r"/x has another definition of my_msgs/msg/V than /x.*a \.bag has room"):
             converted(source, target)
     converted(source, tmp_path / "b.bag")
-    (found,) = rosbag([tmp_path / "b.bag"])
-    assert [message for *_, message in found] == [{"a": 1}, {"a": 1, "b": 2}, {"a": 1}]
+    (types,) = rosbag([tmp_path / "b.bag"])
+    assert [message for *_, message in types] == [{"a": 1}, {"a": 1, "b": 2}, {"a": 1}]
 
 
 def test_two_versions_of_an_installed_type_become_the_installed_one(tmp_path: Path) -> None:
@@ -151,12 +151,12 @@ def test_two_versions_of_an_installed_type_become_the_installed_one(tmp_path: Pa
 
 @pytest.mark.parametrize("target", ["b.mcap", "b.db3", "b", "b.bag"])
 @pytest.mark.parametrize(
-    ("type_name", "words"), [("", "has no type: its channel has no schema"), ("a/b/c/d", "is not a type of ROS 2")]
+    ("type_name", "text"), [("", "has no type: its channel has no schema"), ("a/b/c/d", "is not a type of ROS 2")]
 )
-def test_a_channel_without_a_type_is_named_or_left_out(type_name: str, words: str, target: str, tmp_path: Path) -> None:
+def test_a_channel_without_a_type_is_named_or_left_out(type_name: str, text: str, target: str, tmp_path: Path) -> None:
     text = ("/text", "std_msgs/msg/String", "string data\n", b"\3\0\0\0hi\0")
     source = ros2_file(tmp_path / "a.mcap", [("/raw", type_name, "", b"\1"), text])
-    with pytest.raises(BagError, match=f"/raw .*{words}.*--skip-unknown"):
+    with pytest.raises(BagError, match=f"/raw .*{text}.*--skip-unknown"):
         converted(source, tmp_path / target)
     assert not (tmp_path / target).exists()
     done = converted(source, tmp_path / target, skip_unknown=True)
@@ -164,7 +164,7 @@ def test_a_channel_without_a_type_is_named_or_left_out(type_name: str, words: st
     assert [(topic, message.data) for topic, _, message in rosbags(tmp_path / target)] == [("/text", "hi")]
 
 
-def test_a_type_of_two_words_becomes_one_of_ros_2(tmp_path: Path) -> None:
+def test_a_two_part_type_name_becomes_a_ros2_type(tmp_path: Path) -> None:
     source = ros2_file(tmp_path / "a.mcap", [("/text", "std_msgs/String", "string data\n", b"\3\0\0\0hi\0")])
     for target in (tmp_path / "b.db3", tmp_path / "b.bag"):
         converted(source, target)
@@ -179,7 +179,7 @@ UNKNOWN = {
 
 @pytest.mark.parametrize("target", ["b.mcap", "b.db3", "b"])
 @pytest.mark.parametrize("case", UNKNOWN)
-def test_a_definition_that_readers_refuse_costs_no_other_topic(case: str, target: str, tmp_path: Path) -> None:
+def test_a_definition_refused_by_readers_affects_no_other_topic(case: str, target: str, tmp_path: Path) -> None:
     text, data = UNKNOWN[case]
     topics = [
         ("/odd", "my_msgs/msg/Odd", text, data),
@@ -189,10 +189,10 @@ def test_a_definition_that_readers_refuse_costs_no_other_topic(case: str, target
     from rosbags.highlevel import AnyReader
 
     with AnyReader([tmp_path / target]) as bag:
-        found = {c.topic: (c.msgtype, c.msgcount) for c in bag.connections}
-        said = [bag.deserialize(raw, c.msgtype) for c, _, raw in bag.messages() if c.topic == "/text"]
-    assert found == {"/odd": ("my_msgs/msg/Odd", 1), "/text": ("std_msgs/msg/String", 1)}
-    assert [member(message, "data") for message in said] == ["hi"]
+        types = {c.topic: (c.msgtype, c.msgcount) for c in bag.connections}
+        reported = [bag.deserialize(raw, c.msgtype) for c, _, raw in bag.messages() if c.topic == "/text"]
+    assert types == {"/odd": ("my_msgs/msg/Odd", 1), "/text": ("std_msgs/msg/String", 1)}
+    assert [member(message, "data") for message in reported] == ["hi"]
 
 
 @pytest.mark.parametrize("target", ["b.mcap", "b.db3", "b"])
@@ -252,8 +252,8 @@ def test_a_definition_that_an_older_midspan_recorded_is_corrected(tmp_path: Path
         converted(tmp_path / "a", tmp_path / name)
         assert [member(message, "feedback.part.depth") for *_, message in rosbags(tmp_path / name)] == [1.5]
     converted(tmp_path / "a", tmp_path / "b.bag")
-    (found,) = rosbag([tmp_path / "b.bag"])
-    ((topic_name, kind, message),) = found
+    (types,) = rosbag([tmp_path / "b.bag"])
+    ((topic_name, kind, message),) = types
     assert (topic_name, kind) == ("/dig/feedback", "my_robot/DigActionFeedback")
     assert member(message, "feedback.part.depth") == 1.5  # type: ignore[arg-type]
     assert member(message, "status.goal_id.id") == "midspan-07070707-0707-0707-0707-070707070707"
@@ -269,14 +269,14 @@ def test_any_text_of_a_constant_of_ros_1_leaves_the_new_file_readable(text: str,
     assert [message.n for *_, message in mcap(tmp_path / "b.mcap")] == [5]
 
 
-def test_a_type_of_three_words_becomes_one_of_ros_1(tmp_path: Path) -> None:
+def test_a_three_part_type_name_becomes_a_ros1_type(tmp_path: Path) -> None:
     topic = Recorded("/text", "std_msgs/msg/String", "string data\n", [TEXT])
     source = foreign_mcap(tmp_path / "a.mcap", topic, encoding="ros1")
     for target in (tmp_path / "b.db3", tmp_path / "b.bag"):
         converted(source, target)
         assert [(type_name, m.data) for _, type_name, m in rosbags(target)] == [("std_msgs/msg/String", "hi")]
-    (found,) = rosbag([tmp_path / "b.bag"])
-    assert found == [("/text", "std_msgs/String", {"data": "hi"})]
+    (types,) = rosbag([tmp_path / "b.bag"])
+    assert types == [("/text", "std_msgs/String", {"data": "hi"})]
 
 
 IDL = """\
@@ -307,15 +307,15 @@ def test_a_definition_in_idl_is_read(tmp_path: Path) -> None:
     same = (
         f"int8 ROUND=3\nfloat32[2] size\nCorner[<=4] corners\nstring<=5 name\nbool closed\n{LINE}MSG: my_msgs/Corner\n"
     )
-    idl, msg = (full_schema("my_msgs/msg/Shape", each) for each in (text, same))
+    idl, msg = (full_schema("my_msgs/msg/Shape", name) for name in (text, same))
     assert (rihs01(idl), idl.root.constants) == (rihs01(msg), msg.root.constants)
     registry = Registry()
     registry.learn_ros2("my_msgs/msg/Shape", text)
     data = from_json(registry, "my_msgs/msg/Shape", {"size": [1.0, 2.0], "name": "box"})
     source = ros2_file(tmp_path / "a.mcap", [("/shape", "my_msgs/msg/Shape", IDL, data[4:])], "ros2idl")
     converted(source, tmp_path / "b.bag")
-    (found,) = rosbag([tmp_path / "b.bag"])
-    assert [member(message, "name") for *_, message in found] == ["box"]
+    (types,) = rosbag([tmp_path / "b.bag"])
+    assert [member(message, "name") for *_, message in types] == ["box"]
     converted(source, tmp_path / "b.mcap")
     assert [member(message, "name") for *_, message in mcap(tmp_path / "b.mcap")] == ["box"]
 
@@ -323,7 +323,7 @@ def test_a_definition_in_idl_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text", ["", "module", "IDL: x\n", f"{LINE}IDL: a/msg/B\nmodule a {{ module msg {{ struct B {{"]
 )
-def test_idl_that_cannot_be_parsed_is_no_definition(text: str) -> None:
+def test_invalid_idl_counts_as_no_definition(text: str) -> None:
     assert full_definition("a/msg/B", "ros2idl", text) == ""
     assert full_definition("a/srv/B_Event", "ros2msg", "int32 a\n---\nint32 b\n---\nint32 c\n") == ""
     assert full_definition("a/msg/B", "proto", "anything") == ""
@@ -339,7 +339,7 @@ def test_a_stored_definition_is_read_back(type_name: str) -> None:
     assert rihs01(full_schema(type_name, full_definition(type_name, encoding, text))) == known.type_id
 
 
-def test_the_stored_definition_of_a_message_keeps_its_authors_words(tmp_path: Path) -> None:
+def test_a_stored_definition_keeps_its_authors_text(tmp_path: Path) -> None:
     definition = full_text(Registry().schema("sensor_msgs/msg/LaserScan"))
     assert stored_definition("sensor_msgs/msg/LaserScan", definition) == ("ros2msg", definition)
     converted(

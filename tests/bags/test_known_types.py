@@ -62,7 +62,7 @@ def test_a_bags_own_definition_wins(kind: Kind, metadata: dict[str, str], newer:
 
 
 @SEVERAL
-def test_what_its_definition_nests_wins_too(kind: Kind, newer: Registry, tmp_path: Path) -> None:
+def test_nested_types_of_the_bags_definition_win_too(kind: Kind, newer: Registry, tmp_path: Path) -> None:
     text = f"Drive[] drives\n{SEPARATOR}\nMSG: my_robot/Drive\n{OLD_DRIVE}"
     data = CDR + struct.pack("<Iff", 1, 1.5, 0.25)
     source = foreign_mcap(tmp_path / "old.mcap", Recorded("/drives", "my_robot/msg/Drives", text, [data]))
@@ -88,12 +88,12 @@ def test_each_ros1_definition_without_md5_is_read_by_itself(kind: Kind, newer: R
     )  # fmt: skip
     target = converted(source, kind, newer)
     with open_bag(target) as bag:
-        found = {m.topic.name: (m.topic.definition, m.data.removeprefix(CDR)) for m in bag.messages()}
+        types_ = {m.topic.name: (m.topic.definition, m.data.removeprefix(CDR)) for m in bag.messages()}
     if kind == "bag":
-        assert found == {"/a": (OLD_DRIVE, data), "/b": (NEW_DRIVE, data)}
+        assert types_ == {"/a": (OLD_DRIVE, data), "/b": (NEW_DRIVE, data)}
     else:  # both become the one that is installed
         swapped = struct.pack("<ff", 0.25, 1.5)
-        assert found == {"/a": (NEW_DRIVE, swapped), "/b": (NEW_DRIVE, data)}
+        assert types_ == {"/a": (NEW_DRIVE, swapped), "/b": (NEW_DRIVE, data)}
 
 
 def test_an_unreadable_definition_is_not_replaced_by_another(newer: Registry, tmp_path: Path) -> None:
@@ -193,7 +193,7 @@ def test_a_hash_that_is_unknown_here_is_not_replaced(tmp_path: Path) -> None:
         converted(source, "bag", Registry())
 
 
-def test_what_does_not_fit_is_not_played(humble: Path) -> None:
+def test_topics_that_do_not_fit_are_not_played(humble: Path) -> None:
     with open_bag(humble) as bag:
         chosen, left = choose([bag], Registry(), Config(), PlayChoice(lambda _: True, {}))
         assert [topic.name for topic in chosen[bag]] == ["/text"]
@@ -260,7 +260,7 @@ def test_an_own_empty_type_is_known(kind: Kind, source: str, tmp_path: Path) -> 
 
 
 @needs_ros1
-def test_rosbag_reads_what_nests_an_own_empty_type(tmp_path: Path) -> None:
+def test_rosbag_reads_types_that_nest_an_empty_type(tmp_path: Path) -> None:
     text = f"Ping ping\nFlag flag\n{SEPARATOR}\nMSG: my_robot/Ping\n{SEPARATOR}\nMSG: my_robot/Flag\nbool lit\n"
     source = foreign_mcap(
         tmp_path / "a.mcap", Recorded("/ping", PING, "", [CDR + b"\0"]),
@@ -271,7 +271,7 @@ def test_rosbag_reads_what_nests_an_own_empty_type(tmp_path: Path) -> None:
     ]
 
 
-def test_no_text_is_no_definition_if_the_hash_is_another(tmp_path: Path) -> None:
+def test_an_empty_text_with_another_hash_is_no_definition(tmp_path: Path) -> None:
     known = f"RIHS01_{ROS2.hash_rihs01(STRING).removeprefix('RIHS01_')}"
     for number, recorded in enumerate((known, "INVALID")):
         source = Recorded("/text", STRING, "", [CDR + b"\3\0\0\0hi\0"], {"topic_type_hash": recorded})

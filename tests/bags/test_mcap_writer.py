@@ -41,7 +41,7 @@ def info(registry: Registry, topic: str, type_name: str, *qos: Qos) -> ChannelIn
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
-def test_independent_readers_find_what_was_written(
+def test_independent_readers_read_the_written_messages(
     registry: Registry, tmp_path: Path, compression: Compression
 ) -> None:
     file = tmp_path / "one.mcap"
@@ -57,14 +57,14 @@ def test_independent_readers_find_what_was_written(
         writer.write(feedbacks, 3_000, 2_500, from_json(registry, FEEDBACK, feedback), 1)
         writer.finish()
     with AnyReader([file]) as bag:
-        found: dict[str, tuple[Connection, int, Any]] = {
+        messages_: dict[str, tuple[Connection, int, Any]] = {
             c.topic: (c, time, bag.deserialize(raw, c.msgtype)) for c, time, raw in bag.messages()
         }
-    connection, time, message = found["/pose"]
+    connection, time, message = messages_["/pose"]
     assert (connection.msgtype, time) == (POSE, 2_000)
     assert (message.header.frame_id, message.pose.position.x) == ("map", 1.5)
-    assert found["/goto/_action/feedback"][2].feedback.distance_remaining == 2.5
-    assert found["/lamp/_service_event"][2].request[0].data is True
+    assert messages_["/goto/_action/feedback"][2].feedback.distance_remaining == 2.5
+    assert messages_["/lamp/_service_event"][2].request[0].data is True
     assert isinstance(connection.ext, ConnectionExtRosbag2)
     first, second = connection.ext.offered_qos_profiles
     assert (first.durability, first.depth) == (QosDurability.TRANSIENT_LOCAL, 1)
@@ -74,13 +74,13 @@ def test_independent_readers_find_what_was_written(
     schema, channel, raw, value = decoded[0]
     assert (schema.name, raw.log_time, raw.publish_time, raw.sequence) == (POSE, 2_000, 1_000, 7)
     assert value.pose.position.x == 1.5
-    told = {name: channel.metadata[name] for name in ("side", "origin", "daemon", "topic_type_hash")}
-    assert told == {
+    reported = {name: channel.metadata[name] for name in ("side", "origin", "daemon", "topic_type_hash")}
+    assert reported == {
         "side": "ros1", "origin": "run-1", "daemon": "robot1", "topic_type_hash": registry.ros2(POSE).type_id,
     }  # fmt: skip
 
 
-def test_a_type_that_nobody_knows_is_kept_as_bytes(tmp_path: Path) -> None:
+def test_messages_of_an_unknown_type_are_kept_as_bytes(tmp_path: Path) -> None:
     file = tmp_path / "one.mcap"
     with file.open("wb", buffering=0) as stream:
         writer = McapWriter(stream)
@@ -90,7 +90,7 @@ def test_a_type_that_nobody_knows_is_kept_as_bytes(tmp_path: Path) -> None:
         assert [(c.msgtype, raw) for c, _, raw in bag.messages()] == [("odd_msgs/msg/Odd", b"\0\1\0\0abcd")]
 
 
-def test_what_was_flushed_is_read_from_a_file_that_has_no_end(registry: Registry) -> None:
+def test_flushed_messages_are_read_from_an_unfinished_file(registry: Registry) -> None:
     stream = io.BytesIO()
     writer = McapWriter(stream, chunk_bytes=1000)
     channel = writer.channel(info(registry, "/pose", POSE))
@@ -109,7 +109,7 @@ def test_what_was_flushed_is_read_from_a_file_that_has_no_end(registry: Registry
 
 def read_all(data: bytes) -> list[int]:
     """The numbers of the messages, as far as the data go."""
-    found: list[int] = []
+    messages_: list[int] = []
     with pytest.raises((EndOfFile, struct.error)):
-        found.extend(r.sequence for r in StreamReader(io.BytesIO(data)).records if isinstance(r, Message))
-    return found
+        messages_.extend(r.sequence for r in StreamReader(io.BytesIO(data)).records if isinstance(r, Message))
+    return messages_

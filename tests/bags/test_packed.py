@@ -54,7 +54,7 @@ def test_a_message_of_ros1_may_start_like_zstd(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", ["db3", "mcap", "bag"])
 @pytest.mark.parametrize("name", ["run.zstd", "run.db3.zst", "run"])
-def test_a_compressed_file_is_read_alone(form: str, name: str, tmp_path: Path) -> None:
+def test_a_single_compressed_file_is_read(form: str, name: str, tmp_path: Path) -> None:
     if form == "db3":
         plain = next(db3_folder(tmp_path / "run").glob("*.db3"))
     else:
@@ -93,7 +93,7 @@ def test_other_archives_are_refused_with_the_cure(tmp_path: Path) -> None:
         open_bag(source)
 
 
-def test_a_folder_whose_messages_are_compressed_otherwise_is_refused(tmp_path: Path) -> None:
+def test_a_folder_with_another_message_compression_is_refused(tmp_path: Path) -> None:
     folder = db3_folder(tmp_path / "run")
     metadata = folder / "metadata.yaml"
     text = metadata.read_text().replace("compression_mode: ''", "compression_mode: MESSAGE")

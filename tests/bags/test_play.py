@@ -47,14 +47,14 @@ MESSAGES = [
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bags")
-    return write_bag(folder / "run.bag", sorted(MESSAGES, key=lambda said: said.at), ["/name", "/tf_static"])
+    return write_bag(folder / "run.bag", sorted(MESSAGES, key=lambda count: count.at), ["/name", "/tf_static"])
 
 
 @pytest.fixture(scope="module")
 def hubs() -> Iterator[QuickHub]:
-    made = QuickHub()
-    yield made
-    made.stop_router()
+    built = QuickHub()
+    yield built
+    built.stop_router()
 
 
 class Listener:
@@ -62,41 +62,41 @@ class Listener:
 
     def __init__(self, hub: Hub) -> None:
         self.hub = hub
-        self.heard: list[tuple[str, Any, float]] = []
+        self.messages: list[tuple[str, Any, float]] = []
 
-    def hear(self, topic: str, type_name: str, qos: Qos | None = None) -> None:
-        def came(sample: HubSample) -> None:
-            self.heard.append((topic, to_json(REGISTRY, type_name, sample.data()), time.monotonic()))
+    def on_message(self, topic: str, type_name: str, qos: Qos | None = None) -> None:
+        def arrived(sample: HubSample) -> None:
+            self.messages.append((topic, to_json(REGISTRY, type_name, sample.data()), time.monotonic()))
 
-        self.hub.subscription(topic, type_name, "*", qos or Qos(depth=100), came)
+        self.hub.subscription(topic, type_name, "*", qos or Qos(depth=100), arrived)
 
-    def of(self, topic: str) -> list[Any]:
-        return [message for heard, message, _ in tuple(self.heard) if heard == topic]
+    def received_on(self, topic: str) -> list[Any]:
+        return [message for messages, message, _ in tuple(self.messages) if messages == topic]
 
     def texts(self, topic: str = "/said") -> list[str]:
-        return [message["data"] for message in self.of(topic)]
+        return [message["data"] for message in self.received_on(topic)]
 
     def frames(self) -> list[set[str]]:
-        return [{each["child_frame_id"] for each in message["transforms"]} for message in self.of("/tf_static")]
+        return [{item["child_frame_id"] for item in message["transforms"]} for message in self.received_on("/tf_static")]
 
 
 @pytest.fixture
 def listener(hubs: QuickHub) -> Iterator[Listener]:
     with Hub.open(hubs.settings("listener")) as hub:
-        made = Listener(hub)
-        made.hear("/said", "std_msgs/msg/String")
-        made.hear("/cmd_vel", "geometry_msgs/msg/Twist")
-        made.hear("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED)
-        made.hear("/clock", "rosgraph_msgs/msg/Clock")
-        yield made
+        built = Listener(hub)
+        built.on_message("/said", "std_msgs/msg/String")
+        built.on_message("/cmd_vel", "geometry_msgs/msg/Twist")
+        built.on_message("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED)
+        built.on_message("/clock", "rosgraph_msgs/msg/Clock")
+        yield built
 
 
 @pytest.fixture
 def file(hubs: QuickHub, tmp_path: Path) -> Path:
-    made = tmp_path / "midspan.yaml"
+    built = tmp_path / "midspan.yaml"
     hub = {key: value for key, value in hubs.config().items() if value is not None}
-    made.write_text(yaml.safe_dump({"name": "robot1", "state": str(tmp_path / "state"), "hub": hub}))
-    return made
+    built.write_text(yaml.safe_dump({"name": "robot1", "state": str(tmp_path / "state"), "hub": hub}))
+    return built
 
 
 Play = Callable[..., int]
@@ -113,7 +113,7 @@ IMPORTS = (
 @pytest.fixture
 def play(file: Path, bag: Path) -> Play:
     """The verb in this process."""
-    return lambda *words: main(["play", str(bag), "--config", str(file), "--settle", "0", *words])
+    return lambda *arguments: main(["play", str(bag), "--config", str(file), "--settle", "0", *arguments])
 
 
 @pytest.fixture
@@ -121,8 +121,8 @@ def player(file: Path, bag: Path) -> Iterator[Player]:
     """The verb in a process of its own."""
     started: list[Process] = []
 
-    def start(*words: str) -> Process:
-        line = [sys.executable, "-m", "bridge.cli.main", "play", bag, "--config", file, "--settle", "0", *words]
+    def start(*arguments: str) -> Process:
+        line = [sys.executable, "-m", "bridge.cli.main", "play", bag, "--config", file, "--settle", "0", *arguments]
         started.append(Process(line, imports=IMPORTS))
         return started[-1]
 
@@ -137,79 +137,79 @@ def ended(program: Process) -> str:
     return program.output()
 
 
-def test_a_bag_is_heard_on_the_hub_with_its_times_and_without_its_commands(
+def test_a_bag_is_played_with_its_times_and_without_commands(
     play: Play, listener: Listener, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert play("--json") == 0
-    until(lambda: len(listener.of("/said")) == 6, "all is heard", 5)
+    until(lambda: len(listener.received_on("/said")) == 6, "all is heard", 5)
     assert listener.texts() == [f"said {n}" for n in range(6)]
-    times = [at for topic, _, at in listener.heard if topic == "/said"]
+    times = [at for topic, _, at in listener.messages if topic == "/said"]
     assert times[-1] - times[0] > 0.4
     assert listener.frames() == [{"laser", "camera"}]
-    assert listener.of("/cmd_vel") == []
+    assert listener.received_on("/cmd_vel") == []
     out = capsys.readouterr()
-    told = json.loads(out.out)
-    assert told["topics"] == {"/name": 1, "/said": 6, "/tf_static": 1}
-    assert [(each["topic"], each["command"]) for each in told["left_out"]] == [("/cmd_vel", True)]
+    expected = json.loads(out.out)
+    assert expected["topics"] == {"/name": 1, "/said": 6, "/tf_static": 1}
+    assert [(item["topic"], item["command"]) for item in expected["left_out"]] == [("/cmd_vel", True)]
     assert "/cmd_vel (geometry_msgs/Twist) is left out: it moves the robot (--commands plays it)" in out.err
 
 
 @pytest.mark.parametrize("kind", ["ros1", "rosbag2", "mcap"])
-def test_each_format_is_heard_the_same(
+def test_all_formats_are_played_alike(
     kind: str, file: Path, tmp_path: Path, listener: Listener, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    made = {"ros1": written.ros1_bag, "rosbag2": written.db3_folder, "mcap": written.mcap_file}[kind](tmp_path / "bag")
-    listener.hear("/pose", "geometry_msgs/msg/PoseStamped")
-    listener.hear("/map_name", "std_msgs/msg/String", LATCHED)
-    assert main(["play", str(made), "--config", str(file), "--rate", "20", "--json"]) == 0
-    until(lambda: len(listener.of("/pose")) == 20, "all is heard", 5)
-    assert [pose["pose"]["position"]["x"] for pose in listener.of("/pose")] == [float(n) for n in range(20)]
+    built = {"ros1": written.ros1_bag, "rosbag2": written.db3_folder, "mcap": written.mcap_file}[kind](tmp_path / "bag")
+    listener.on_message("/pose", "geometry_msgs/msg/PoseStamped")
+    listener.on_message("/map_name", "std_msgs/msg/String", LATCHED)
+    assert main(["play", str(built), "--config", str(file), "--rate", "20", "--json"]) == 0
+    until(lambda: len(listener.received_on("/pose")) == 20, "all is heard", 5)
+    assert [pose["pose"]["position"]["x"] for pose in listener.received_on("/pose")] == [float(n) for n in range(20)]
     assert listener.texts("/map_name") == ["text 0"]
     assert json.loads(capsys.readouterr().out)["topics"] == {"/map_name": 1, "/pose": 20}
 
 
-def test_commands_come_with_commands_and_zero_ends_them(
+def test_the_option_commands_plays_commands_and_zero_ends_them(
     play: Play, listener: Listener, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert play("--commands", "--topics", "/cmd_vel", "--json") == 0
     out = capsys.readouterr()
     played = json.loads(out.out)["messages"]  # on a busy machine some are late
     assert 1 <= played <= 3
-    until(lambda: len(listener.of("/cmd_vel")) == played + 1, "the velocities and zero are heard", 5)
-    assert [twist["linear"]["x"] for twist in listener.of("/cmd_vel")] == [0.5] * played + [0.0]
+    until(lambda: len(listener.received_on("/cmd_vel")) == played + 1, "the velocities and zero are heard", 5)
+    assert [twist["linear"]["x"] for twist in listener.received_on("/cmd_vel")] == [0.5] * played + [0.0]
     assert "commands are played, the robot may move: /cmd_vel" in out.err
 
 
-def test_latched_stays_latched_and_a_velocity_is_not(player: Player, listener: Listener) -> None:
+def test_latched_topics_stay_latched_but_velocities_do_not(player: Player, listener: Listener) -> None:
     program = player("--commands", "--rate", "0.05", "--loop")
-    until(lambda: listener.of("/cmd_vel"), "it drives", 20)
+    until(lambda: listener.received_on("/cmd_vel"), "it drives", 20)
     ends = {end.topic: end for end in listener.hub.graph.publishers() if not end.own}
     assert {name for name, end in ends.items() if end.qos.latched} == {"/name", "/tf_static"}
-    listener.hear("/name", "std_msgs/msg/String", LATCHED)
+    listener.on_message("/name", "std_msgs/msg/String", LATCHED)
     until(lambda: listener.texts("/name") == ["latched"], "who comes late gets what is latched", 5)
     begun = time.monotonic()
     program.signal(signal.SIGINT)
     until(lambda: not [end for end in listener.hub.graph.publishers() if not end.own], "its publishers are gone", 5)
     ended(program)
     assert time.monotonic() - begun < 2.0
-    assert listener.of("/cmd_vel")[-1]["linear"]["x"] == 0.0
+    assert listener.received_on("/cmd_vel")[-1]["linear"]["x"] == 0.0
 
 
 def test_a_halt_pauses_a_player_of_commands(player: Player, listener: Listener) -> None:
     program = player("--commands", "--topics", "/cmd_vel", "--rate", "0.05", "--clock")
-    until(lambda: listener.of("/cmd_vel"), "it drives", 20)
+    until(lambda: listener.received_on("/cmd_vel"), "it drives", 20)
     assert [answer.value for answer in listener.hub.ask("halt", {})] == [RECORDED]
-    until(lambda: listener.of("/cmd_vel")[-1]["linear"]["x"] == 0.0, "it stands", 5)
-    until(lambda: listener.of("/clock")[-1] == listener.of("/clock")[-2], "the time stands still", 5)
-    at, said = listener.of("/clock")[-1], len(listener.of("/clock"))
-    until(lambda: len(listener.of("/clock")) > said + 5, "the clock is said again", 5)
-    assert listener.of("/clock")[-1] == at
-    assert [twist["linear"]["x"] for twist in listener.of("/cmd_vel")] == [0.5, 0.0]
+    until(lambda: listener.received_on("/cmd_vel")[-1]["linear"]["x"] == 0.0, "it stands", 5)
+    until(lambda: listener.received_on("/clock")[-1] == listener.received_on("/clock")[-2], "the time stands still", 5)
+    at, count = listener.received_on("/clock")[-1], len(listener.received_on("/clock"))
+    until(lambda: len(listener.received_on("/clock")) > count + 5, "the clock is said again", 5)
+    assert listener.received_on("/clock")[-1] == at
+    assert [twist["linear"]["x"] for twist in listener.received_on("/cmd_vel")] == [0.5, 0.0]
     program.signal(signal.SIGINT)
     ended(program)
 
 
-def test_keys_pause_step_and_end_it(file: Path, bag: Path, listener: Listener) -> None:
+def test_keys_pause_step_and_end_the_play(file: Path, bag: Path, listener: Listener) -> None:
     primary, secondary = pty.openpty()
     line = [sys.executable, "-m", "bridge.cli.main", "play", str(bag), "--config", str(file), "--settle", "0"]
     program = subprocess.Popen(
@@ -246,42 +246,42 @@ class Shown:
         return self._text
 
 
-def test_pause_and_step_by_service_while_the_clock_stands_still(player: Player, listener: Listener) -> None:
+def test_services_pause_and_step_while_the_clock_is_stopped(player: Player, listener: Listener) -> None:
     program = player("--paused", "--clock", "50", "--topics", "/said", "--start", "0.05")
     caller = HubSide(listener.hub, REGISTRY)
-    until(lambda: len(listener.of("/clock")) > 3, "the clock is said", 20)
+    until(lambda: len(listener.received_on("/clock")) > 3, "the clock is said", 20)
     assert caller.call(STEP, "std_srvs/Trigger").result(5)["reply"]["success"]
     until(lambda: listener.texts() == ["said 1"], "one message is played", 5)
-    until(lambda: listener.of("/clock")[-1]["clock"] == clock(0.1), "the time is its", 5)
-    said = len(listener.of("/clock"))
-    until(lambda: len(listener.of("/clock")) > said + 3, "the clock is said again", 5)
-    assert listener.of("/clock")[-1]["clock"] == clock(0.1)
+    until(lambda: listener.received_on("/clock")[-1]["clock"] == clock(0.1), "the time is its", 5)
+    count = len(listener.received_on("/clock"))
+    until(lambda: len(listener.received_on("/clock")) > count + 3, "the clock is said again", 5)
+    assert listener.received_on("/clock")[-1]["clock"] == clock(0.1)
     assert listener.texts() == ["said 1"]
     caller.call(PAUSE, "std_srvs/SetBool", data=False)
     assert "played 5 messages" in ended(program)
     assert listener.texts() == [f"said {n}" for n in range(1, 6)]
-    assert listener.of("/clock")[-1]["clock"] == clock(0.5)
-    times = [message["clock"]["sec"] * NS + message["clock"]["nanosec"] for message in listener.of("/clock")]
+    assert listener.received_on("/clock")[-1]["clock"] == clock(0.5)
+    times = [message["clock"]["sec"] * NS + message["clock"]["nanosec"] for message in listener.received_on("/clock")]
     assert times == sorted(times)
 
 
 def clock(at: float) -> dict[str, int]:
-    seconds, rest = divmod(START + round(at * NS), NS)
-    return {"sec": seconds, "nanosec": rest}
+    seconds, nanoseconds = divmod(START + round(at * NS), NS)
+    return {"sec": seconds, "nanosec": nanoseconds}
 
 
-def test_a_loop_says_the_static_transforms_whole_once_each_time(player: Player, listener: Listener) -> None:
+def test_each_loop_publishes_all_static_transforms_once(player: Player, listener: Listener) -> None:
     program = player("--loop", "--rate", "5")
     until(lambda: listener.texts().count("said 5") >= 3, "it is heard three times", 20)
     program.signal(signal.SIGTERM)
     ended(program)
     assert listener.texts()[:12] == [f"said {n}" for n in range(6)] * 2
     frames = listener.frames()
-    assert all(each == {"laser", "camera"} for each in frames)
+    assert all(item == {"laser", "camera"} for item in frames)
     assert len(frames) in (listener.texts().count("said 0"), listener.texts().count("said 0") + 1)
 
 
-def test_a_live_publisher_is_told(play: Play, hubs: QuickHub, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_live_publisher_is_reported(play: Play, hubs: QuickHub, capsys: pytest.CaptureFixture[str]) -> None:
     with Hub.open(hubs.settings("live_robot")) as robot:
         live = robot.publisher("/said", "std_msgs/msg/String", REGISTRY.ros2("std_msgs/msg/String").type_id, Qos())
         live.put(from_json(REGISTRY, "std_msgs/msg/String", {}))
@@ -289,32 +289,32 @@ def test_a_live_publisher_is_told(play: Play, hubs: QuickHub, capsys: pytest.Cap
     assert "/said has a publisher already, live_robot" in capsys.readouterr().err
 
 
-def test_topics_are_chosen_and_renamed(play: Play, listener: Listener, capsys: pytest.CaptureFixture[str]) -> None:
-    listener.hear("/text/new", "std_msgs/msg/String")
+def test_topics_are_selected_and_renamed(play: Play, listener: Listener, capsys: pytest.CaptureFixture[str]) -> None:
+    listener.on_message("/text/new", "std_msgs/msg/String")
     assert play("--rate", "10", "--topics", "/s*", "/name", "-x", "ame$", "--remap", "said:=/text/new", "--json") == 0
-    until(lambda: len(listener.of("/text/new")) == 6, "it has its new name", 5)
+    until(lambda: len(listener.received_on("/text/new")) == 6, "it has its new name", 5)
     assert json.loads(capsys.readouterr().out)["topics"] == {"/text/new": 6}
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("arguments", "expected"),
     [
         (["--topics", "/nothing"], "there is nothing to play"),
         (["--start", "99"], "--start is 99"),
     ],
 )
-def test_mistakes_are_told(play: Play, words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert play(*words) == 1
-    assert told in capsys.readouterr().err
+def test_invalid_options_are_reported(play: Play, arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert play(*arguments) == 1
+    assert expected in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [["--remap", "/a=/b"], ["--rate", "0"], ["--start", "-1"], ["-x", "("]])
-def test_what_cannot_be_meant_is_refused(play: Play, words: list[str]) -> None:
+@pytest.mark.parametrize("arguments", [["--remap", "/a=/b"], ["--rate", "0"], ["--start", "-1"], ["-x", "("]])
+def test_invalid_values_are_refused(play: Play, arguments: list[str]) -> None:
     with pytest.raises(SystemExit):
-        play(*words)
+        play(*arguments)
 
 
-def test_a_file_that_is_no_bag_is_told(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_that_is_not_a_bag_is_reported(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "no.bag").write_bytes(b"nothing of the kind")
     assert main(["play", str(tmp_path / "no.bag"), "--config", str(file)]) == 1
     assert "no.bag" in capsys.readouterr().err
@@ -324,11 +324,11 @@ def test_a_damaged_bag_is_played_up_to_the_damage_and_fails(
     file: Path, tmp_path: Path, listener: Listener, capsys: pytest.CaptureFixture[str]
 ) -> None:
     messages = [Said(0.01 * n, "/said", TEXT, {"data": f"{n}" + "x" * 100_000}) for n in range(40)]
-    made = write_bag(tmp_path / "damaged.bag", messages)
-    data = bytearray(made.read_bytes())
+    built = write_bag(tmp_path / "damaged.bag", messages)
+    data = bytearray(built.read_bytes())
     data[1_300_000:1_450_000] = bytes(150_000)  # of the second chunk, over the head of a message
-    made.write_bytes(data)
-    assert main(["play", str(made), "--config", str(file), "--settle", "0", "--json"]) == 1
+    built.write_bytes(data)
+    assert main(["play", str(built), "--config", str(file), "--settle", "0", "--json"]) == 1
     out = capsys.readouterr()
     played = json.loads(out.out)["messages"]
     assert 5 < played < 20

@@ -30,9 +30,9 @@ class Clock:
 
 
 def timeline(clock: Clock, rate: float = 1.0, *, paused: bool = False, clock_hz: float = 0.0) -> Timeline:
-    made = Timeline(rate, paused=paused, clock_hz=clock_hz, now=clock.now, wait=clock.wait)
-    made.begin(START)
-    return made
+    timeline_ = Timeline(rate, paused=paused, clock_hz=clock_hz, now=clock.now, wait=clock.wait)
+    timeline_.begin(START)
+    return timeline_
 
 
 @pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
@@ -46,7 +46,7 @@ def test_messages_are_due_by_the_rate_and_waits_that_are_too_long_do_not_add_up(
     assert played.behind == 0.0
 
 
-def test_the_last_time_that_a_bag_can_hold_is_waited_for() -> None:
+def test_the_latest_possible_time_is_waited_for() -> None:
     clock = Clock()
     played = timeline(clock, 0.01)
     assert played.next((1 << 64) - 1) is Due.MESSAGE
@@ -69,7 +69,7 @@ def test_the_bags_time_never_passes_a_message_that_has_not_been_played() -> None
     assert played.late == 0.0
 
 
-def test_a_short_lag_is_made_up_for() -> None:
+def test_a_short_lag_is_caught_up() -> None:
     clock = Clock()
     played = timeline(clock)
     played.next(START + NS)
@@ -81,7 +81,7 @@ def test_a_short_lag_is_made_up_for() -> None:
     assert played.behind == 0.0
 
 
-def test_time_stands_still_while_paused_and_goes_on_from_there() -> None:
+def test_a_pause_stops_the_time_and_a_resume_continues_it() -> None:
     clock = Clock()
     played = timeline(clock)
     played.next(START + NS)
@@ -111,7 +111,7 @@ def test_a_step_plays_one_message_and_moves_the_time_to_it() -> None:
     assert clock.seconds == 5000.0
 
 
-def test_there_is_no_step_while_it_plays_and_none_is_left_after_a_pause() -> None:
+def test_steps_apply_only_during_the_current_pause() -> None:
     clock = Clock()
     played = timeline(clock, paused=True)
     assert played.step()
@@ -127,12 +127,12 @@ def test_there_is_no_step_while_it_plays_and_none_is_left_after_a_pause() -> Non
 def test_the_clock_is_due_in_real_time_also_while_paused() -> None:
     clock = Clock()
     played = timeline(clock, rate=2.0, clock_hz=10.0)
-    said = []
+    clocks = []
     while (due := played.next(START + NS)) is Due.CLOCK:
-        said.append(played.now_ns() - START)
+        clocks.append(played.now_ns() - START)
     assert due is Due.MESSAGE
-    assert said == pytest.approx([0, *(number * NS // 5 for number in range(1, 6))][: len(said)], abs=1000)
-    assert len(said) in (5, 6)  # at the very end the message or the clock is first
+    assert clocks == pytest.approx([0, *(number * NS // 5 for number in range(1, 6))][: len(clocks)], abs=1000)
+    assert len(clocks) in (5, 6)  # at the very end the message or the clock is first
     played.pause(True)
     assert played.next(START + 2 * NS) is Due.PAUSED
     before = clock.seconds
@@ -142,7 +142,7 @@ def test_the_clock_is_due_in_real_time_also_while_paused() -> None:
     assert played.now_ns() == START + NS
 
 
-def test_a_clock_that_was_late_is_not_said_in_a_burst() -> None:
+def test_a_late_clock_is_not_published_in_a_burst() -> None:
     clock = Clock()
     played = timeline(clock, clock_hz=100.0, paused=True)
     assert played.next(START) is Due.CLOCK
@@ -154,7 +154,7 @@ def test_a_clock_that_was_late_is_not_said_in_a_burst() -> None:
     assert clock.seconds - before >= 0.039
 
 
-def test_a_loop_begins_again() -> None:
+def test_a_loop_starts_again() -> None:
     clock = Clock()
     played = timeline(clock)
     played.next(START + 10 * NS)
@@ -165,7 +165,7 @@ def test_a_loop_begins_again() -> None:
     assert clock.seconds - before == pytest.approx(1.0)
 
 
-def test_a_stop_is_heard_at_once_by_who_waits() -> None:
+def test_a_stop_ends_a_wait_at_once() -> None:
     played = Timeline()
     played.begin(START)
     dues: list[Due] = []
@@ -177,7 +177,7 @@ def test_a_stop_is_heard_at_once_by_who_waits() -> None:
     assert played.stopped
 
 
-def test_pause_step_and_play_wake_who_waits() -> None:
+def test_pause_step_and_resume_end_a_wait() -> None:
     played = Timeline(1000.0, paused=True)
     played.begin(START)
     dues: list[Due] = []

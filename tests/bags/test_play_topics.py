@@ -38,7 +38,7 @@ def moving(tmp_path: Path) -> CommandTopics:
         ("/ackermann_cmd", "ackermann_msgs/msg/AckermannDriveStamped"),
     ],
 )
-def test_what_moves_a_robot_is_known(name: str, type_name: str, moving: CommandTopics) -> None:
+def test_topics_that_move_a_robot_are_recognized(name: str, type_name: str, moving: CommandTopics) -> None:
     assert moving.has(name, type_name)
 
 
@@ -51,5 +51,5 @@ def test_what_moves_a_robot_is_known(name: str, type_name: str, moving: CommandT
         ("/initialpose", "geometry_msgs/msg/PoseWithCovarianceStamped"),
     ],
 )
-def test_what_only_tells_is_played(name: str, type_name: str, moving: CommandTopics) -> None:
+def test_state_topics_are_played(name: str, type_name: str, moving: CommandTopics) -> None:
     assert not moving.has(name, type_name)

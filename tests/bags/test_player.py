@@ -31,8 +31,8 @@ REGISTRY = Registry()
 
 
 def topic(name: str, *, command: bool = False, convert: Callable[[bytes], bytes] | None = None) -> PlayTopic:
-    found = BagTopic(name, "std_msgs/msg/String", World.ROS2)
-    return PlayTopic(found, name, "std_msgs/msg/String", "", convert, "", Qos(), command=command)
+    chosen_ = BagTopic(name, "std_msgs/msg/String", World.ROS2)
+    return PlayTopic(chosen_, name, "std_msgs/msg/String", "", convert, "", Qos(), command=command)
 
 
 SCAN, DRIVE = topic("/scan"), topic("/cmd_vel", command=True)
@@ -54,18 +54,18 @@ class Tape:
         return iter(self._messages)
 
 
-class Ears:
+class RecordingOutput:
     """Notes what was published, and when."""
 
     def __init__(self, clock: Clock) -> None:
         self.now = clock.now
-        self.heard: list[tuple[float, str, str]] = []
+        self.messages: list[tuple[float, str, str]] = []
         self.times: list[int] = []
         self.after: Callable[[], None] = lambda: None
         self._moving = False
 
     def put(self, topic: PlayTopic, data: bytes) -> None:
-        self.heard.append((round(self.now() - 5000.0, 3), topic.name, data.decode()))
+        self.messages.append((round(self.now() - 5000.0, 3), topic.name, data.decode()))
         self._moving |= topic.command
         self.after()
 
@@ -75,11 +75,11 @@ class Ears:
     def end_velocities(self) -> bool:
         moving, self._moving = self._moving, False
         if moving:
-            self.heard.append((round(self.now() - 5000.0, 3), "/cmd_vel", "zero"))
+            self.messages.append((round(self.now() - 5000.0, 3), "/cmd_vel", "zero"))
         return moving
 
-    def of(self, name: str) -> list[tuple[float, str]]:
-        return [(at, data) for at, heard, data in self.heard if heard == name]
+    def received_on(self, name: str) -> list[tuple[float, str]]:
+        return [(at, data) for at, messages, data in self.messages if messages == name]
 
 
 class Stage:
@@ -87,54 +87,54 @@ class Stage:
 
     def __init__(self, *messages: tuple[float, PlayTopic], paused: bool = False, **more: Any) -> None:
         self.clock = Clock()
-        self.ears = Ears(self.clock)
-        self.said: list[str] = []
+        self.recorded = RecordingOutput(self.clock)
+        self.reports: list[str] = []
         self.wait: Wait = self.clock.wait
         self.timeline = Timeline(paused=paused, now=self.clock.now, wait=lambda *given: self.wait(*given))
         self.tape = Tape(*messages)
-        self.player = Player(self.tape, self.ears, self.timeline, report=self.said.append, **more)
+        self.player = Player(self.tape, self.recorded, self.timeline, report=self.reports.append, **more)
 
 
 def test_each_message_is_played_at_its_time_and_a_velocity_ends_with_zero() -> None:
     stage = Stage((0.0, SCAN), (0.5, DRIVE), (1.0, SCAN))
     stage.player.run()
-    assert stage.ears.heard == [
+    assert stage.recorded.messages == [
         (0.0, "/scan", "0.0"), (0.5, "/cmd_vel", "0.5"), (1.0, "/scan", "1.0"), (1.0, "/cmd_vel", "zero"),
     ]  # fmt: skip
     assert stage.player.played == {"/scan": 2, "/cmd_vel": 1}
     assert not stage.player.dropped
 
 
-def test_late_commands_are_dropped_and_all_else_is_played_late_and_told() -> None:
+def test_late_commands_are_dropped_and_others_are_played_late_and_reported() -> None:
     stage = Stage((0.0, SCAN), *((0.1 * n, DRIVE) for n in range(1, 9)), (0.9, SCAN))
 
     def stall() -> None:
         stage.clock.seconds += 0.7
-        stage.ears.after = lambda: None
+        stage.recorded.after = lambda: None
 
-    stage.ears.after = stall
+    stage.recorded.after = stall
     stage.player.run()
     # at 0.7 s that of 0.1 s is far too late; the bag's time is set back to it, and the others keep their distance
-    assert stage.ears.of("/cmd_vel")[:2] == [(0.8, "0.2"), (0.9, "0.30000000000000004")]
+    assert stage.recorded.received_on("/cmd_vel")[:2] == [(0.8, "0.2"), (0.9, "0.30000000000000004")]
     assert stage.player.dropped == {("/cmd_vel", "late"): 1}
-    assert [data for _, data in stage.ears.of("/scan")] == ["0.0", "0.9"]
-    assert stage.said == ["cannot keep up with a rate of 1: 0.6 s behind so far"]
+    assert [data for _, data in stage.recorded.received_on("/scan")] == ["0.0", "0.9"]
+    assert stage.reports == ["cannot keep up with a rate of 1: 0.6 s behind so far"]
 
 
-def test_commands_that_are_a_little_late_do_not_come_in_a_burst() -> None:
+def test_slightly_late_commands_are_not_published_in_a_burst() -> None:
     stage = Stage((0.0, SCAN), *((0.02 * n, DRIVE) for n in range(1, 11)))
 
     def stall() -> None:
         stage.clock.seconds += 0.19
-        stage.ears.after = lambda: None
+        stage.recorded.after = lambda: None
 
-    stage.ears.after = stall
+    stage.recorded.after = stall
     stage.player.run()
     assert stage.player.dropped == {("/cmd_vel", "late"): 4}
-    assert stage.said == []
+    assert stage.reports == []
 
 
-def test_a_pause_ends_a_velocity_and_no_old_command_comes_after_it() -> None:
+def test_a_pause_ends_a_velocity_and_drops_old_commands() -> None:
     stage = Stage((0.0, DRIVE), (0.1, DRIVE), (5.0, DRIVE))
     calls: list[float | None] = []
 
@@ -151,30 +151,30 @@ def test_a_pause_ends_a_velocity_and_no_old_command_comes_after_it() -> None:
 
     stage.wait = wait
     stage.player.run()
-    assert stage.ears.of("/cmd_vel") == [
+    assert stage.recorded.received_on("/cmd_vel") == [
         (0.0, "0.0"), (0.1, "0.1"), (1.1, "zero"), (65.0, "5.0"), (65.0, "zero"),
     ]  # fmt: skip
 
 
-def test_a_step_passes_commands_over_and_tells_the_time() -> None:
+def test_a_step_skips_commands_and_publishes_the_time() -> None:
     stage = Stage((0.0, DRIVE), (0.1, DRIVE), (0.2, SCAN), (0.3, SCAN), paused=True)
     stage.timeline.step()
     stage.wait = lambda *_: stage.timeline.stop()
     stage.player.run()
-    assert [(name, data) for _, name, data in stage.ears.heard] == [("/scan", "0.2")]
+    assert [(name, data) for _, name, data in stage.recorded.messages] == [("/scan", "0.2")]
     assert stage.player.dropped == {("/cmd_vel", "stepped"): 2}
-    assert stage.ears.times == [0, NS // 5]
+    assert stage.recorded.times == [0, NS // 5]
 
 
 def test_a_stop_in_the_middle_ends_the_velocity() -> None:
     stage = Stage((0.0, DRIVE), (10.0, SCAN))
-    stage.ears.after = stage.timeline.stop
+    stage.recorded.after = stage.timeline.stop
     stage.player.run()
-    assert [data for _, _, data in stage.ears.heard] == ["0.0", "zero"]
+    assert [data for _, _, data in stage.recorded.messages] == ["0.0", "zero"]
     assert stage.player.loops == 0
 
 
-def test_the_velocity_ends_where_the_bag_is_damaged(tmp_path: Path) -> None:
+def test_the_velocity_ends_at_the_damage_of_a_bag(tmp_path: Path) -> None:
     stage = Stage((0.0, DRIVE), (1.0, DRIVE))
     messages = stage.tape.messages
 
@@ -185,44 +185,44 @@ def test_the_velocity_ends_where_the_bag_is_damaged(tmp_path: Path) -> None:
     stage.tape.messages = damaged  # type: ignore[method-assign]
     with pytest.raises(BagError, match="byte 17"):
         stage.player.run()
-    assert [data for _, _, data in stage.ears.heard] == ["0.0", "1.0", "zero"]
+    assert [data for _, _, data in stage.recorded.messages] == ["0.0", "1.0", "zero"]
 
 
-def test_a_loop_ends_the_velocity_each_time_and_rests_where_the_bag_has_one_message() -> None:
+def test_each_loop_ends_the_velocity_and_has_a_minimum_duration() -> None:
     stage = Stage((0.0, DRIVE), loop=True)
 
     def third() -> None:
-        if len(stage.ears.heard) == 5:
+        if len(stage.recorded.messages) == 5:
             stage.timeline.stop()
 
-    stage.ears.after = third
+    stage.recorded.after = third
     stage.player.run()
-    assert [at for at, _, data in stage.ears.heard if data != "zero"] == [0.0, LEAST_SECONDS, 2 * LEAST_SECONDS]
-    assert [data for _, _, data in stage.ears.heard] == ["0.0", "zero"] * 3
+    assert [at for at, _, data in stage.recorded.messages if data != "zero"] == [0.0, LEAST_SECONDS, 2 * LEAST_SECONDS]
+    assert [data for _, _, data in stage.recorded.messages] == ["0.0", "zero"] * 3
 
 
-def test_a_message_that_is_no_message_of_its_type_is_left_out_and_told_once() -> None:
+def test_invalid_messages_are_skipped_and_reported_once() -> None:
     def refuse(_: bytes) -> bytes:
         raise ConversionError("it ends early")
 
     stage = Stage((0.0, topic("/bad", convert=refuse)), (0.1, topic("/bad", convert=refuse)), (0.2, SCAN))
     stage.player.run()
     assert stage.player.dropped == {("/bad", "bad"): 2}
-    assert stage.said == ["/bad: a message is left out: it ends early"]
+    assert stage.reports == ["/bad: a message is left out: it ends early"]
     assert stage.player.played == {"/scan": 1}
 
 
 @pytest.mark.parametrize(("err", "goes_on"), [(HubError("too large"), True), (HubClosedError("gone"), False)])
-def test_a_hub_that_refuses_one_message_gets_the_next_one_and_one_that_has_gone_ends_it(
+def test_a_refused_message_is_skipped_and_a_lost_hub_ends_the_play(
     err: HubError, goes_on: bool
 ) -> None:
     stage = Stage((0.0, SCAN), (0.1, SCAN))
 
     def refuse() -> None:
-        stage.ears.after = lambda: None
+        stage.recorded.after = lambda: None
         raise err
 
-    stage.ears.after = refuse
+    stage.recorded.after = refuse
     if goes_on:
         stage.player.run()
         assert stage.player.dropped == {("/scan", "bad"): 1}
@@ -255,9 +255,9 @@ HARMLESS = [
 
 
 @pytest.mark.parametrize(
-    ("name", "type_name", "moves"), [*((*each, True) for each in COMMANDS), *((*each, False) for each in HARMLESS)]
+    ("name", "type_name", "moves"), [*((*item, True) for item in COMMANDS), *((*item, False) for item in HARMLESS)]
 )
-def test_commands_are_known_by_type_and_role_and_by_the_rules(name: str, type_name: str, moves: bool) -> None:
+def test_commands_are_recognized_by_type_role_and_rules(name: str, type_name: str, moves: bool) -> None:
     rules = [
         {"topic": "/arm/drive", "type": "std_msgs/msg/Float64", "priority": "command"},
         {"topic": "/wheels", "priority": "command"},
@@ -269,8 +269,8 @@ def test_commands_are_known_by_type_and_role_and_by_the_rules(name: str, type_na
 def chosen(
     path: Path, stack: ExitStack, config: Config | None = None, **wanted: Any
 ) -> tuple[dict[Any, list[PlayTopic]], list[LeftOut]]:
-    asked = PlayChoice(**{"name": lambda _: True, "remap": {}, **wanted})
-    return choose([stack.enter_context(open_bag(path))], REGISTRY, config or Config(), asked)
+    choice = PlayChoice(**{"name": lambda _: True, "remap": {}, **wanted})
+    return choose([stack.enter_context(open_bag(path))], REGISTRY, config or Config(), choice)
 
 
 DRIVING = [
@@ -288,19 +288,19 @@ def driving(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_bag(tmp_path_factory.mktemp("bags") / "driving.bag", DRIVING, latched)
 
 
-def test_commands_are_left_out_and_told_unless_they_are_asked_for(driving: Path) -> None:
+def test_commands_are_left_out_and_reported_unless_requested(driving: Path) -> None:
     with ExitStack() as stack:
-        found, left = chosen(driving, stack)
-        names = {topic.name for topics in found.values() for topic in topics}
+        chosen_, left = chosen(driving, stack)
+        names = {topic.name for topics in chosen_.values() for topic in topics}
         assert names == {"/scan", "/clock", "/no/slash"}
-        assert [(each.name, each.command) for each in left] == [("/cmd_vel", True), ("/move_base_simple/goal", True)]
+        assert [(item.name, item.command) for item in left] == [("/cmd_vel", True), ("/move_base_simple/goal", True)]
 
 
-def test_commands_that_are_asked_for_are_never_latched(driving: Path) -> None:
+def test_requested_commands_are_never_latched(driving: Path) -> None:
     with ExitStack() as stack:
-        found, left = chosen(driving, stack, commands=True, clock=True)
-        topics = {topic.name: topic for made in found.values() for topic in made}
-        assert [(each.name, each.why) for each in left] == [("/clock", "--clock takes its place")]
+        chosen_, left = chosen(driving, stack, commands=True, clock=True)
+        topics = {topic.name: topic for topics_ in chosen_.values() for topic in topics_}
+        assert [(item.name, item.why) for item in left] == [("/clock", "--clock takes its place")]
         drive = topics["/cmd_vel"]
         assert (drive.command, drive.velocity, drive.priority) == (True, True, "command")
         assert drive.qos.durability is Durability.VOLATILE
@@ -308,16 +308,16 @@ def test_commands_that_are_asked_for_are_never_latched(driving: Path) -> None:
         assert (topics["/move_base_simple/goal"].command, topics["/move_base_simple/goal"].velocity) == (True, False)
 
 
-def test_a_new_name_decides_what_is_a_command(driving: Path) -> None:
+def test_the_new_name_determines_commands(driving: Path) -> None:
     remap = {"/move_base_simple/goal": "/shown/place", "/cmd_vel": "/shown/velocity", "/scan": "/bad name"}
     with ExitStack() as stack:
-        found, left = chosen(driving, stack, remap=remap)
-        names = {topic.name for topics in found.values() for topic in topics}
+        chosen_, left = chosen(driving, stack, remap=remap)
+        names = {topic.name for topics in chosen_.values() for topic in topics}
         assert "/shown/place" in names
-        assert {each.name for each in left} == {"/shown/velocity", "/bad name"}
+        assert {item.name for item in left} == {"/shown/velocity", "/bad name"}
 
 
-def test_all_static_transforms_of_the_bag_stand_at_the_beginning_as_one(tmp_path: Path) -> None:
+def test_all_static_transforms_are_merged_at_the_start(tmp_path: Path) -> None:
     messages = [
         Said(0.0, "/tf_static", TF, {"transforms": [transform("base", "laser", x=1.0)]}),
         Said(1.0, "/tf_static", TF, {"transforms": [transform("base", "camera", x=2.0)]}),
@@ -326,18 +326,18 @@ def test_all_static_transforms_of_the_bag_stand_at_the_beginning_as_one(tmp_path
     ]
     bag = write_bag(tmp_path / "tf.bag", messages, latched=["/tf_static"])
     with ExitStack() as stack:
-        found, _ = chosen(bag, stack)
-        source = PlaySource(found, PlayPart(start=0.5))
+        chosen_, _ = chosen(bag, stack)
+        source = PlaySource(chosen_, PlayPart(start=0.5))
         kept = source.kept()
-        assert [(each.topic.name, each.ready) for each in kept] == [("/tf_static", True)]
-        told = to_json(REGISTRY, "tf2_msgs/msg/TFMessage", kept[0].data)["transforms"]
-        places = {each["child_frame_id"]: each["transform"]["translation"]["x"] for each in told}
+        assert [(item.topic.name, item.ready) for item in kept] == [("/tf_static", True)]
+        transforms_ = to_json(REGISTRY, "tf2_msgs/msg/TFMessage", kept[0].data)["transforms"]
+        places = {item["child_frame_id"]: item["transform"]["translation"]["x"] for item in transforms_}
         assert places == {"laser": 3.0, "camera": 2.0}
         assert [message.topic.name for message in source.messages()] == ["/tf"]
         assert source.kept() is kept
 
 
-def test_a_damaged_end_does_not_keep_the_static_transforms_from_being_played(tmp_path: Path) -> None:
+def test_static_transforms_are_played_despite_a_damaged_end(tmp_path: Path) -> None:
     messages = [
         Said(0.0, "/tf_static", TF, {"transforms": [transform("base", "laser")]}),
         *(Said(0.1 * n, "/said", TEXT, {"data": "x" * 100_000}) for n in range(1, 60)),
@@ -348,36 +348,36 @@ def test_a_damaged_end_does_not_keep_the_static_transforms_from_being_played(tmp
     data[1_300_000:1_450_000] = bytes(150_000)  # of the second chunk, over the head of a message
     bag.write_bytes(data)
     with ExitStack() as stack:
-        found, _ = chosen(bag, stack)
-        source = PlaySource(found, PlayPart())
-        assert [each.topic.name for each in source.kept()] == ["/tf_static"]
+        chosen_, _ = chosen(bag, stack)
+        source = PlaySource(chosen_, PlayPart())
+        assert [item.topic.name for item in source.kept()] == ["/tf_static"]
         assert [str(bag) in trouble for trouble in source.troubles] == [True]
 
 
-def test_what_was_latched_before_the_beginning_is_played_and_a_part_ends_in_time(tmp_path: Path) -> None:
+def test_messages_latched_before_the_start_are_played_and_a_part_ends_in_time(tmp_path: Path) -> None:
     messages = [
         *(Said(at, "/name", TEXT, {"data": f"name {at}"}) for at in (0.0, 1.0, 4.0)),
         *(Said(0.5 * n, "/said", TEXT, {"data": f"said {n}"}) for n in range(10)),
     ]
     bag = write_bag(tmp_path / "latched.bag", sorted(messages), latched=["/name"])
     with ExitStack() as stack:
-        found, _ = chosen(bag, stack)
-        source = PlaySource(found, PlayPart(start=2.0, duration=1.5))
-        kept = [each.topic.convert(each.data) for each in source.kept() if each.topic.convert]
+        chosen_, _ = chosen(bag, stack)
+        source = PlaySource(chosen_, PlayPart(start=2.0, duration=1.5))
+        kept = [item.topic.convert(item.data) for item in source.kept() if item.topic.convert]
         assert [to_json(REGISTRY, "std_msgs/msg/String", data) for data in kept] == [{"data": "name 1.0"}]
-        assert [(each.time_ns - START) / NS for each in source.messages()] == [2.0, 2.5, 3.0, 3.5]
+        assert [(item.time_ns - START) / NS for item in source.messages()] == [2.0, 2.5, 3.0, 3.5]
         with pytest.raises(BagError, match=r"it has 4\.5 s, and --start is 5"):
-            PlaySource(found, PlayPart(start=5.0))
+            PlaySource(chosen_, PlayPart(start=5.0))
 
 
-def test_several_bags_are_one_by_time(tmp_path: Path) -> None:
+def test_several_bags_are_merged_by_time(tmp_path: Path) -> None:
     bags = [
         write_bag(tmp_path / f"{name}.bag", [Said(at, f"/{name}", TEXT, {}) for at in times])
         for name, times in (("a", (1.0, 3.0)), ("b", (0.0, 2.0, 4.0)))
     ]
     with ExitStack() as stack:
         opened = [stack.enter_context(open_bag(bag)) for bag in bags]
-        found, _ = choose(opened, REGISTRY, Config(), PlayChoice(lambda _: True, {}))
-        source = PlaySource(found, PlayPart())
+        chosen_, _ = choose(opened, REGISTRY, Config(), PlayChoice(lambda _: True, {}))
+        source = PlaySource(chosen_, PlayPart())
         assert [message.topic.name for message in source.messages()] == ["/b", "/a", "/b", "/a", "/b"]
         assert (source.end_ns - source.begin_ns) == 4 * NS

@@ -37,10 +37,10 @@ def write(form: str, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_a_bag_gives_what_rosbags_reads(form: str, tmp_path: Path) -> None:
+def test_a_bag_yields_the_same_messages_as_rosbags(form: str, tmp_path: Path) -> None:
     path = write(form, tmp_path)
     with open_bag(path) as bag:
-        found = [(m.topic.name, m.topic.type_name, m.time_ns, m.data) for m in bag.messages()]
+        messages_ = [(m.topic.name, m.topic.type_name, m.time_ns, m.data) for m in bag.messages()]
         topics = {topic.name: topic for topic in bag.topics}
         assert (bag.start_ns, bag.end_ns, bag.size > 1000) == (START, START + 19 * SECOND // 10, True)
         assert bag.unfinished == ("unfinished" in form)
@@ -55,16 +55,16 @@ def test_a_bag_gives_what_rosbags_reads(form: str, tmp_path: Path) -> None:
         path = mcap_file(tmp_path / "whole.mcap")
     with AnyReader([path]) as other:
         expected_messages = [(c.topic, c.msgtype, time, bytes(data)) for c, time, data in other.messages()]
-    assert [(name, normalize_msgtype(kind), time, data) for name, kind, time, data in found] == expected_messages
+    assert [(name, normalize_msgtype(kind), time, data) for name, kind, time, data in messages_] == expected_messages
 
 
-def test_a_messages_fields_may_stand_in_any_order(tmp_path: Path) -> None:
+def test_a_message_headers_fields_may_be_in_any_order(tmp_path: Path) -> None:
     path = ros1_bag(tmp_path / "a.bag", 100)
     with open_bag(path) as bag:
         before = [(m.topic.name, m.time_ns, m.data) for m in bag.messages()]
     fields = re.compile(rb"(\x04\0\0\0op=\x02)(\x09\0\0\0conn=.{4})(\x0d\0\0\0time=.{8})", re.DOTALL)
     orders = itertools.cycle([*itertools.permutations((1, 2, 3)), (2, 1, 3), (2, 1, 3)])
-    data, count = fields.subn(lambda found: b"".join(found.group(*next(orders))), path.read_bytes())
+    data, count = fields.subn(lambda messages_: b"".join(messages_.group(*next(orders))), path.read_bytes())
     path.write_bytes(data)
     with open_bag(path) as bag:
         assert [(m.topic.name, m.time_ns, m.data) for m in bag.messages()] == before
@@ -72,16 +72,16 @@ def test_a_messages_fields_may_stand_in_any_order(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["none.bag", "folder", "zstd.mcap"])
-def test_topics_and_times_are_chosen(form: str, tmp_path: Path) -> None:
+def test_topics_and_times_are_selected(form: str, tmp_path: Path) -> None:
     with open_bag(write(form, tmp_path)) as bag:
         pose = next(topic for topic in bag.topics if topic.name == "/pose")
         start = START + SECOND // 2
-        found = [m.time_ns for m in bag.messages([pose], start, start + SECOND // 2)]
-        assert found == [START + number * SECOND // 10 for number in range(5, 10)]
+        messages_ = [m.time_ns for m in bag.messages([pose], start, start + SECOND // 2)]
+        assert messages_ == [START + number * SECOND // 10 for number in range(5, 10)]
         assert not list(bag.messages([]))
 
 
-def test_pieces_that_overlap_come_in_order_of_time(tmp_path: Path) -> None:
+def test_overlapping_pieces_are_read_in_order_of_time(tmp_path: Path) -> None:
     stream = io.BytesIO()
     writer = Writer(stream, chunk_size=200, compression=CompressionType.NONE)
     writer.start("ros2", "test")
@@ -122,7 +122,7 @@ def test_messages_outside_of_chunks_and_of_ros_1_and_of_others(tmp_path: Path) -
         ] * 3
 
 
-def test_a_file_of_a_folder_is_read_alone_and_a_folder_without_metadata(tmp_path: Path) -> None:
+def test_a_single_file_of_a_folder_and_a_folder_without_metadata_are_read(tmp_path: Path) -> None:
     folder = db3_folder(tmp_path / "run")
     with open_bag(folder / "run.db3") as bag:
         assert (bag.kind, sum(1 for _ in bag.messages())) == ("db3", 21)
@@ -141,7 +141,7 @@ def test_a_folder_of_several_files_is_one_bag(tmp_path: Path) -> None:
         assert sum(1 for _ in bag.messages([t for t in bag.topics if t.name == "/pose"])) == 10
 
 
-def test_a_type_of_nobody_is_named() -> None:
+def test_an_unknown_type_is_named() -> None:
     topic = BagTopic("/odd", "odd_msgs/Odd", World.ROS1, type_hash="0" * 32)
     with pytest.raises(BagError, match=r"/odd has type odd_msgs/Odd"):
         to_hub(Registry(), topic)
@@ -149,7 +149,7 @@ def test_a_type_of_nobody_is_named() -> None:
         to_ros1(Registry(), BagTopic("/odd", "odd_msgs/msg/Odd", World.ROS2))
 
 
-def test_a_type_that_only_the_bag_knows_is_converted_and_back() -> None:
+def test_a_type_defined_only_in_the_bag_is_converted_and_back() -> None:
     registry = Registry()
     topic = BagTopic("/odd", "odd_msgs/Odd", World.ROS1, "int32 number\nstring text\n")
     form = to_hub(registry, topic)
@@ -164,14 +164,14 @@ def test_a_type_that_only_the_bag_knows_is_converted_and_back() -> None:
 @pytest.mark.parametrize("type_name", [STRING, POSE])
 def test_both_worlds_have_the_same_message(type_name: str, tmp_path: Path) -> None:
     registry = Registry()
-    with open_bag(ros1_bag(tmp_path / "a.bag", 1)) as one, open_bag(db3_folder(tmp_path / "b", 1)) as two:
-        first = next(m for m in one.messages() if m.topic.type_name == type_name.replace("/msg/", "/"))
-        second = next(m for m in two.messages() if m.topic.type_name == type_name)
-        there, back = to_hub(registry, first.topic), to_ros1(registry, second.topic)
-        assert there.convert is not None
+    with open_bag(ros1_bag(tmp_path / "a.bag", 1)) as ros1_message, open_bag(db3_folder(tmp_path / "b", 1)) as ros2_message:
+        first = next(m for m in ros1_message.messages() if m.topic.type_name == type_name.replace("/msg/", "/"))
+        second = next(m for m in ros2_message.messages() if m.topic.type_name == type_name)
+        converted, back = to_hub(registry, first.topic), to_ros1(registry, second.topic)
+        assert converted.convert is not None
         assert back.convert is not None
-        assert (there.convert(first.data), back.convert(second.data)) == (second.data, first.data)
-        assert to_hub(registry, second.topic).type_hash == there.type_hash == ROS2.hash_rihs01(type_name)
+        assert (converted.convert(first.data), back.convert(second.data)) == (second.data, first.data)
+        assert to_hub(registry, second.topic).type_hash == converted.type_hash == ROS2.hash_rihs01(type_name)
 
 
 @pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])

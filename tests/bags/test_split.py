@@ -27,32 +27,32 @@ ROS1_TEXT = b"\x26\0\0\0" + b"".join(ROS1_HEADS) + b"\5\0\0\0\1\0\0\0a"
 FORMS = [split, uncompiled("bridge.bags.split")]
 
 
-def found(form: Any, way: str, data: bytes) -> tuple[int, list[list[int]]]:
+def rows_(form: Any, case_: str, data: bytes) -> tuple[int, list[list[int]]]:
     """Where one form of the kernel ends, and its table."""
     table = form.new_table(len(data))
-    at, filled = getattr(form, way)(data, table, 0, 0)
+    at, filled = getattr(form, case_)(data, table, 0, 0)
     return at, table[:filled].tolist()
 
 
-def test_messages_are_found_where_they_stand() -> None:
+def test_messages_are_found_at_their_positions() -> None:
     for form in FORMS:
-        assert found(form, "split_mcap", 2 * MCAP + b"\4") == (
+        assert rows_(form, "split_mcap", 2 * MCAP + b"\4") == (
             66, [[3, 1 << 63, 7, 31, 2], [3, 1 << 63, 7, 64, 2]],
         )  # fmt: skip
-        assert found(form, "split_ros1", 2 * ROS1_TEXT) == (
+        assert rows_(form, "split_ros1", 2 * ROS1_TEXT) == (
             102, [[7, 5_000_000_006, 5_000_000_006, 46, 5], [7, 5_000_000_006, 5_000_000_006, 97, 5]],
         )  # fmt: skip
 
 
-@pytest.mark.parametrize(("way", "record"), [("split_mcap", MCAP), ("split_ros1", ROS1_TEXT)], ids=["mcap", "ros1"])
-def test_both_forms_find_the_same_in_damaged_chunks(way: str, record: bytes) -> None:
+@pytest.mark.parametrize(("case_", "record"), [("split_mcap", MCAP), ("split_ros1", ROS1_TEXT)], ids=["mcap", "ros1"])
+def test_compiled_and_python_find_the_same_in_damaged_chunks(case_: str, record: bytes) -> None:
     dice = random.Random(5)
     ends = set()
     for _ in range(300):
         data = bytearray(3 * record)
         data[dice.randrange(len(data))] = dice.choice((0, 1, 4, 13, 0x7F, 0xFF, dice.randrange(256)))
         whole = bytes(data[: dice.randrange(len(record), len(data) + 1)])
-        outcomes = [found(form, way, whole) for form in FORMS]
+        outcomes = [rows_(form, case_, whole) for form in FORMS]
         assert outcomes[0] == outcomes[1]
         ends.add(outcomes[0][0])
     assert len(ends) > 3
@@ -100,5 +100,5 @@ def test_chunks_and_indexes_are_those_of_one_message_after_the_other(tmp_path: P
             at += 1
         assert chunk.data == expected
         assert (chunk.message_start_time, chunk.message_end_time) == (texts[first][0], texts[at - 1][0])
-        assert [(each.channel_id, each.records) for each in index] == list(entries.items())
+        assert [(chunk_.channel_id, chunk_.records) for chunk_ in index] == list(entries.items())
     assert (at, len(chunks)) == (len(texts), 3)
