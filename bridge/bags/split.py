@@ -2,8 +2,8 @@
 
 For each message a row of a table is filled: its channel or connection, its log and publish times in nanoseconds, and
 the first byte and the size of its data. Each function continues at byte ``at`` and row ``filled`` up to the first
-record that is not a valid message, which the caller has to handle; it returns the byte of that record, or the chunk's size,
-and the number of filled rows. Every read is checked in advance.
+record that is not a valid message, which the caller has to handle; it returns the byte of that record, or the chunk's
+size, and the number of filled rows. Every read is checked in advance.
 """
 
 from __future__ import annotations

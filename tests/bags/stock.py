@@ -31,7 +31,9 @@ def write_ros1(files: Mapping[Path, Sequence[Ros1Message]]) -> None:
 def rosbag(files: Sequence[Path]) -> list[list[Message] | str]:
     """Read bags with ROS 1's ``rosbag``: the messages of each file, or the error."""
     return [
-        messages_ if isinstance(messages_, str) else [(topic, type_name, value) for topic, type_name, value in messages_]
+        messages_
+        if isinstance(messages_, str)
+        else [(topic, type_name, value) for topic, type_name, value in messages_]
         for messages_ in json.loads(_ros1("read", *files))
     ]
 

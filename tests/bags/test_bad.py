@@ -129,7 +129,9 @@ ENDS = {
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "bz2"])
 @pytest.mark.parametrize("end", ENDS)
-def test_an_invalid_header_after_valid_ones_is_reported_with_its_chunk(end: str, compression: str, tmp_path: Path) -> None:
+def test_an_invalid_header_after_valid_ones_is_reported_with_its_chunk(
+    end: str, compression: str, tmp_path: Path
+) -> None:
     plain = CONNECTION + 2 * TEXT + ENDS[end]
     packed = {"none": bytes, "lz4": lz4.frame.compress, "bz2": bz2.compress}[compression](plain)
     whole = ros1_chunk(b"none", CONNECTION + 2 * TEXT, len(CONNECTION + 2 * TEXT))

@@ -58,7 +58,7 @@ def hubs() -> Iterator[QuickHub]:
 
 
 class Listener:
-    """A program on the hub that notes what it hears."""
+    """A program on the hub that records received messages."""
 
     def __init__(self, hub: Hub) -> None:
         self.hub = hub
@@ -77,7 +77,9 @@ class Listener:
         return [message["data"] for message in self.received_on(topic)]
 
     def frames(self) -> list[set[str]]:
-        return [{item["child_frame_id"] for item in message["transforms"]} for message in self.received_on("/tf_static")]
+        return [
+            {item["child_frame_id"] for item in message["transforms"]} for message in self.received_on("/tf_static")
+        ]
 
 
 @pytest.fixture
@@ -118,7 +120,7 @@ def play(file: Path, bag: Path) -> Play:
 
 @pytest.fixture
 def player(file: Path, bag: Path) -> Iterator[Player]:
-    """The verb in a process of its own."""
+    """The verb in a separate process."""
     started: list[Process] = []
 
     def start(*arguments: str) -> Process:
@@ -141,7 +143,7 @@ def test_a_bag_is_played_with_its_times_and_without_commands(
     play: Play, listener: Listener, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert play("--json") == 0
-    until(lambda: len(listener.received_on("/said")) == 6, "all is heard", 5)
+    until(lambda: len(listener.received_on("/said")) == 6, "all messages are received", 5)
     assert listener.texts() == [f"said {n}" for n in range(6)]
     times = [at for topic, _, at in listener.messages if topic == "/said"]
     assert times[-1] - times[0] > 0.4
@@ -162,7 +164,7 @@ def test_all_formats_are_played_alike(
     listener.on_message("/pose", "geometry_msgs/msg/PoseStamped")
     listener.on_message("/map_name", "std_msgs/msg/String", LATCHED)
     assert main(["play", str(built), "--config", str(file), "--rate", "20", "--json"]) == 0
-    until(lambda: len(listener.received_on("/pose")) == 20, "all is heard", 5)
+    until(lambda: len(listener.received_on("/pose")) == 20, "all messages are received", 5)
     assert [pose["pose"]["position"]["x"] for pose in listener.received_on("/pose")] == [float(n) for n in range(20)]
     assert listener.texts("/map_name") == ["text 0"]
     assert json.loads(capsys.readouterr().out)["topics"] == {"/map_name": 1, "/pose": 20}
@@ -175,7 +177,7 @@ def test_the_option_commands_plays_commands_and_zero_ends_them(
     out = capsys.readouterr()
     played = json.loads(out.out)["messages"]  # on a busy machine some are late
     assert 1 <= played <= 3
-    until(lambda: len(listener.received_on("/cmd_vel")) == played + 1, "the velocities and zero are heard", 5)
+    until(lambda: len(listener.received_on("/cmd_vel")) == played + 1, "the velocities and zero are received", 5)
     assert [twist["linear"]["x"] for twist in listener.received_on("/cmd_vel")] == [0.5] * played + [0.0]
     assert "commands are played, the robot may move: /cmd_vel" in out.err
 
@@ -186,7 +188,7 @@ def test_latched_topics_stay_latched_but_velocities_do_not(player: Player, liste
     ends = {end.topic: end for end in listener.hub.graph.publishers() if not end.own}
     assert {name for name, end in ends.items() if end.qos.latched} == {"/name", "/tf_static"}
     listener.on_message("/name", "std_msgs/msg/String", LATCHED)
-    until(lambda: listener.texts("/name") == ["latched"], "who comes late gets what is latched", 5)
+    until(lambda: listener.texts("/name") == ["latched"], "a late subscriber gets latched messages", 5)
     begun = time.monotonic()
     program.signal(signal.SIGINT)
     until(lambda: not [end for end in listener.hub.graph.publishers() if not end.own], "its publishers are gone", 5)
@@ -199,10 +201,10 @@ def test_a_halt_pauses_a_player_of_commands(player: Player, listener: Listener) 
     program = player("--commands", "--topics", "/cmd_vel", "--rate", "0.05", "--clock")
     until(lambda: listener.received_on("/cmd_vel"), "it drives", 20)
     assert [answer.value for answer in listener.hub.ask("halt", {})] == [RECORDED]
-    until(lambda: listener.received_on("/cmd_vel")[-1]["linear"]["x"] == 0.0, "it stands", 5)
-    until(lambda: listener.received_on("/clock")[-1] == listener.received_on("/clock")[-2], "the time stands still", 5)
+    until(lambda: listener.received_on("/cmd_vel")[-1]["linear"]["x"] == 0.0, "zero is commanded", 5)
+    until(lambda: listener.received_on("/clock")[-1] == listener.received_on("/clock")[-2], "the time is stopped", 5)
     at, count = listener.received_on("/clock")[-1], len(listener.received_on("/clock"))
-    until(lambda: len(listener.received_on("/clock")) > count + 5, "the clock is said again", 5)
+    until(lambda: len(listener.received_on("/clock")) > count + 5, "the clock is published again", 5)
     assert listener.received_on("/clock")[-1] == at
     assert [twist["linear"]["x"] for twist in listener.received_on("/cmd_vel")] == [0.5, 0.0]
     program.signal(signal.SIGINT)
@@ -249,12 +251,12 @@ class Shown:
 def test_services_pause_and_step_while_the_clock_is_stopped(player: Player, listener: Listener) -> None:
     program = player("--paused", "--clock", "50", "--topics", "/said", "--start", "0.05")
     caller = HubSide(listener.hub, REGISTRY)
-    until(lambda: len(listener.received_on("/clock")) > 3, "the clock is said", 20)
+    until(lambda: len(listener.received_on("/clock")) > 3, "the clock is published", 20)
     assert caller.call(STEP, "std_srvs/Trigger").result(5)["reply"]["success"]
     until(lambda: listener.texts() == ["said 1"], "one message is played", 5)
-    until(lambda: listener.received_on("/clock")[-1]["clock"] == clock(0.1), "the time is its", 5)
+    until(lambda: listener.received_on("/clock")[-1]["clock"] == clock(0.1), "the time is the message's", 5)
     count = len(listener.received_on("/clock"))
-    until(lambda: len(listener.received_on("/clock")) > count + 3, "the clock is said again", 5)
+    until(lambda: len(listener.received_on("/clock")) > count + 3, "the clock is published again", 5)
     assert listener.received_on("/clock")[-1]["clock"] == clock(0.1)
     assert listener.texts() == ["said 1"]
     caller.call(PAUSE, "std_srvs/SetBool", data=False)
@@ -303,7 +305,9 @@ def test_topics_are_selected_and_renamed(play: Play, listener: Listener, capsys:
         (["--start", "99"], "--start is 99"),
     ],
 )
-def test_invalid_options_are_reported(play: Play, arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_options_are_reported(
+    play: Play, arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert play(*arguments) == 1
     assert expected in capsys.readouterr().err
 

@@ -23,7 +23,7 @@ class Clock:
         return self.seconds
 
     def wait(self, _condition: threading.Condition, seconds: float | None) -> None:
-        assert seconds is not None, "nothing is due, and nobody would wake it"
+        assert seconds is not None, "nothing is due, and nothing would end the wait"
         assert seconds > 0.0
         self.waits.append(seconds)
         self.seconds += seconds + self.over
@@ -57,7 +57,7 @@ def test_the_bags_time_never_passes_a_message_that_has_not_been_played() -> None
     clock = Clock()
     played = timeline(clock)
     assert played.next(START + NS) is Due.MESSAGE
-    clock.seconds += 5.0  # nobody asks for the next one
+    clock.seconds += 5.0  # the next message is not requested
     assert played.now_ns() == START + NS
     assert played.next(START + 2 * NS) is Due.MESSAGE
     assert played.late == pytest.approx(4.0)

@@ -208,14 +208,12 @@ def test_invalid_messages_are_skipped_and_reported_once() -> None:
     stage = Stage((0.0, topic("/bad", convert=refuse)), (0.1, topic("/bad", convert=refuse)), (0.2, SCAN))
     stage.player.run()
     assert stage.player.dropped == {("/bad", "bad"): 2}
-    assert stage.reports == ["/bad: a message is left out: it ends early"]
+    assert stage.reports == ["/bad: a message was skipped: it ends early"]
     assert stage.player.played == {"/scan": 1}
 
 
 @pytest.mark.parametrize(("err", "goes_on"), [(HubError("too large"), True), (HubClosedError("gone"), False)])
-def test_a_refused_message_is_skipped_and_a_lost_hub_ends_the_play(
-    err: HubError, goes_on: bool
-) -> None:
+def test_a_refused_message_is_skipped_and_a_lost_hub_ends_the_play(err: HubError, goes_on: bool) -> None:
     stage = Stage((0.0, SCAN), (0.1, SCAN))
 
     def refuse() -> None:
@@ -300,7 +298,7 @@ def test_requested_commands_are_never_latched(driving: Path) -> None:
     with ExitStack() as stack:
         chosen_, left = chosen(driving, stack, commands=True, clock=True)
         topics = {topic.name: topic for topics_ in chosen_.values() for topic in topics_}
-        assert [(item.name, item.why) for item in left] == [("/clock", "--clock takes its place")]
+        assert [(item.name, item.why) for item in left] == [("/clock", "--clock replaces it")]
         drive = topics["/cmd_vel"]
         assert (drive.command, drive.velocity, drive.priority) == (True, True, "command")
         assert drive.qos.durability is Durability.VOLATILE
@@ -366,7 +364,7 @@ def test_messages_latched_before_the_start_are_played_and_a_part_ends_in_time(tm
         kept = [item.topic.convert(item.data) for item in source.kept() if item.topic.convert]
         assert [to_json(REGISTRY, "std_msgs/msg/String", data) for data in kept] == [{"data": "name 1.0"}]
         assert [(item.time_ns - START) / NS for item in source.messages()] == [2.0, 2.5, 3.0, 3.5]
-        with pytest.raises(BagError, match=r"it has 4\.5 s, and --start is 5"):
+        with pytest.raises(BagError, match=r"has 4\.5 s, but --start is 5"):
             PlaySource(chosen_, PlayPart(start=5.0))
 
 

@@ -164,7 +164,10 @@ def test_a_type_defined_only_in_the_bag_is_converted_and_back() -> None:
 @pytest.mark.parametrize("type_name", [STRING, POSE])
 def test_both_worlds_have_the_same_message(type_name: str, tmp_path: Path) -> None:
     registry = Registry()
-    with open_bag(ros1_bag(tmp_path / "a.bag", 1)) as ros1_message, open_bag(db3_folder(tmp_path / "b", 1)) as ros2_message:
+    with (
+        open_bag(ros1_bag(tmp_path / "a.bag", 1)) as ros1_message,
+        open_bag(db3_folder(tmp_path / "b", 1)) as ros2_message,
+    ):
         first = next(m for m in ros1_message.messages() if m.topic.type_name == type_name.replace("/msg/", "/"))
         second = next(m for m in ros2_message.messages() if m.topic.type_name == type_name)
         converted, back = to_hub(registry, first.topic), to_ros1(registry, second.topic)

@@ -108,7 +108,7 @@ def mcap_file(path: Path, count: int = 20, compression: Compression = "zstd", *,
 
 
 def nobody_knows(path: Path) -> Path:
-    """A file whose one type has no definition anywhere, beside one that is known."""
+    """Write a file whose one type has no definition anywhere, along with a known type."""
     stream = io.BytesIO()
     writer = Writer(stream)
     writer.start("ros2", "test")
@@ -121,7 +121,7 @@ def nobody_knows(path: Path) -> Path:
 
 
 def long_mcap(path: Path, count: int, size: int) -> Path:
-    """A file of MCAP with so many texts of so many bytes, not compressed; bz2 takes 0.2 s for a megabyte of them."""
+    """Write an uncompressed MCAP file with ``count`` texts of a size; bz2 takes 0.2 s for a megabyte of them."""
     alphabet = bytes(range(ord("a"), ord("z") + 1))
     text = size.to_bytes(4, "little") + (alphabet * (size // 26 + 1))[: size - 1] + b"\0"
     with path.open("wb") as stream:
