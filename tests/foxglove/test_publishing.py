@@ -155,7 +155,7 @@ def test_one_client_drives_at_a_time_and_none_against_a_planner(desk: Desk) -> N
             app.publish(number, velocity(0.1))
             other.publish(second, velocity(0.2))
             other.read()
-            return any("drives by hand" in entry.get("message", "") for entry in other.texts)
+            return any("drives manually" in entry.get("message", "") for entry in other.texts)
 
         until(refused, "the second is refused")
         status = desk.far.advertise("/navigation/status", "midspan_msgs/NavigationStatus", latched=True)
