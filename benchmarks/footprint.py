@@ -61,7 +61,7 @@ SCRAPE_SECONDS = 5.0
 
 
 def _overrides() -> dict[str, Any]:
-    """What the demo lays over its configuration, without the console: the aims are of what bridges and drives."""
+    """Return the demo's overrides without the console, because the aims are for bridging and driving."""
     return {**overrides(CONFIG), "web": {"enabled": False}}
 
 

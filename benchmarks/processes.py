@@ -76,9 +76,9 @@ class Processes:
         return self.wait_for(name, event)
 
     def wait_for(self, name: str, event: str) -> dict[str, Any]:
-        """An event that a program tells; raises `RuntimeError` where it does not in time."""
-        told = self._children[name].wait_for(event, UP_SECONDS)
-        if told is None:
+        """Wait for an event from a program; raises `RuntimeError` on a time-out."""
+        message = self._children[name].wait_for(event, UP_SECONDS)
+        if message is None:
             msg = f"{name} did not answer ({event}):\n{self._children[name].last_output()}\n{self.words()}"
             raise RuntimeError(msg)
         return message
@@ -96,7 +96,7 @@ class Processes:
         return time.monotonic()
 
     def words(self) -> str:
-        """The daemon's last ones."""
+        """Return the end of the daemon's log."""
         return self._children["daemon"].last_output() if "daemon" in self._children else ""
 
     def prefer(self) -> None:

@@ -56,8 +56,8 @@ class BoardLink:
 
     Args:
         section: the board's configuration.
-        local: prefix of the link's own port names.
-        on_joints: called with each state and its time in seconds, on the thread of the board's connection.
+            local: prefix of the link's own port names.
+            on_joints: called with each state and its time in seconds, on the thread of the board's connection.
     """
 
     def __init__(self, section: ControlBoardSection, local: str, naming: Naming, on_joints: OnJoints) -> None:

@@ -105,7 +105,7 @@ class Channels:
 
     def refresh(self) -> None:
         """Announce new topics, and withdraw those that have disappeared."""
-        topics = self._topics.look()
+        topics = self._topics.refresh()
         for name, channel in list(self._channels.items()):
             topic = topics.get(channel.topic.key)
             if topic is None:
@@ -131,7 +131,7 @@ class Channels:
                     channel.resend_latched()
                 elif not channel.subscribed:
                     channel.subscribed = True
-                    self._topics.hear(channel.topic, channel.on_sample)
+                    self._topics.subscribe(channel.topic, channel.on_sample)
             elif channel.subscribed:
                 self._unsubscribe(channel)
 
@@ -154,12 +154,12 @@ class Channels:
 
     def _unsubscribe(self, channel: TopicChannel) -> None:
         channel.subscribed = False
-        self._topics.unhear(channel.topic.key)
+        self._topics.unsubscribe(channel.topic.key)
         channel.clear()
 
     def tick(self) -> None:
         """Update rates and losses, and retry topics whose definition was requested."""
-        ends = {subscription.key: subscription for subscription in self._topics.heard()}
+        ends = {subscription.key: subscription for subscription in self._topics.subscribed()}
         for channel in self._channels.values():
             channel.counters.tick()
             if (end := ends.get(channel.topic.key)) is not None:

@@ -69,9 +69,9 @@ class FoxgloveWorker(Worker):
         self._live.check()
         return Health("running", self._live.text())
 
-    def hears_diagnostics(self) -> bool:
+    def diagnostics_wanted(self) -> bool:
         """Return whether `/diagnostics` has subscribers."""
-        return self._live is not None and heard(self._live.host.node.hub.graph)
+        return self._live is not None and has_subscribers(self._live.host.node.hub.graph)
 
     def stop(self) -> None:
         """Disconnect the clients, and leave the hub."""

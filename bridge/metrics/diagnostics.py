@@ -53,7 +53,7 @@ class DiagnosticsPublisher:
 
     Args:
         hub: a node without a side, so that all sides receive its messages.
-        source: provides the status documents.
+            source: provides the status documents.
     """
 
     def __init__(self, config: Config, hub: Hub, source: Source) -> None:

@@ -27,7 +27,7 @@ class HubLink:
 
     Args:
         worker: the name under which it responds to queries.
-        status: returns its status document; None to respond to none.
+            status: returns its status document; None to respond to none.
     """
 
     def __init__(self, config: Config, worker: str, status: Callable[[], dict[str, Any]] | None = None) -> None:

@@ -100,10 +100,10 @@ class Recorder:
     def refresh(self) -> dict[TopicKey, HubTopic]:
         """Subscribe to new selected topics, drop those that left the hub, and return all topics of the hub."""
         with self._subscribing:
-            topics = self.topics.look()
+            topics = self.topics.refresh()
             if not self._on:
                 return topics
-            subscribed = {end.key for end in self.topics.heard()}
+            subscribed = {end.key for end in self.topics.subscribed()}
             for key, topic in topics.items():
                 if key not in subscribed and self.selection.wants(topic):
                     self._subscribe(topic)
@@ -123,12 +123,12 @@ class Recorder:
                 return
             counts = self._counts[key] = TopicCounts(tapped(key.topic)[1], key)
         self.topics.definitions.find(*key[1:])  # requests a definition from other nodes early
-        end = self.topics.hear(topic, partial(self._on_sample, counts))
+        end = self.topics.subscribe(topic, partial(self._on_sample, counts))
         if end.trouble:
             _log.warning("%s is not recorded: %s", key.topic, end.trouble)
 
     def _unsubscribe(self, key: TopicKey) -> None:
-        end = self.topics.unhear(key)
+        end = self.topics.unsubscribe(key)
         if end is not None:
             self._left[0] += end.lost
             self._left[1] += end.refused
@@ -159,7 +159,7 @@ class Recorder:
         """Unsubscribe from all topics, and close and return the file; `begin` continues in another one."""
         with self._subscribing:
             self._on = False
-            for topic in self.topics.heard():
+            for topic in self.topics.subscribed():
                 self._unsubscribe(topic.key)
         path: Path | None = self._do(self._close_file)
         return path
@@ -362,7 +362,7 @@ class Recorder:
         file = self._file
         counts = list(self._counts.values())
         messages, size, dropped = total(counts)
-        subscriptions = self.topics.heard()
+        subscriptions = self.topics.subscribed()
         lost = self._left[0] + sum(item.lost for item in subscriptions)
         refused = self._left[1] + sum(item.refused for item in subscriptions)
         dropped |= {reason: count for reason, count in (("lost", lost), ("refused", refused)) if count}

@@ -83,9 +83,9 @@ class MetricsWorker(Worker):
             self._hub = hub
         return Health("running", "; ".join(filter(None, (f"{self.server.address}metrics", self._link.trouble))))
 
-    def hears_diagnostics(self) -> bool:
+    def diagnostics_wanted(self) -> bool:
         """Return whether `/diagnostics` has subscribers."""
-        return self._hub is not None and heard(self._hub.graph)
+        return self._hub is not None and has_subscribers(self._hub.graph)
 
     def stop(self) -> None:
         """Close the server and the session."""

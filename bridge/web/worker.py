@@ -81,9 +81,9 @@ class WebWorker(Worker):
         pages = console.server.pages
         return Health("running", console.server.address + (f", {pages} open" if pages else ""))
 
-    def hears_diagnostics(self) -> bool:
+    def diagnostics_wanted(self) -> bool:
         """Return whether `/diagnostics` has subscribers."""
-        return self._console is not None and heard(self._console.host.node.hub.graph)
+        return self._console is not None and has_subscribers(self._console.host.node.hub.graph)
 
     def stop(self) -> None:
         """Close the page's sockets and the node."""

@@ -123,7 +123,7 @@ def test_a_worker_that_cannot_work_or_restarts_repeatedly_has_failed(daemon_stat
     daemon_status["workers"][1] = worker("ros2", Phase.PAUSED, "died", restarts=3)
     assert refreshed()[0].failed is not None
     daemon_status["workers"][1] = worker("ros2", Phase.FAILED, "no rclpy for this Python")
-    parts = refreshed("12:00:01 ros1 is up\n12:00:02 ros2 cannot work: no rclpy for this Python")[0]
+    parts = refreshed("12:00:01 ros1: running\n12:00:02 ros2 cannot work: no rclpy for this Python")[0]
     assert parts.failed == PartState("ros2", "cannot work", "no rclpy for this Python", os.getpid())
     text = parts.failure_text(parts.failed)
     assert "ros2: cannot work, no rclpy for this Python" in text
@@ -139,7 +139,7 @@ def test_a_stalled_part_is_named_with_its_last_output_and_advice(daemon_status: 
     ]
     text = refreshed("modules: a warning of its own")[0].stall_text("the robot")
     assert "no progress for 60 s while waiting for the robot" in text
-    assert "modules: running, waiting, robot_goto: no scan" in text
+    assert "modules: running, waiting: robot_goto: no scan" in text
     assert "a warning of its own" in text
     assert "ros1" not in text
     assert "free -m" in text

@@ -103,7 +103,7 @@ def recording(hubs: QuickHub, state: Path, place: RecordPlace, **section: Any) -
 
 
 def await_topics(recorded: Recording, count: int) -> None:
-    until(lambda: len(recorded.recorder.topics.heard()) >= count, f"{count} topics are subscribed")
+    until(lambda: len(recorded.recorder.topics.subscribed()) >= count, f"{count} topics are subscribed")
 
 
 def await_written(recorded: Recording, count: int) -> dict[str, Any]:

@@ -89,7 +89,7 @@ def test_each_file_of_a_split_starts_with_latched_messages(hubs: QuickHub, robot
         chat.put(robot.text("first"))
         await_written(recorded, 5)
         closed.close()
-        until(lambda: not recorded.recorder.topics.look().keys() & {closed_topic_key(recorded)}, "it is closed")
+        until(lambda: not recorded.recorder.topics.refresh().keys() & {closed_topic_key(recorded)}, "it is closed")
         first = recorded.recorder.split()
         chat.put(robot.text("second"))
         await_written(recorded, 6)
@@ -140,7 +140,7 @@ def test_a_folders_metadata_has_the_qos_of_all_publishers(hubs: QuickHub, robot:
 
 
 def closed_topic_key(recorded: Any) -> Any:
-    return next(end.key for end in recorded.recorder.topics.heard() if end.key.topic == "/gone")
+    return next(end.key for end in recorded.recorder.topics.subscribed() if end.key.topic == "/gone")
 
 
 def test_a_pause_unsubscribes_and_a_start_continues_in_another_file(

@@ -68,7 +68,7 @@ def test_the_store_runs_without_modules(place: Place) -> None:
 def test_a_disabled_store_or_one_in_use_is_reported(place: Place) -> None:
     place.worker.start(place.config(OWN, store={"enabled": False}))
     health = place.worker.health()
-    assert (health.state, health.text) == ("waiting", "keeper: waiting the store is disabled (store.enabled)")
+    assert (health.state, health.text) == ("waiting", "keeper waiting: the store is disabled (store.enabled)")
     place.worker.stop()
     config = place.config(store={"enabled": True})
     holder = Shared(config)

@@ -400,7 +400,7 @@ def test_a_replica_of_another_major_version_is_not_merged(
         with caplog.at_level(logging.WARNING):
             token = session.liveliness().declare_token(f"midspan/store/0/@sync/alive/{zid}/far")
             until(lambda: "the store of far is not merged" in caplog.text, "it is refused", SECONDS)
-        assert caplog.text.count("the store of far is not merged: it speaks version 2.0") == 1
+        assert caplog.text.count("the store of far is not merged: it uses version 2.0") == 1
         assert json.loads(queries[0])["wire"] == WIRE
         version = {"ns": 7, "replica": "aa", "origin": "far", "seen": {}}
         for name, wire in (("strange", "2.0"), ("later", "1.7")):
@@ -408,7 +408,7 @@ def test_a_replica_of_another_major_version_is_not_merged(
             session.put(f"midspan/store/0/location/{name}", b"{}", attachment=attached)
         until(lambda: names(first_store), "that of a later minor version is merged", SECONDS)
         assert names(first_store) == ["later"]
-        assert "location/strange is not merged: it speaks version 2.0" in caplog.text
+        assert "location/strange is not merged: it uses version 2.0" in caplog.text
         assert first_store.hub is not None
         question = f"midspan/store/0/@sync/digest/{first_store.hub.zid}"
         (refused,) = session.get(question, payload=b'{"wire": "2.0", "digests": []}')

@@ -37,7 +37,7 @@ class Served:
     def set_time(self, now: int) -> None:
         """Advance the simulated time."""
         seconds, nanoseconds = divmod(now, S)
-        self.clock.hear(b"\0\1\0\0" + seconds.to_bytes(4, "little") + nanoseconds.to_bytes(4, "little"))
+        self.clock.receive(b"\0\1\0\0" + seconds.to_bytes(4, "little") + nanoseconds.to_bytes(4, "little"))
 
     def lookup(self, target: str, source: str, stamp: int = 0, **more: Any) -> list[Any]:
         """Send a goal; return the list that receives its ends."""

@@ -150,7 +150,7 @@ def _play(args: argparse.Namespace, client: CliClient, bags: list[Bag], ended: t
     if moves:
         warn_of_refusals(client, moving)
     services = PlayServices(client.hub, registry, timeline, commands=moves)
-    player = Player(source, output, timeline, loop=args.loop, report=_say)
+    player = Player(source, output, timeline, loop=args.loop, report=_print_note)
     if services.taken:
         _print_note(
             "another player is on the hub: a call of /midspan/play/pause or /midspan/play/step reaches one of them"

@@ -264,7 +264,7 @@ def test_the_newest_parent_wins_and_both_are_reported(place: Place, clock: Stopp
 
 def simulated(seconds: float) -> RunClock:
     run = RunClock(simulated=True)
-    run.hear(tick(seconds))
+    run.receive(tick(seconds))
     return run
 
 
@@ -281,11 +281,11 @@ def test_stamps_are_converted_to_a_simulations_clock(clock: StoppedClock, follow
     place.set(frame("base", "on_its_clock", 99.95), frame("base", "on_the_systems", clock.system - 0.05))
     assert [t.stamp for t in place.message] == pytest.approx([99_950_000_000] * 2, abs=1000)
     assert {round(place.seen()[n].timestamp, 6) for n in ("on_its_clock", "on_the_systems")} == {round(shown - 0.05, 6)}
-    place.run.hear(tick(100.3))
+    place.run.receive(tick(100.3))
     clock.system += 0.3
     assert list(place.seen()) == ["base"]
     place.receive("base", "lidar", 0, static=True)
-    place.run.hear(tick(1.0))
+    place.run.receive(tick(1.0))
     place.exchange.forget_timed()
     assert list(place.seen()) == ["lidar"]
     assert place.set(frame("map", "base", 1.0)) is None

@@ -46,7 +46,7 @@ def test_a_set_frame_is_sent_at_once_and_nothing_twice(monkeypatch: pytest.Monke
         action()
         sent += [later] if len(port.written) > before else []
     assert sent == [0, 10, 17, 27, 40, 50]
-    port.heard = False
+    port.has_readers = False
     now[0] += 1
     frame_stream.tick()
     assert len(port.written) == 6, "it has no reader"
