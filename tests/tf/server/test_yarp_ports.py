@@ -19,7 +19,7 @@ class Port:
     """A port that records written messages."""
 
     def __init__(self) -> None:
-        self.heard = True
+        self.has_readers = True
         self.written: list[Any] = []
 
     def write(self, content: Any) -> None:
