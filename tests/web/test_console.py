@@ -374,11 +374,13 @@ def test_a_hold_out_of_range_is_refused_with_its_limits(desk: Desk, x: str, show
 
 
 def test_a_page_that_sends_only_invalid_messages_is_closed(desk: Desk) -> None:
-    with TestPage(desk.port) as page:
+    def send_until_closed(page: TestPage) -> None:
         for _ in range(30):
             page.socket.send("{")
-        with pytest.raises(Exception, match="1008"):
-            page.until(lambda: False, "it is closed")
+        page.until(lambda: False, "it is closed")
+
+    with TestPage(desk.port) as page, pytest.raises(Exception, match="1008"):
+        send_until_closed(page)
     with TestPage(desk.port) as page:
         page.until(lambda: page.others, "other pages are served")
 

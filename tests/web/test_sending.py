@@ -51,7 +51,7 @@ def test_a_services_definition_has_request_and_response(desk: Desk) -> None:
     ("verb", "args", "why"),
     [
         ("definition", {"type": "std_msgs/Strin"}, "no worker on the hub has its definition. Did you mean"),
-        ("definition", {"type": "nonsense"}, "'nonsense' is no type"),
+        ("definition", {"type": "nonsense"}, "'nonsense' is not a type"),
         ("definition", {"type": "std_msgs/String", "kind": "action"}, "definition: kind must be one of topic, service"),
         ("publish", {"topic": "/x", "type": "std_msgs/String", "message": []}, "publish: message must be an object"),
         ("publish", {"topic": "x y", "type": "std_msgs/String", "message": {}}, "'x y' is not a topic name"),
