@@ -157,15 +157,15 @@ def _insert(
             turned_x = dx * turn_x - dy * turn_y
             dy = dx * turn_y + dy * turn_x
             dx = turned_x
-            metres: cython.double = ranges[beam]
-            if not metres > 0.0:
+            meters: cython.double = ranges[beam]
+            if not meters > 0.0:
                 continue
-            clear = metres
+            clear = meters
             if beam > 0 and 0.0 < ranges[beam - 1] < clear:
                 clear = ranges[beam - 1]
             if beam + 1 < beams and 0.0 < ranges[beam + 1] < clear:
                 clear = ranges[beam + 1]
-            length: cython.double = min(metres, farthest) / resolution
+            length: cython.double = min(meters, farthest) / resolution
             clear = min(clear, farthest) / resolution
             end_column: cython.longlong = _cell(x + length * dx, columns)
             end_row: cython.longlong = _cell(y + length * dy, rows)
@@ -174,7 +174,7 @@ def _insert(
             bottom = min(bottom, end_row)
             top = max(top, end_row)
             if 0 <= end_row < rows and 0 <= end_column < columns:
-                if metres <= farthest:
+                if meters <= farthest:
                     ends[hits, 0] = end_row
                     ends[hits, 1] = end_column
                     hits += 1

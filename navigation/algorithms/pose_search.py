@@ -127,8 +127,8 @@ class PoseSearch:
 
     def _pushed(self, poses: Floats, points: Floats) -> tuple[Floats, Floats]:
         scores = np.full(len(poses), -np.inf)
-        for metres, degrees in _PUSHES:
-            steps = _AROUND * (metres, metres, math.radians(degrees))
+        for meters, degrees in _PUSHES:
+            steps = _AROUND * (meters, meters, math.radians(degrees))
             tried = (poses[:, None, :] + steps).reshape(-1, 3)
             scored = self._field.score(self._table, self._worst, tried, points).reshape(len(poses), -1)
             best = scored.argmax(axis=1)

@@ -5,7 +5,7 @@ turning, motors), and approached no faster than the accelerations allow. The all
 steps stay inside it, so that no limit is ever exceeded, not even for one period.
 
 Robotology/navigation's ``baseControl2`` limits the acceleration first and scales afterwards, which lets a wheel's
-limit brake the base harder than its acceleration allows; its ratio limiter compares percent with metres per second
+limit brake the base harder than its acceleration allows; its ratio limiter compares percent with meters per second
 and so never acts.
 """
 

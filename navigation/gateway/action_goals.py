@@ -1,4 +1,4 @@
-"""The goals of one action on the hub: which ones there are, and which ones have to end."""
+"""The goals of one action on the hub, and those that have to end."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CANCEL_PERIOD = 1.0
 
 
 class ActionGoals:
-    """The goals of one action, and which of them have to end: those are canceled until the server's list shows it."""
+    """The goals of one action; those that have to end are canceled until the server's list shows their end."""
 
     def __init__(self, host: Host, action: str, *, always: bool, changed: Callable[[bool], None]) -> None:
         self._host, self._changed = host, changed  # called with whether the list differs from the one before
@@ -36,39 +36,39 @@ class ActionGoals:
 
     @property
     def left(self) -> tuple[bytes, ...]:
-        """The goals that have to end, and have not by the newest list."""
+        """The goals that have to end, and are still in the newest list."""
         return tuple(goal for goal in self.list.active if goal in self._to_end)
 
     @property
     def released(self) -> bool:
-        """Whether a valid list shows that no goal is left that has to end."""
+        """Whether a valid list shows that all goals that have to end have ended."""
         return self.list.known and not self.left and not self._end_next
 
     def end(self, goal: bytes) -> None:
-        """Have a goal end: it is canceled as soon as the server is there, and again until its list shows the end."""
+        """Cancel a goal as soon as the server is available, and again until its list shows the end."""
         self._to_end[goal] = None
         while len(self._to_end) > _MAX_CANCELED:
             del self._to_end[next(iter(self._to_end))]
 
     def end_all(self) -> None:
-        """Have all goals end that the server has; if that is not known, those of its next valid list."""
+        """Cancel all goals of the server; if they are unknown, those of its next valid list."""
         for goal in self.list.active:
             self.end(goal)
         self._end_next = not (self.there and self.list.known)
         self._ask(bytes(16))
 
     def end_no_more(self) -> None:
-        """The stop is over: goals that appear now may go on."""
+        """End the stop: goals that appear now may continue."""
         self._end_next = False
 
     def spare(self, goal: bytes) -> None:
-        """A goal that was given after the stop: it may go on."""
+        """Let a goal that was sent after the stop continue."""
         self._end_next = False
         self._to_end.pop(goal, None)
 
     def refresh(self) -> None:
-        """Note which servers are there, and cancel again what has to end."""
-        self.list.refresh([one.gid for one in self._host.node.hub.graph.publishers(self._status)])
+        """Check which servers are available, and cancel again the goals that have to end."""
+        self.list.refresh([publisher.gid for publisher in self._host.node.hub.graph.publishers(self._status)])
         if not self.there:
             self._asked.clear()
             return

@@ -1,4 +1,4 @@
-"""Which planner drives, and which one takes its place."""
+"""The current planner, and the one that replaces it."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from navigation.gateway.machine import StopState
 from navigation.gateway.planner_link import PlannerLink
 
 RELEASE_SECONDS = 30.0
-"""Another planner waits this long for one that does not release a goal that has ended here."""
+"""Another planner waits this long for the current one to release a goal that has ended at the gateway."""
 
 
 class RequestError(RuntimeError):
-    """A request that cannot be met now; the text gives the reason."""
+    """A request that is refused now; the text is the reason."""
 
 
 class PlannerChoice:
-    """The current planner, and the one that takes its place. On the module's thread."""
+    """The current planner, and the one that replaces it. On the module's thread."""
 
     def __init__(self, host: Host, section: NavigationSection, changed: Callable[[], None]) -> None:
         self._host, self.section, self._changed = host, section, changed
@@ -32,11 +32,11 @@ class PlannerChoice:
 
     @property
     def pending(self) -> str:
-        """The planner that takes over as soon as the current one stands; "" for none."""
+        """The planner that takes over when the robot stands; "" for none."""
         return "" if self._next is None else self._wanted(self._next)
 
     def choose(self, planner: str, *, driving: bool) -> None:
-        """Have another planner drive; raises `RequestError` if it is unknown, or the current one is driving."""
+        """Select another planner; raises `RequestError` if it is unknown, or the current one is driving."""
         current = self.link.planner
         if planner not in self.section.choices:
             raise RequestError(f"unknown planner {planner!r}; choose one of {', '.join(self.section.choices)}")
@@ -61,7 +61,7 @@ class PlannerChoice:
             return False
         planner = self._wanted(section)
         same = planner == self.link.planner and section.others == self.section.others
-        if not same and (driving or self._unreleased(stop)):  # without the link nothing would ask it to stop
+        if not same and (driving or self._unreleased(stop)):  # only the link can stop it
             return False
         self.section, self._next = section, None
         return not same and self._link_to(planner)

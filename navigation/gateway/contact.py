@@ -1,4 +1,4 @@
-"""Whether a planner answers: the parts of a killed program may stay on the graph for its lease, 20 s with Fast DDS."""
+"""Whether a planner answers: a killed program stays on the graph for its lease, 20 s with Fast DDS."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import time
 from collections.abc import Set as AbstractSet
 
 TRIAL_SECONDS = 3.0
-"""A planner that did not answer is tried again after this time, unless it shows before that it is there."""
+"""A planner that did not answer is tried again after this time, or earlier if it publishes something."""
 
 PROOF_SECONDS = 1.0
 """A trial that has not failed for this time has succeeded."""

@@ -25,35 +25,35 @@ def _now() -> float:
 
 @dataclass(eq=False)
 class ClientDrive:
-    """What one client asks for. The goal of an action stays active through pauses and repetitions."""
+    """The request of one client. An action's goal remains active during pauses and repetitions."""
 
     targets: Sequence[Target]  #: the goals, one after the other
-    who: str  #: the client, for people
-    goal: Goal | None = None  #: the client's own goal, if it came by the action
+    client: str  #: the client, for messages
+    goal: Goal | None = None  #: the client's own goal, if it used the action
     name: str = ""  #: of the place, if the client named one
     at: int = 0  #: index of the current target
     machine: Machine[DriveState, DriveEvent] = field(default_factory=_machine)
-    sent: SentGoal | None = None  #: the goal that the planner has now, or had last
-    followed: SentGoal | None = None  #: the one whose result was asked for again, after contact was lost
+    sent: SentGoal | None = None  #: the planner's current or last goal
+    followed: SentGoal | None = None  #: the goal whose result was requested again after a loss of contact
     sent_at: float = 0.0  #: when it was sent (monotonic)
     released: bool = True  #: whether the planner is known to have none of its goals
-    why: str = ""  #: why it is being stopped, or waits
+    reason: str = ""  #: the reason for stopping or waiting
     aborted: tuple[int, str] | None = None  #: code and reason of an abort that is reported when the base stands
     pause_seconds: float = math.inf  #: how long it is paused for
-    due: float = 0.0  #: it is not sent again before then (monotonic)
-    transform_missing_at: float = 0.0  #: since when the planner lacks a transform (monotonic); 0: it does not
-    asked_at: float = field(default_factory=_now)  #: when the client last asked for motion (monotonic)
+    due: float = 0.0  #: the earliest time to send it again (monotonic)
+    transform_missing_at: float = 0.0  #: when the planner began to miss a transform (monotonic); 0: none is missing
+    asked_at: float = field(default_factory=_now)  #: when the client last requested motion (monotonic)
     began: float = field(default_factory=_now)
     own_id: bytes = field(default_factory=lambda: uuid.uuid4().bytes)
 
     @property
     def state(self) -> DriveState:
-        """What is known of it."""
+        """Its state."""
         return self.machine.state
 
     @property
     def id(self) -> bytes:
-        """The client's goal id, or one made here."""
+        """The client's goal id, or a generated one."""
         return self.own_id if self.goal is None else self.goal.id
 
     @property
@@ -63,20 +63,20 @@ class ClientDrive:
 
     @property
     def begun(self) -> bool:
-        """Whether a planner may have accepted any of its goals, for example one that vanished before it answered."""
+        """Whether a planner may have accepted any of its goals, perhaps without an answer."""
         return not self.released or (self.sent is not None and self.sent.accepted is not False)
 
     @property
     def forgotten(self) -> bool:
-        """Whether the planner does not know its goal any more, whatever the list of its predecessor shows."""
+        """Whether the planner no longer has its goal, even if an earlier list shows it."""
         return self.sent is not None and self.sent is self.followed and self.sent.status is GoalState.UNKNOWN
 
-    def end(self, status: GoalState, code: int, why: str) -> None:
+    def end(self, status: GoalState, code: int, reason: str) -> None:
         """End the client's own goal."""
         self.machine.on(DriveEvent.END)
         if self.goal is None:
             return
-        result = {"error_code": int(code), "error_msg": why}
+        result = {"error_code": int(code), "error_msg": reason}
         if status is GoalState.SUCCEEDED:
             self.goal.succeed({})
         elif status is GoalState.CANCELED:

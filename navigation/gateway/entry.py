@@ -13,19 +13,19 @@ from navigation.goals import CUT_OFF, FarClients
 from navigation.messages import NAVIGATE
 
 STOP_SERVICE = "/navigation/stop"
-"""Every gateway serves it: by it one gateway recognizes another."""
+"""Every gateway serves it, so that gateways recognize each other."""
 
 _POLL_SECONDS = 0.2
 
 
 class NavigateAction:
-    """Serves ``/navigate_to_pose`` unless another node does, such as Nav2 on rmw_zenoh: a goal has one master.
+    """Serves ``/navigate_to_pose`` unless another node does, such as Nav2 on rmw_zenoh: only one node executes a goal.
 
-    While another node announces the action, the gateway accepts no goals there; those that it holds go on to their end.
+    While another node announces the action, the gateway accepts no goals there; its active goals continue.
 
     Args:
         accept: see `bridge.modules.action_server.Accept`; cancel: the same for a cancellation.
-        client_lost: called with a goal whose client is cut off, and why.
+        client_lost: called with a goal whose client is unreachable, and the reason.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class NavigateAction:
             return
         if self._server is not None:
             if self._server.active:
-                return  # its goals go on to their end first
+                return  # its goals must end first
             self._close()
         self._server = self._host.node.action_server(ACTION, NAVIGATE, self._accept, self._cancel)
         self._watch = FarClients(self._host, self._server, lambda goal: self._client_lost(goal, CUT_OFF))

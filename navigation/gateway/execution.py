@@ -27,16 +27,16 @@ from navigation.pose import Pose
 from navigation.status import Fault, PlannerStatus, State
 
 JUDGING_SECONDS = 0.5
-"""The planner's goal list has this time to show why it ended a goal without an error code."""
+"""Within this time, the planner's goal list may show why a goal ended without an error code."""
 
 SETTLING_SECONDS = 5.0
-"""A planner that has been reachable for less than this rejects goals as it is starting: they are sent again."""
+"""A planner that became reachable less than this time ago may reject goals while starting; they are sent again."""
 
 RETRY_SECONDS = 0.5
 """Time between two attempts to send a goal that the planner cannot accept yet."""
 
 REPLACED_SECONDS = 5.0
-"""A planner that still has the old goal this long after a new one executes several at a time: cancel the old one."""
+"""If a planner still has the old goal this long after a new one, it executes both: the old one is canceled."""
 
 COMING_SECONDS = 30.0
 """A goal waits this much longer than `NavigationSection.patience` for a planner whose first parts have appeared."""
@@ -49,8 +49,8 @@ _ACTIVE = frozenset((DriveState.SENT, DriveState.DRIVING))
 class Execution:
     """One drive at a time, and the stop or pause in force. On the module's thread.
 
-    `navigation.gateway.machine` has the states. ``changed`` is called when one of them has changed, ``unconfirmed``
-    returns why it is not known that the robot stands.
+    `navigation.gateway.machine` has the states. ``changed`` is called after a change of state; ``unconfirmed`` returns
+    why the robot is not known to stand.
     """
 
     def __init__(
@@ -95,40 +95,40 @@ class Execution:
     def _frame(self) -> str:
         return self._choice.section.frame
 
-    def begin(self, targets: Sequence[Target], who: str, name: str = "", goal: Goal | None = None) -> ClientDrive:
-        """Drive somewhere, in place of the current drive."""
-        before, self.drive = self.drive, ClientDrive([self._on_map(target) for target in targets], who, goal, name)
+    def begin(self, targets: Sequence[Target], client: str, name: str = "", goal: Goal | None = None) -> ClientDrive:
+        """Start a drive, which replaces the current one."""
+        before, self.drive = self.drive, ClientDrive([self._on_map(target) for target in targets], client, goal, name)
         self._unpause()
         if before is not None:
             self.drive.released = before.released  # the planner may still drive to an earlier goal
             self.ended["replaced"] += 1
-            before.end(GoalState.CANCELED, Fault.OTHER, f"{who} gave another goal, which took its place")
+            before.end(GoalState.CANCELED, Fault.OTHER, f"{client} gave another goal, which replaced it")
         if goal is not None:
             goal.execute()
         self._send(self.drive, None if before is None else before.sent)
         return self.drive
 
     def pause(self, seconds: float = float("inf")) -> None:
-        """Stand still for some seconds, counted from when the robot stands; the client's goal stays active.
+        """Pause for some seconds after the robot has stopped; the client's goal remains active.
 
-        Raises `RequestError` if there is nothing to pause.
+        Raises `RequestError` if there is no goal.
         """
         drive = self.drive
         if drive is None:
             foreign = f"{own_client(self._planner)} can be stopped, but not paused"
-            raise RequestError(foreign if self._link.foreign else "there is no goal to pause")
+            raise RequestError(foreign if self._link.foreign else "no goal to pause")
         self._unpause()
         drive.pause_seconds = seconds
         if drive.machine.on(DriveEvent.PAUSE):
-            drive.why = "it was paused"
+            drive.reason = "it was paused"
             self.cancel(drive)
-            self._order.ask(drive.why)
+            self._order.ask(drive.reason)
             if drive.released and not drive.begun and self._known_to_stand:
                 self._order.drop()
                 self._on_paused(drive)
         elif drive.state is DriveState.PAUSED:
             self._on_paused(drive)
-            self._order.ask(drive.why)  # a client that bypasses the gateway may have moved the robot since
+            self._order.ask(drive.reason)  # a client that bypasses the gateway may have moved the robot since
         self.advance()
         self._changed()
 
@@ -140,14 +140,14 @@ class Execution:
         self._resume(drive)
 
     def recompute(self) -> None:
-        """Have the planner plan again, by sending the goal again; raises `RequestError` if it is not driving."""
+        """Send the goal again so that the planner plans again; raises `RequestError` if it is not driving."""
         drive = self.drive
         if drive is None or drive.state not in (*_ACTIVE, DriveState.WAITING):
             raise RequestError("it is not driving")
         self._send(drive, drive.sent)
 
     def _send(self, drive: ClientDrive, before: SentGoal | None) -> None:
-        """Give the planner a drive's goal, in place of one that it has; wait if it cannot be given one."""
+        """Send a drive's goal to the planner, replacing its current one, or wait until it accepts goals."""
         now = time.monotonic()
         if not self._link.reachable or now < drive.due:
             if before is not None and before is not drive.sent:
@@ -156,13 +156,13 @@ class Execution:
             self._changed()
             return
         if self._order.state is not StopState.NONE:
-            # the planner gives up earlier goals for this one, and is still asked to cancel them
-            self._order.drop(f"{MAY_MOVE}: {drive.who} gave another goal")
+            # this goal replaces the planner's earlier goals, which are also canceled
+            self._order.drop(f"{MAY_MOVE}: {drive.client} gave another goal")
         drive.machine.on(DriveEvent.SEND)
-        drive.released, drive.sent_at, drive.why = False, now, ""
+        drive.released, drive.sent_at, drive.reason = False, now, ""
         drive.sent = self._link.send(
             drive.target.goal(self._planner, robot_pose(self._frames)),
-            lambda sent, result, why: self._on_end(drive, sent, result, why),
+            lambda sent, result, reason: self._on_end(drive, sent, result, reason),
             lambda feedback: self._on_feedback(drive, feedback),
         )
         if before is not None:
@@ -173,11 +173,11 @@ class Execution:
     def _resume(self, drive: ClientDrive) -> None:
         if self.drive is drive and drive.machine.on(DriveEvent.RESUME):
             self._unpause()
-            drive.asked_at, drive.why = time.monotonic(), ""
+            drive.asked_at, drive.reason = time.monotonic(), ""
             self._send(drive, None)
 
     def cancel(self, drive: ClientDrive) -> None:
-        """Have the planner end a drive's goal, and what moves the base for it, if it may have it."""
+        """Cancel a drive's goal, and the actions that move the base for it, if the planner may have it."""
         if drive.released:
             return
         if drive.sent is not None:
@@ -185,47 +185,47 @@ class Execution:
         if not self._link.foreign:
             self._link.end_motion()
 
-    def stop_drive(self, why: str) -> None:
+    def stop_drive(self, reason: str) -> None:
         """End the drive as soon as the planner has released its goal, or the base stands."""
         drive = self.drive
         if drive is None or not drive.machine.on(DriveEvent.STOP):
             return
-        drive.why = why
+        drive.reason = reason
         self._unpause()
         if drive.goal is not None:
             drive.goal.begin_cancel()  # its client sees CANCELING until the end
         if drive.released and not drive.begun:
             # the action's server reports the cancellation first
-            self._host.loop.post(lambda: self.finish(drive, GoalState.CANCELED, Fault.OTHER, why))
+            self._host.loop.post(lambda: self.finish(drive, GoalState.CANCELED, Fault.OTHER, reason))
             return
         self.cancel(drive)
-        self._order.ask(why)
+        self._order.ask(reason)
         self._changed()
 
     def _give_up_waiting(self, drive: ClientDrive) -> None:
-        """End a drive whose planner was waited for long enough, from when it was last seen or the client asked."""
+        """End a drive whose planner was unavailable for too long since it was last seen or the client's request."""
         if self._link.reachable:
             return
         patience = self._choice.section.patience
         over = time.monotonic() - max(self._link.presence.seen_at, drive.asked_at) - patience
         if over >= (COMING_SECONDS if self._link.presence.coming_up else 0.0):
-            why = f"the planner {self._planner} was not available for {patience:g} s"
+            reason = f"the planner {self._planner} was not available for {patience:g} s"
             if not drive.begun:
-                why += ": ask again when it is"
+                reason += "; send the goal again when it is"
             if drive.begun and self._motion.base() is Base.MOVING:
-                self._abort_moving(drive, Fault.NO_NAVIGATOR, why)
+                self._abort_moving(drive, Fault.NO_NAVIGATOR, reason)
             else:
-                self.finish(drive, GoalState.ABORTED, Fault.NO_NAVIGATOR, why)
+                self.finish(drive, GoalState.ABORTED, Fault.NO_NAVIGATOR, reason)
 
     def poll(self) -> None:
-        """Act on what is known now; called about ten times a second."""
+        """Update the drive and the stop; called about ten times a second."""
         self.advance()
         if self.drive is not None:
             self._advance_drive(self.drive)
         self.settle()
 
     def advance(self) -> None:
-        """Take in what confirms a stop or pause, and end the drive that it was asked for."""
+        """Update the stop or pause, and end the drive when it is confirmed."""
         drive, order, link = self.drive, self._order, self._link
         if drive is not None and not drive.released and drive.state in _STOPPING:
             drive.released = link.state.reported and not link.left and not _still_listed(link, drive.sent)
@@ -243,26 +243,26 @@ class Execution:
             self._end_stopped(drive)
 
     def _on_paused(self, drive: ClientDrive) -> None:
-        """The robot stands: a pause for a time begins."""
+        """The robot stands: start the time of the pause."""
         drive.machine.on(DriveEvent.STANDS)
         if drive.pause_seconds < 1e6 and self._pause is None:
             self._pause = self._host.loop.after(drive.pause_seconds, lambda: self._resume(drive))
 
     def _end_stopped(self, drive: ClientDrive) -> None:
-        order, why = self._order, drive.why
+        order, reason = self._order, drive.reason
         if drive.aborted is not None:
-            code, why = drive.aborted
+            code, reason = drive.aborted
             if order.confirmed or not order.state.open:
-                self.finish(drive, GoalState.ABORTED, code, why)
+                self.finish(drive, GoalState.ABORTED, code, reason)
             elif order.age > GIVE_UP_SECONDS:
-                self.finish(drive, GoalState.ABORTED, code, why, self._unconfirmed())
+                self.finish(drive, GoalState.ABORTED, code, reason, self._unconfirmed())
         elif drive.released:
-            self.finish(drive, GoalState.CANCELED, Fault.OTHER, why)
+            self.finish(drive, GoalState.CANCELED, Fault.OTHER, reason)
         elif order.confirmed:
-            text = f"{why}; {self._planner} has not answered, and the base stands"
+            text = f"{reason}; {self._planner} has not answered, and the base stands"
             self.finish(drive, GoalState.CANCELED, Fault.OTHER, text)
         elif order.age > GIVE_UP_SECONDS:
-            text = f"{why}; {self._unconfirmed()}"
+            text = f"{reason}; {self._unconfirmed()}"
             self.finish(drive, GoalState.ABORTED, Fault.MAY_MOVE, text)
 
     def _advance_drive(self, drive: ClientDrive) -> None:
@@ -276,7 +276,7 @@ class Execution:
             self._judge(drive)
 
     def _find_again(self, drive: ClientDrive) -> None:
-        """Follow a goal again that the planner still has; send it again if it does not."""
+        """Follow the goal again if the planner still has it; otherwise send it again."""
         link, sent = self._link, drive.sent
         if not link.reachable or sent is None:
             self._give_up_waiting(drive)
@@ -303,43 +303,43 @@ class Execution:
             message |= {"distance_remaining": left, "estimated_time_remaining": seconds(left, self._motion.speed)}
         drive.goal.feedback(message)
 
-    def _on_end(self, drive: ClientDrive, sent: SentGoal, result: Mapping[str, Any] | None, why: str) -> None:
+    def _on_end(self, drive: ClientDrive, sent: SentGoal, result: Mapping[str, Any] | None, message: str) -> None:
         """The planner's goal ended, or contact with it is lost."""
         if self.drive is not drive or drive.sent is not sent:
-            return  # another one has replaced it
+            return  # replaced by another goal
         if result is None and sent.accepted is not False:
             self._link.lose_contact()
             drive.machine.on(DriveEvent.CONTACT_LOST)
         else:
             drive.released = True
-            self._on_result(drive, sent, result or {}, why)
+            self._on_result(drive, sent, result or {}, message)
         self.advance()
         self._changed()
 
-    def _on_result(self, drive: ClientDrive, sent: SentGoal, result: Mapping[str, Any], why: str) -> None:
+    def _on_result(self, drive: ClientDrive, sent: SentGoal, result: Mapping[str, Any], message: str) -> None:
         """The planner itself ended the goal."""
         code = int(result.get("error_code", 0))
-        reason = nav2_errors.reason_text(str(result.get("error_msg", "")) or why, code)
+        reason = nav2_errors.reason_text(str(result.get("error_msg", "")) or message, code)
         if sent.status is GoalState.SUCCEEDED:
             self._on_reached(drive)
         elif drive.state in _STOPPING:
-            return  # as asked for: `advance` confirms the stop or pause
+            return  # expected: `advance` confirms the stop or pause
         elif sent.accepted is False:
             self._on_rejected(drive)
         elif sent.status is GoalState.CANCELED:
             self.finish(drive, GoalState.CANCELED, code or Fault.OTHER, reason or self._without_reason("canceled"))
         elif nav2_errors.is_missing_transform(code) and self._may_retry(drive):
-            drive.why = f"{self._planner}: {reason}; trying again"
+            drive.reason = f"{self._planner}: {reason}; trying again"
             drive.due = time.monotonic() + RETRY_SECONDS
             drive.machine.on(DriveEvent.RETRY)
         elif code:
             self._abort(drive, code, reason or self._without_reason("aborted"))
         else:
-            drive.why = reason
+            drive.reason = reason
             drive.machine.on(DriveEvent.ABORTED)
 
     def _may_retry(self, drive: ClientDrive) -> bool:
-        """Whether a goal that failed for want of a transform is sent again: within the patience."""
+        """Whether a goal that failed because a transform is missing is sent again: within the patience."""
         now, patience = time.monotonic(), self._choice.section.patience
         if not drive.transform_missing_at or now > drive.sent_at + max(patience, 2 * RETRY_SECONDS):
             drive.transform_missing_at = now
@@ -348,13 +348,13 @@ class Execution:
     def _on_rejected(self, drive: ClientDrive) -> None:
         """A planner that is starting rejects goals: they are sent again."""
         if time.monotonic() < self._link.presence.unreachable_at + SETTLING_SECONDS:
-            drive.why = f"{self._planner} has just started and rejected the goal; trying again"
+            drive.reason = f"{self._planner} has just started and rejected the goal; trying again"
             drive.due = time.monotonic() + RETRY_SECONDS
             drive.machine.on(DriveEvent.RETRY)
             return
-        drive.why = f"{self._planner} rejected the goal"
+        drive.reason = f"{self._planner} rejected the goal"
         if drive.target.frame != self._frame:
-            drive.why += f": {self._frame_trouble(drive.target.frame)}"
+            drive.reason += f": {self._frame_trouble(drive.target.frame)}"
         drive.machine.on(DriveEvent.ABORTED)
 
     def _frame_trouble(self, frame: str) -> str:
@@ -365,9 +365,9 @@ class Execution:
         return f"it is in the frame '{frame}', not '{self._frame}'"
 
     def _judge(self, drive: ClientDrive) -> None:
-        """The planner ended the goal without a code: for another client's goal, or for a reason that is only a text.
+        """The planner ended the goal without a code: for another client's goal, or with a reason in words only.
 
-        A bridge whose planner has just gone rejects goals, too, and its neighbors do not know that yet.
+        A bridge whose planner has just disappeared also rejects goals, and its neighbors do not know that yet.
         """
         rejected = drive.sent is not None and drive.sent.accepted is False
         if not self._link.reachable:
@@ -375,44 +375,44 @@ class Execution:
             drive.machine.on(DriveEvent.CONTACT_LOST)
         elif rejected:
             if drive.machine.age > JUDGING_SECONDS:
-                self.finish(drive, GoalState.ABORTED, Fault.BAD_GOAL, drive.why)
+                self.finish(drive, GoalState.ABORTED, Fault.BAD_GOAL, drive.reason)
         elif self._link.foreign and self._link.state.reported:
-            why = drive.why or self._without_reason("canceled")
-            self.finish(drive, GoalState.CANCELED, Fault.OTHER, why)
+            reason = drive.reason or self._without_reason("canceled")
+            self.finish(drive, GoalState.CANCELED, Fault.OTHER, reason)
         elif drive.machine.age > JUDGING_SECONDS:
-            self._abort(drive, Fault.OTHER, drive.why or self._without_reason("aborted"))
+            self._abort(drive, Fault.OTHER, drive.reason or self._without_reason("aborted"))
 
-    def _abort(self, drive: ClientDrive, code: int, why: str) -> None:
-        """End a drive that the planner gave up, after what still moves the base for it, such as Nav2's controller."""
+    def _abort(self, drive: ClientDrive, code: int, reason: str) -> None:
+        """End a drive that the planner aborted, after stopping other actions that move the base (Nav2's controller)."""
         if self._motion.base() is Base.STANDING or self._link.foreign or not self._link.may_move:
-            self.finish(drive, GoalState.ABORTED, code, why)
+            self.finish(drive, GoalState.ABORTED, code, reason)
         else:
-            self._abort_moving(drive, code, why)
+            self._abort_moving(drive, code, reason)
 
-    def _abort_moving(self, drive: ClientDrive, code: int, why: str) -> None:
-        """Stop the base first: the end is reported when it stands."""
-        drive.aborted, drive.why, drive.released = (code, why), why, False
+    def _abort_moving(self, drive: ClientDrive, code: int, reason: str) -> None:
+        """Stop the base first; the end is reported when it stands."""
+        drive.aborted, drive.reason, drive.released = (code, reason), reason, False
         drive.machine.on(DriveEvent.STOP)
         self.cancel(drive)
-        self._order.ask(why)
+        self._order.ask(reason)
 
-    def _without_reason(self, what: str) -> str:
-        return f"{self._planner} {what} the goal" + (f" for {own_client(self._planner)}" if self._link.foreign else "")
+    def _without_reason(self, how: str) -> str:
+        return f"{self._planner} {how} the goal" + (f" for {own_client(self._planner)}" if self._link.foreign else "")
 
     def _on_reached(self, drive: ClientDrive) -> None:
         if drive.at + 1 == len(drive.targets):
             self.finish(drive, GoalState.SUCCEEDED, Fault.NONE, "")
         elif drive.state is DriveState.STOPPING:
-            self.finish(drive, GoalState.CANCELED, Fault.OTHER, drive.why)
+            self.finish(drive, GoalState.CANCELED, Fault.OTHER, drive.reason)
         else:
             drive.at += 1
             if drive.machine.on(DriveEvent.NEXT):
                 self._send(drive, None)
 
-    def finish(self, drive: ClientDrive, status: GoalState, code: int, why: str, unconfirmed: str = "") -> None:
-        """End a drive; a stop goes on if the planner has not released its goal, or the base still moves.
+    def finish(self, drive: ClientDrive, status: GoalState, code: int, reason: str, unconfirmed: str = "") -> None:
+        """End a drive; a stop continues if the planner has not released its goal, or the base still moves.
 
-        ``unconfirmed`` goes to the client only: the gateway's own status shows it for as long as it is true.
+        ``unconfirmed`` is for the client only: the gateway's own status shows it as long as it applies.
         """
         if self.drive is not drive:
             return
@@ -424,15 +424,15 @@ class Execution:
         settles = status is not GoalState.SUCCEEDED and not self._link.foreign
         moves = settles and self._motion.base() is Base.MOVING
         if (moves or not drive.released) and not self._order.state.open:
-            self._order.ask(why)
+            self._order.ask(reason)
         self.last = {
             GoalState.SUCCEEDED: PlannerStatus(State.REACHED),
-            GoalState.CANCELED: PlannerStatus(State.IDLE, why),
-        }.get(status, PlannerStatus(State.ABORTED, why, int(code)))
+            GoalState.CANCELED: PlannerStatus(State.IDLE, reason),
+        }.get(status, PlannerStatus(State.ABORTED, reason, int(code)))
         self._link.foreign_goals.end = None
         if status is GoalState.ABORTED:
-            self._host.log.warning("the goal of %s is aborted: %s", drive.who, why)
-        drive.end(status, code, f"{why}; {unconfirmed}" if unconfirmed else why)
+            self._host.log.warning("the goal of %s is aborted: %s", drive.client, reason)
+        drive.end(status, code, f"{reason}; {unconfirmed}" if unconfirmed else reason)
         self.advance()
         self.settle()
         self._changed()
@@ -451,7 +451,7 @@ class Execution:
             self._pause = None
 
     def _on_map(self, target: Target) -> Target:
-        """Return a target in the map's frame if the transform is known: later motion does not change what it means."""
+        """Return a target in the map's frame if the transform is known: later motion does not change its meaning."""
         frame = self._frame
         if target.frame == frame:
             return target
@@ -462,7 +462,7 @@ class Execution:
 
 
 def _still_listed(link: PlannerLink, sent: SentGoal | None) -> bool:
-    """Whether a goal may still be executing by the planner's list, or its own end has not come yet."""
+    """Whether a goal may still be executing according to the planner's list, or its end has not arrived yet."""
     status = None if sent is None else link.lists(sent)
     return (status is not None and not status.ended) or (sent is not None and sent.active)
 

@@ -1,4 +1,4 @@
-"""The goals that a planner received from clients that bypass the gateway, and what became of them."""
+"""The goals that a planner received from clients that bypass the gateway, and their results."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ class ForeignGoals:
         self._mark, self._lost = mark, lost
         self.active: tuple[bytes, ...] = ()  # the oldest first
         self.end: ForeignEnd | None = None  # the last end
-        self.doubtful: bytes | None = None  # the newest one, since the list is no longer valid
+        self.doubtful: bytes | None = None  # the newest one when the list became invalid
 
     def doubt(self) -> None:
-        """The list is no longer valid: the goal may end, or go on, unseen."""
+        """The list became invalid: the goal may end or continue unseen."""
         if self.active:
             self.doubtful = self.active[-1]
 
@@ -72,7 +72,7 @@ class ForeignGoals:
             self.end = ForeignEnd(doubtful, _end_of(status), "" if known else self._lost)
 
     def settle(self) -> None:
-        """The base stands while the list is not valid: the goal counts as ended."""
+        """The base stands while the list is invalid: count the goal as ended."""
         if self.doubtful is not None:
             self.end = ForeignEnd(self.doubtful, State.ABORTED, self._lost)
             self.doubtful = None

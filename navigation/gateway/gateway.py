@@ -1,4 +1,4 @@
-"""The gateway: what clients of every side ask for, and what is reported to them."""
+"""The gateway: requests of clients of every side, and reports to them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ BETWEEN_MAPS = "robot_path_planner"
 
 
 class Gateway:
-    """Executes what clients ask for, one drive at a time. On the module's thread.
+    """Executes the requests of clients, one drive at a time. On the module's thread.
 
     `navigation.gateway.machine` has its states; `navigation.gateway.words` derives every answer from them.
     """
@@ -61,7 +61,7 @@ class Gateway:
         self._reported: tuple[Any, ...] = ()
         self._status = PlannerStatus()
         self.held = False  # whether the planner's velocities must not reach the base
-        self._status = derive(self._situation())  # nothing is known yet, which is not idle
+        self._status = derive(self._situation())  # unknown, not idle
         host.loop.every(_POLL_SECONDS, self.poll)
 
     @property
@@ -71,7 +71,7 @@ class Gateway:
 
     @property
     def ended(self) -> dict[str, int]:
-        """How many drives of clients ended so; refused: goals without a valid pose."""
+        """The number of drives by their result; refused: goals without a valid pose."""
         return self.execution.ended
 
     @property
@@ -96,7 +96,7 @@ class Gateway:
 
     @property
     def pending(self) -> str:
-        """The planner that takes over as soon as the current one stands; "" for none."""
+        """The planner that takes over when the robot stands; "" for none."""
         return self._choice.pending
 
     @property
@@ -128,12 +128,12 @@ class Gateway:
         return True
 
     def cancel_goal(self, goal: Goal) -> bool:
-        """A client cancels its goal."""
+        """Cancel a client's goal at its request."""
         if self.drive is not None and self.drive.goal is goal:
             self.execution.stop_drive("the client canceled it")
         return True
 
-    def go(self, places: Sequence[Target], who: str, name: str = "") -> None:
+    def go(self, places: Sequence[Target], client: str, name: str = "") -> None:
         """Drive to places of the store in turn.
 
         Raises `RequestError` if a place is on another map and the planner cannot drive there.
@@ -141,12 +141,12 @@ class Gateway:
         elsewhere = [place.frame for place in places if place.frame != self.frame]
         if elsewhere and self.planner != BETWEEN_MAPS:
             raise RequestError(f"it is on the map {elsewhere[0]}; {self.planner} only knows the map in use")
-        self.execution.begin(places, who, name)
+        self.execution.begin(places, client, name)
 
     def stop(self) -> str:
         """Stop the robot: cancel all goals of the planner, also those of clients that bypass the gateway.
 
-        Returns what was done; `when_confirmed` reports whether the robot stands.
+        Returns a message; `when_confirmed` reports whether the robot stands.
         """
         foreign, motion, drive = self.link.foreign, self.link.motion, self.drive
         self.link.end_all()
@@ -161,15 +161,15 @@ class Gateway:
             return "the goal is canceled"
         if foreign:
             return f"the goals that {self.planner} received from its own clients are canceled"
-        return f"the goals of {', '.join(motion)} are canceled" if motion else "there was no goal"
+        return f"the goals of {', '.join(motion)} are canceled" if motion else "no active goal"
 
     def when_confirmed(self, answer: Callable[[str], None]) -> None:
-        """Call ``answer`` once: with "" when the stop or pause is confirmed, or after a while with why it is not."""
+        """Call ``answer`` once: with "" when the stop or pause is confirmed, or later with the reason why it is not."""
         self._order.waiters.add(answer, ANSWER_SECONDS)
         self._order.waiters.notify(trouble(self._situation()))
 
     def choose(self, planner: str) -> str:
-        """Have another planner drive; returns what it waits for.
+        """Select another planner; returns a message that says when it takes over.
 
         Raises `RequestError` if it is unknown, or the current one is driving.
         """
@@ -184,15 +184,15 @@ class Gateway:
         self.execution.settle()
         self._changed()
 
-    def client_lost(self, goal: Goal, why: str) -> None:
-        """End a goal whose client is cut off."""
+    def client_lost(self, goal: Goal, reason: str) -> None:
+        """End a goal whose client is unreachable."""
         drive = self.drive
         if drive is not None and drive.goal is goal:
             self.execution.cancel(drive)
-            self.execution.finish(drive, GoalState.ABORTED, Fault.OTHER, why)
+            self.execution.finish(drive, GoalState.ABORTED, Fault.OTHER, reason)
 
     def shut_down(self, done: Callable[[], None]) -> None:
-        """Stop everything that the gateway began, and call ``done`` when that is confirmed, or late."""
+        """Stop everything that the gateway started, and call ``done`` when that is confirmed, or late."""
         drive = self.drive
         if drive is None:
             done()
@@ -201,24 +201,26 @@ class Gateway:
         self.when_confirmed(lambda _trouble: done())
 
     def close(self) -> None:
-        """End what is left of a drive."""
+        """End the drive."""
         drive = self.drive
         if drive is not None:
             self.execution.cancel(drive)
-            why = drive.why if drive.state is DriveState.STOPPING else "the gateway is shutting down"
-            self.execution.finish(drive, GoalState.ABORTED, Fault.MAY_MOVE, f"{why}; {unconfirmed(self._situation())}")
+            reason = drive.reason if drive.state is DriveState.STOPPING else "the gateway is shutting down"
+            self.execution.finish(
+                drive, GoalState.ABORTED, Fault.MAY_MOVE, f"{reason}; {unconfirmed(self._situation())}"
+            )
 
     def poll(self) -> None:
-        """Read what is known again, and act on it; called about ten times a second."""
+        """Read the state of planner and base, and act on it; called about ten times a second."""
         self.motion.poll()
-        self.link.refresh(self.motion)  # first: goals that have to end are canceled before anything else is sent
+        self.link.refresh(self.motion)  # first, so that cancel requests are sent before anything else
         self.execution.poll()
         self._changed()
 
     # -- reports -------------------------------------------------------------------------------------------------------
 
     def _situation(self) -> Situation:
-        """What is known now."""
+        """The current situation."""
         drive, link, order, foreign = self.drive, self.link, self._order, self.link.foreign
         telemetry, silence = link.telemetry, self._choice.section.silence
         # the daemon watches Midspan's own planners
@@ -228,20 +230,20 @@ class Gateway:
             planner=self.planner,
             planner_state=link.state,
             planner_age=link.presence.machine.age,
-            base=self.motion.base(link.motion_since),  # a base that stood before may move by now
+            base=self.motion.base(link.motion_since),  # a base that stood earlier may move now
             goals=link.goals,
             doubtful=link.foreign_goals.doubtful is not None,
             motion=link.motion,
             foreign=self._of_foreign(foreign[-1]) if foreign else None,
             orphans=link.orphans,
             drive=None if drive is None else drive.state,
-            why="" if drive is None else drive.why,
+            reason="" if drive is None else drive.reason,
             unreleased=drive is not None and not drive.released,
             reported=self._published(sent),
             silence=silent,
             localization="" if link.ours else self._localization(),
             stop=order.state,
-            stop_why=order.why,
+            stop_reason=order.reason,
             stop_age=order.age,
             odometry=self.motion.known,
             since_end=time.monotonic() - self.execution.ended_at,
@@ -279,7 +281,7 @@ class Gateway:
         return status_message(stamp, self._status)
 
     def _changed(self) -> None:
-        """Publish the status if it has changed, and answer those who wait for a stop."""
+        """Publish the status if it has changed, and answer the clients that wait for a stop."""
         end, drive = self.link.foreign_goals.end, self.drive
         if drive is not None and drive.sent is not None and drive.sent.active and drive.sent.accepted:
             drive.machine.on(DriveEvent.ACCEPTED)

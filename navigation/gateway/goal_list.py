@@ -1,4 +1,4 @@
-"""The goals of an action server, by the list that it publishes on its ``status`` topic."""
+"""The goals of an action server, from the list that it publishes on its ``status`` topic."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ class GoalList:
     """The newest list of one action server, and whether it is valid: "no list yet" is not "no goals".
 
     Args:
-        always: the server publishes its list as soon as it starts, as Midspan's own and those of ROS 1 do. Then the
-            goals stay unknown until it comes, however long that takes.
+        always: the server publishes its list as soon as it starts, as those of Midspan and ROS 1 do. Then the
+            goals are unknown until the list arrives.
     """
 
     def __init__(self, *, always: bool) -> None:
         self._always = always
         self._publishers: dict[bytes, float] = {}  # GIDs of the topic's publishers on the hub: when each appeared
         self._publisher = b""  # whose list it is
-        self._received = 0.0  # when it came (monotonic); 0: never
+        self._received = 0.0  # when it arrived (monotonic); 0: never
         self.active_since = 0.0  # when a goal became active that others have joined since (monotonic); 0: none is
         self._statuses: dict[bytes, GoalState] = {}
-        self._empty = False  # no list has come from these publishers for long: they have no goals
-        self.known = False  # whether the list is that of a server that is there
+        self._empty = False  # no list has arrived from these publishers for a long time: they have no goals
+        self.known = False  # whether the list belongs to an available server
 
     @property
     def any(self) -> bool:
-        """Whether there has been a list at all, or a server that needs none."""
+        """Whether any list has arrived, or the server needs none."""
         return self._received > 0.0 or self._empty
 
     @property
@@ -51,7 +51,7 @@ class GoalList:
         return max(self._received, *self._publishers.values())
 
     def receive(self, publisher: bytes, statuses: Mapping[bytes, GoalState]) -> bool:
-        """Take in a list; whether it differs from the one before."""
+        """Store a list; return whether it differs from the previous one."""
         changed = self._statuses != statuses
         self._publisher, self._statuses, self._received = publisher, dict(statuses), time.monotonic()
         self.active_since = (self.active_since or self._received) if self.active else 0.0
@@ -59,7 +59,7 @@ class GoalList:
         return changed
 
     def refresh(self, publishers: Collection[bytes]) -> None:
-        """Note which publishers the topic has now: a list is valid while its publisher is there."""
+        """Set the topic's publishers: a list is valid while its publisher exists."""
         now, before = time.monotonic(), self._publishers
         self._publishers = {gid: before.get(gid, now) for gid in publishers}
         self._empty = self._empty and bool(self._publishers) and self._publishers.keys() <= before.keys()

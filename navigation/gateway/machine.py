@@ -1,6 +1,6 @@
 """The gateway's states, events and transitions, as tables; ARCHITECTURE.md draws them.
 
-Three machines hold everything that the gateway knows: of the planner (`PLANNER`), of the drive for one client
+Three machines hold the state of the gateway: of the planner (`PLANNER`), of the drive for one client
 (`DRIVE`), and of a stop or pause that has to be confirmed (`STOP`). An event that a state does not list leaves it as it
 is. `navigation.gateway.words` derives every answer to a client from these states.
 """
@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 
 
 class PlannerState(Enum):
-    """What is known of the planner."""
+    """The state of the planner."""
 
     UNKNOWN = "unknown"  #: not seen since the gateway started; its side has not reported yet
     ABSENT = "absent"  #: its side has reported, and the planner is not on it
@@ -50,7 +50,7 @@ class PlannerEvent(Enum):
 
 
 class DriveState(Enum):
-    """What is known of a client's drive."""
+    """The state of a client's drive."""
 
     WAITING = "waiting"  #: not sent: the planner cannot accept a goal yet
     SENT = "sent"  #: the planner has not answered yet
@@ -59,7 +59,7 @@ class DriveState(Enum):
     LOST = "lost"  #: contact with the goal is lost: it may still be executing
     PAUSING = "pausing"  #: canceled for a pause, which is not confirmed yet
     PAUSED = "paused"  #: the robot stands
-    STOPPING = "stopping"  #: canceled for good, which is not confirmed yet
+    STOPPING = "stopping"  #: canceled, which is not confirmed yet
     ENDED = "ended"
 
 
@@ -82,14 +82,14 @@ class DriveEvent(Enum):
 
 
 class StopState(Enum):
-    """What is known of a stop or pause."""
+    """The state of a stop or pause."""
 
-    NONE = "none"  #: nothing is asked for
+    NONE = "none"  #: no stop is requested
     ASKED = "asked"  #: the planner has not released its goals
     RESTING = "resting"  #: the base stands; the planner has not released its goals
     SETTLING = "settling"  #: the planner has released its goals; the base is not known to stand
     CONFIRMED = "confirmed"  #: the planner has released its goals, and the base stands
-    EXPIRED = "expired"  #: given up: the planner is gone for long, or something else moves the base
+    EXPIRED = "expired"  #: given up: the planner is unreachable for long, or something else moves the base
 
     @property
     def open(self) -> bool:

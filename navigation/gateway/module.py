@@ -15,7 +15,7 @@ from bridge.worker import Health
 from navigation.frames import RobotFrames
 from navigation.gateway.entry import NavigateAction
 from navigation.gateway.gateway import BETWEEN_MAPS, Gateway
-from navigation.gateway.services import WHO, GatewayDevice, HubServices, VelocityCommander, YarpVelocity
+from navigation.gateway.services import CLIENT, GatewayDevice, HubServices, VelocityCommander, YarpVelocity
 from navigation.gateway.stop import StopAnswer, wait_for
 from navigation.gateway.targets import StoredPlaces, TargetError, target_of
 from navigation.gateway.telemetry import POSE
@@ -100,7 +100,7 @@ class GatewayModule(Module):
         drive = self.gateway.drive
         if drive is None and self.gateway.driving:
             self._device.target_name = ""
-        elif drive is not None and drive.who != WHO:
+        elif drive is not None and drive.client != CLIENT:
             self._device.target_name = drive.name
         if self.gateway.has_base and not self.gateway.held:
             self._commander.stop()
@@ -111,14 +111,14 @@ class GatewayModule(Module):
             port.write([f"navigation_status_{self._state}"])
 
     def health(self) -> Health:
-        """Which planner there is, and what it does."""
+        """The planner and its state."""
         gateway = self.gateway
         if not gateway.link.reachable:
             return Health("waiting", f"the planner {gateway.planner} is not available")
-        state, why, code = gateway.state()
+        state, reason, code = gateway.state()
         if code in (Fault.SILENT, Fault.MAY_MOVE):
-            return Health("waiting", why)
-        text = f"{gateway.planner} {state.value.replace('_', ' ')}" + (f" ({why})" if why else "")
+            return Health("waiting", reason)
+        text = f"{gateway.planner} {state.value.replace('_', ' ')}" + (f" ({reason})" if reason else "")
         if gateway.pending:
             text += f"; {gateway.pending} takes over when it stands"
         if self._action.served_by:
@@ -128,7 +128,7 @@ class GatewayModule(Module):
     def status(self) -> dict[str, Any]:
         """The planner, the goal and the state."""
         gateway = self.gateway
-        state, why, _ = gateway.state()
+        state, reason, _ = gateway.state()
         drive, other = gateway.drive, self._action.served_by
         warnings = [self._host.yarp.trouble(), f"{ACTION} is served by {other}: {_BESIDE}" if other else ""]
         return {
@@ -136,10 +136,10 @@ class GatewayModule(Module):
             "planners": list(gateway.choices),
             "pending": gateway.pending,
             "navigation": state.value,
-            "reason": why,
+            "reason": reason,
             "goals": 0 if drive is None else len(drive.targets) - drive.at,
             "goal": None if drive is None else [*drive.target.pose[:3]],
-            "client": "" if drive is None else drive.who,
+            "client": "" if drive is None else drive.client,
             "goals_of_others": len(gateway.link.foreign),
             "goals_ended": dict(gateway.ended),
             "served_by": other,
@@ -152,7 +152,7 @@ class GatewayModule(Module):
         self.gateway.shut_down(done)
 
     def stop(self) -> None:
-        """End what is left."""
+        """End the drive."""
         self._commander.stop()
         self.gateway.close()
 

@@ -1,4 +1,4 @@
-"""What is known of the base: whether it stands, by odometry, or without odometry by its velocity commands."""
+"""Whether the base stands, from odometry, or without odometry from its velocity commands."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _HISTORY_SECONDS = 3.0
 
 
 class Base(Enum):
-    """What is known of the base."""
+    """Whether the base moves."""
 
     UNKNOWN = "unknown"
     STANDING = "standing"
@@ -45,7 +45,7 @@ class Motion:
     """Follows the base's odometry: `poll` on the module's thread, everything else on any thread.
 
     Args:
-        simulated: the stamps are those of a simulation, which may run faster than time.
+        simulated: the stamps are those of a simulation, which may run faster than real time.
     """
 
     def __init__(self, frames: RobotFrames, *, simulated: bool = False) -> None:
@@ -65,7 +65,7 @@ class Motion:
         if not before or pose.stamp_ns != before[-1][1].stamp_ns:
             self._poses = (*(entry for entry in before if entry[0] >= now - _HISTORY_SECONDS), (now, pose))
 
-    def stands(self, since: float = 0.0) -> bool | None:
+    def is_standing(self, since: float = 0.0) -> bool | None:
         """Return whether the base has stood for `STANDING_SECONDS`, by three or more poses; None without odometry.
 
         In simulated time the stamps count, otherwise the times of arrival, too. Poses that arrived before ``since``
@@ -90,12 +90,12 @@ class Motion:
         return None
 
     def base(self, since: float = 0.0) -> Base:
-        """Return what odometry since then shows of the base; `Base.UNKNOWN` until it has covered enough time."""
-        return {True: Base.STANDING, False: Base.MOVING, None: Base.UNKNOWN}[self.stands(since)]
+        """Return the base's state from odometry since then; `Base.UNKNOWN` until it has covered enough time."""
+        return {True: Base.STANDING, False: Base.MOVING, None: Base.UNKNOWN}[self.is_standing(since)]
 
     @property
     def known(self) -> bool:
-        """Whether there is odometry at all."""
+        """Whether there is odometry."""
         return bool(self._poses)
 
     @property
@@ -126,7 +126,7 @@ class VelocityWatch:
         self._zero_at = -math.inf
 
     def open(self) -> None:
-        """Subscribe, unless that is done."""
+        """Subscribe, if not subscribed yet."""
         if self._subscription is None and self._topic:
             self._opened = time.monotonic()
             self._moving_at = self._zero_at = -math.inf
@@ -143,8 +143,7 @@ class VelocityWatch:
     def zero(self, since: float) -> bool:
         """Return whether the base is commanded to stand: zeros only, or silence for `SILENCE_SECONDS`.
 
-        What was commanded before ``since`` (monotonic seconds) does not count. Without a topic of velocities nothing is
-        known, and the answer is False.
+        Commands before ``since`` (monotonic seconds) do not count. Without a topic of velocities the answer is False.
         """
         if self._subscription is None:
             return False

@@ -1,4 +1,4 @@
-"""The planner as the gateway sees it: whether it is reachable, its goals, and everything else that moves the base."""
+"""The gateway's link to a planner: whether it is reachable, its goals, and other actions that move the base."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ class PlannerLink:
             ActionGoals(host, name, always=False, changed=lambda _differs: changed())
             for name in (other.motion if other is not None else ())
         ]
-        self.foreign_goals = ForeignGoals(mark, f"the planner {planner} has gone")
+        self.foreign_goals = ForeignGoals(mark, f"the planner {planner} has disappeared")
         self.telemetry = Telemetry(host, section, planner, changed)
         hosted = not side and planner in host.config.hosted
         self.presence = Presence(host, action, side, hosted=hosted, topics=self.telemetry.topics)
 
-    # -- what is known -------------------------------------------------------------------------------------------------
+    # -- state ---------------------------------------------------------------------------------------------------------
 
     @property
     def state(self) -> PlannerState:
-        """What is known of it."""
+        """Its state."""
         return self.presence.machine.state
 
     @property
@@ -57,13 +57,13 @@ class PlannerLink:
 
     @property
     def foreign(self) -> tuple[bytes, ...]:
-        """The active goals that its own clients gave it, the oldest first, while its list is valid."""
+        """The active goals from its own clients, the oldest first, while its list is valid."""
         return self.foreign_goals.active if self.state.reported else ()
 
     @property
     def motion(self) -> tuple[str, ...]:
         """The other actions on its side that move the base now, such as Nav2's ``/follow_path``."""
-        return tuple(one.action for one in self._motion if one.list.known and one.list.active)
+        return tuple(action.action for action in self._motion if action.list.known and action.list.active)
 
     @property
     def motion_since(self) -> float:
@@ -73,7 +73,7 @@ class PlannerLink:
     @property
     def may_move(self) -> bool:
         """Whether another action moves the base, or is not known to have no goals."""
-        return any(one.there and (one.list.active or not one.list.known) for one in self._motion)
+        return any(action.there and (action.list.active or not action.list.known) for action in self._motion)
 
     @property
     def goals(self) -> bool | None:
@@ -82,14 +82,14 @@ class PlannerLink:
 
     @property
     def released(self) -> bool:
-        """Whether it is known that it, and everything else that moves the base, has no goal left that has to end."""
+        """Whether it, and every other action that moves the base, is known to have ended the goals that have to end."""
         reachable = self.reachable and self._goals.released
-        return reachable and all(one.released or not one.there for one in self._motion)
+        return reachable and all(action.released or not action.there for action in self._motion)
 
     @property
     def left(self) -> bool:
-        """Whether there are goals that have to end, and have not by the newest lists."""
-        return bool(self._goals.left) or any(one.left for one in self._motion)
+        """Whether goals that have to end are still in the newest lists."""
+        return bool(self._goals.left) or any(action.left for action in self._motion)
 
     def lists(self, sent: SentGoal) -> GoalState | None:
         """Return the state of a goal in a valid list; None if the list does not have it, or is not valid."""
@@ -113,7 +113,7 @@ class PlannerLink:
         return sent
 
     def follow(self, sent: SentGoal) -> None:
-        """Ask again for the result of a goal that the planner still has."""
+        """Request again the result of a goal that the planner still has."""
         if not sent.active:
             self._client.follow(sent)
 
@@ -124,7 +124,7 @@ class PlannerLink:
         self._goals.end(sent.id)
 
     def end_all(self) -> None:
-        """Cancel everything that moves the base, also what its own clients gave it."""
+        """Cancel everything that moves the base, also goals of its own clients."""
         for action in (self._goals, *self._motion):
             action.end_all()
 
@@ -134,11 +134,11 @@ class PlannerLink:
             action.end_all()
 
     def end_no_more(self) -> None:
-        """The stop is over: goals that appear now may go on."""
+        """End the stop: goals that appear now may continue."""
         for action in (self._goals, *self._motion):
             action.end_no_more()
 
-    # -- what happens --------------------------------------------------------------------------------------------------
+    # -- updates -------------------------------------------------------------------------------------------------------
 
     def refresh(self, motion: Motion) -> None:
         """Read the hub's graph and the lists again; called about ten times a second."""
@@ -147,11 +147,11 @@ class PlannerLink:
         reported = self.state.reported
         self.presence.refresh(complete=self._client.ready, moving=motion.base() is Base.MOVING)
         self._update(reported=reported)
-        if not self.reachable and motion.stands(self.presence.machine.since):
+        if not self.reachable and motion.is_standing(self.presence.machine.since):
             self.foreign_goals.settle()
 
     def lose_contact(self) -> None:
-        """A call of the planner failed: it is out of reach until its parts or its goal list show the contrary."""
+        """A call of the planner failed: it is unreachable until its parts or its goal list change."""
         reported = self.state.reported
         self.presence.lose_contact()
         self._update(reported=reported)
@@ -166,7 +166,7 @@ class PlannerLink:
             machine.on(PlannerEvent.GOALS if goals.active else PlannerEvent.NO_GOALS)
             self.foreign_goals.update(goals)
             for goal in filter(self.mark.is_orphan, goals.active):
-                self._goals.end(goal)  # its client has lost it: no other program could stop the robot
+                self._goals.end(goal)  # its client lost it: no other program could stop the robot
             return
         machine.on(PlannerEvent.UNREPORTED)
         if reported:
@@ -174,7 +174,7 @@ class PlannerLink:
 
     @property
     def orphans(self) -> bool:
-        """Whether it drives to a goal that this gateway gave it before it was restarted."""
+        """Whether it drives to a goal that this gateway sent before a restart."""
         return any(self.mark.is_orphan(goal) for goal in self._goals.list.active)
 
     def _on_list(self, differs: bool) -> None:

@@ -1,4 +1,4 @@
-"""Whether a planner is there: the parts of its action on the hub, its answers, and the report of its side."""
+"""Whether a planner is available: the parts of its action on the hub, its answers, and the report of its side."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ UNSEEN_SECONDS = 10.0
 
 
 class Presence:
-    """What is known of a planner, as its machine.
+    """Whether a planner is available, as a state machine.
 
     Args:
         action: its action on the hub.
         side: the side that it runs on; "" for one that Midspan hosts.
         hosted: whether this process hosts it.
-        topics: the topics by which its first parts are noticed.
+        topics: the topics that show its first parts.
     """
 
     def __init__(self, host: Host, action: str, side: str, *, hosted: bool, topics: Sequence[str]) -> None:
@@ -34,12 +34,12 @@ class Presence:
         self.machine: Machine[PlannerState, PlannerEvent] = Machine(PLANNER, PlannerState.UNKNOWN)
         self.seen_at = time.monotonic()  # when it was last reachable; before that, when this began
         self.unreachable_at = time.monotonic()  # when it was last seen to be unreachable
-        self._side_since: float | None = None  # since when its side has had the time to show it
-        self._first_parts: set[bytes] = set()  # those that were there when it became unreachable
+        self._side_since: float | None = None  # when its side began to have had enough time to show it
+        self._first_parts: set[bytes] = set()  # its parts when it became unreachable
 
     @property
     def coming_up(self) -> bool:
-        """Whether parts of it have come to the hub while it is not reachable as a whole."""
+        """Whether new parts of it have appeared on the hub while others are missing."""
         return not self.machine.state.reachable and bool(self._published() - self._first_parts)
 
     def refresh(self, *, complete: bool, moving: bool) -> None:
@@ -55,7 +55,7 @@ class Presence:
                 self.machine.on(PlannerEvent.SIDE_REPORTED)
 
     def lose_contact(self) -> None:
-        """A call failed: the planner is out of reach until its parts or its goal list show the contrary."""
+        """A call failed: the planner is unreachable until its parts or its goal list change."""
         self.contact.lose(self._parts())
         self._lose()
 
@@ -76,7 +76,7 @@ class Presence:
         return {endpoint.gid for endpoints in (*servers, *publishers) for endpoint in endpoints}
 
     def _side_reported(self, *, moving: bool) -> bool:
-        """Whether the planner's side had the time to show it: its worker has joined, and it is not there."""
+        """Whether the planner is not running on its side: the worker has joined for long enough without showing it."""
         now = time.monotonic()
         joined = {origin.side for origin in self._graph.origins().values()} | {"zenoh"}
         if not self._hosted and self._side not in joined:

@@ -146,7 +146,7 @@ def _serving(action: Callable[[str], str | None]) -> Callable[[dict[str, Any], A
     return serve
 
 
-WHO = "a YARP client"
+CLIENT = "a YARP client"
 _FRESH_SECONDS = 0.3
 """A velocity that waited longer for the module's thread is refused: its client has sent another one, or stops."""
 
@@ -198,7 +198,7 @@ class GatewayDevice(NavigationDevice):
     def _wait_for(self, what: str, answer: StopAnswer) -> None:
         trouble = wait_for(answer)
         if trouble:
-            self._log.warning("a %s of %s is not confirmed: %s", what, WHO, trouble)
+            self._log.warning("a %s of %s is not confirmed: %s", what, CLIENT, trouble)
             raise CallFailed(ReturnCode.METHOD_FAILED, trouble)
 
     def resumeNavigation(self) -> None:
@@ -239,11 +239,11 @@ class GatewayDevice(NavigationDevice):
         try:
             super()._accept(action)
         except CallFailed as err:
-            self._log.warning("a goal of %s is refused: %s", WHO, err)
+            self._log.warning("a goal of %s is refused: %s", CLIENT, err)
             raise
 
     def _begin(self, targets: Sequence[Target]) -> None:
-        self._gateway.go(targets, WHO)
+        self._gateway.go(targets, CLIENT)
 
     def _robot(self) -> Pose:
         robot = self._gateway.robot()

@@ -16,7 +16,7 @@ GIVE_UP_SECONDS = 10.0
 """After this time without a confirmation the client's goal ends ABORTED: the robot may still be moving."""
 
 SETTLING_SECONDS = 5.0
-"""A base that still moves this long after the planner released its goals is moved by something else."""
+"""A base that still moves this long after the planner released its goals is moved by another program."""
 
 HELD_SECONDS = 60.0
 """The velocities of an unreachable planner are held for this time if the base stands."""
@@ -28,7 +28,7 @@ A base that stands after it confirms the stop without the planner.
 """
 
 ANSWER_SECONDS = 2.5
-"""The longest time until a client that asks for a stop is answered: a base may take a second to come to rest."""
+"""A client that requests a stop is answered within this time: a base may take a second to come to rest."""
 
 
 StopAnswer = queue.SimpleQueue[str]
@@ -44,7 +44,7 @@ def wait_for(answer: StopAnswer) -> str:
 
 
 class StopWaiters:
-    """The clients that asked for a stop; each is answered once, when the stop is confirmed or late."""
+    """The clients that requested a stop; each is answered once, when the stop is confirmed or late."""
 
     def __init__(self) -> None:
         self._waiting: list[tuple[float, Callable[[str], None]]] = []
@@ -61,11 +61,11 @@ class StopWaiters:
         for _, answer in due:
             answer(trouble)
 
-    def fail(self, why: str) -> None:
+    def fail(self, reason: str) -> None:
         """Answer all with the reason why their stop will not be confirmed."""
         waiting, self._waiting = self._waiting, []
         for _, answer in waiting:
-            answer(why)
+            answer(reason)
 
 
 class StopOrder:
@@ -74,63 +74,63 @@ class StopOrder:
     def __init__(self, motion: Motion, velocity: VelocityWatch) -> None:
         self._motion, self._velocity = motion, velocity
         self._machine: Machine[StopState, StopEvent] = Machine(STOP, StopState.NONE)
-        self.why = ""  # it was asked for
+        self.reason = ""  # the reason of the request
         self.asked_at = 0.0  # monotonic
         self._released_at = 0.0  # since when the planner has released its goals (monotonic); 0: it has not
         self.waiters = StopWaiters()
 
     @property
     def state(self) -> StopState:
-        """What is known of it."""
+        """Its state."""
         return self._machine.state
 
     @property
     def age(self) -> float:
-        """Seconds since it was asked for."""
+        """Seconds since the request."""
         return time.monotonic() - self.asked_at
 
     @property
     def confirmed(self) -> bool:
-        """Whether the robot stands, with the planner's release or, after its time to answer, without."""
+        """Whether the robot stands; the planner has released its goals, or its time to do so is over."""
         return self.state in (StopState.CONFIRMED, StopState.RESTING)
 
-    def ask(self, why: str) -> None:
-        """A stop or pause is asked for; one that is still to be confirmed goes on, and keeps its time."""
-        self.why = why
+    def ask(self, reason: str) -> None:
+        """Request a stop or pause; one that is still to be confirmed continues, and keeps its time."""
+        self.reason = reason
         if not self.state.open:
             self.asked_at = time.monotonic()
             self._machine.on(StopEvent.ASK)
 
-    def drop(self, why: str = "") -> None:
-        """Nothing waits for a confirmation any longer: a new goal takes its place, or there was nothing to stop."""
+    def drop(self, reason: str = "") -> None:
+        """Drop the stop: a new goal replaces it, or there was nothing to stop."""
         self._machine = Machine(STOP, StopState.NONE)
         self._velocity.close()
-        if why:
-            self.waiters.fail(why)
+        if reason:
+            self.waiters.fail(reason)
 
     def update(self, *, released: bool, seen_at: float) -> None:
-        """Take in what is known now; ``seen_at``: when the planner was last reachable (monotonic seconds)."""
+        """Update the state; ``seen_at``: when the planner was last reachable (monotonic seconds)."""
         if not self.state.open:
             return
         machine = self._machine
-        base = StopEvent.STANDS if self._stands(released=released) else StopEvent.MOVES
+        base = StopEvent.STANDS if self._is_standing(released=released) else StopEvent.MOVES
         # a base that moves again is noted before the planner's release can confirm the stop
         for event in (base, StopEvent.RELEASED, base) if released else (StopEvent.NOT_RELEASED, base):
             machine.on(event)
-        gone = machine.state is StopState.RESTING and time.monotonic() > max(self.asked_at, seen_at) + HELD_SECONDS
-        if gone or (machine.state is StopState.SETTLING and machine.age > SETTLING_SECONDS):
+        expired = machine.state is StopState.RESTING and time.monotonic() > max(self.asked_at, seen_at) + HELD_SECONDS
+        if expired or (machine.state is StopState.SETTLING and machine.age > SETTLING_SECONDS):
             machine.on(StopEvent.EXPIRE)
         if not machine.state.open:
             self._velocity.close()
 
-    def _stands(self, *, released: bool) -> bool:
-        """Whether the base stands: by odometry, or without any by its velocity commands once its planner has let go."""
+    def _is_standing(self, *, released: bool) -> bool:
+        """Whether the base stands: by odometry, or else by its velocity commands after the planner's release."""
         if self._motion.known:
             self._velocity.close()
             # a base that stands while it is commanded zero may move on with the planner's next velocity
             since = self.asked_at if released else self.asked_at + OVERRIDE_SECONDS
-            return self._motion.stands(since) is True
+            return self._motion.is_standing(since) is True
         self._velocity.open()
-        # before that, silence means nothing: velocities of an unreachable planner do not come to the hub
+        # before that, silence is no evidence: velocities of an unreachable planner do not reach the hub
         self._released_at = (self._released_at or time.monotonic()) if released else 0.0
         return released and self._velocity.zero(self._released_at)

@@ -1,4 +1,4 @@
-"""Where goals lead, also by the names of places in the store."""
+"""The targets of goals, also as names of places in the store."""
 
 from __future__ import annotations
 

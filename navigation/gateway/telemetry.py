@@ -51,11 +51,11 @@ class Telemetry:
 
     @property
     def silent(self) -> float:
-        """Seconds since its last word on the goal; 0 for one that only publishes changes: its silence means nothing."""
+        """Seconds since its last message about the goal; 0 for a planner that only publishes changes."""
         return time.monotonic() - self._beat_at if self._beats else 0.0
 
     def begin(self) -> None:
-        """A new goal is sent."""
+        """Start a new goal."""
         self.path, self._beats = None, 0
 
     def beat(self, *, counts: bool = True) -> None:
@@ -70,12 +70,12 @@ class Telemetry:
         return State(status["state"]), str(status["reason"])
 
     def code(self, goal: bytes) -> int:
-        """Return the number of the reason why the goal waits or failed; 0 if unknown."""
+        """Return the code of the reason why the goal waits or failed; 0 if unknown."""
         status = self._status
         return int(status["error_code"]) if status is not None and bytes(status["goal_id"]) == goal else 0
 
     def pose(self, goal: bytes) -> Message | None:
-        """Return the pose of a goal that its own client gave it, if it publishes that."""
+        """Return the pose of a goal of its own client, if it publishes that."""
         status = self._status
         if status is not None and bytes(status["goal_id"]) == goal:
             return dict(status["goal"])

@@ -1,4 +1,4 @@
-"""Every word to a client about the robot's motion, derived from what the gateway knows: nothing else makes one."""
+"""All reports to clients about the robot's motion, derived from the state of the gateway."""
 
 from __future__ import annotations
 
@@ -18,67 +18,67 @@ _LIST_LAG = 0.5
 
 @dataclass(frozen=True)
 class Situation:
-    """What the gateway knows at one instant."""
+    """What the gateway knows at one time."""
 
     planner: str  #: its name
     planner_state: PlannerState = PlannerState.UNKNOWN
     planner_age: float = 0.0  #: seconds since that changed
     base: Base = Base.UNKNOWN
     goals: bool | None = None  #: whether its newest list has active goals, valid or not; None before the first list
-    doubtful: bool = False  #: whether a client that bypasses the gateway had sent it a goal when it became unreachable
+    doubtful: bool = False  #: whether it had a goal of a client that bypasses the gateway when it became unreachable
     motion: tuple[str, ...] = ()  #: other actions that move the base now, such as Nav2's ``/follow_path``
-    foreign: PlannerStatus | None = None  #: how a goal of the planner's own client is getting on
+    foreign: PlannerStatus | None = None  #: the status of a goal of the planner's own client
     orphans: bool = False  #: whether the planner drives to a goal from before the gateway was restarted
     drive: DriveState | None = None
-    why: str = ""  #: why the drive is being stopped, or waits
+    reason: str = ""  #: why the drive stops or waits
     unreleased: bool = False  #: whether the planner may have a goal of the drive
     reported: PlannerStatus | None = None  #: the planner's own status of the drive's goal
-    silence: float = 0.0  #: seconds without a word from the planner; 0 if that means nothing
-    localization: str = ""  #: why the robot's pose is not to be trusted
+    silence: float = 0.0  #: seconds without a message from the planner; 0 if it only publishes changes
+    localization: str = ""  #: why the robot's pose is not trusted
     stop: StopState = StopState.NONE
-    stop_why: str = ""
-    stop_age: float = 0.0  #: seconds since the stop or pause was asked for
-    odometry: bool = False  #: whether there is any
+    stop_reason: str = ""
+    stop_age: float = 0.0  #: seconds since the request of the stop or pause
+    odometry: bool = False  #: whether there is odometry
     since_end: float = 0.0  #: seconds since the last drive ended
     last: PlannerStatus = field(default_factory=PlannerStatus)  #: how the last drive ended
 
 
 def derive(now: Situation) -> PlannerStatus:
-    """Return the state to report, its reason in words and as a number."""
-    return _of_nobody(now) if now.drive is None else _OF_DRIVE[now.drive](now)
+    """Return the state to report, its reason and its code."""
+    return _without_drive(now) if now.drive is None else _OF_DRIVE[now.drive](now)
 
 
 def trouble(now: Situation) -> str:
-    """Return why a stop or pause is not confirmed; "" if it is, or none is asked for."""
+    """Return why a stop or pause is not confirmed; "" if it is, or none is requested."""
     confirmed = now.stop in (StopState.NONE, StopState.CONFIRMED, StopState.RESTING)
     return "" if confirmed else unconfirmed(now)
 
 
 def unconfirmed(now: Situation) -> str:
-    """Return why it is not known that the robot stands."""
+    """Return why the robot is not known to stand."""
     if now.motion and now.planner_state.reachable:
         return f"{MAY_MOVE}: {', '.join(now.motion)} of {now.planner} has not ended"
     if now.stop in (StopState.SETTLING, StopState.EXPIRED):
-        why = (
+        reason = (
             f"{now.planner} has released its goals, but the base has not come to rest"
             if now.odometry
             else "odometry is missing, and the velocity commands have not ended"
         )
-        return f"{MAY_MOVE}: {why}"
+        return f"{MAY_MOVE}: {reason}"
     if not now.planner_state.reachable:
-        why = f"the planner {now.planner} is not available"
+        reason = f"the planner {now.planner} is not available"
     elif not now.planner_state.reported:
-        why = f"{now.planner} has not reported its goals yet"
+        reason = f"{now.planner} has not reported its goals yet"
     else:
-        why = f"{now.planner} has not released its goal"
-    return f"{MAY_MOVE}: {why}; it is asked to stop until it does"
+        reason = f"{now.planner} has not released its goal"
+    return f"{MAY_MOVE}: {reason}; it is asked to stop until it does"
 
 
 def _stopping(now: Situation) -> PlannerStatus:
-    why = now.why or now.stop_why
+    reason = now.reason or now.stop_reason
     if now.stop_age <= LATE_SECONDS:
-        return PlannerStatus(State.MOVING, f"stopping: {why}")
-    return PlannerStatus(State.MOVING, f"{why}; {unconfirmed(now)}", Fault.MAY_MOVE)
+        return PlannerStatus(State.MOVING, f"stopping: {reason}")
+    return PlannerStatus(State.MOVING, f"{reason}; {unconfirmed(now)}", Fault.MAY_MOVE)
 
 
 def _waiting(now: Situation) -> PlannerStatus:
@@ -87,10 +87,10 @@ def _waiting(now: Situation) -> PlannerStatus:
     moves = now.base is Base.MOVING or (now.base is Base.UNKNOWN and may_drive)
     state = State.MOVING if moves else State.PREPARING
     if now.planner_state.reachable:
-        why = now.why or f"waiting for the goal list of {now.planner}"
-        return PlannerStatus(state, why, Fault.OTHER if now.why else Fault.NONE)
-    why = f"the planner {now.planner} is not available; waiting for it"
-    return PlannerStatus(state, f"{why}; {MAY_MOVE}" if moves and may_drive else why, Fault.NO_NAVIGATOR)
+        reason = now.reason or f"waiting for the goal list of {now.planner}"
+        return PlannerStatus(state, reason, Fault.OTHER if now.reason else Fault.NONE)
+    reason = f"the planner {now.planner} is not available; waiting for it"
+    return PlannerStatus(state, f"{reason}; {MAY_MOVE}" if moves and may_drive else reason, Fault.NO_NAVIGATOR)
 
 
 def _sent(now: Situation) -> PlannerStatus:
@@ -99,11 +99,11 @@ def _sent(now: Situation) -> PlannerStatus:
 
 def _driving(now: Situation) -> PlannerStatus:
     if now.silence:
-        why = f"{now.planner} does not answer: no status or feedback for {now.silence:g} s"
-        return PlannerStatus(State.MOVING, why, Fault.SILENT)
+        reason = f"{now.planner} does not answer: no status or feedback for {now.silence:g} s"
+        return PlannerStatus(State.MOVING, reason, Fault.SILENT)
     status = now.reported or PlannerStatus(State.MOVING)
     if status.state.ended:
-        return PlannerStatus(State.MOVING, "", status.fault)  # how it ended comes as the goal's result
+        return PlannerStatus(State.MOVING, "", status.fault)  # the goal's result reports the end
     if now.localization and not status.reason:
         return PlannerStatus(State.MOVING, now.localization, Fault.NOT_LOCALIZED)
     return status._replace(state=State.MOVING) if status.state is State.PAUSED else status
@@ -148,12 +148,12 @@ _OF_DRIVE: Mapping[DriveState, Callable[[Situation], PlannerStatus]] = {
 
 
 def own_client(planner: str) -> str:
-    """Return the words for a goal that did not come through the gateway."""
+    """Return the text for a goal that bypassed the gateway."""
     return f"a goal that {planner} received from its own client"
 
 
-def _of_nobody(now: Situation) -> PlannerStatus:
-    """No client of the gateway drives: others may, and a stop may not be confirmed yet."""
+def _without_drive(now: Situation) -> PlannerStatus:
+    """No client of the gateway drives; others may, and a stop may not be confirmed yet."""
     if now.stop in (StopState.ASKED, StopState.SETTLING):
         return _stopping(now)
     if now.stop is StopState.RESTING:
@@ -161,12 +161,12 @@ def _of_nobody(now: Situation) -> PlannerStatus:
     if now.foreign is not None:
         return now.foreign
     if now.orphans:
-        why = f"stopping: {now.planner} still has a goal from before the gateway was restarted"
-        return PlannerStatus(State.MOVING, why, Fault.MAY_MOVE)
+        reason = f"stopping: {now.planner} still has a goal from before the gateway was restarted"
+        return PlannerStatus(State.MOVING, reason, Fault.MAY_MOVE)
     if now.doubtful:
         cause = "has not reported its goals" if now.planner_state.reachable else "is not available"
-        why = f"{own_client(now.planner)}; the planner {now.planner} {cause}; {MAY_MOVE}"
-        return PlannerStatus(State.MOVING, why, Fault.MAY_MOVE)
+        reason = f"{own_client(now.planner)}; the planner {now.planner} {cause}; {MAY_MOVE}"
+        return PlannerStatus(State.MOVING, reason, Fault.MAY_MOVE)
     lists_agree = now.base is Base.MOVING or now.since_end > _LIST_LAG
     if now.motion and now.base is not Base.STANDING and lists_agree:
         return PlannerStatus(State.MOVING, f"{', '.join(now.motion)} moves the base")
@@ -178,14 +178,14 @@ def _of_nobody(now: Situation) -> PlannerStatus:
 
 
 def _unknown(now: Situation) -> PlannerStatus:
-    """Nobody has reported whether the planner has goals: that is not known to be none."""
-    why = f"it is not known whether {now.planner} has a goal: " + (
+    """It is unknown whether the planner has goals, which does not mean none."""
+    reason = f"it is not known whether {now.planner} has a goal: " + (
         "it has not reported its goals yet" if now.planner_state.reachable else "it is not available"
     )
     if now.base is Base.STANDING:
         return now.last
     if now.base is Base.MOVING:
-        return PlannerStatus(State.MOVING, f"{why}; {MAY_MOVE}", Fault.MAY_MOVE)
+        return PlannerStatus(State.MOVING, f"{reason}; {MAY_MOVE}", Fault.MAY_MOVE)
     if now.planner_state is PlannerState.UNREACHABLE and now.goals is False:
         return now.last
-    return PlannerStatus(State.THINKING, why, Fault.NO_NAVIGATOR)
+    return PlannerStatus(State.THINKING, reason, Fault.NO_NAVIGATOR)

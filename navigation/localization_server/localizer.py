@@ -25,7 +25,7 @@ from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 Floats = NDArray[np.float64]
 
 SCAN_AGE, _ODOMETRY_AGE = 1.0, 1.0  # seconds after which the laser, or odometry, counts as silent
-_INDEPENDENT = 30.0  # as how many independent measurements a scan counts, since neighbouring beams err together
+_INDEPENDENT = 30.0  # as how many independent measurements a scan counts, since neighboring beams err together
 _EXPLAINED_WITHIN = 0.15  # meters from a wall within which the map explains a beam's end
 _SURE, _BETTER = 0.9, 0.1
 """The explained share from which no search runs, and how much more another pose must explain."""

@@ -189,16 +189,16 @@ class MapperCommands(Commands):
         return f"{cells} cells painted."
 
     def _enlarge(self, arguments: list[Any]) -> str:
-        (metres,) = _numbers(arguments, 1)
-        self._mapper.enlarge(metres)
+        (meters,) = _numbers(arguments, 1)
+        self._mapper.enlarge(meters)
         return "The map is {:g} by {:g} m.".format(*self._mapper.size)
 
     def _enlarge_obstacles(self, arguments: list[Any]) -> str:
-        (metres,) = _numbers(arguments, 1)
-        if not 0.0 <= metres <= 5.0:
-            raise ValueError(f"obstacles can be enlarged by 0 to 5 m, not {metres:g}")
-        self._mapper.enlarged = metres
-        return f"Published maps have obstacles enlarged by {metres:g} m."
+        (meters,) = _numbers(arguments, 1)
+        if not 0.0 <= meters <= 5.0:
+            raise ValueError(f"obstacles can be enlarged by 0 to 5 m, not {meters:g}")
+        self._mapper.enlarged = meters
+        return f"Published maps have obstacles enlarged by {meters:g} m."
 
 
 def _numbers(arguments: list[Any], *counts: int) -> list[float]:

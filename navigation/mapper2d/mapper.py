@@ -60,11 +60,11 @@ class Mapper:
         self.scans += 1
         return True
 
-    def enlarge(self, metres: float) -> None:
+    def enlarge(self, meters: float) -> None:
         """Add unknown cells on each side; raises `ValueError` for an invalid width, or if the map gets too large."""
-        if not metres > 0.0:
-            raise ValueError(f"a map can be enlarged by meters above 0, not by {metres:g}")
-        cells = math.ceil(min(metres, 1e6) / self.settings.resolution)
+        if not meters > 0.0:
+            raise ValueError(f"a map can be enlarged by meters above 0, not by {meters:g}")
+        cells = math.ceil(min(meters, 1e6) / self.settings.resolution)
         if not self._grow(cells, cells, cells, cells):
             raise ValueError(f"the map would have a side of more than {self._largest:g} m (modules.mapper2d)")
 

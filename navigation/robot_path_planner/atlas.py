@@ -28,7 +28,7 @@ class LinkedPlaces:
 
     first: MapPlace
     second: MapPlace  #: on another map
-    cost: float = 0.0  #: equivalent metres of path
+    cost: float = 0.0  #: equivalent meters of path
     name: str = ""  #: in the store
 
 
@@ -88,7 +88,7 @@ def leg(atlas: Atlas, ground: Ground, start: Pose, goal: MapPlace) -> Leg:
 
 
 def _length(ground: Ground, start: Pose, end: Pose) -> float:
-    """Return the metres of the path between two poses on a map; infinite without a path."""
+    """Return the meters of the path between two poses on a map; infinite without a path."""
     start_cell, end_cell = ground.cell(start.x, start.y), ground.cell(end.x, end.y)
     if start_cell is None or end_cell is None or not ground.fits(end_cell):
         return math.inf

@@ -33,7 +33,7 @@ _SOLID = np.zeros(256, np.uint8)
 _SOLID[[MapFlag.WALL, MapFlag.TEMPORARY_OBSTACLE, MapFlag.UNKNOWN]] = 1
 _NOTHING = AreaBehaviour()
 
-_BESIDE = 1.5  # metres, see `Ground.beside`
+_BESIDE = 1.5  # meters, see `Ground.beside`
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class Zone:
 
 
 class Ground:
-    """An immutable map for a robot of a given radius, metres; all arrays are (rows, columns).
+    """An immutable map for a robot of a given radius, meters; all arrays are (rows, columns).
 
-    A rotated map is aligned with the axes. Driving costs more within ``clearance`` metres beyond the radius around
+    A rotated map is aligned with the axes. Driving costs more within ``clearance`` meters beyond the radius around
     walls and keep-out cells. Zones on other maps are ignored.
     """
 
@@ -63,7 +63,7 @@ class Ground:
             if zone.behaviour.keep_out:
                 part, inside = cells_of(grid, zone.area.points)
                 self.kept[part] |= inside
-        # metres from a cell's center to the nearest border of these; infinite without any
+        # meters from a cell's center to the nearest border of these; infinite without any
         self.room = (distance_transform(self.solid | self.kept) - 0.5) * np.float32(grid.resolution)
         self.weights = self._weighed(clearance)  # cost of entering; 0 where the robot does not fit or may not be
         self.open = (self.room > radius / 2).astype(np.uint8)  # 1 where a robot may be while it avoids an obstacle
@@ -85,7 +85,7 @@ class Ground:
         return (row, column) if 0 <= row < rows and 0 <= column < columns else None
 
     def places(self, cells: NDArray[np.int32]) -> NDArray[np.float64]:
-        """Return the centers of cells: (n, 2) rows and columns to (n, 2) x and y, metres."""
+        """Return the centers of cells: (n, 2) rows and columns to (n, 2) x and y, meters."""
         return self.grid.centers_of(cells[:, ::-1])
 
     def fits(self, cell: Cell) -> bool:
@@ -143,14 +143,14 @@ def combined(one: AreaBehaviour, other: AreaBehaviour) -> AreaBehaviour:
 
 
 SURE = 1.2  # log odds from which a cell is an obstacle: two more scans hit it than passed through it
-_KNOWN = 0.15  # metres from a mapped wall within which an echo is the wall's: maps and localization are not better
+_KNOWN = 0.15  # meters from a mapped wall within which an echo is the wall's: maps and localization are not better
 _FORGET_EVERY = 1.0
 
 
 class Clutter:
     """Obstacles that are not on the map: the laser's, which fade within ``memory`` seconds, and those of layers.
 
-    Layers are points, (n, 2) metres on the map, which do not fade.
+    Layers are points, (n, 2) meters on the map, which do not fade.
     """
 
     def __init__(self, ground: Ground, memory: float, layers: Sequence[NDArray[np.float64]] = ()) -> None:
@@ -176,9 +176,9 @@ class Clutter:
         self._struck_by_layers = self._around(self.fixed, self._half)
 
     def see(self, laser: Pose, ranges: NDArray[np.float64], first: float, step: float, farthest: float) -> None:
-        """Add a scan of a laser at a pose on the map, up to ``farthest`` metres; angles in radians from its direction.
+        """Add a scan of a laser at a pose on the map, up to ``farthest`` meters; angles in radians from its direction.
 
-        Ranges are in metres; infinity means no obstacle, NaN means unknown.
+        Ranges are in meters; infinity means no obstacle, NaN means unknown.
         """
         self._seen.insert((laser.x, laser.y, laser.theta), ranges, first, step, farthest)
         self._cells = None

@@ -207,9 +207,9 @@ class RobotPathPlanner(PlannerModule):
         grid = ground.grid
         return MapGrid2D.of(flags, grid.occupancy, name=grid.name, resolution=grid.resolution, origin=grid.origin)
 
-    def set_radius(self, metres: float) -> None:
+    def set_radius(self, meters: float) -> None:
         """Set the robot's radius, which is its distance to walls."""
-        self.planner.settings = self._atlas.settings = self.planner.settings.model_copy(update={"robot_radius": metres})
+        self.planner.settings = self._atlas.settings = self.planner.settings.model_copy(update={"robot_radius": meters})
         self._use(self._map.grid)
 
     def picture(self) -> dict[str, Any]:

@@ -21,11 +21,11 @@ from navigation.robot_path_planner.ground import Cell, Ground
 from navigation.status import Fault, PlanError
 from yarp_compat.dev.extras import AreaBehaviour
 
-Places = NDArray[np.float64]  # (n, 2) x and y, metres
+Places = NDArray[np.float64]  # (n, 2) x and y, meters
 
 
 def blocked(ground: Ground, closed: NDArray[np.bool_], places: Places) -> bool:
-    """Whether a line over points, (n, 2) metres, enters closed cells; those that it starts in do not count."""
+    """Whether a line over points, (n, 2) meters, enters closed cells; those that it starts in do not count."""
     columns, rows = ground.grid.cells_at(sampled(places, ground.grid.resolution / 2)).T
     fits = (rows >= 0) & (rows < closed.shape[0]) & (columns >= 0) & (columns < closed.shape[1])
     on_line = closed[rows[fits], columns[fits]]
@@ -49,18 +49,18 @@ def is_straight(ground: Ground, first: Pose, second: Pose) -> bool:
 
 
 def length(places: Places) -> float:
-    """Return the length of a line, metres."""
+    """Return the length of a line, meters."""
     return float(np.hypot(*np.diff(places, axis=0).T).sum())
 
 
-def cut(places: Places, metres: float) -> Places:
-    """Return the first metres of a line."""
+def cut(places: Places, meters: float) -> Places:
+    """Return the first meters of a line."""
     steps = np.hypot(*np.diff(places, axis=0).T)
     whole = np.concatenate(([0.0], np.cumsum(steps)))
-    if whole[-1] <= metres:
+    if whole[-1] <= meters:
         return places
-    number = int(np.searchsorted(whole, metres))
-    share = (metres - whole[number - 1]) / steps[number - 1]
+    number = int(np.searchsorted(whole, meters))
+    share = (meters - whole[number - 1]) / steps[number - 1]
     end = places[number - 1] + share * (places[number] - places[number - 1])
     return np.concatenate((places[:number], [end]))
 
@@ -127,7 +127,7 @@ class PlannedPath:
     """A path that the planner found."""
 
     waypoints: tuple[Waypoint, ...]  #: from the first after the start to the goal
-    length: float  #: metres
+    length: float  #: meters
     note: str = ""  #: for people, for example that it starts in a keep-out area; often empty
 
 
@@ -288,7 +288,7 @@ class DriveTask:
     note: str = ""  #: the path's, for people
     attempts: int = 0  #: other paths that were tried since the robot last came nearer
     recoveries: int = 0  #: other paths that were tried in total
-    best: float = math.inf  #: the smallest distance to the goal so far, metres
+    best: float = math.inf  #: the smallest distance to the goal so far, meters
     driven: bool = False  #: whether a local navigator has been available
     navigator_lost_since: float | None = None  #: since when there is no local navigator
     pose_lost_since: float | None = None  #: since when the robot's pose is unknown
@@ -326,7 +326,7 @@ class JumpDetector:
         self._at = -math.inf
 
     def add(self, now: float, pose: Pose, least: float) -> str:
-        """Add a pose on the map; return a text about a jump by more than `least` metres or 30 degrees, else ""."""
+        """Add a pose on the map; return a text about a jump by more than `least` meters or 30 degrees, else ""."""
         before, passed = self.pose, now - self._at
         self.pose, self._at = pose, now
         if before is None or not 0 <= passed < _FRESH:

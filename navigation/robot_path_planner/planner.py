@@ -35,17 +35,17 @@ from navigation.robot_path_planner.path import (
 from navigation.scan import believed
 from navigation.status import Fault, PlanError, PlannerStatus, State
 
-_JUMP = 0.5  # metres; the robot replans if localization moves it by more at once, or by 30 degrees
+_JUMP = 0.5  # meters; the robot replans if localization moves it by more at once, or by 30 degrees
 _WATCH = 0.5  # seconds between two checks of the path ahead
-_AHEAD = 5.0  # metres of the path that are checked
+_AHEAD = 5.0  # meters of the path that are checked
 _AGAIN = 2.0  # seconds after which planning is repeated if there was no path
 _GLITCH = 0.3  # seconds for which a missing pose does not matter
-_NEARER = 0.5  # metres of progress towards the goal that reset the count of attempts
+_NEARER = 0.5  # meters of progress towards the goal that reset the count of attempts
 _PATIENCE_PER_METRE, _LONGEST_PATIENCE = 2.0, 20.0
-"""Seconds to wait for a blocked path to clear, per metre by which the alternative is longer."""
+"""Seconds to wait for a blocked path to clear, per meter by which the alternative is longer."""
 _DETOUR = 3.0
-"""Metres by which a path around the laser's obstacles may be longer and still be preferred at the start."""
-_AT_LINK = 3.0  # metres from a link's end within which the pose of a robot that has changed maps is accepted
+"""Meters by which a path around the laser's obstacles may be longer and still be preferred at the start."""
+_AT_LINK = 3.0  # meters from a link's end within which the pose of a robot that has changed maps is accepted
 
 
 class PathPlanner:
@@ -98,7 +98,7 @@ class PathPlanner:
         return next((layer.topic for layer in self.settings.obstacles if layer.topic not in self._layers), "")
 
     def remaining(self, pose: Pose) -> float:
-        """Return the metres to the goal, or to the link at which the robot leaves this map."""
+        """Return the meters to the goal, or to the link at which the robot leaves this map."""
         task = self.task
         if task is None:
             return 0.0
@@ -179,7 +179,7 @@ class PathPlanner:
             self.clutter.fade(now)
 
     def layer(self, topic: str, places: Places) -> None:
-        """Plan around a layer's points from now on, (n, 2) metres on the map; they replace its previous ones."""
+        """Plan around a layer's points from now on, (n, 2) meters on the map; they replace its previous ones."""
         self._layers[topic] = places
         if self.clutter is None or self.ground is None:
             return

@@ -156,14 +156,14 @@ def png(planner: PathPlanner, pose: Pose | None) -> bytes | None:
     return file.getvalue()
 
 
-def _disc(canvas: Any, place: tuple[float, float], radius: float, colour: tuple[int, int, int]) -> None:
+def _disc(canvas: Any, place: tuple[float, float], radius: float, color: tuple[int, int, int]) -> None:
     x, y = place
-    canvas.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)
+    canvas.ellipse((x - radius, y - radius, x + radius, y + radius), fill=color)
 
 
-def _arrow(canvas: Any, place: tuple[float, float], theta: float, size: float, colour: tuple[int, int, int]) -> None:
+def _arrow(canvas: Any, place: tuple[float, float], theta: float, size: float, color: tuple[int, int, int]) -> None:
     """Draw a disc with a line towards its heading."""
-    _disc(canvas, place, size, colour)
+    _disc(canvas, place, size, color)
     if math.isfinite(theta):
         end = place[0] + size * math.cos(theta), place[1] - size * math.sin(theta)
         canvas.line((place, end), fill=_NOSE, width=1)
@@ -189,8 +189,8 @@ def goal_of_click(ground: Ground | None, values: Sequence[Any]) -> Pose:
 
 HELP = (
     "help: list the commands",
-    "get_robot_radius: distance to walls in metres",
-    "set_robot_radius R: keep R metres from walls, and plan a new path",
+    "get_robot_radius: distance to walls in meters",
+    "set_robot_radius R: keep R meters from walls, and plan a new path",
 )
 _MOST = 3.0
 
@@ -245,7 +245,7 @@ class PathPlannerDevice(PlannerDevice):
 
 
 class PlannerServer(Navigation2DServer):
-    """Serves INavigation2D, and commands that get and set the robot's radius, metres."""
+    """Serves INavigation2D, and commands that get and set the robot's radius, meters."""
 
     def __init__(self, device: object, get_radius: Callable[[], float], set_radius: Callable[[float], Any]) -> None:
         super().__init__(device)

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from bridge.modules.clients import SentGoal
 from tests.contract.hubside import HubSide
 from tests.interop.deployment import Deployment
-from tests.navigation.gateway.rig import Asked, Program, pose
+from tests.navigation.gateway.rig import ClientGoal, Program, pose
 from tests.support.peer import Peer
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs
 from yarp_compat.dev.locations import Map2DLocation
@@ -173,7 +173,7 @@ class RosClient:
         return self.peer.ask("goal", id=self._goal, seconds=0.0)
 
 
-class _TimedGoal(Asked):
+class _TimedGoal(ClientGoal):
     """A goal on the hub that notes when its end arrived."""
 
     at = 0.0

@@ -20,7 +20,7 @@ from bridge.stores.kinds import LOCATION
 from bridge.stores.store import Write
 from bridge.stores.wire import prefix
 from tests.interop.deployment import MIDSPAN
-from tests.navigation.gateway.rig import Asked, Planner, Program, pose
+from tests.navigation.gateway.rig import ClientGoal, Planner, Program, pose
 from tests.support.forks import DAEMON
 from tests.support.ports import free_port
 from tests.support.process import Process
@@ -103,19 +103,19 @@ def test_goals_and_changes_of_the_store_are_counted(tmp_path: Path, names: Names
         stack.callback(client.close)
         daemon.until("midspan_module_state", "state", running=1)
 
-        reached = Asked(client, pose(1.0))
+        reached = ClientGoal(client, pose(1.0))
         goal = mine.until(1)
         daemon.until("midspan_goal_active", value=1)
         mine.reach(goal)
         assert reached.end()[0] == "SUCCEEDED"
-        canceled = Asked(client, pose(2.0))
+        canceled = ClientGoal(client, pose(2.0))
         mine.until(2)
         canceled.cancel()
         assert canceled.end()[0] == "CANCELED"
-        assert Asked(client, pose(math.nan)).end()[0] == "ABORTED"
-        replaced = Asked(client, pose(4.0))
+        assert ClientGoal(client, pose(math.nan)).end()[0] == "ABORTED"
+        replaced = ClientGoal(client, pose(4.0))
         mine.until(3)
-        last = Asked(client, pose(5.0))
+        last = ClientGoal(client, pose(5.0))
         assert replaced.end()[0] == "CANCELED"
         mine.give_up(mine.until(4), "no path to the goal")
         assert last.end()[0] == "ABORTED"

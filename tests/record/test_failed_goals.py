@@ -10,7 +10,7 @@ from bridge.record import triggers
 from bridge.record.places import PREFIX
 from bridge.record.worker import RecordWorker
 from navigation.status import State
-from tests.navigation.gateway.rig import Asked, Rig, pose
+from tests.navigation.gateway.rig import ClientGoal, Rig, pose
 from tests.record.robot import config, read
 from tests.support.wait import until
 
@@ -37,14 +37,14 @@ def test_each_rejected_or_aborted_goal_keeps_the_ring(tmp_path: Path, monkeypatc
             rig.gateway.link.presence.unreachable_at = 0.0  # it has been available for a while: a rejection counts
             for count in (1, 2):
                 rig.planner.rejects = 1
-                status, reason = Asked(rig.client, pose(1.0)).end()
+                status, reason = ClientGoal(rig.client, pose(1.0)).end()
                 assert (status, reason) == ("ABORTED", "robot_goto rejected the goal")
                 until(lambda n=count: len(kept_reasons()) == n, "it is written")  # type: ignore[misc]
-            given = Asked(rig.client, pose(2.0))
+            given = ClientGoal(rig.client, pose(2.0))
             rig.planner.give_up(rig.planner.until(1), "no way leads there")
             assert given.end()[0] == "ABORTED"
             until(lambda: len(kept_reasons()) == 3, "it is written")
-            reached = Asked(rig.client, pose(3.0))
+            reached = ClientGoal(rig.client, pose(3.0))
             rig.planner.reach(rig.planner.until(2))
             assert reached.end()[0] == "SUCCEEDED"
             rig.state(State.REACHED)

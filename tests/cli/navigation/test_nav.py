@@ -34,7 +34,7 @@ from navigation.nav2_errors import reason_text
 from navigation.status import State
 from tests.cli.conftest import Midspan, Outcome
 from tests.cli.workers import FakeWorker, config_file
-from tests.navigation.gateway.rig import Asked, Planner, Program, Rig, pose
+from tests.navigation.gateway.rig import ClientGoal, Planner, Program, Rig, pose
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
@@ -174,7 +174,7 @@ def test_to_a_place_with_progress(rig: Rig, midspan: Midspan) -> None:
     def drive() -> None:
         goal = rig.planner.until(1)
         assert where(goal) == (2.5, 1.0, 90.0)
-        rig.planner.tell(goal, State.WAITING, "a chair is ahead")
+        rig.planner.publish_status(goal, State.WAITING, "a chair is ahead")
         rig.state(State.WAITING)
         rig.planner.reach(goal)
 
@@ -241,7 +241,7 @@ def test_a_closed_output_cancels_the_goal(rig: Rig, midspan: Midspan) -> None:
     assert goto.stdout is not None
     goal = rig.planner.until(1)
     goto.stdout.close()
-    rig.planner.tell(goal, State.WAITING, "a chair is ahead")
+    rig.planner.publish_status(goal, State.WAITING, "a chair is ahead")
     assert goto.wait(20) == 0
     assert goto.stderr is not None
     assert goto.stderr.read() == "midspan: the output was closed: the goal was canceled\n"
@@ -416,7 +416,7 @@ def test_a_stop_reaches_the_planner_where_no_gateway_is(network: HubNetwork, tmp
     assert "Nor is the planner move_base on the hub: the robot may still be moving" in outcome.err
     planner, client = Planner(network.settings("planner"), "move_base"), Program(network.settings("client"))
     try:
-        asked = Asked(client, pose(5.0), "/planner/move_base/navigate_to_pose")
+        asked = ClientGoal(client, pose(5.0), "/planner/move_base/navigate_to_pose")
         goal = planner.until(1)
         outcome = midspan("nav", "stop")
         assert (outcome.code, outcome.err) == (0, "")

@@ -34,18 +34,18 @@ def grid() -> OccupancyMap:
 def test_a_rooms_walls_are_occupied_and_its_floor_is_free(grid: OccupancyMap) -> None:
     for x, y, direction in ((1.5, 1.5, 0.0), (0.7, 2.0, 1.0), (2.2, 0.9, -2.0)) * 3:
         assert grid.insert((x, y, direction), room_ranges(x, y, direction), 0.0, STEP, 10.0) > 1000
-    centres = np.arange(80) * CELL - 0.5
+    centers = np.arange(80) * CELL - 0.5
     found = grid.occupancy()
-    inside = (centres > CELL) & (centres < ROOM - CELL)
+    inside = (centers > CELL) & (centers < ROOM - CELL)
     assert (found[np.ix_(inside, inside)] == 0).mean() > 0.99
     rows, columns = np.nonzero(found == 100)
-    x, y = centres[columns], centres[rows]
+    x, y = centers[columns], centers[rows]
     from_wall = np.minimum.reduce([abs(x), abs(y), abs(x - ROOM), abs(y - ROOM)])
     assert from_wall.max() < 1.5 * CELL
-    outside = (centres < -2 * CELL) | (centres > ROOM + 2 * CELL)
+    outside = (centers < -2 * CELL) | (centers > ROOM + 2 * CELL)
     assert (found[outside] == -1).all()
     assert (found[:, outside] == -1).all()
-    wall = np.argmin(abs(centres))
+    wall = np.argmin(abs(centers))
     assert (found[wall, inside] == 100).mean() > 0.9
 
 

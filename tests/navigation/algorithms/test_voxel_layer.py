@@ -28,7 +28,7 @@ class Room:
         self.odds[:, :, GROUND - 1] = 2.0
 
     def box(self, x: slice, y: slice, low: float, high: float, odds: float = 2.0) -> Room:
-        """Something from one height above the floor to another, metres."""
+        """Something from one height above the floor to another, meters."""
         self.odds[x, y, GROUND + round(low / CELL) : GROUND + round(high / CELL)] = odds
         return self
 

@@ -54,7 +54,7 @@ angular_vel_at_full_control   40
 [LINEAR_VELOCITY_PID]
 kp 0
 """
-GEOMETRY = "[ROBOT_GEOMETRY]\ngeom_r  0.160  # metres\ngeom_L  0.340\ng_angle 0.0\n"
+GEOMETRY = "[ROBOT_GEOMETRY]\ngeom_r  0.160  # meters\ngeom_L  0.340\ng_angle 0.0\n"
 OLD = """\
 robot ikart
 [BASECTRL_GENERAL]

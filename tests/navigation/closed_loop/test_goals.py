@@ -1,4 +1,4 @@
-"""Random goals with our planner and localiser: reached, nothing touched, no keep-out cell entered.
+"""Random goals with Midspan's planner and localizer are reached without contact and without entering keep-out cells.
 
 Three for each world and base; benchmarks/goals.py drives to hundreds.
 """
@@ -17,12 +17,12 @@ from benchmarks.closedloop.targets import Targets
 from benchmarks.closedloop.worlds import world
 
 NEAR = 2.2
-"""Metres of way to a goal at most."""
+"""The longest path to a goal, meters."""
 
 BASES = ("r1", "ikart_v1")
 WORLDS = ("apartment", "office", "lab", "hall", "tables", "two_storeys/ground", "two_storeys/upper")
 FEW = {("apartment", "r1")}
-"""The others tell no more of a machine."""
+"""The other cases show nothing more about a machine."""
 
 CASES = [
     pytest.param(*case, marks=() if case in FEW else pytest.mark.thorough) for case in itertools.product(WORLDS, BASES)

@@ -1,4 +1,4 @@
-"""What changes while the robot drives: people who walk through, doors that are closed and opened again."""
+"""Changes during a drive: people who cross the path, and doors that are closed and opened again."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def loop_in(**floor: object) -> Loop:
 
 
 def drive_until(loop: Loop, x: float) -> None:
-    """Set out for the goal, as far as a place."""
+    """Start a drive to the goal, and return when the robot is at a place."""
     loop.stack.goal(GOAL)
     loop.stack.step()
     assert loop.run(40, lambda: loop.robot.truth.x > x), loop.stack.status
@@ -50,7 +50,7 @@ def arrive(loop: Loop, seconds: float) -> None:
 
 
 @pytest.mark.thorough
-def test_a_door_that_is_closed_on_the_way_is_gone_round() -> None:
+def test_a_door_that_closes_during_the_drive_is_avoided() -> None:
     loop = loop_in(doors=DOORS)
     drive_until(loop, 2.2)
     loop.robot.simulation.world.open("near", is_open=False)
@@ -67,7 +67,7 @@ def test_a_door_that_is_closed_on_the_way_is_gone_round() -> None:
 
 
 @pytest.mark.thorough
-def test_where_all_doors_are_closed_the_robot_waits_until_one_is_opened() -> None:
+def test_with_all_doors_closed_the_robot_waits_until_one_opens() -> None:
     loop = loop_in(doors=DOORS[:1])
     drive_until(loop, 2.2)
     loop.robot.simulation.world.open("near", is_open=False)
@@ -78,7 +78,7 @@ def test_where_all_doors_are_closed_the_robot_waits_until_one_is_opened() -> Non
     arrive(loop, 60)
 
 
-def test_somebody_who_walks_through_is_not_touched() -> None:
+def test_a_person_who_crosses_the_path_is_not_touched() -> None:
     loop = loop_in(walls=WALLS[:1])
     drive_until(loop, 1.6)
     world = loop.robot.simulation.world

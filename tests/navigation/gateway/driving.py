@@ -1,4 +1,4 @@
-"""A robot that drives for a goal of the gateway, and a planner that can disappear meanwhile."""
+"""A robot that drives to a goal of the gateway, and a planner that can disappear."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from navigation.status import State
 from tests.navigation.gateway.odometry import Odometry
-from tests.navigation.gateway.rig import SECONDS, Asked, Rig, pose
+from tests.navigation.gateway.rig import SECONDS, ClientGoal, Rig, pose
 from tests.support.calls import Calling
 from tests.support.rmw_action_server import RmwActionServer
 from tests.support.wait import until
@@ -36,23 +36,23 @@ class Scene:
         until(lambda: self.planner.waits(goal), "the gateway waits for its result", SECONDS)
         return goal
 
-    def drive(self, x: float = 5.0, **more: Any) -> Asked:
+    def drive(self, x: float = 5.0, **more: Any) -> ClientGoal:
         """Send a goal as a client, and return it once the robot drives."""
         count = len(self.planner.goals)
-        asked = Asked(self.rig.client, pose(x, **more))
+        client_goal = ClientGoal(self.rig.client, pose(x, **more))
         self.goal(count + 1)
         self.rig.state(State.MOVING)
-        return asked
+        return client_goal
 
     def moves(self) -> None:
         """Let the base move, and wait until the gateway's odometry shows it."""
         self.base.speed = SPEED
-        until(lambda: self.rig.gateway.motion.stands() is False, "odometry shows that the base moves", SECONDS)
+        until(lambda: self.rig.gateway.motion.is_standing() is False, "odometry shows that the base moves", SECONDS)
 
     def stands(self) -> None:
         """Let the base stand, and wait until the gateway's odometry shows it."""
         self.base.speed = 0.0
-        until(lambda: self.rig.gateway.motion.stands() is True, "odometry shows that the base stands", SECONDS)
+        until(lambda: self.rig.gateway.motion.is_standing() is True, "odometry shows that the base stands", SECONDS)
 
     def begin(self, service: str) -> Calling:
         """Call a service of the gateway without waiting for its reply."""
@@ -66,11 +66,11 @@ class Scene:
         running.start()
         return published
 
-    def reported(self, asked: Asked) -> dict[str, Any]:
+    def reported(self, client_goal: ClientGoal) -> dict[str, Any]:
         """Return the first status that was published for a client's goal."""
 
         def find() -> dict[str, Any] | None:
-            matching = (status for status in self.rig.statuses if bytes(status["goal_id"]) == asked.sent.id)
+            matching = (status for status in self.rig.statuses if bytes(status["goal_id"]) == client_goal.sent.id)
             return next(matching, None)
 
         status: dict[str, Any] = until(find, "the goal has a status", SECONDS)

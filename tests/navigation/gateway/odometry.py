@@ -13,11 +13,11 @@ _PERIOD = 0.05
 
 
 class Odometry:
-    """Publishes ``/tf`` from odom to base_link, and from map to odom, as a base's driver and a localiser do.
+    """Publishes ``/tf`` from odom to base_link, and from map to odom, as a base's driver and a localizer do.
 
     Attributes:
         speed: m/s along x; the test sets it.
-        x: where the base is, metres.
+        x: the base's position, meters.
         silent: it says nothing.
     """
 

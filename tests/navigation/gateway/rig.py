@@ -88,21 +88,21 @@ class Planner(Program):
         until(lambda: len(self.goals) >= count, f"the planner has goal {count}", SECONDS)
         return self.goals[count - 1]
 
-    def tell(self, goal: Goal, state: State, why: str, code: int = 0) -> None:
+    def publish_status(self, goal: Goal, state: State, reason: str, code: int = 0) -> None:
         """Publish the planner's status for a goal."""
         pose = goal.goal["pose"]
-        status = status_message(SYSTEM.stamp(), PlannerStatus(state, why, code), goal_id=goal.id, goal=pose)
+        status = status_message(SYSTEM.stamp(), PlannerStatus(state, reason, code), goal_id=goal.id, goal=pose)
         self.on(lambda: self._status.publish(status))
 
     def reach(self, goal: Goal) -> None:
         self.on(goal.succeed)
 
-    def give_up(self, goal: Goal, why: str, code: int = 9006) -> None:
-        self.on(lambda: goal.abort({"error_code": code, "error_msg": why}))
+    def give_up(self, goal: Goal, reason: str, code: int = 9006) -> None:
+        self.on(lambda: goal.abort({"error_code": code, "error_msg": reason}))
 
 
-class Asked:
-    """A goal that an action client has sent, with its feedback and result."""
+class ClientGoal:
+    """A goal of an action client, with its feedback and result."""
 
     def __init__(
         self, program: Program, message: dict[str, Any], action: str = "/navigate_to_pose", tree: str = ""
@@ -116,7 +116,7 @@ class Asked:
         goal = {"pose": message, "behavior_tree": tree}
         self.sent: SentGoal = program.on(lambda: client.send(goal, self._end, self.feedback.append))
 
-    def _end(self, _goal: SentGoal, result: dict[str, Any] | None, _why: str) -> None:
+    def _end(self, _goal: SentGoal, result: dict[str, Any] | None, _reason: str) -> None:
         self.result, self.ended = result, True
 
     def cancel(self) -> None:
@@ -164,15 +164,15 @@ class Rig(Place):
     def gateway(self) -> Any:
         return self.module.gateway
 
-    def state(self, state: State, why: str = "") -> dict[str, Any]:
+    def state(self, state: State, reason: str = "") -> dict[str, Any]:
         """Wait until the newest status has this state and its reason contains ``why``; return the status."""
 
         def matching() -> dict[str, Any] | None:
             last = self.statuses[-1] if self.statuses else None
-            return last if last and last["state"] == state.value and why in last["reason"] else None
+            return last if last and last["state"] == state.value and reason in last["reason"] else None
 
         try:
-            status: dict[str, Any] = until(matching, f"the state {state.value} {why}", SECONDS)
+            status: dict[str, Any] = until(matching, f"the state {state.value} {reason}", SECONDS)
         except AssertionError as err:
             err.add_note(f"the last statuses: {self.statuses[-3:]}")
             raise

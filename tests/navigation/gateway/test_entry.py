@@ -1,4 +1,4 @@
-"""The gateway leaves its action's name to another node that serves it: a goal has one master."""
+"""The gateway withdraws its action while another node serves the same name: only one node executes a goal."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bridge.messages.actions import GoalState, names
 from bridge.modules.worker import ModulesWorker
 from navigation.status import State
 from tests.doctor.parts import around, every, hub
-from tests.navigation.gateway.rig import Asked, Rig, pose
+from tests.navigation.gateway.rig import ClientGoal, Rig, pose
 from tests.support.rmw_action_server import RmwActionServer
 from tests.support.wait import until
 
@@ -28,8 +28,8 @@ PARTS = names(ACTION)
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    with Rig(tmp_path_factory.mktemp("entry")) as made:
-        yield made
+    with Rig(tmp_path_factory.mktemp("entry")) as started:
+        yield started
 
 
 @pytest.fixture
@@ -50,22 +50,22 @@ def nav2(rig: Rig) -> RmwActionServer:
 
 @pytest.fixture
 def other(rig: Rig) -> Iterator[RmwActionServer]:
-    """The same, which comes while the gateway runs."""
-    made = nav2(rig)
+    """The same, started while the gateway runs."""
+    started = nav2(rig)
     try:
         until(lambda: rig.module.status()["served_by"] == NODE, "the gateway finds it")
-        yield made
+        yield started
     finally:
-        made.close()
+        started.close()
 
 
 def parts(rig: Rig, worker: ModulesWorker | None = None) -> set[str]:
-    """The parts of the action that a gateway serves, as another session sees them."""
+    """Return the parts of the action that a gateway serves, as another session sees them."""
     return parts_of(rig, (worker or rig.worker).running("gateway").host.node.hub.zid)
 
 
 def parts_of(rig: Rig, zid: str) -> set[str]:
-    """The same of a session on the hub."""
+    """Return the same of a session on the hub."""
     endpoints = rig.client.node.hub.graph.endpoints()
     return {end.topic for end in endpoints if end.zid == zid and end.kind in ("server", "publisher")} & set(PARTS)
 
@@ -77,18 +77,18 @@ def restart(rig: Rig) -> None:
 
 def test_the_gateway_withdraws_all_parts_while_another_node_serves_the_name(rig: Rig, other: RmwActionServer) -> None:
     until(lambda: not parts(rig), "all five parts are withdrawn")
-    asked = Asked(rig.client, pose(1.0))
-    until(lambda: other.goals == [asked.sent.id], "the goal is at that node")
+    client_goal = ClientGoal(rig.client, pose(1.0))
+    until(lambda: other.goals == [client_goal.sent.id], "the goal is at that node")
     assert not rig.planner.goals
     assert rig.gateway.drive is None
     other.end(GoalState.SUCCEEDED)
-    assert asked.end() == ("SUCCEEDED", "")
+    assert client_goal.end() == ("SUCCEEDED", "")
     other.close()
     until(lambda: parts(rig) == set(PARTS), "the gateway has its name again")
     assert rig.module.status()["served_by"] == ""
-    asked = Asked(rig.client, pose(2.0))
+    client_goal = ClientGoal(rig.client, pose(2.0))
     rig.planner.reach(rig.planner.until(1))
-    assert asked.end() == ("SUCCEEDED", "")
+    assert client_goal.end() == ("SUCCEEDED", "")
     assert len(other.goals) == 1
 
 
@@ -103,8 +103,8 @@ def test_a_node_that_was_there_before_the_gateway_keeps_the_name(rig: Rig) -> No
         rig.worker.running("gateway").start()
         until(lambda: rig.module.status()["served_by"] == NODE, "the gateway finds it")
         until(lambda: not parts(rig), "the gateway has no part of the action")
-        asked = Asked(rig.client, pose(1.0))
-        until(lambda: other.goals == [asked.sent.id], "the goal is at that node")
+        client_goal = ClientGoal(rig.client, pose(1.0))
+        until(lambda: other.goals == [client_goal.sent.id], "the goal is at that node")
         assert not rig.planner.goals
         assert rig.gateway.drive is None
         unwatch()
@@ -114,32 +114,32 @@ def test_a_node_that_was_there_before_the_gateway_keeps_the_name(rig: Rig) -> No
     until(lambda: parts(rig) == set(PARTS), "the gateway serves the name once the node has left")
 
 
-def test_a_goal_that_the_gateway_holds_goes_on_to_its_end(rig: Rig) -> None:
-    asked = Asked(rig.client, pose(1.0))
+def test_an_active_goal_of_the_gateway_continues_to_its_end(rig: Rig) -> None:
+    client_goal = ClientGoal(rig.client, pose(1.0))
     goal = rig.planner.until(1)
     other = nav2(rig)
     try:
         until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
         assert parts(rig) == set(PARTS) - {PARTS.send_goal}, "its client needs the others"
         rig.planner.on(lambda: goal.feedback({"distance_remaining": 0.5}))
-        until(lambda: asked.feedback, "feedback still arrives")
-        assert not asked.ended
+        until(lambda: client_goal.feedback, "feedback still arrives")
+        assert not client_goal.ended
         rig.planner.reach(goal)
-        assert asked.end() == ("SUCCEEDED", "")
+        assert client_goal.end() == ("SUCCEEDED", "")
         until(lambda: not parts(rig), "now the others are withdrawn")
     finally:
         other.close()
 
 
-def test_a_goal_that_the_gateway_holds_can_be_canceled(rig: Rig) -> None:
-    asked = Asked(rig.client, pose(1.0))
+def test_an_active_goal_of_the_gateway_can_be_canceled(rig: Rig) -> None:
+    client_goal = ClientGoal(rig.client, pose(1.0))
     goal = rig.planner.until(1)
     other = nav2(rig)
     try:
         until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
-        asked.cancel()
+        client_goal.cancel()
         until(lambda: not goal.active, "the planner ends it")
-        assert asked.end()[0] == "CANCELED"
+        assert client_goal.end()[0] == "CANCELED"
         until(lambda: not parts(rig), "all parts are withdrawn")
     finally:
         other.close()
@@ -147,19 +147,19 @@ def test_a_goal_that_the_gateway_holds_can_be_canceled(rig: Rig) -> None:
 
 def test_goals_at_both_servers_have_their_own_results(rig: Rig) -> None:
     """While the gateway finishes its goal, two servers have parts of one action."""
-    held = Asked(rig.client, pose(1.0))
+    held = ClientGoal(rig.client, pose(1.0))
     goal = rig.planner.until(1)
     other = nav2(rig)
     try:
         until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
         for number, status in enumerate((GoalState.SUCCEEDED, GoalState.CANCELED), 1):
-            asked = Asked(rig.client, pose(2.0))
+            client_goal = ClientGoal(rig.client, pose(2.0))
             until(lambda: len(other.goals) == number, "a new goal is at that node")  # noqa: B023
             if status is GoalState.CANCELED:
-                asked.cancel()
+                client_goal.cancel()
             else:
                 other.end(status)
-            assert asked.end()[0] == status.name
+            assert client_goal.end()[0] == status.name
         assert goal.active
         assert not held.ended
         rig.planner.reach(goal)
@@ -168,24 +168,24 @@ def test_goals_at_both_servers_have_their_own_results(rig: Rig) -> None:
         other.close()
 
 
-def test_a_goal_that_the_gateway_holds_outlives_a_short_visit(rig: Rig) -> None:
+def test_an_active_goal_of_the_gateway_outlives_a_node_that_leaves_soon(rig: Rig) -> None:
     """The node leaves before the goal has ended: the server of that goal stays until then."""
-    asked = Asked(rig.client, pose(1.0))
+    client_goal = ClientGoal(rig.client, pose(1.0))
     goal = rig.planner.until(1)
     other = nav2(rig)
     until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
     other.close()
     until(lambda: rig.module.status()["served_by"] == "", "the gateway notices")
     rig.planner.reach(goal)
-    assert asked.end() == ("SUCCEEDED", "")
+    assert client_goal.end() == ("SUCCEEDED", "")
     until(lambda: parts(rig) == set(PARTS), "it serves the name again")
-    again = Asked(rig.client, pose(2.0))
+    again = ClientGoal(rig.client, pose(2.0))
     rig.planner.reach(rig.planner.until(2))
     assert again.end() == ("SUCCEEDED", "")
 
 
 @pytest.mark.usefixtures("other")
-def test_other_entry_points_go_on(rig: Rig) -> None:
+def test_other_entry_points_continue(rig: Rig) -> None:
     out = rig.far.advertise("/goal_pose", "geometry_msgs/PoseStamped")
 
     def once() -> bool:
@@ -198,7 +198,7 @@ def test_other_entry_points_go_on(rig: Rig) -> None:
 
 
 @pytest.mark.usefixtures("other")
-def test_status_and_doctor_say_who_serves_the_name(rig: Rig) -> None:
+def test_status_and_doctor_name_the_node_that_serves_the_action(rig: Rig) -> None:
     health = rig.module.health()
     assert health.state == "running"
     assert f"{ACTION} is served by {NODE}" in health.text
@@ -210,18 +210,18 @@ def test_status_and_doctor_say_who_serves_the_name(rig: Rig) -> None:
     show(Console(file=printed, width=1000), [document])
     assert f"warning: {warning}" in printed.getvalue()
     findings = every(look_at_workers(around({"name": "here"}, hub=hub(document))))
-    (found,) = [finding for finding in findings if warning in finding.seen]
-    assert found.result is Result.WARN
+    (matching,) = [finding for finding in findings if warning in finding.seen]
+    assert matching.result is Result.WARN
 
 
-def test_status_and_doctor_say_nothing_once_the_node_has_left(rig: Rig) -> None:
+def test_status_and_doctor_have_no_warning_after_the_node_has_left(rig: Rig) -> None:
     document = rig.answer("gateway")
     assert (document["served_by"], document["warnings"]) == ("", [])
     assert ACTION not in rig.module.health().text
 
 
 def test_two_gateways_on_one_hub_both_serve_the_name(rig: Rig, tmp_path: Path) -> None:
-    """Daemons on two machines of one hub: both are gateways, so neither steps aside."""
+    """Daemons on two machines of one hub: both are gateways, so neither withdraws."""
     worker = ModulesWorker()
     config: Any = rig.configured()
     second = config.model_copy(update={"name": "there", "state": tmp_path})

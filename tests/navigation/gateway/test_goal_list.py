@@ -1,4 +1,4 @@
-"""Goals by a server's list: "no list yet" is not "no goals", and a list is valid while its publisher is there."""
+"""Goals from a server's list: "no list yet" is not "no goals", and a list is valid while its publisher exists."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def later(clock: Clock, goals: GoalList, seconds: float, *publishers: bytes) -> 
 
 
 @pytest.mark.parametrize("always", [True, False])
-def test_before_the_first_list_nothing_is_known(clock: Clock, always: bool) -> None:
+def test_goals_are_unknown_before_the_first_list(clock: Clock, always: bool) -> None:
     goals = GoalList(always=always)
     assert not goals.known
     later(clock, goals, 100.0)
@@ -128,7 +128,7 @@ def test_a_list_may_be_ahead_of_the_graph_for_a_moment(clock: Clock, always: boo
 
 
 def test_a_list_from_a_publisher_that_has_just_left_is_not_ahead_of_the_graph(clock: Clock) -> None:
-    """The last words of a killed worker arrive before its token is withdrawn: they do not outlive it."""
+    """The last list of a killed worker arrives before its token is withdrawn, and is valid only until then."""
     goals = GoalList(always=True)
     later(clock, goals, 1.0, SERVER, OTHER)
     goals.receive(SERVER, {})

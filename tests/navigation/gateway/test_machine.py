@@ -1,4 +1,4 @@
-"""Every transition of the gateway's tables, and every word that is derived from them."""
+"""Every transition of the gateway's tables, and every report that is derived from them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ PAIRS = [(state, event) for states, (_table, events, _first) in TABLES.items() f
 
 
 @pytest.mark.parametrize(("state", "event"), PAIRS, ids=lambda value: value.name.lower())
-def test_each_event_leads_from_each_state_where_the_table_says(state: Enum, event: Enum) -> None:
+def test_each_event_leads_from_each_state_to_that_of_the_table(state: Enum, event: Enum) -> None:
     table = TABLES[type(state)][0]
     machine: Machine[Any, Any] = Machine(table, state)
     since = machine.since
@@ -56,10 +56,14 @@ def test_each_state_is_reached(states: type[Enum]) -> None:
 
 def test_a_planner_is_never_idle_before_it_has_reported() -> None:
     """An empty container is not an answer: each path to `IDLE` has the event of a list without goals."""
-    ways = {(state, event) for state, row in PLANNER.items() for event, to in row.items() if to is PlannerState.IDLE}
-    assert ways
-    assert {event for _state, event in ways} == {PlannerEvent.NO_GOALS}
-    assert {state for state, _event in ways} <= {PlannerState.UNREPORTED, PlannerState.IDLE, PlannerState.DRIVING}
+    paths = {(state, event) for state, row in PLANNER.items() for event, to in row.items() if to is PlannerState.IDLE}
+    assert paths
+    assert {event for _state, event in paths} == {PlannerEvent.NO_GOALS}
+    assert {state for state, _event in paths} <= {
+        PlannerState.UNREPORTED,
+        PlannerState.IDLE,
+        PlannerState.DRIVING,
+    }
 
 
 def test_a_stop_is_confirmed_by_both_the_planner_and_the_base() -> None:
@@ -91,8 +95,8 @@ SITUATIONS = [
 ]  # fmt: skip
 
 
-def test_no_word_says_that_the_robot_stands_while_its_base_moves() -> None:
-    """Whatever else is known: with a goal that may be executing, a moving base is reported as moving."""
+def test_no_report_says_that_the_robot_stands_while_its_base_moves() -> None:
+    """With a goal that may be executing, a moving base is always reported as moving."""
     checked = 0
     for now in SITUATIONS:
         planner_moves = now.motion or now.doubtful or now.foreign or not now.planner_state.reported
@@ -114,7 +118,7 @@ def test_a_goal_that_is_not_released_is_no_end() -> None:
             assert derive(now).state not in ENDED, now
 
 
-def test_what_is_not_known_is_not_idle() -> None:
+def test_an_unknown_planner_is_not_idle() -> None:
     for planner in (PlannerState.UNKNOWN, PlannerState.UNREPORTED):
         moving = derive(Situation("nav2", planner, base=Base.MOVING))
         assert (moving.state, moving.fault) == (State.MOVING, Fault.MAY_MOVE)
@@ -130,7 +134,7 @@ def test_a_stop_is_ok_only_if_it_is_confirmed() -> None:
         assert ok or MAY_MOVE in trouble(now)
 
 
-def test_no_sentence_says_it_twice() -> None:
+def test_no_reason_repeats_itself() -> None:
     for now in SITUATIONS:
         for sentence in (derive(now).reason, trouble(now)):
             assert sentence.count("may still be moving") <= 1, sentence

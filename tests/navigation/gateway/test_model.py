@@ -1,4 +1,4 @@
-"""All orders of faults and requests against a simulated planner and base: no word may contradict the base.
+"""Random orders of faults and requests with a simulated planner and base: no report may contradict the base.
 
 A run that fails prints what happened in it; `world.run` with its seed repeats it.
 """
@@ -13,15 +13,15 @@ FOUND = (9, 26, 32, 104, 327, 330, 335, 544, 3037, 3115, 3574, 4470, 4532, 6042,
 """Seeds that found a fault, or a gap in the model, once."""
 
 BLOCK = 100
-"""Runs of one test: some 8 s of a core."""
+"""Runs of one test; they take about 8 s of a core."""
 
 
 @pytest.mark.parametrize("seed", FOUND)
-def test_what_once_contradicted_the_base(seed: int) -> None:
+def test_reports_that_once_contradicted_the_base(seed: int) -> None:
     assert world.run(seed).gateway is not None
 
 
-def test_no_word_contradicts_the_base() -> None:
+def test_no_report_contradicts_the_base() -> None:
     runs = [world.run(seed) for seed in range(BLOCK)]
     assert len({run.planner for run in runs}) == 2
     assert sum(len(run.answers) for run in runs) > BLOCK // 2, "stops and pauses were answered"
@@ -29,5 +29,5 @@ def test_no_word_contradicts_the_base() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("first", range(BLOCK, 11 * BLOCK, BLOCK))
-def test_no_word_contradicts_the_base_in_a_thousand_runs(first: int) -> None:
+def test_no_report_contradicts_the_base_in_a_thousand_runs(first: int) -> None:
     assert all(world.run(seed).gateway is not None for seed in range(first, first + BLOCK))

@@ -1,4 +1,4 @@
-"""The gateway over planners of the hub: what each client is told, and what each planner is given."""
+"""The gateway with planners on the hub: the results of clients, and the goals of planners."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from bridge.stores.kinds import AREA, LOCATION, MAP
 from navigation.gateway import choice, execution
 from navigation.status import Fault, State
-from tests.navigation.gateway.rig import Asked, Rig, pose
+from tests.navigation.gateway.rig import ClientGoal, Rig, pose
 from tests.support.faults import FaultProxy
 from tests.support.wait import until
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
@@ -23,8 +23,8 @@ MINE = {"name": "mine", "side": "zenoh", "action": "/planner/mine/navigate_to_po
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    with Rig(tmp_path_factory.mktemp("gateway"), planners=[MINE]) as made:
-        yield made
+    with Rig(tmp_path_factory.mktemp("gateway"), planners=[MINE]) as started:
+        yield started
 
 
 @pytest.fixture
@@ -33,173 +33,173 @@ def rig(running: Rig) -> Rig:
     return running
 
 
-def at(goal: Any) -> tuple[str, float, float]:
-    """Frame and place of a goal that a planner has."""
+def target(goal: Any) -> tuple[str, float, float]:
+    """Return the frame and position of a planner's goal."""
     place = goal.goal["pose"]["pose"]["position"]
     return goal.goal["pose"]["header"]["frame_id"], place["x"], place["y"]
 
 
-def test_a_goal_its_feedback_and_its_end_go_through(rig: Rig) -> None:
-    asked = Asked(rig.client, pose(3.0, 1.0, frame="/map"))
+def test_a_goal_and_its_feedback_and_its_end_are_passed_on(rig: Rig) -> None:
+    client_goal = ClientGoal(rig.client, pose(3.0, 1.0, frame="/map"))
     goal = rig.planner.until(1)
-    assert at(goal) == ("map", 3.0, 1.0)
-    assert rig.state(State.MOVING)["goal_id"].tobytes() == asked.sent.id
-    rig.planner.tell(goal, State.WAITING, "a chair", 9008)
+    assert target(goal) == ("map", 3.0, 1.0)
+    assert rig.state(State.MOVING)["goal_id"].tobytes() == client_goal.sent.id
+    rig.planner.publish_status(goal, State.WAITING, "a chair", 9008)
     assert rig.state(State.WAITING, "a chair")["error_code"] == 9008
     rig.planner.on(lambda: goal.feedback({"distance_remaining": 2.5, "current_pose": pose(0.5)}))
-    until(lambda: asked.feedback, "the feedback came", 20)
-    assert asked.feedback[0]["distance_remaining"] == 2.5
-    assert asked.feedback[0]["current_pose"]["pose"]["position"]["x"] == 0.5
+    until(lambda: client_goal.feedback, "the feedback arrived", 20)
+    assert client_goal.feedback[0]["distance_remaining"] == 2.5
+    assert client_goal.feedback[0]["current_pose"]["pose"]["position"]["x"] == 0.5
     rig.planner.reach(goal)
-    assert asked.end() == ("SUCCEEDED", "")
+    assert client_goal.end() == ("SUCCEEDED", "")
     rig.state(State.REACHED)
 
 
 def test_an_abort_comes_with_its_reason(rig: Rig) -> None:
-    asked = Asked(rig.client, pose(3.0))
-    rig.planner.give_up(rig.planner.until(1), "no way leads there", 9006)
-    assert asked.end() == ("ABORTED", "no way leads there")
-    assert asked.result is not None
-    assert asked.result["error_code"] == 9006
-    assert rig.state(State.ABORTED, "no way leads there")["error_code"] == 9006
+    client_goal = ClientGoal(rig.client, pose(3.0))
+    rig.planner.give_up(rig.planner.until(1), "no path to the goal", 9006)
+    assert client_goal.end() == ("ABORTED", "no path to the goal")
+    assert client_goal.result is not None
+    assert client_goal.result["error_code"] == 9006
+    assert rig.state(State.ABORTED, "no path to the goal")["error_code"] == 9006
 
 
-def test_a_reason_without_a_code_is_that_of_a_planner_that_is_there(rig: Rig) -> None:
-    """Move_base's have none; in the same words a bridge says that the planner is gone, which may be back."""
-    asked = Asked(rig.client, pose(3.0))
+def test_a_reason_without_a_code_is_believed_of_a_reachable_planner(rig: Rig) -> None:
+    """Those of move_base have none; a bridge reports a lost planner in the same way, which may return."""
+    client_goal = ClientGoal(rig.client, pose(3.0))
     rig.planner.give_up(rig.planner.until(1), "Failed to find a valid plan.", 0)
-    assert asked.end() == ("ABORTED", "Failed to find a valid plan.")
+    assert client_goal.end() == ("ABORTED", "Failed to find a valid plan.")
     rig.state(State.ABORTED, "Failed to find a valid plan.")
 
 
-def test_a_goal_that_no_planner_could_follow_says_why(rig: Rig) -> None:
+def test_an_invalid_goal_is_aborted_with_a_reason(rig: Rig) -> None:
     bad = {
         "frame is empty": pose(1.0, frame=""),
         "is not finite": pose(math.nan),
         "is not a rotation": {**pose(1.0), "pose": {"orientation": {"w": 0.0}}},
     }
-    for why, message in bad.items():
-        status, told = Asked(rig.client, message).end()
+    for reason, message in bad.items():
+        status, text = ClientGoal(rig.client, message).end()
         assert status == "ABORTED"
-        assert why in told
+        assert reason in text
     assert not rig.planner.goals
 
 
-def test_who_cancels_is_told_once_the_planner_has_let_go(rig: Rig) -> None:
-    asked = Asked(rig.client, pose(3.0))
+def test_a_cancellation_is_reported_when_the_planner_has_released_the_goal(rig: Rig) -> None:
+    client_goal = ClientGoal(rig.client, pose(3.0))
     goal = rig.planner.until(1)
-    asked.cancel()
-    assert asked.end()[0] == "CANCELED"
+    client_goal.cancel()
+    assert client_goal.end()[0] == "CANCELED"
     assert goal.status.name == "CANCELED"
     rig.state(State.IDLE)
 
 
-def test_another_clients_goal_takes_the_place_and_the_first_client_hears_it(rig: Rig) -> None:
-    first = Asked(rig.client, pose(1.0))
+def test_another_clients_goal_replaces_the_first_and_the_first_client_is_informed(rig: Rig) -> None:
+    first = ClientGoal(rig.client, pose(1.0))
     rig.planner.until(1)
-    second = Asked(rig.client, pose(2.0))
-    status, why = first.end()
+    second = ClientGoal(rig.client, pose(2.0))
+    status, reason = first.end()
     assert status == "CANCELED"
-    assert "took its place" in why
+    assert "replaced it" in reason
     goal = rig.planner.until(2)
-    assert at(goal)[1] == 2.0
+    assert target(goal)[1] == 2.0
     rig.planner.reach(goal)
     assert second.end() == ("SUCCEEDED", "")
 
 
-def test_in_a_pause_the_clients_goal_stays_active_and_goes_on_under_a_new_id(rig: Rig) -> None:
-    asked = Asked(rig.client, {**pose(4.0), "header": {"frame_id": "map", "stamp": {"sec": 77}}})
+def test_a_paused_goal_stays_active_and_continues_with_a_new_id(rig: Rig) -> None:
+    client_goal = ClientGoal(rig.client, {**pose(4.0), "header": {"frame_id": "map", "stamp": {"sec": 77}}})
     first = rig.planner.until(1)
     assert rig.ask("pause")["success"]
     rig.state(State.PAUSED)
     until(lambda: not first.active, "the planner stopped", 20)
-    assert not asked.ended
+    assert not client_goal.ended
     assert rig.ask("resume")["success"]
     second = rig.planner.until(2)
     assert second.id != first.id
-    assert at(second) == at(first)
+    assert target(second) == target(first)
     assert second.goal["pose"]["header"]["stamp"] == {"sec": 0, "nanosec": 0}
     rig.state(State.MOVING)
     rig.planner.reach(second)
-    assert asked.end() == ("SUCCEEDED", "")
+    assert client_goal.end() == ("SUCCEEDED", "")
     for name in ("pause", "resume"):
         assert not rig.ask(name)["success"]
 
 
 def test_a_paused_goal_can_be_canceled(rig: Rig) -> None:
-    asked = Asked(rig.client, pose(4.0))
+    client_goal = ClientGoal(rig.client, pose(4.0))
     rig.planner.until(1)
     rig.ask("pause")
     rig.state(State.PAUSED)
-    asked.cancel()
-    assert asked.end()[0] == "CANCELED"
+    client_goal.cancel()
+    assert client_goal.end()[0] == "CANCELED"
     rig.state(State.IDLE)
     assert not rig.ask("resume")["success"]
 
 
-def test_a_planner_that_is_killed_is_waited_for_and_goes_on(rig: Rig) -> None:
-    asked = Asked(rig.client, pose(5.0))
+def test_a_goal_waits_for_a_killed_planner_and_continues(rig: Rig) -> None:
+    client_goal = ClientGoal(rig.client, pose(5.0))
     rig.planner.until(1)
     rig.planners.pop("robot_goto").close()
     rig.state(State.MOVING, "robot_goto is not available; waiting for it")
     rig.planner = rig.have("robot_goto")
     goal = rig.planner.until(1)
-    assert at(goal)[1] == 5.0
+    assert target(goal)[1] == 5.0
     rig.planner.reach(goal)
-    assert asked.end() == ("SUCCEEDED", "")
+    assert client_goal.end() == ("SUCCEEDED", "")
 
 
-def test_a_goal_that_comes_before_the_planner_is_being_prepared_and_then_driven_to(rig: Rig) -> None:
+def test_a_goal_before_the_planner_is_reachable_is_prepared_and_then_sent(rig: Rig) -> None:
     rig.planners.pop("robot_goto").close()
     try:
-        until(lambda: not rig.gateway.link.reachable, "the planner has gone", 20)
-        first = Asked(rig.client, pose(5.0))
+        until(lambda: not rig.gateway.link.reachable, "the planner is unreachable", 20)
+        first = ClientGoal(rig.client, pose(5.0))
         rig.state(State.PREPARING, "robot_goto is not available; waiting for it")
         first.cancel()
         assert first.end()[0] == "CANCELED"
-        asked = Asked(rig.client, pose(6.0))
+        client_goal = ClientGoal(rig.client, pose(6.0))
         rig.state(State.PREPARING, "robot_goto is not available; waiting for it")
     finally:
         rig.planner = rig.have("robot_goto")
-    assert at(rig.planner.until(1)) == ("map", 6.0, 0.0), "and not what was cancelled"
+    assert target(rig.planner.until(1)) == ("map", 6.0, 0.0), "not the canceled goal"
     rig.planner.reach(rig.planner.until(1))
-    assert asked.end() == ("SUCCEEDED", "")
+    assert client_goal.end() == ("SUCCEEDED", "")
 
 
-def test_a_planner_that_stays_away_ends_the_goal_with_the_reason(rig: Rig) -> None:
+def test_a_planner_that_stays_unreachable_ends_the_goal_with_the_reason(rig: Rig) -> None:
     rig.worker.reload(rig.configured(patience=0.3))
-    asked = Asked(rig.client, pose(5.0))
+    client_goal = ClientGoal(rig.client, pose(5.0))
     rig.planner.until(1)
     rig.planners.pop("robot_goto").close()
     try:
-        assert asked.end() == ("ABORTED", "the planner robot_goto was not available for 0.3 s")
-        end, why = Asked(rig.client, pose(6.0)).end()
+        assert client_goal.end() == ("ABORTED", "the planner robot_goto was not available for 0.3 s")
+        end, reason = ClientGoal(rig.client, pose(6.0)).end()
         assert end == "ABORTED"
-        assert "ask again when it is" in why
+        assert "send the goal again when it is" in reason
     finally:
         rig.worker.reload(rig.configured(patience=60.0))
         rig.planner = rig.have("robot_goto")
 
 
-def test_a_rejection_is_believed_of_a_planner_that_has_been_there_for_a_while(rig: Rig) -> None:
+def test_a_rejection_is_believed_of_a_planner_that_has_been_reachable_for_a_while(rig: Rig) -> None:
     rig.planner.rejects = 1
-    rig.gateway.link.presence.unreachable_at = math.inf  # it came this moment: its bridge may be about to find it
-    asked = Asked(rig.client, pose(1.0))
+    rig.gateway.link.presence.unreachable_at = math.inf  # it has just appeared: its bridge may not have found it yet
+    client_goal = ClientGoal(rig.client, pose(1.0))
     rig.planner.reach(rig.planner.until(1))
-    assert asked.end() == ("SUCCEEDED", "")
+    assert client_goal.end() == ("SUCCEEDED", "")
     rig.planner.rejects = 1
     rig.gateway.link.presence.unreachable_at = 0.0
-    assert Asked(rig.client, pose(1.0)).end() == ("ABORTED", "robot_goto rejected the goal")
+    assert ClientGoal(rig.client, pose(1.0)).end() == ("ABORTED", "robot_goto rejected the goal")
 
 
-def test_what_drives_on_behind_a_cut_link_is_stopped_when_the_link_is_back(rig: Rig) -> None:
+def test_a_planner_that_continues_behind_a_cut_link_is_stopped_when_the_link_is_back(rig: Rig) -> None:
     rig.planners.pop("robot_goto").close()
     with FaultProxy(rig.hubs.port) as link:
         far = {"router": f"tcp/127.0.0.1:{link.port}", "zenoh": {"mode": "client"}, "shared_memory": False}
         planner = rig.have("robot_goto", rig.hubs.settings("robot_goto", **far))
         try:
-            # it is back in time: the client's goal goes on
-            asked = Asked(rig.client, pose(5.0))
+            # it is back in time: the client's goal continues
+            client_goal = ClientGoal(rig.client, pose(5.0))
             planner.until(1)
             link.freeze()
             rig.state(State.MOVING, "robot_goto is not available; waiting for it")
@@ -209,17 +209,17 @@ def test_what_drives_on_behind_a_cut_link_is_stopped_when_the_link_is_back(rig: 
             until(lambda: rig.statuses[-1]["reason"] == "", "the planner still has the goal", 30)
             assert len(planner.goals) == 1, "it is not sent again"
             planner.reach(planner.goals[0])
-            assert asked.end() == ("SUCCEEDED", "")
-            # it is not: the client is told, and the planner once that can be
+            assert client_goal.end() == ("SUCCEEDED", "")
+            # it is late: the goal is aborted, and the planner is stopped when the link is back
             rig.worker.reload(rig.configured(patience=0.3))
-            asked = Asked(rig.client, pose(6.0))
+            client_goal = ClientGoal(rig.client, pose(6.0))
             goal = planner.until(2)
             link.freeze()
-            assert asked.end() == ("ABORTED", "the planner robot_goto was not available for 0.3 s")
+            assert client_goal.end() == ("ABORTED", "the planner robot_goto was not available for 0.3 s")
             assert goal.active
             link.thaw()
             link.cut()
-            until(lambda: not goal.active, "the planner was told to stop", 30)
+            until(lambda: not goal.active, "the planner was stopped", 30)
             assert goal.status.name == "CANCELED"
         finally:
             rig.worker.reload(rig.configured(patience=60.0))
@@ -227,8 +227,8 @@ def test_what_drives_on_behind_a_cut_link_is_stopped_when_the_link_is_back(rig: 
             rig.planner = rig.have("robot_goto")
 
 
-def test_goals_that_the_planner_was_given_itself_are_seen_and_can_be_stopped(rig: Rig) -> None:
-    direct = Asked(rig.client, pose(1.0), "/planner/robot_goto/navigate_to_pose")
+def test_goals_of_the_planners_own_clients_are_reported_and_can_be_stopped(rig: Rig) -> None:
+    direct = ClientGoal(rig.client, pose(1.0), "/planner/robot_goto/navigate_to_pose")
     goal = rig.planner.until(1)
     rig.state(State.MOVING, "its own client")
     assert "can be stopped, but not paused" in rig.ask("pause")["message"]
@@ -236,7 +236,7 @@ def test_goals_that_the_planner_was_given_itself_are_seen_and_can_be_stopped(rig
     rig.planner.reach(goal)
     assert direct.end()[0] == "SUCCEEDED"
     rig.state(State.REACHED, "its own client")
-    direct = Asked(rig.client, pose(1.0), "/planner/robot_goto/navigate_to_pose")
+    direct = ClientGoal(rig.client, pose(1.0), "/planner/robot_goto/navigate_to_pose")
     rig.planner.until(2)
     rig.state(State.MOVING, "its own client")
     assert rig.ask("stop")["success"]
@@ -244,50 +244,50 @@ def test_goals_that_the_planner_was_given_itself_are_seen_and_can_be_stopped(rig
     rig.state(State.IDLE)
 
 
-def test_a_planner_that_dies_with_a_goal_that_it_was_given_itself_is_no_success(rig: Rig) -> None:
-    asked = Asked(rig.client, pose(1.0))
+def test_a_planner_that_exits_with_a_goal_of_its_own_client_is_no_success(rig: Rig) -> None:
+    client_goal = ClientGoal(rig.client, pose(1.0))
     rig.planner.reach(rig.planner.until(1))
-    assert asked.end()[0] == "SUCCEEDED"
-    Asked(rig.client, pose(2.0), "/planner/robot_goto/navigate_to_pose")
+    assert client_goal.end()[0] == "SUCCEEDED"
+    ClientGoal(rig.client, pose(2.0), "/planner/robot_goto/navigate_to_pose")
     rig.state(State.MOVING, "its own client")
     rig.planners.pop("robot_goto").close()
-    told = rig.state(State.MOVING, "the planner robot_goto is not available; the robot may still be moving")
-    assert told["error_code"] == Fault.MAY_MOVE
+    status = rig.state(State.MOVING, "the planner robot_goto is not available; the robot may still be moving")
+    assert status["error_code"] == Fault.MAY_MOVE
     rig.planner = rig.have("robot_goto")  # another program, which has none of the goals
-    rig.state(State.ABORTED, "robot_goto has gone")
+    rig.state(State.ABORTED, "robot_goto has disappeared")
     until(lambda: not rig.gateway.driving, "nothing drives", 20)
     assert rig.ask("choose_planner", name="mine")["success"]
     assert rig.ask("choose_planner", name="robot_goto")["success"]
     until(lambda: rig.gateway.link.reachable, "the planner is found", 20)
 
 
-def test_a_direct_goal_that_takes_the_place_is_told_to_our_client(rig: Rig) -> None:
-    asked = Asked(rig.client, pose(1.0))
+def test_a_goal_of_the_planners_own_client_cancels_our_clients_goal(rig: Rig) -> None:
+    client_goal = ClientGoal(rig.client, pose(1.0))
     rig.planner.until(1)
-    Asked(rig.client, pose(2.0), "/planner/robot_goto/navigate_to_pose")
-    assert asked.end() == ("CANCELED", "another goal replaced it")
+    ClientGoal(rig.client, pose(2.0), "/planner/robot_goto/navigate_to_pose")
+    assert client_goal.end() == ("CANCELED", "another goal replaced it")
     rig.state(State.MOVING, "its own client")
 
 
-def test_the_planner_changes_while_standing_and_not_while_driving(rig: Rig) -> None:
+def test_the_planner_is_changed_at_rest_and_not_during_a_drive(rig: Rig) -> None:
     mine = rig.have("mine")
-    asked = Asked(rig.client, pose(1.0))
+    client_goal = ClientGoal(rig.client, pose(1.0))
     goal = rig.planner.until(1)
     assert "robot_goto is driving" in rig.ask("choose_planner", name="mine")["message"]
     assert "unknown planner 'yours'" in rig.ask("choose_planner", name="yours")["message"]
     rig.worker.reload(rig.configured(planner="mine"))
     assert rig.gateway.pending == "mine"
     rig.planner.reach(goal)
-    assert asked.end()[0] == "SUCCEEDED"
+    assert client_goal.end()[0] == "SUCCEEDED"
     until(lambda: rig.gateway.planner == "mine" and rig.gateway.link.reachable, "mine drives now", 20)
-    asked = Asked(rig.client, pose(2.0), tree="midspan: through=true")
+    client_goal = ClientGoal(rig.client, pose(2.0), tree="midspan: through=true")
     goal = mine.until(1)
-    assert goal.goal["behavior_tree"] == ""  # Midspan's own words are for its own planners
+    assert goal.goal["behavior_tree"] == ""  # Midspan's options are only for its own planners
     mine.reach(goal)
-    assert asked.end()[0] == "SUCCEEDED"
+    assert client_goal.end()[0] == "SUCCEEDED"
     assert rig.ask("choose_planner", name="robot_goto")["success"]
     rig.worker.reload(rig.configured(patience=61.0))
-    assert (rig.gateway.planner, rig.gateway.pending) == ("robot_goto", ""), "the file's line is as it was"
+    assert (rig.gateway.planner, rig.gateway.pending) == ("robot_goto", ""), "the file's line is unchanged"
     rig.worker.reload(rig.configured(patience=60.0, planner="robot_goto"))
     until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.reachable, "the first one drives again", 20)
     assert rig.ask("choose_planner", name="mine")["success"]
@@ -297,19 +297,19 @@ def test_the_planner_changes_while_standing_and_not_while_driving(rig: Rig) -> N
     until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.reachable, "the first one drives again", 20)
 
 
-def test_another_planner_waits_for_one_that_does_not_let_go(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_planner_waits_for_the_release_of_a_goal(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(execution, "GIVE_UP_SECONDS", 0.1)
-    monkeypatch.setattr(rig.planner, "cancels", lambda _goal: True)  # and drives on
-    for let_go in (True, False):
-        asked = Asked(rig.client, pose(1.0))
-        goal = rig.planner.until(1 if let_go else 2)
-        asked.cancel()
-        assert "robot_goto has not released its goal" in asked.end()[1]
+    monkeypatch.setattr(rig.planner, "cancels", lambda _goal: True)  # and continues
+    for releases in (True, False):
+        client_goal = ClientGoal(rig.client, pose(1.0))
+        goal = rig.planner.until(1 if releases else 2)
+        client_goal.cancel()
+        assert "robot_goto has not released its goal" in client_goal.end()[1]
         rig.worker.reload(rig.configured(planner="mine"))
         loop = rig.worker.running("gateway").host.loop
         loop.call(rig.gateway.poll)
         assert (rig.gateway.planner, rig.gateway.pending) == ("robot_goto", "mine")
-        if let_go:
+        if releases:
             rig.planner.on(goal.canceled)
         else:
             monkeypatch.setattr(choice, "RELEASE_SECONDS", 0.0)
@@ -327,14 +327,14 @@ def test_a_published_goal_and_places_by_name(rig: Rig) -> None:
     store.put(LOCATION, "cellar", Map2DLocation("below", 2.0, 3.0, 90.0))
     corners = [Vec2D(0.0, 0.0), Vec2D(2.0, 0.0), Vec2D(2.0, 2.0), Vec2D(0.0, 2.0)]
     store.put(AREA, "hall", Map2DArea("house", corners))
-    found = rig.ask("get_location", name="kitchen")
-    assert found["success"]
-    assert found["pose"]["pose"]["orientation"]["z"] == pytest.approx(math.sin(math.pi / 4))
+    location = rig.ask("get_location", name="kitchen")
+    assert location["success"]
+    assert location["pose"]["pose"]["orientation"]["z"] == pytest.approx(math.sin(math.pi / 4))
     assert rig.ask("go_to", name="kitchen")["success"]
-    assert at(rig.planner.until(1)) == ("map", 2.0, 3.0)
+    assert target(rig.planner.until(1)) == ("map", 2.0, 3.0)
     rig.ask("go_to", name="hall")
     goal = rig.planner.until(2)
-    assert at(goal) == ("map", 1.0, 1.0)
+    assert target(goal) == ("map", 1.0, 1.0)
     assert goal.goal["behavior_tree"] == "midspan: heading=false"
     assert "on the map below" in rig.ask("go_to", name="cellar")["message"]
     assert rig.ask("get_location", name="cellar")["pose"]["header"]["frame_id"] == "below"
@@ -345,6 +345,6 @@ def test_a_published_goal_and_places_by_name(rig: Rig) -> None:
 
     def once() -> bool:
         rig.far.publish(out, pose(7.0))
-        return at(rig.planner.goals[-1])[1] == 7.0
+        return target(rig.planner.goals[-1])[1] == 7.0
 
     until(once, "a published goal is driven to", 20)

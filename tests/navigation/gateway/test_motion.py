@@ -1,4 +1,4 @@
-"""Whether a base stands, by scripted odometry."""
+"""Whether a base stands, with scripted odometry."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ class Odometry:
 def test_only_fresh_odometry_shows_that_the_base_stands() -> None:
     odometry = Odometry()
     motion = Motion(cast("Any", odometry), simulated=True)
-    assert motion.stands() is None
+    assert motion.is_standing() is None
     for _ in range(6):
         odometry.x, odometry.stamp = odometry.x + 0.03, odometry.stamp + TENTH
         motion.poll()
-    assert motion.stands() is False
+    assert motion.is_standing() is False
     for _ in range(20):  # odometry stops in mid-drive: the last pose is no evidence of the current one
         motion.poll()
-    assert motion.stands() is False
+    assert motion.is_standing() is False
     for _ in range(4):
         odometry.stamp += TENTH
         motion.poll()
-    assert motion.stands() is True
-    assert motion.stands(since=float("inf")) is None
+    assert motion.is_standing() is True
+    assert motion.is_standing(since=float("inf")) is None
     odometry.known = False
     motion.poll()
-    assert motion.stands() is None
+    assert motion.is_standing() is None
 
 
 def test_other_threads_read_while_it_polls() -> None:
@@ -57,7 +57,7 @@ def test_other_threads_read_while_it_polls() -> None:
     def ask() -> None:
         try:
             while not over.is_set():
-                motion.stands()
+                motion.is_standing()
         except RuntimeError as err:
             failed.append(err)
 
@@ -78,7 +78,7 @@ def test_a_step_of_the_odometrys_clock_is_not_time_that_passed() -> None:
     for _ in range(3):
         odometry.x, odometry.stamp = odometry.x + 0.0004, odometry.stamp + 5 * TENTH
         motion.poll()
-    assert motion.stands() is None
+    assert motion.is_standing() is None
 
 
 def test_odometry_that_has_ended_does_not_show_that_the_base_stands(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,7 +89,7 @@ def test_odometry_that_has_ended_does_not_show_that_the_base_stands(monkeypatch:
     for _ in range(6):
         odometry.stamp, now = odometry.stamp + TENTH, now + 0.1
         motion.poll()
-    assert motion.stands() is True
+    assert motion.is_standing() is True
     now += FRESH_SECONDS
     motion.poll()
-    assert motion.stands() is None
+    assert motion.is_standing() is None

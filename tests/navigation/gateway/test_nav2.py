@@ -141,17 +141,17 @@ def test_an_abort_is_reported_when_the_controller_has_ended_and_the_base_stands(
 ) -> None:
     """On a busy machine bt_navigator aborts the goal, and controller_server continues to drive for seconds."""
     rig = robot.rig
-    asked = robot.drive()
+    client_goal = robot.drive()
     begin = len(rig.statuses)
     robot.planner.end(GoalState.ABORTED, 100)
     assert controller.canceled.wait(20)
     rig.state(State.MOVING, "the controller failed (Nav2 100)")
-    assert not asked.ended
+    assert not client_goal.ended
     controller.end()
     until(lambda: not rig.gateway.held, "the controller's goal has ended")
-    assert not asked.ended, "the base still moves"
+    assert not client_goal.ended, "the base still moves"
     robot.base.speed = 0.0
-    assert asked.end() == ("ABORTED", "the controller failed (Nav2 100)")
+    assert client_goal.end() == ("ABORTED", "the controller failed (Nav2 100)")
     rig.state(State.ABORTED, "the controller failed (Nav2 100)")
     states = [status["state"] for status in rig.statuses[begin:]]
     assert set(states[:-1]) == {State.MOVING}, "no other state before the base stands"
@@ -168,12 +168,12 @@ def test_a_stop_that_is_late_names_the_action_that_has_not_ended(robot: Scene, c
 def test_a_client_that_cancels_its_goal_has_the_controllers_goal_canceled_too(
     robot: Scene, controller: Controller
 ) -> None:
-    asked = robot.drive()
-    asked.cancel()
+    client_goal = robot.drive()
+    client_goal.cancel()
     assert controller.canceled.wait(20)
     controller.end()
     robot.base.speed = 0.0
-    assert asked.end()[0] == "CANCELED"
+    assert client_goal.end()[0] == "CANCELED"
     robot.rig.state(State.IDLE)
 
 
@@ -244,9 +244,9 @@ def lost(robot: Scene) -> None:
 
 
 @pytest.mark.parametrize("first", PARTS)
-def test_a_planner_whose_parts_vanish_one_by_one_is_lost_and_has_not_aborted(robot: Scene, first: str) -> None:
+def test_a_planner_whose_parts_disappear_one_by_one_is_lost_and_has_not_aborted(robot: Scene, first: str) -> None:
     rig, planner = robot.rig, robot.planner
-    asked = robot.drive()
+    client_goal = robot.drive()
     begin = len(rig.statuses)
     planner.close_part(first)
     lost(robot)
@@ -260,31 +260,31 @@ def test_a_planner_whose_parts_vanish_one_by_one_is_lost_and_has_not_aborted(rob
     until(lambda: rig.gateway.drive.state is DriveState.DRIVING, "contact is back")
     until(lambda: rig.statuses[-1]["reason"] == "", "the status is that of a normal drive")
     assert robot.states(begin - 1) == {State.MOVING}
-    assert not asked.ended
+    assert not client_goal.ended
     planner.end(GoalState.SUCCEEDED)
-    assert asked.end() == ("SUCCEEDED", "")
+    assert client_goal.end() == ("SUCCEEDED", "")
     assert len(planner.goals) == 1, "the goal is not sent twice"
 
 
 def test_a_goal_that_a_bridge_reports_as_lost_has_not_aborted(robot: Scene) -> None:
     """A side's worker responds with status UNKNOWN while all parts of the action are still on the hub."""
-    asked = robot.drive()
+    client_goal = robot.drive()
     robot.planner.answer(GoalState.UNKNOWN, why="nav2 gave it up")
     lost(robot)
     robot.planner.withdraw()
     robot.rig.state(State.MOVING, f"{PLANNER} is not available")
-    assert not asked.ended
+    assert not client_goal.ended
     robot.planner.serve()
     robot.planner.tell()
     robot.goal(1)
     robot.planner.end(GoalState.SUCCEEDED)
-    assert asked.end() == ("SUCCEEDED", "")
+    assert client_goal.end() == ("SUCCEEDED", "")
     assert len(robot.planner.goals) == 1
 
 
 def test_a_planner_that_returns_without_the_goal_receives_it_again(robot: Scene) -> None:
     rig, planner = robot.rig, robot.planner
-    asked = robot.drive()
+    client_goal = robot.drive()
     planner.withdraw()
     lost(robot)
     planner.forget()
@@ -292,14 +292,14 @@ def test_a_planner_that_returns_without_the_goal_receives_it_again(robot: Scene)
     planner.tell()
     robot.goal(2)
     planner.end(GoalState.SUCCEEDED)
-    assert asked.end() == ("SUCCEEDED", "")
+    assert client_goal.end() == ("SUCCEEDED", "")
     rig.state(State.REACHED)
 
 
 def test_a_goal_that_only_the_list_of_a_killed_planner_has_is_sent_again(robot: Scene) -> None:
     """The parts of a killed bt_navigator and its last goal list remain for its DDS lease, next to the new server's."""
     rig, planner = robot.rig, robot.planner
-    asked = robot.drive()
+    client_goal = robot.drive()
     planner.tell()
     until(lambda: rig.gateway.link.state.reported, "the gateway has the planner's goal list")
     planner.forget()
@@ -307,12 +307,12 @@ def test_a_goal_that_only_the_list_of_a_killed_planner_has_is_sent_again(robot: 
     lost(robot)
     robot.goal(2)
     planner.end(GoalState.SUCCEEDED)
-    assert asked.end() == ("SUCCEEDED", "")
+    assert client_goal.end() == ("SUCCEEDED", "")
 
 
 def test_a_goal_is_not_sent_again_before_all_parts_are_back(robot: Scene) -> None:
     rig, planner = robot.rig, robot.planner
-    asked = robot.drive()
+    client_goal = robot.drive()
     planner.withdraw()
     lost(robot)
     planner.forget()
@@ -325,7 +325,7 @@ def test_a_goal_is_not_sent_again_before_all_parts_are_back(robot: Scene) -> Non
     planner.tell()
     robot.goal(2)
     planner.end(GoalState.SUCCEEDED)
-    assert asked.end() == ("SUCCEEDED", "")
+    assert client_goal.end() == ("SUCCEEDED", "")
 
 
 def count_polls(rig: Rig) -> Any:
@@ -344,17 +344,17 @@ def count_polls(rig: Rig) -> Any:
 
 
 @pytest.mark.parametrize("code", [102, 202])
-def test_a_goal_that_fails_for_want_of_a_transform_is_sent_again_within_the_patience(robot: Scene, code: int) -> None:
+def test_a_goal_that_fails_without_a_transform_is_sent_again_within_the_patience(robot: Scene, code: int) -> None:
     rig, planner = robot.rig, robot.planner
-    asked = robot.drive()
+    client_goal = robot.drive()
     begin = len(rig.statuses)
     planner.end(GoalState.ABORTED, code)
     status = rig.state(State.MOVING, f"{PLANNER}: a transform is missing or too old (Nav2 {code}); trying again")
     assert status["error_code"] == Fault.OTHER
     robot.goal(2)
-    assert not asked.ended
+    assert not client_goal.ended
     planner.end(GoalState.SUCCEEDED)
-    assert asked.end() == ("SUCCEEDED", "")
+    assert client_goal.end() == ("SUCCEEDED", "")
     assert State.ABORTED not in robot.states(begin)
 
 
@@ -362,40 +362,40 @@ def test_a_transform_that_stays_missing_aborts_the_goal_after_the_patience(robot
     rig, planner = robot.rig, robot.planner
     rig.worker.reload(rig.configured(patience=1.2))
     try:
-        asked = robot.drive()
+        client_goal = robot.drive()
         count = 0
-        while not asked.ended:
+        while not client_goal.ended:
             count += 1
             planner.end(GoalState.ABORTED, 102)
-            until(lambda: asked.ended or len(planner.goals) > count, "the goal ends, or is sent again")  # noqa: B023
-            until(lambda: asked.ended or planner.waits(planner.goals[-1]), "its result is awaited")
+            until(lambda: client_goal.ended or len(planner.goals) > count, "the goal ends, or is sent again")  # noqa: B023
+            until(lambda: client_goal.ended or planner.waits(planner.goals[-1]), "its result is awaited")
         assert count > 1
-        assert asked.end() == ("ABORTED", "a transform is missing or too old (Nav2 102)")
-        assert asked.result is not None
-        assert asked.result["error_code"] == 102
+        assert client_goal.end() == ("ABORTED", "a transform is missing or too old (Nav2 102)")
+        assert client_goal.result is not None
+        assert client_goal.result["error_code"] == 102
     finally:
         rig.worker.reload(rig.configured(patience=60.0))
 
 
 @pytest.mark.parametrize(
-    ("code", "why"), [(204, "the goal is outside the map"), (208, "no path to the goal"), (106, "velocity command")]
+    ("code", "reason"), [(204, "the goal is outside the map"), (208, "no path to the goal"), (106, "velocity command")]
 )
-def test_other_codes_of_nav2_abort_the_goal_with_a_reason(robot: Scene, code: int, why: str) -> None:
-    asked = robot.drive()
+def test_other_codes_of_nav2_abort_the_goal_with_a_reason(robot: Scene, code: int, reason: str) -> None:
+    client_goal = robot.drive()
     robot.planner.end(GoalState.ABORTED, code)
-    status, text = asked.end()
+    status, text = client_goal.end()
     assert status == "ABORTED"
-    assert why in text
+    assert reason in text
     assert f"(Nav2 {code})" in text
     robot.base.speed = 0.0
-    assert robot.rig.state(State.ABORTED, why)["error_code"] == code
+    assert robot.rig.state(State.ABORTED, reason)["error_code"] == code
 
 
 @pytest.mark.parametrize("first", ["list", "result"])
 def test_a_goal_that_nav2s_own_client_preempts_is_canceled(robot: Scene, first: str) -> None:
     """Nav2 aborts it without a code; its goal list shows the reason, shortly before or after the result."""
     rig, planner = robot.rig, robot.planner
-    asked = robot.drive()
+    client_goal = robot.drive()
     planner.set(b"a foreign goal..")
     if first == "list":
         planner.end(GoalState.ABORTED)
@@ -403,14 +403,14 @@ def test_a_goal_that_nav2s_own_client_preempts_is_canceled(robot: Scene, first: 
         planner.answer(GoalState.ABORTED)
         until(lambda: rig.gateway.drive.state is DriveState.JUDGING, "the gateway has the result")
         planner.tell()
-    status, why = asked.end()
+    status, reason = client_goal.end()
     assert status == "CANCELED"
-    assert why == f"{PLANNER} canceled the goal for a goal that {PLANNER} received from its own client"
+    assert reason == f"{PLANNER} canceled the goal for a goal that {PLANNER} received from its own client"
     rig.state(State.MOVING, "its own client")
     assert planner.executes(b"a foreign goal.."), "the other client's goal goes on"
 
 
 def test_a_goal_that_nav2_aborts_without_a_code_and_without_another_goal_is_aborted(robot: Scene) -> None:
-    asked = robot.drive()
+    client_goal = robot.drive()
     robot.planner.end(GoalState.ABORTED)
-    assert asked.end() == ("ABORTED", f"{PLANNER} aborted the goal")
+    assert client_goal.end() == ("ABORTED", f"{PLANNER} aborted the goal")

@@ -1,4 +1,4 @@
-"""Where a place is as a goal, before and after a map is in use."""
+"""Places as goals, before and after a map is in use."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def places(current: str, *, waits: bool) -> StoredPlaces:
         ("", False, "map"),
     ],
 )
-def test_a_place_is_on_its_map_whichever_comes_into_use(current: str, waits: bool, frame: str) -> None:
+def test_the_frame_of_a_place_depends_on_the_map_in_use(current: str, waits: bool, frame: str) -> None:
     place = Map2DLocation("house", 1.0, 2.0, 90.0)
     assert places(current, waits=waits).target(place).frame == frame
 
 
-def test_a_map_that_the_store_does_not_know_is_the_one_that_comes() -> None:
+def test_a_place_on_a_map_that_the_store_does_not_have() -> None:
     assert places("", waits=True).target(Map2DLocation("elsewhere", 1.0, 2.0, 0.0)).frame == "map"

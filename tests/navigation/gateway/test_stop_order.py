@@ -29,7 +29,7 @@ LONG = 600.0
 
 
 class Base:
-    """A base, its odometry, and the commanders of its velocity, around one stop order; ``run`` lets time pass.
+    """A base, its odometry, and the commanders of its velocity, and a stop order; ``run`` lets time pass.
 
     Attributes:
         speed: m/s of the base.
@@ -97,15 +97,15 @@ class Base:
 
 @pytest.fixture
 def base(monkeypatch: pytest.MonkeyPatch) -> Base:
-    made = Base(monkeypatch)
-    made.run(1.0)
-    return made
+    started = Base(monkeypatch)
+    started.run(1.0)
+    return started
 
 
 # -- with odometry -----------------------------------------------------------------------------------------------------
 
 
-def test_nothing_is_asked_for(base: Base) -> None:
+def test_without_a_request_there_is_no_stop(base: Base) -> None:
     base.released, base.speed = True, 0.0
     assert base.run(LONG) is StopState.NONE
     assert not base.order.confirmed
@@ -132,7 +132,7 @@ def test_a_base_that_stands_first_does_not_confirm_that_the_planner_has_released
     assert base.step() is StopState.CONFIRMED
 
 
-def test_a_base_that_stood_before_the_stop_was_asked_for_does_not_confirm_it(base: Base) -> None:
+def test_a_base_that_stood_before_the_request_does_not_confirm_the_stop(base: Base) -> None:
     base.speed = 0.0
     base.run(2.0)
     base.released = True
@@ -175,7 +175,7 @@ def test_a_base_that_moves_again_in_the_step_of_the_release_is_not_confirmed(bas
     assert StopState.CONFIRMED not in base.states
 
 
-def test_a_goal_that_turns_up_after_the_release_has_to_end_too(base: Base) -> None:
+def test_a_goal_that_appears_after_the_release_has_to_end_too(base: Base) -> None:
     base.order.ask("it was stopped")
     base.released = True
     base.until(StopState.SETTLING, 1.0)
@@ -237,7 +237,7 @@ def test_without_odometry_a_second_commander_that_drives_keeps_it_open_despite_z
 
 
 def test_without_odometry_silence_before_the_release_does_not_count(blind: Base) -> None:
-    """The velocities of an unreachable planner do not come to the hub."""
+    """The velocities of an unreachable planner do not reach the hub."""
     blind.order.ask("it was stopped")
     blind.reachable = False
     assert blind.run(30.0) is StopState.ASKED
@@ -246,7 +246,7 @@ def test_without_odometry_silence_before_the_release_does_not_count(blind: Base)
     assert blind.run(2.0) is StopState.SETTLING
 
 
-def test_odometry_that_comes_back_takes_over(blind: Base) -> None:
+def test_odometry_that_returns_takes_over(blind: Base) -> None:
     blind.order.ask("it was stopped")
     blind.released, blind.commands = True, (0.0,)
     blind.step()
@@ -281,7 +281,7 @@ def test_a_planner_that_stays_unreachable_is_not_held_for_ever(base: Base) -> No
     assert not base.order.state.held
 
 
-def test_a_planner_that_is_reachable_and_a_base_that_moves_are_held_as_long_as_it_takes(base: Base) -> None:
+def test_a_reachable_planner_with_a_moving_base_is_held_without_a_limit(base: Base) -> None:
     base.order.ask("it was stopped")
     assert base.run(2 * HELD_SECONDS) is StopState.ASKED
     assert base.order.state.held
@@ -306,7 +306,7 @@ def test_a_second_stop_keeps_the_time_of_one_that_is_open_and_begins_a_new_one_a
     base.order.ask("it was paused")
     base.run(3.0)
     base.order.ask("it was stopped")
-    assert base.order.why == "it was stopped"
+    assert base.order.reason == "it was stopped"
     assert base.order.age == pytest.approx(3.0)
     base.speed, base.released = 0.0, True
     base.until(StopState.CONFIRMED, 2.0)
@@ -327,7 +327,7 @@ def test_a_second_stop_without_odometry_needs_its_own_zeros(blind: Base) -> None
     assert blind.until(StopState.CONFIRMED, 3.0) >= SILENCE_SECONDS - TICK
 
 
-def test_a_stop_that_was_dropped_is_none(blind: Base) -> None:
+def test_a_dropped_stop_is_none(blind: Base) -> None:
     answers: list[str] = []
     blind.order.ask("it was stopped")
     blind.order.waiters.add(answers.append, LONG)

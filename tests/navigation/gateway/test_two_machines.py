@@ -11,7 +11,7 @@ import pytest
 from bridge.config.model import Config
 from bridge.modules.worker import ModulesWorker
 from tests.hub.machines import Machines, make_keys
-from tests.navigation.gateway.rig import Asked, Planner, Program, pose
+from tests.navigation.gateway.rig import ClientGoal, Planner, Program, pose
 from tests.support.wait import until
 
 
@@ -49,25 +49,25 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
         robot.close()
 
 
-def test_the_operators_goal_its_feedback_and_its_end_cross(robot: Robot) -> None:
+def test_the_operators_goal_and_its_feedback_and_its_end_cross(robot: Robot) -> None:
     operator = robot.operator("friend")
     try:
-        asked = Asked(operator, pose(2.0, 1.0))
+        client_goal = ClientGoal(operator, pose(2.0, 1.0))
         goal = robot.planner.until(1)
         assert goal.goal["pose"]["pose"]["position"]["x"] == 2.0
 
         def driving() -> bool:
             robot.planner.on(lambda: goal.feedback({"distance_remaining": 1.5}))
-            return bool(asked.feedback)
+            return bool(client_goal.feedback)
 
         until(driving, "the operator receives the feedback", 20)
         robot.planner.give_up(goal, "a door is closed")
-        assert asked.end() == ("ABORTED", "a door is closed")
-        asked = Asked(operator, pose(3.0))
+        assert client_goal.end() == ("ABORTED", "a door is closed")
+        client_goal = ClientGoal(operator, pose(3.0))
         goal = robot.planner.until(2)
-        asked.cancel()
-        assert asked.end()[0] == "CANCELED"
-        Asked(operator, pose(4.0))
+        client_goal.cancel()
+        assert client_goal.end()[0] == "CANCELED"
+        ClientGoal(operator, pose(4.0))
         goal = robot.planner.until(3)
     finally:
         operator.close()
@@ -77,9 +77,9 @@ def test_the_operators_goal_its_feedback_and_its_end_cross(robot: Robot) -> None
 def test_a_goal_of_an_untrusted_machine_is_rejected(robot: Robot) -> None:
     guest, count = robot.operator("guest"), len(robot.planner.goals)
     try:
-        asked = Asked(guest, pose(1.0))
-        until(lambda: asked.ended, "the guest's goal has ended", 30)
-        assert asked.sent.accepted is not True
+        client_goal = ClientGoal(guest, pose(1.0))
+        until(lambda: client_goal.ended, "the guest's goal has ended", 30)
+        assert client_goal.sent.accepted is not True
         assert len(robot.planner.goals) == count
     finally:
         guest.close()

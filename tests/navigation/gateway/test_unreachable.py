@@ -14,7 +14,7 @@ from navigation.gateway.foreign import GoalMark
 from navigation.gateway.machine import PlannerState
 from navigation.status import Fault, State
 from tests.navigation.gateway.driving import MAY_MOVE, Scene, scene
-from tests.navigation.gateway.rig import Asked, Rig, pose
+from tests.navigation.gateway.rig import ClientGoal, Rig, pose
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs, NavigationStatusEnum
@@ -25,15 +25,15 @@ PLANNERS_OWN = f"/planner/{PLANNER}/navigate_to_pose"
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    with Rig(tmp_path_factory.mktemp("unreachable"), planner=PLANNER) as made:
-        made.planners.pop("robot_goto").close()
-        yield made
+    with Rig(tmp_path_factory.mktemp("unreachable"), planner=PLANNER) as started:
+        started.planners.pop("robot_goto").close()
+        yield started
 
 
 @pytest.fixture
 def robot(rig: Rig) -> Iterator[Scene]:
-    with scene(rig, PLANNER, lists=True) as made:
-        yield made
+    with scene(rig, PLANNER, lists=True) as started:
+        yield started
 
 
 @pytest.fixture
@@ -41,8 +41,8 @@ def unreachable(robot: Scene) -> Scene:
     """The robot drives, and its planner has become unreachable."""
     robot.drive()
     robot.planner.withdraw()
-    told = robot.rig.state(State.MOVING, f"{PLANNER} is not available; waiting for it; {MAY_MOVE}")
-    assert told["error_code"] == Fault.NO_NAVIGATOR
+    status = robot.rig.state(State.MOVING, f"{PLANNER} is not available; waiting for it; {MAY_MOVE}")
+    assert status["error_code"] == Fault.NO_NAVIGATOR
     return robot
 
 
@@ -75,8 +75,8 @@ def test_a_pause_is_confirmed_by_the_base_and_kept_while_the_planner_is_unreacha
 
 
 def test_yarps_pause_is_not_ok_before_the_base_stands(unreachable: Scene) -> None:
-    with ServiceClient(INavigation2DMsgs, "/navigationServer/rpc", naming=unreachable.rig.names, timeout=20) as made:
-        client = made.remote
+    with ServiceClient(INavigation2DMsgs, "/navigationServer/rpc", naming=unreachable.rig.names, timeout=20) as started:
+        client = started.remote
         assert not client.suspend_navigation_RPC(1000.0)
         assert client.get_navigation_status_RPC()[1] is NavigationStatusEnum.navigation_status_moving
         unreachable.base.speed = 0.0
@@ -101,17 +101,17 @@ def test_a_goal_of_the_planners_own_client_is_never_idle_while_the_base_moves(ro
     planner.withdraw()
     rig.state(State.MOVING, f"the planner {PLANNER} is not available; {MAY_MOVE}")
     planner.serve()
-    until(lambda: rig.statuses[-1]["error_code"] == 0, "it is back, and drives on")
+    until(lambda: rig.statuses[-1]["error_code"] == 0, "it is back, and continues")
     assert robot.states(begin - 1) == {State.MOVING}
 
 
 def test_a_new_goal_while_the_old_one_may_still_drive_is_no_preparation(unreachable: Scene) -> None:
     robot, rig = unreachable, unreachable.rig
     begin = len(rig.statuses)
-    asked = Asked(rig.client, pose(9.0))
-    told = robot.reported(asked)
-    assert told["state"] == State.MOVING
-    assert told["reason"] == f"the planner {PLANNER} is not available; waiting for it; {MAY_MOVE}"
+    client_goal = ClientGoal(rig.client, pose(9.0))
+    status = robot.reported(client_goal)
+    assert status["state"] == State.MOVING
+    assert status["reason"] == f"the planner {PLANNER} is not available; waiting for it; {MAY_MOVE}"
     assert robot.states(begin) == {State.MOVING}
     robot.base.speed = 0.0
     rig.state(State.PREPARING, f"{PLANNER} is not available; waiting for it")
@@ -122,28 +122,28 @@ def test_a_new_goal_while_the_old_one_may_still_drive_is_no_preparation(unreacha
     until(lambda: rig.statuses[-1]["reason"] == "", "the planner has the new goal")
     assert State.PREPARING not in {status["state"] for status in rig.statuses[-2:]}
     robot.planner.end(GoalState.SUCCEEDED)
-    assert asked.end() == ("SUCCEEDED", "")
+    assert client_goal.end() == ("SUCCEEDED", "")
 
 
 def test_a_new_goal_that_is_canceled_while_the_old_one_may_drive_ends_when_the_base_stands(unreachable: Scene) -> None:
     robot, rig = unreachable, unreachable.rig
-    asked = Asked(rig.client, pose(9.0))
-    robot.reported(asked)
-    asked.cancel()
+    client_goal = ClientGoal(rig.client, pose(9.0))
+    robot.reported(client_goal)
+    client_goal.cancel()
     rig.state(State.MOVING, MAY_MOVE)
     until(lambda: rig.gateway.state().fault == Fault.MAY_MOVE, "the stop is late")
-    assert not asked.ended
+    assert not client_goal.ended
     robot.base.speed = 0.0
-    assert asked.end()[0] == "CANCELED"
+    assert client_goal.end()[0] == "CANCELED"
 
 
 def test_a_new_goal_without_odometry_counts_the_old_one_as_driving(unreachable: Scene) -> None:
     robot, rig = unreachable, unreachable.rig
     robot.base.silent = True
     until(lambda: not rig.gateway.motion.known, "odometry is missing")
-    told = robot.reported(Asked(rig.client, pose(9.0)))
-    assert told["state"] == State.MOVING
-    assert MAY_MOVE in told["reason"]
+    status = robot.reported(ClientGoal(rig.client, pose(9.0)))
+    assert status["state"] == State.MOVING
+    assert MAY_MOVE in status["reason"]
 
 
 # -- another gateway ---------------------------------------------------------------------------------------------------
@@ -166,8 +166,8 @@ def test_a_gateway_that_starts_while_the_planner_is_unreachable_is_not_idle(
     goal = orphan(robot) if whose == "own" else b"a foreign goal.."
     robot.planner.set(goal)
     robot.restart()
-    told = rig.state(State.MOVING, f"it is not known whether {PLANNER} has a goal: it is not available; {MAY_MOVE}")
-    assert told["error_code"] == Fault.MAY_MOVE
+    status = rig.state(State.MOVING, f"it is not known whether {PLANNER} has a goal: it is not available; {MAY_MOVE}")
+    assert status["error_code"] == Fault.MAY_MOVE
     until(lambda: rig.gateway.link.state is PlannerState.UNKNOWN, "its side has not reported")
     answer = rig.ask("stop")
     assert not answer["success"]
@@ -195,13 +195,13 @@ def test_the_first_status_of_a_gateway_is_not_idle_while_the_base_moves(robot: S
     assert State.IDLE not in robot.states(begin)
 
 
-def test_a_goal_from_before_a_restart_is_canceled_and_not_called_a_foreign_clients(robot: Scene) -> None:
+def test_a_goal_from_before_a_restart_is_canceled_and_not_reported_as_foreign(robot: Scene) -> None:
     rig = robot.rig
     robot.planner.cancels = False
     goal = orphan(robot)
     robot.planner.tell()
-    told = rig.state(State.MOVING, f"stopping: {PLANNER} still has a goal from before the gateway was restarted")
-    assert told["error_code"] == Fault.MAY_MOVE
+    status = rig.state(State.MOVING, f"stopping: {PLANNER} still has a goal from before the gateway was restarted")
+    assert status["error_code"] == Fault.MAY_MOVE
     until(lambda: robot.planner.canceled.count(goal) > 1, "it is canceled until its list shows the end")
     assert rig.module.status()["goals_of_others"] == 0
     assert not any("its own client" in status["reason"] for status in rig.statuses if "before" in status["reason"])
@@ -210,7 +210,7 @@ def test_a_goal_from_before_a_restart_is_canceled_and_not_called_a_foreign_clien
     rig.state(State.IDLE)
 
 
-def test_a_goal_of_another_daemons_gateway_is_a_foreign_clients(robot: Scene) -> None:
+def test_a_goal_of_another_daemons_gateway_is_foreign(robot: Scene) -> None:
     goal = GoalMark("there").new_id()
     robot.planner.set(goal)
     robot.planner.tell()
@@ -235,34 +235,34 @@ def stopping(robot: Scene) -> Iterator[threading.Thread]:
 def test_a_gateway_that_is_stopped_ends_its_goal_once_the_base_stands(
     robot: Scene, stopping: threading.Thread, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """SIGTERM to the daemon: a goal that has ended would let its client take the robot for standing."""
+    """SIGTERM to the daemon: if the goal ended earlier, its client could assume that the robot stands."""
     monkeypatch.setattr(modules_worker, "WIND_DOWN_SECONDS", 60.0)
-    asked = robot.drive()
+    client_goal = robot.drive()
     robot.planner.cancels = False
     stopping.start()
     until(lambda: robot.planner.canceled, "the planner is asked to cancel it")
-    told = robot.rig.state(State.MOVING, f"the gateway is shutting down; {MAY_MOVE}")
-    assert told["error_code"] == Fault.MAY_MOVE
-    assert not asked.ended
+    moving = robot.rig.state(State.MOVING, f"the gateway is shutting down; {MAY_MOVE}")
+    assert moving["error_code"] == Fault.MAY_MOVE
+    assert not client_goal.ended
     robot.base.speed = 0.0
-    status, why = asked.end()
+    status, reason = client_goal.end()
     assert status == "CANCELED"
-    assert "the gateway is shutting down" in why
-    assert "the base stands" in why
+    assert "the gateway is shutting down" in reason
+    assert "the base stands" in reason
 
 
 def test_a_gateway_that_is_stopped_with_a_moving_base_ends_its_goal_as_aborted(
     robot: Scene, stopping: threading.Thread, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(modules_worker, "WIND_DOWN_SECONDS", 0.2)
-    asked = robot.drive()
+    client_goal = robot.drive()
     robot.planner.cancels = False
     stopping.start()
-    status, why = asked.end()
+    status, reason = client_goal.end()
     assert status == "ABORTED"
-    assert why.startswith(f"the gateway is shutting down; {MAY_MOVE}")
-    assert asked.result is not None
-    assert asked.result["error_code"] == Fault.MAY_MOVE
+    assert reason.startswith(f"the gateway is shutting down; {MAY_MOVE}")
+    assert client_goal.result is not None
+    assert client_goal.result["error_code"] == Fault.MAY_MOVE
 
 
 def test_a_new_goal_answers_a_stop_that_is_not_confirmed(robot: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -271,7 +271,7 @@ def test_a_new_goal_answers_a_stop_that_is_not_confirmed(robot: Scene, monkeypat
     robot.planner.cancels = False
     stop = robot.begin("stop")
     robot.rig.state(State.MOVING, "it was stopped")
-    Asked(robot.rig.client, pose(9.0))
+    ClientGoal(robot.rig.client, pose(9.0))
     reply = stop.result()["reply"]
     assert reply == {"success": False, "message": f"{MAY_MOVE}: a client of the action gave another goal"}
     assert first.end()[0] == "CANCELED"
@@ -289,7 +289,7 @@ def test_the_reason_of_a_lost_foreign_goal_is_not_stale_once_the_planner_is_back
     rig.state(State.MOVING, "its own client")
     planner.withdraw()
     robot.base.speed = 0.0
-    rig.state(State.ABORTED, f"the planner {PLANNER} has gone")
+    rig.state(State.ABORTED, f"the planner {PLANNER} has disappeared")
     if restarted:
         planner.forget()
     else:
@@ -297,19 +297,19 @@ def test_the_reason_of_a_lost_foreign_goal_is_not_stale_once_the_planner_is_back
     planner.serve()
     until(lambda: rig.gateway.link.state is PlannerState.IDLE, "it is back")
     rig.worker.running("gateway").host.loop.call(rig.gateway.poll)
-    assert "has gone" not in rig.gateway.state().reason
+    assert "has disappeared" not in rig.gateway.state().reason
     assert rig.gateway.state().state is (State.ABORTED if restarted else State.IDLE)
 
 
-def test_an_end_for_want_of_a_planner_names_the_past_once_it_is_back(robot: Scene) -> None:
+def test_the_reason_of_a_goal_without_a_planner_is_in_the_past_tense_after_its_return(robot: Scene) -> None:
     rig = robot.rig
     rig.worker.reload(rig.configured(patience=0.3))
     try:
-        asked = robot.drive()
+        client_goal = robot.drive()
         robot.planner.withdraw()
-        status, why = asked.end()
+        status, reason = client_goal.end()
         assert status == "ABORTED"
-        assert why.startswith(f"the planner {PLANNER} was not available for 0.3 s")
+        assert reason.startswith(f"the planner {PLANNER} was not available for 0.3 s")
         rig.state(State.MOVING, MAY_MOVE)
         robot.planner.serve()
         until(lambda: not robot.planner.executes(robot.planner.goals[0]), "the goal is canceled once it is back")
@@ -320,19 +320,19 @@ def test_an_end_for_want_of_a_planner_names_the_past_once_it_is_back(robot: Scen
         rig.worker.reload(rig.configured(patience=60.0))
 
 
-def test_a_goal_whose_planner_stays_away_ends_when_the_base_stands(robot: Scene) -> None:
+def test_a_goal_whose_planner_stays_unreachable_ends_when_the_base_stands(robot: Scene) -> None:
     rig = robot.rig
     rig.worker.reload(rig.configured(patience=0.3))
     try:
-        asked = robot.drive()
+        client_goal = robot.drive()
         begin = len(rig.statuses)
         robot.planner.withdraw()
-        why = f"the planner {PLANNER} was not available for 0.3 s"
-        rig.state(State.MOVING, f"stopping: {why}")
-        assert not asked.ended
+        reason = f"the planner {PLANNER} was not available for 0.3 s"
+        rig.state(State.MOVING, f"stopping: {reason}")
+        assert not client_goal.ended
         robot.base.speed = 0.0
-        assert asked.end() == ("ABORTED", why)
-        rig.state(State.ABORTED, why)
+        assert client_goal.end() == ("ABORTED", reason)
+        rig.state(State.ABORTED, reason)
         assert robot.states(begin) == {State.MOVING, State.ABORTED}
     finally:
         rig.worker.reload(rig.configured(patience=60.0))
@@ -340,31 +340,31 @@ def test_a_goal_whose_planner_stays_away_ends_when_the_base_stands(robot: Scene)
 
 def test_lost_localization_is_named_while_a_foreign_planner_drives(robot: Scene) -> None:
     rig = robot.rig
-    status = rig.far.advertise("/localization/status", "std_msgs/String", latched=True)
-    reason = rig.far.advertise("/localization/reason", "std_msgs/String", latched=True)
+    status_topic = rig.far.advertise("/localization/status", "std_msgs/String", latched=True)
+    reason_topic = rig.far.advertise("/localization/reason", "std_msgs/String", latched=True)
     try:
         robot.drive()
-        rig.far.publish(reason, {"data": "amcl is silent"})
-        rig.far.publish(status, {"data": "localized_error"})
-        told = rig.state(State.MOVING, "'localized_error': amcl is silent")
-        assert told["error_code"] == Fault.NOT_LOCALIZED
-        rig.far.publish(status, {"data": "localized_ok"})
+        rig.far.publish(reason_topic, {"data": "amcl is silent"})
+        rig.far.publish(status_topic, {"data": "localized_error"})
+        status = rig.state(State.MOVING, "'localized_error': amcl is silent")
+        assert status["error_code"] == Fault.NOT_LOCALIZED
+        rig.far.publish(status_topic, {"data": "localized_ok"})
         until(lambda: rig.statuses[-1]["reason"] == "", "it is localized again")
         assert rig.statuses[-1]["error_code"] == 0
     finally:
-        rig.far.publish(status, {"data": "localized_ok"})
-        for endpoint in (status, reason):
+        rig.far.publish(status_topic, {"data": "localized_ok"})
+        for endpoint in (status_topic, reason_topic):
             rig.far.drop(endpoint)
 
 
 def test_the_reason_of_a_goal_in_an_unknown_frame_reaches_the_client(robot: Scene) -> None:
     robot.planner.rejects = True
     robot.rig.gateway.link.presence.unreachable_at = 0.0  # it has been there for long: its rejection is final
-    asked = Asked(robot.rig.client, pose(1.0, frame="dock"))
-    status, why = asked.end()
+    client_goal = ClientGoal(robot.rig.client, pose(1.0, frame="dock"))
+    status, reason = client_goal.end()
     assert status == "ABORTED"
-    assert why.startswith(f"{PLANNER} rejected the goal: ")
-    assert "dock" in why
-    assert "map" in why
+    assert reason.startswith(f"{PLANNER} rejected the goal: ")
+    assert "dock" in reason
+    assert "map" in reason
     robot.base.speed = 0.0
     assert robot.rig.state(State.ABORTED, "dock")["error_code"] == Fault.BAD_GOAL

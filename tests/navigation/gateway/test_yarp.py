@@ -11,7 +11,7 @@ from bridge.hub.wire.qos import Qos
 from bridge.stores.kinds import MAP
 from navigation.maps.grid import to_grid
 from navigation.status import State
-from tests.navigation.gateway.rig import LATCHED, Asked, Rig, pose
+from tests.navigation.gateway.rig import LATCHED, ClientGoal, Rig, pose
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import (
@@ -67,7 +67,7 @@ def place(goal: object) -> tuple[float, float, float]:
     return position["x"], position["y"], math.degrees(2 * math.atan2(q["z"], q["w"]))
 
 
-def test_goto_its_status_and_its_target(rig: Rig, yarp: INavigation2DMsgs) -> None:
+def test_a_goto_its_status_and_its_target(rig: Rig, yarp: INavigation2DMsgs) -> None:
     with Reader("/test/status:i", strict=True, naming=rig.names) as reader:
         connections.connect(rig.names, "/navigation2D_nws_yarp/status:o", reader.name)
         assert yarp.goto_target_by_absolute_location_and_set_name_RPC(Map2DLocation("house", 3.0, 1.0, 90.0), "kitchen")
@@ -145,13 +145,13 @@ def test_a_halt_ends_a_timed_suspension_for_good(rig: Rig, yarp: INavigation2DMs
 
 
 def test_another_clients_goal_is_reported_and_can_be_stopped(rig: Rig, yarp: INavigation2DMsgs) -> None:
-    asked = Asked(rig.client, pose(4.0))
+    client_goal = ClientGoal(rig.client, pose(4.0))
     rig.planner.until(1)
     rig.state(State.MOVING)
     assert yarp.get_absolute_location_of_current_target_RPC()[1].x == 4.0
     assert yarp.get_name_of_current_target_RPC()[1] == ""
     assert yarp.stop_navigation_RPC()
-    assert asked.end() == ("CANCELED", "it was stopped")
+    assert client_goal.end() == ("CANCELED", "it was stopped")
 
 
 def test_the_path_and_the_maps(rig: Rig, yarp: INavigation2DMsgs) -> None:

@@ -109,7 +109,7 @@ class World(PlannerSide):
         self.gateway = None
         for goal in self.client_goals:
             goal.gateway_died = True
-        self.answers = [(at, what, "dead") for at, what, _ in self.answers]
+        self.answers = [(at, kind, "dead") for at, kind, _ in self.answers]
         if self.worker_alive:  # it cancels the goals of a gateway that has disconnected
             self.clock.after(self.random.uniform(0.05, 0.3), self._cancel_orphans)
 
@@ -190,7 +190,7 @@ class World(PlannerSide):
     # -- the property --------------------------------------------------------------------------------------------------
 
     def _moved_by_planner(self) -> bool:
-        """Whether the base visibly moves; without odometry, a base that is commanded zero counts as standing."""
+        """Return whether the base visibly moves; without odometry, a base that is commanded zero counts as standing."""
         return self.v > MOVING and (self.has_odometry or self.commanded)
 
     def check(self) -> None:
