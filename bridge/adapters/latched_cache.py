@@ -18,7 +18,7 @@ class LatchedCache:
         messages.append(payload)
         self._sources[source] = messages  # the source that published last moves to the end
 
-    def forget(self, source: str) -> None:
+    def drop_source(self, source: str) -> None:
         """Drop a source's messages."""
         self._sources.pop(source, None)
 

@@ -132,7 +132,7 @@ class EdgePublisher(Protocol):
         """Number of messages that slow subscribers of this topic missed so far; 0 if the side does not report them."""
 
     @property
-    def heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether the topic has subscribers on the side; True if the side does not report them.
 
         The edge calls `EdgeListener.graph_changed` when it changes.
@@ -141,7 +141,7 @@ class EdgePublisher(Protocol):
     def send(self, payload: bytes, source: str) -> None:
         """Publish bytes from the hub publisher ``source``; with a latched QoS they are retained for each source."""
 
-    def forget(self, source: str) -> None:
+    def drop_source(self, source: str) -> None:
         """Drop the messages retained for the hub publisher ``source``, which has left."""
 
     def close(self) -> None:

@@ -112,7 +112,7 @@ class HubToSideRoute(TopicRoute):
         for departed in [g for g in self._sources if g not in current]:
             source = self._sources.pop(departed)
             if source.latched and self._latched is not None and self._static is None:
-                self._latched.forget(departed.hex())
+                self._latched.drop_source(departed.hex())
         for gid, endpoint in current.items():
             if gid not in self._sources:
                 self._sources[gid] = _Source(endpoint, self.latches(endpoint.qos), AgeGate())
@@ -127,7 +127,7 @@ class HubToSideRoute(TopicRoute):
     def _follow_listeners(self, allowed: Sequence[HubEndpoint]) -> None:
         """Keep a fast stream on the hub while it has no subscriber on the side; subscribe with the first one."""
         volatile = self._volatile if self._priority is Priority.STREAM and self._latched is None else None
-        before, wanted = self._heard, volatile is None or volatile.heard
+        before, wanted = self._heard, volatile is None or volatile.has_subscribers
         self._heard = wanted
         seconds, messages = time.monotonic() - self._since, self.counters.messages - self._messages_then
         if before or seconds > UNHEARD:  # a subscriber of the last check may have left just now

@@ -166,13 +166,13 @@ class _Publisher:
         return 0
 
     @property
-    def heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         return self.network.has_subscribers(self.writer.endpoint.topic)
 
     def send(self, payload: bytes, source: str) -> None:
         self.network.write(self.writer, payload, source)
 
-    def forget(self, source: str) -> None:
+    def drop_source(self, source: str) -> None:
         self.writer.retained.pop(source, None)
 
     def close(self) -> None:

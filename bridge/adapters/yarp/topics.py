@@ -279,7 +279,7 @@ class YarpPublisher:
         self._closed: Callable[[YarpPublisher], None] | None = closed
 
     @property
-    def heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether a reader is connected to one of the topic's ports."""
         return self.output.has_readers
 
@@ -301,10 +301,10 @@ class YarpPublisher:
             self._cache.add(payload, source)
             self.output.write(payload)
 
-    def forget(self, source: str) -> None:
+    def drop_source(self, source: str) -> None:
         """Remove the cached messages of a source."""
         with self.output.lock:
-            self._cache.forget(source)
+            self._cache.drop_source(source)
 
     def close(self) -> None:
         """Remove the publisher from its output. Safe to call twice."""

@@ -25,7 +25,7 @@ class Ros2ddsPublisher:
     """Publishes messages of the hub; latched ones through one advanced publisher per source."""
 
     dropped = 0  #: zenoh does not report drops on a congested link
-    heard = True  #: subscriptions are not counted
+    has_subscribers = True  #: subscriptions are not counted
 
     def __init__(
         self, context: KeyContext, key: str, qos: Qos, heartbeats: DelayedCalls, announcement: Announcement
@@ -55,7 +55,7 @@ class Ros2ddsPublisher:
         depth, drop = max(qos.depth, 1), zenoh.CongestionControl.DROP
         return LatchedPublisher(session, key, depth, self._heartbeats, congestion=drop, priority=priority(qos))
 
-    def forget(self, source: str) -> None:
+    def drop_source(self, source: str) -> None:
         """Close a source's publisher, with its latched messages."""
         with self._lock:
             sink = self._sinks.pop(source, None) if self._qos.latched else None

@@ -112,7 +112,7 @@ class KeyPublisher:
     """
 
     dropped = 0  #: zenoh does not report drops on a congested link
-    heard = True  #: subscriptions are not counted
+    has_subscribers = True  #: subscriptions are not counted
 
     def __init__(
         self, context: KeyContext, key: str, qos: Qos, announcement: Announcement, *,
@@ -136,10 +136,10 @@ class KeyPublisher:
                 self._cache.add(payload, source)
             self._sink.put(payload)
 
-    def forget(self, source: str) -> None:
+    def drop_source(self, source: str) -> None:
         """Drop a source's latched messages."""
         with self._lock:
-            self._cache.forget(source)
+            self._cache.drop_source(source)
 
     def republish(self) -> None:
         """Publish the latched messages once more."""

@@ -168,7 +168,7 @@ class _LocalEndpoint:
     """A publisher or a subscription that the bridge opened: `EdgePublisher` and `EdgeSubscription`."""
 
     lost = dropped = 0
-    heard = True
+    has_subscribers = True
 
     def __init__(self, node: Node, end: End) -> None:
         self._node, self._end = node, end
@@ -176,7 +176,7 @@ class _LocalEndpoint:
     def send(self, payload: bytes, source: str) -> None:
         self._node.publish(self._end, payload, source)
 
-    def forget(self, source: str) -> None:
+    def drop_source(self, source: str) -> None:
         self._node.drop(self._end, source)
 
     def close(self) -> None:

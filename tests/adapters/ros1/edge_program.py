@@ -176,7 +176,7 @@ class Program:
         return {"count": len(self.handles[id]._publication.connections)}
 
     def do_forget(self, id: int, source: str) -> dict[str, Any]:
-        self.handles[id].forget(source)
+        self.handles[id].drop_source(source)
         return {}
 
     def do_caller(self, service: str, **type: str) -> dict[str, Any]:

@@ -254,14 +254,14 @@ class _Lent:
         return self.publisher.dropped
 
     @property
-    def heard(self) -> bool:
-        return self.publisher.heard
+    def has_subscribers(self) -> bool:
+        return self.publisher.has_subscribers
 
     def send(self, payload: bytes, source: str) -> None:
         self.publisher.send(payload, source)
 
-    def forget(self, source: str) -> None:
-        self.publisher.forget(source)
+    def drop_source(self, source: str) -> None:
+        self.publisher.drop_source(source)
 
     def close(self) -> None:
         self.give_back(self)

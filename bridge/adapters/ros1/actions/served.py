@@ -193,7 +193,7 @@ class ServedAction(ActionTopics):
 
     def forget(self, goal: str) -> None:
         """Drop a goal's result."""
-        self._publishers[discovery.RESULT].forget(goal)
+        self._publishers[discovery.RESULT].drop_source(goal)
 
     def call(self, part: str, request: bytes, done: Done) -> None:
         """Call the hub's server; ``done`` is called through the executor."""
@@ -214,7 +214,7 @@ class ServedAction(ActionTopics):
 class PartPublisher(OpenPart):
     """An `bridge.routing.edge.EdgePublisher` for one of an action's topics."""
 
-    heard = True
+    has_subscribers = True
 
     def __init__(self, action: ServedAction, part: str) -> None:
         super().__init__(action.withdraw)
@@ -230,5 +230,5 @@ class PartPublisher(OpenPart):
         if self._close is not None:
             self._action.send(self._part, payload)
 
-    def forget(self, source: str) -> None:
+    def drop_source(self, source: str) -> None:
         """Do nothing: the server's services are withdrawn with it, which ends the goals."""

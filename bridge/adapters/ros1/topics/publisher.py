@@ -107,13 +107,13 @@ class Publication(_PublisherImpl):  # type: ignore[misc]  # rospy has no types
         for transport in broken:
             transport.close()
 
-    def forget(self, source: str) -> None:
+    def drop_source(self, source: str) -> None:
         """Drop a source's retained messages."""
         with self.c_lock:
             self._retained.pop(source, None)
 
     @property
-    def heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether a subscriber is connected."""
         return bool(self._outlets)
 
@@ -172,10 +172,10 @@ class Ros1Publisher:
             self._sources.add(source)
         self._publication.send(payload, source, self._depth, retain=self._latched)
 
-    def forget(self, source: str) -> None:
+    def drop_source(self, source: str) -> None:
         """Drop the retained messages of a hub publisher that left."""
         self._sources.discard(source)
-        self._publication.forget(source)
+        self._publication.drop_source(source)
 
     def close(self) -> None:
         """Close the publisher; the last one of a topic unregisters it. Safe to call twice."""
@@ -183,7 +183,7 @@ class Ros1Publisher:
             return
         self._closed = True
         for source in list(self._sources):
-            self.forget(source)
+            self.drop_source(source)
         topics = registration.get_topic_manager()
         with topics.lock:
             self._publication.latches -= self._latched
@@ -195,9 +195,9 @@ class Ros1Publisher:
         return frozenset(transport.endpoint_id for transport in self._publication.connections)
 
     @property
-    def heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether a subscriber is connected to the topic."""
-        return self._publication.heard
+        return self._publication.has_subscribers
 
     @property
     def dropped(self) -> int:

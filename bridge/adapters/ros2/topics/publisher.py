@@ -64,7 +64,7 @@ class Ros2Publisher:
         return 0
 
     @property
-    def heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether another participant subscribes to the topic."""
         return self._heard(self.topic)
 
@@ -84,7 +84,7 @@ class Ros2Publisher:
                 self._writers[source] = writer
             return writer
 
-    def forget(self, source: str) -> None:
+    def drop_source(self, source: str) -> None:
         """Drop what is retained for a source; the topic stays advertised."""
         with self._lock:
             writer = self._writers.pop(source, None)

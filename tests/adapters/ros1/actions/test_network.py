@@ -25,7 +25,7 @@ class TopicPublisher:
     def send(self, payload: bytes, _source: str) -> None:
         self.sent.append(payload)
 
-    def forget(self, source: str) -> None:
+    def drop_source(self, source: str) -> None:
         """Do nothing: no messages are retained."""
 
     def close(self) -> None:

@@ -56,7 +56,7 @@ def test_a_late_native_subscriber_receives_the_last_message_of_each_source(
     first = native.subscribe("/l/out", "std_msgs/String", latched=True, depth=10)
     assert sorted(m["data"] for m in native.wait(first, 3)) == ["last 0", "last 1", "last 2"]
 
-    publisher.forget("source1")
+    publisher.drop_source("source1")
     until(lambda: native.graph()["publishers"]["/l/out"] == ["midspan"] * 2, "one writer leaves")
     second = native.subscribe("/l/out", "std_msgs/String", latched=True, depth=10)
     assert sorted(m["data"] for m in native.wait(second, 2)) == ["last 0", "last 2"]
@@ -65,8 +65,8 @@ def test_a_late_native_subscriber_receives_the_last_message_of_each_source(
 def test_topic_stays_advertised_when_all_sources_are_forgotten(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
     publisher = edge.edge.advertise("/l/empty", edge.type("std_msgs/msg/String"), LATCHED)
     publisher.send(string("gone"), "source")
-    publisher.forget("source")
-    publisher.forget("never seen")
+    publisher.drop_source("source")
+    publisher.drop_source("never seen")
     native = peer()
     subscription = native.subscribe("/l/empty", "std_msgs/String", latched=True)
     edge.until_seen("/l/empty", Kind.SUBSCRIPTION)
