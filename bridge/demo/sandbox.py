@@ -31,10 +31,6 @@ MARK = "MIDSPAN_DEMO"
 _ROOT = Path(bridge.__file__).parents[1]
 CONFIG = shipped_folder() / "configs" / "demo.yaml"
 
-_NOT_OURS = ("ROS_HOSTNAME", "ROS_NAMESPACE", "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS")
-_NOT_OURS_PREFIXES = ("ZENOH_", "RMW_", "FASTDDS_", "FASTRTPS_", "MIDSPAN_")
-"""Settings of the user's networks, which the demo does not inherit."""
-
 _LONGEST_BASE = 50
 _DOMAINS = range(10, 101)
 _PORT_BASE, _DOMAIN_GAIN = 7400, 250  # DDSI-RTPS 2.5, 9.6.2.4: ports of a domain

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from threading import Lock
 from typing import Any
 
@@ -10,8 +9,6 @@ from bridge.foxglove.server import FoxgloveServer
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.modules.hub_topics import HubTopic, HubTopics, TopicKey
 from bridge.routing.counters import Counters
-
-_log = logging.getLogger("midspan.foxglove")
 
 MOST_CACHED = 64 << 20
 """Bytes of latched messages that are cached for one topic while it is watched."""

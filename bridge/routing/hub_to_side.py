@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections import deque
@@ -26,8 +25,6 @@ from bridge.routing.rewrites import TF_TYPE, StaticTransforms, with_spread
 from bridge.routing.route import EngineContext, RouteSet, TopicRoute
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.stall import AgeGate
-
-_log = logging.getLogger(__name__)
 
 PENDING_SECONDS = 2.0
 """Seconds for which a message from an unknown publisher is held."""

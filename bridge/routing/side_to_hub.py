@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections.abc import Sequence
@@ -27,8 +26,6 @@ from bridge.routing.rewrites import TF_TYPE, StaticTransforms
 from bridge.routing.route import EngineContext, RouteSet, TopicRoute
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.stall import AgeGate
-
-_log = logging.getLogger(__name__)
 
 PENDING_SECONDS = 5.0
 """Seconds for which a message from an unknown publisher is held."""

@@ -78,12 +78,6 @@ class StoreSync:
         with self._wake:
             return sorted(self._others.values())
 
-    def align(self) -> None:
-        """Schedule a comparison with all other replicas."""
-        with self._wake:
-            self._due.update(dict.fromkeys(self._others, 0))
-            self._wake.notify()
-
     def close(self) -> None:
         """Send pending changes, and leave the hub."""
         self._withdraw()

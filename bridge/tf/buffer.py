@@ -50,7 +50,6 @@ class TransformBuffer:
         self._changed = threading.Condition(self._lock)
         self._waiting = 0
         self.changes = 0  # increases with every change that may affect lookups
-        self.clears = 0
         self.loops = 0  # lookups that failed because of a loop
 
     def set_transform(
@@ -251,7 +250,6 @@ class TransformBuffer:
             for frame in self._frames:
                 if frame.kind == TIMED:
                     frame.forget_sources()
-            self.clears += 1
             self.changes += 1
 
     def remove(self, child_frame_id: str) -> bool:

@@ -144,9 +144,9 @@ class Console:
                 log_feed(host, self._asking, log),
             ],
             {
-                "topic:/": lambda name: MessageFeed(host, client, known, self._decoding, name),
+                "topic:/": lambda name: MessageFeed(host, known, self._decoding, name),
                 "pose:": lambda name: FramePoseFeed(host, follower, name),
-                "image:": lambda name: ImageFeed(host, client, known, self._decoding, name),
+                "image:": lambda name: ImageFeed(host, known, self._decoding, name),
             },
         )
         most = (section.speed, section.turn)

@@ -7,7 +7,6 @@ those of a stalled one stay open. The same port answers YARP programs: ``definit
 from __future__ import annotations
 
 import contextlib
-import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -25,8 +24,6 @@ from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.values import Vocab
-
-_log = logging.getLogger(__name__)
 
 _MAX_RECORD = 1 << 20
 _RETRY = 2.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import logging
 import re
 import threading
 import time
@@ -49,8 +48,6 @@ def on_system_clock(stamp_ns: int | None) -> int | None:
     """Return the stamp if it is near the system's clock, and not simulated or a machine's uptime; else None."""
     return stamp_ns if stamp_ns is not None and abs(time.time_ns() - stamp_ns) < _DAY_NS else None
 
-
-_log = logging.getLogger(__name__)
 
 HOLD_SECONDS = 2.0
 """Seconds for which the newest message of a new peer is held, until it is known who created the port."""

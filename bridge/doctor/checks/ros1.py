@@ -22,8 +22,6 @@ from bridge.adapters.ros1_peers import Ros1Error
 from bridge.doctor.check import Check, Finding, Findings, fail, ok, packages, skip, warn
 from bridge.doctor.context import CheckContext, environment_of, read_master
 
-_SECONDS = 2.0
-
 
 def look_at_packages(context: CheckContext) -> Findings:
     """Check that rospy is installed."""

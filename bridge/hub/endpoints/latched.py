@@ -12,7 +12,6 @@ session are held back until the answer is complete.
 from __future__ import annotations
 
 import contextlib
-import logging
 from functools import partial
 from threading import Lock
 from typing import Protocol
@@ -96,8 +95,6 @@ class LatchedPublisher:
         # Not `undeclare`, which holds Python's lock; dropping the last reference releases it.
         del self._publisher
 
-
-_log = logging.getLogger(__name__)
 
 ANSWER_SECONDS = 10.0
 """Time limit for a publisher's answer, and for holding back the live samples of its session."""

@@ -12,7 +12,6 @@ rmw_client_data.cpp). Midspan adds two extensions, which rmw_zenoh's programs ig
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable
 from functools import partial
@@ -26,8 +25,6 @@ from bridge.hub.errors import HubWireError
 from bridge.hub.graph.tokens import gid_of
 from bridge.hub.wire.keys import GID_SIZE, pack_attachment, unpack_attachment
 from bridge.hub.zenoh_compat import keep_thread_state, subscribe
-
-_log = logging.getLogger(__name__)
 
 _MAX_CALLERS = 10_000
 

@@ -8,7 +8,6 @@ the filter, and then every line goes on to stderr.
 
 from __future__ import annotations
 
-import logging
 import os
 import re
 import sys
@@ -20,8 +19,6 @@ from dataclasses import dataclass
 import zenoh
 
 from bridge.hub.errors import zenoh_reason
-
-_log = logging.getLogger(__name__)
 
 _FILTER = "off,zenoh_link_tls=warn,zenoh_link_commons=warn,zenoh::net::runtime::orchestrator=debug"
 _ZENOH = re.compile(r"\d{4}-\d\d-\d\dT\S+ +(?:ERROR|WARN|INFO|DEBUG|TRACE) ")

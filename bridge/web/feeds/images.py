@@ -8,7 +8,6 @@ from typing import Any
 
 from PIL import Image
 
-from bridge.cli.client import CliClient
 from bridge.cli.messages import Types
 from bridge.concurrency import SerialExecutor
 from bridge.messages.errors import ConversionError
@@ -30,12 +29,12 @@ class ImageFeed(NewestFeed):
 
     most_bytes = 64 << 20
 
-    def __init__(self, host: Host, client: CliClient, types: Types, executor: SerialExecutor, name: str) -> None:
+    def __init__(self, host: Host, types: Types, executor: SerialExecutor, name: str) -> None:
         width, _, topic = name.removeprefix(PREFIX).partition(":")
         if not (width.isascii() and width.isdecimal() and int(width) in WIDTHS and topic.startswith("/")):
             sizes = ", ".join(map(str, WIDTHS))
             raise LookupError(f"{name[:80]!r} is not an image feed: use image:WIDTH:/NAME, with WIDTH one of {sizes}")
-        super().__init__(host, client, executor, name, topic)
+        super().__init__(host, executor, name, topic)
         self._types, self._most = types, int(width)
 
     def value(self, type_name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:

@@ -7,7 +7,6 @@ from abc import abstractmethod
 from functools import partial
 from typing import Any
 
-from bridge.cli.client import CliClient
 from bridge.cli.messages import Types
 from bridge.cli.output import CliError
 from bridge.concurrency import SerialExecutor
@@ -34,9 +33,9 @@ class NewestFeed(Feed):
 
     most_bytes = MOST_BYTES
 
-    def __init__(self, host: Host, client: CliClient, executor: SerialExecutor, name: str, topic: str) -> None:
+    def __init__(self, host: Host, executor: SerialExecutor, name: str, topic: str) -> None:
         super().__init__(name)
-        self._host, self._client, self._executor = host, client, executor
+        self._host, self._executor = host, executor
         self._topic, _, self._type = topic.partition("@")
         self._ends: dict[tuple[str, str], HubSubscription] = {}
         self._newest: tuple[HubSample, str, str] | None = None
@@ -131,8 +130,8 @@ class NewestFeed(Feed):
 class MessageFeed(NewestFeed):
     """``topic:/name``: the newest message as a tree."""
 
-    def __init__(self, host: Host, client: CliClient, types: Types, executor: SerialExecutor, name: str) -> None:
-        super().__init__(host, client, executor, name, name.removeprefix("topic:"))
+    def __init__(self, host: Host, types: Types, executor: SerialExecutor, name: str) -> None:
+        super().__init__(host, executor, name, name.removeprefix("topic:"))
         self._types = types
 
     def value(self, type_name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:
