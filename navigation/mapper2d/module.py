@@ -65,7 +65,7 @@ class Mapper2D(Module):
         self.mapper.mapping = section.mapping
         self._waiting: deque[_Scan] = deque(maxlen=_WAITING)
         self._received_ns: int | None = None
-        self._dropped, self._trouble, self._published = 0, "", 0
+        self._dropped, self._trouble = 0, ""
         self._changed = True
         self._poses = Poses(host, section)
         self._canvas = Canvas(self.mapper)

@@ -93,7 +93,7 @@ class Sources:
         poses: SensorPoses,
         on_reading: Callable[[SensorReading, SensorPose], None],
     ) -> None:
-        self._host, self._section, self._poses, self._on_reading = host, section, poses, on_reading
+        self._host, self._poses, self._on_reading = host, poses, on_reading
         self._waiting: deque[_Waiting] = deque()
         self.received_ns: int | None = None
         self.dropped, self.trouble = 0, ""
