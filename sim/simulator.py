@@ -43,7 +43,7 @@ class Simulator(Module):
     @override
     def start(self, host: Host, section: Section) -> None:
         assert isinstance(section, SimSection)
-        self._host, self._section = host, section
+        self._host = host
         self.simulation = Simulation(section)
         self._paused = False
         self._refused = 0
