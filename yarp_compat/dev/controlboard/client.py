@@ -38,7 +38,6 @@ log = logging.getLogger("yarp.dev.ControlBoard")
 
 ANSWER = 10.0  # seconds to wait for an answer
 STATE = 0.5  # seconds for which the joints' state holds, as YARP's option ``timeout`` has it
-_NOT_READY = ReturnValue(ReturnCode.NOT_READY)
 _LACKING = ReturnValue(ReturnCode.NOT_IMPLEMENTED)
 _FAILED = ReturnValue(ReturnCode.METHOD_FAILED)
 
