@@ -16,9 +16,9 @@ from bridge.modules.host import Host
 from sim.board import WheelBoard
 from sim.simulation import TICK_NS, Simulation
 from yarp_compat.dev.basecontrol import IOdometry2DMsgs, OdometryData
-from yarp_compat.dev.battery import BatteryData, BatteryStatus, IBatteryMsgs, OlderBatteryWords
-from yarp_compat.dev.controlboard.server import BoardAnswers, positions
-from yarp_compat.dev.rangefinder import DeviceStatus, LaserScan2D, OldAnswer, Rangefinder2D
+from yarp_compat.dev.battery import BatteryData, BatteryStatus, IBatteryMsgs, OlderBatteryVocabs
+from yarp_compat.dev.controlboard.server import BoardHandler, positions
+from yarp_compat.dev.rangefinder import DeviceStatus, LaserScan2D, Rangefinder2D, VocabReply
 from yarp_compat.dev.returnvalue import OK, ReturnCode, ReturnValue
 from yarp_compat.sig.image import ImageFloat
 from yarp_compat.sig.vector import Vector
@@ -116,12 +116,12 @@ class _Board:
     def __init__(self, host: Host, name: str, simulation: Simulation) -> None:
         # late=False: a command whose call timed out must not run later
         board = WheelBoard(lambda: simulation.board, lambda action: host.loop.call(action, late=False))
-        answers = BoardAnswers(board)
+        handler = BoardHandler(board)
         self._board = board
         yarp = host.yarp
-        yarp.serve(f"{name}/nws/rpc:i", answers.service)
-        yarp.respond(f"{name}/rpc:i", answers.respond)
-        yarp.input(f"{name}/command:i", answers.take)
+        yarp.serve(f"{name}/nws/rpc:i", handler.service)
+        yarp.respond(f"{name}/rpc:i", handler.respond)
+        yarp.input(f"{name}/command:i", handler.execute)
         host.answer("halt", lambda _params: host.loop.call(lambda: self._halt(simulation)))
         self._state, self._positions = yarp.output(f"{name}/stateExt:o"), yarp.output(f"{name}/state:o")
 
@@ -191,7 +191,7 @@ class _Laser(Rangefinder2D):
         return OK, f"Midspan's simulated laser ({section.kind}, {section.beams} beams)"
 
 
-class _Battery(IBatteryMsgs, OlderBatteryWords):
+class _Battery(IBatteryMsgs, OlderBatteryVocabs):
     """Describes the battery to clients of all releases."""
 
     _INFO = "Midspan's simulated battery"
@@ -200,9 +200,9 @@ class _Battery(IBatteryMsgs, OlderBatteryWords):
         """Answer clients from 3.12 on."""
         return OK, self._INFO
 
-    def ibat_btnf(self) -> OldAnswer:
+    def ibat_btnf(self) -> VocabReply:
         """Answer clients before 3.12."""
-        return OldAnswer("btnf", self._INFO)
+        return VocabReply("btnf", self._INFO)
 
 
 class _Reset(IOdometry2DMsgs):

@@ -59,8 +59,8 @@ class _Waking(pythonic.Reader):
         super().__init__(name, **options)
         self._wake = wake
 
-    def _take(self, message: PortMessage) -> None:
-        super()._take(message)
+    def _on_message(self, message: PortMessage) -> None:
+        super()._on_message(message)
         self._wake()
 
     def close(self) -> None:

@@ -78,7 +78,7 @@ class OpenPort(Openable):
     """
 
     def __init__(self, name: str = "", *, naming: Naming | None = None, **options: Any) -> None:
-        self.core = PortCore(name, on_message=self._take, naming=naming or NameClient(), **options)
+        self.core = PortCore(name, on_message=self._on_message, naming=naming or NameClient(), **options)
 
     @property
     def name(self) -> str:
@@ -102,7 +102,7 @@ class OpenPort(Openable):
             raise PortError(said)
         return self
 
-    def _take(self, message: PortMessage) -> None:
+    def _on_message(self, message: PortMessage) -> None:
         """A message came, on its connection's thread."""
 
 
@@ -149,7 +149,7 @@ class Reader(OpenPort):
         self._due = None if self._patient else message
         return None if message is None else Received(message, self.core.profile)
 
-    def _take(self, message: PortMessage) -> None:
+    def _on_message(self, message: PortMessage) -> None:
         if message.wants_reply:
             message.later()
         self._inbox.put(message)
@@ -194,7 +194,7 @@ class Server(OpenPort):
         super().__init__(name, is_output=False, rpc=True, **options)
         self._respond = respond
 
-    def _take(self, message: PortMessage) -> None:
+    def _on_message(self, message: PortMessage) -> None:
         received = Received(message, self.core.profile)
         received.reply(self._respond(received.values))
 

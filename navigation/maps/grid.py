@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navigation.maps.kernels import join, part
-from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, looked_up, too_large
+from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, lookup, too_large
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.mapinfo import MapGrid2DInfo, MapGrid2DOrigin
 
@@ -139,7 +139,7 @@ def turned(grid: MapGrid2D) -> MapGrid2D:
     straight.enable_map_compression_over_network(grid.compressed)
     order = np.zeros(256, np.uint8)
     order[_RANK] = np.arange(len(_RANK))
-    ranks, cells = looked_up(grid.flags, order).reshape(-1), np.ascontiguousarray(grid.occupancy).reshape(-1)
+    ranks, cells = lookup(grid.flags, order).reshape(-1), np.ascontiguousarray(grid.occupancy).reshape(-1)
     for top in range(0, height, _ROWS):
         rows = slice(top, min(top + _ROWS, height))
         worst, occupancy = _sampled(grid, ranks, cells, straight, rows)

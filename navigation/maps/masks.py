@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yarp_compat.dev.locations import Map2DArea
-from yarp_compat.dev.mapflag import MapFlag, flags_of, looked_up
+from yarp_compat.dev.mapflag import MapFlag, flags_of, lookup
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.mapinfo import MapGrid2DInfo
 from yarp_compat.sig.vec2d import Vec2D
@@ -90,7 +90,7 @@ _TABLE = _by_flag()
 
 def keepout_mask(grid: MapGrid2D, areas: Iterable[Map2DArea] = ()) -> NDArray[np.int8]:
     """Return the mask (height, width), from the top row down: 100 in keep-out areas and cells, another weight, or 0."""
-    mask = looked_up(grid.flags, _TABLE).view(np.int8)
+    mask = lookup(grid.flags, _TABLE).view(np.int8)
     for area in areas:
         if area.map_id == grid.name:
             part, inside = cells_of(grid, area.points)

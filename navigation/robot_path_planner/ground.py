@@ -17,7 +17,7 @@ from navigation.maps.masks import cells_of
 from navigation.pose import Pose
 from yarp_compat.dev.extras import AreaBehaviour
 from yarp_compat.dev.locations import Map2DArea
-from yarp_compat.dev.mapflag import MapFlag, looked_up
+from yarp_compat.dev.mapflag import MapFlag, lookup
 from yarp_compat.dev.mapgrid import MapGrid2D
 
 Cell = tuple[int, int]  # row, from the top one down, and column
@@ -56,7 +56,7 @@ class Ground:
         self.radius = radius
         flags, occupancy = grid.flags, grid.occupancy
         # walls, temporary obstacles, unknown
-        self.solid = looked_up(flags, _SOLID).astype(bool) | ((occupancy >= OCCUPIED) & (occupancy <= 100))
+        self.solid = lookup(flags, _SOLID).astype(bool) | ((occupancy >= OCCUPIED) & (occupancy <= 100))
         self.kept = flags == MapFlag.KEEP_OUT  # keep-out cells
         on_map = [zone for zone in zones if zone.area.map_id == grid.name]
         for zone in on_map:

@@ -23,7 +23,7 @@ from navigation.status import NO_GOAL, Fault, PlanError, PlannerStatus
 from navigation.yarp import Calls, location_of
 from yarp_compat.dev.inavigation2d import Navigation2DServer, NavigationMapTypeEnum, TrajectoryTypeEnum
 from yarp_compat.dev.locations import Map2DLocation, Map2DPath
-from yarp_compat.dev.mapflag import COLOURS, MapFlag, picture_of_flags
+from yarp_compat.dev.mapflag import COLORS, MapFlag, picture_of_flags
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.sig.image import ImageRgb
 
@@ -109,12 +109,12 @@ def draw(planner: PathPlanner, pose: Pose | None, scale: int = 1) -> Pixels | No
         return None
     flags = ground.grid.flags
     pixels = picture_of_flags(flags)
-    pixels[ground.kept] = COLOURS[MapFlag.KEEP_OUT]
+    pixels[ground.kept] = COLORS[MapFlag.KEEP_OUT]
     pixels[(flags == MapFlag.FREE) & (ground.weights == 0) & ~ground.kept & ~ground.solid] = _TIGHT
     clutter = planner.clutter
     if clutter is not None and len(clutter.cells):
         rows, columns = clutter.cells.T
-        pixels[rows, columns] = COLOURS[MapFlag.TEMPORARY_OBSTACLE]
+        pixels[rows, columns] = COLORS[MapFlag.TEMPORARY_OBSTACLE]
     from PIL import Image, ImageDraw  # most planners are never drawn
 
     image = Image.fromarray(pixels)

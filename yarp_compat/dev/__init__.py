@@ -1,1 +1,1 @@
-"""The device types and the base of the device interfaces. Each is in the file of its name."""
+"""YARP's device interfaces: data types, services, clients and servers; each in the file of its name."""

@@ -1,13 +1,14 @@
-"""The services of a mobile base on the wire, and their clients.
+"""The services of a mobile base, and their clients.
 
-One drives it (`INavigation2DVelocityActionsMsgs.thrift`), one begins its odometry anew (`IOdometry2DMsgs.thrift`).
+One service drives the base (`INavigation2DVelocityActionsMsgs.thrift`), one resets its odometry
+(`IOdometry2DMsgs.thrift`).
 
-Ports (`mobileBaseVelocityControl_nws_yarp`, `odometry2D_nws_yarp` of YARP 4): ``<name>/rpc:i`` and the stream
-``<name>/data:i`` of MobileBaseVelocity; ``<name>/rpc`` beside the stream ``<name>/odometry:o``.
+Ports in YARP 4: `mobileBaseVelocityControl_nws_yarp` has ``<name>/rpc:i`` and receives MobileBaseVelocity at
+``<name>/data:i``; `odometry2D_nws_yarp` has ``<name>/rpc`` and streams ``<name>/odometry:o``.
 """
 
 # mypy: disable-error-code="empty-body"
-# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
+# ruff: noqa: D102 - the names are those of YARP's .thrift file
 
 from __future__ import annotations
 
@@ -17,13 +18,13 @@ from typing import Any, Unpack
 
 from yarp_compat.dev.client import ClientOptions, ServiceClient, StreamingClient
 from yarp_compat.dev.fields import Generated
-from yarp_compat.dev.returnvalue import OK, UNREACHED, CallFailed, ReturnValue, called, given, three
+from yarp_compat.dev.returnvalue import OK, UNREACHED, CallFailed, ReturnValue, deliver, fetch_three, invoke
 from yarp_compat.dev.service import Service, rpc
 
 
 @dataclass
 class OdometryData(Generated):
-    """A base's pose, and its velocity in the base's own frame and in the odometry's: metres, degrees, seconds."""
+    """A base's pose in the odometry frame, and its velocity in both frames: meters, degrees, seconds."""
 
     odom_x: float = 0.0
     odom_y: float = 0.0
@@ -38,7 +39,7 @@ class OdometryData(Generated):
 
 @dataclass
 class MobileBaseVelocity(Generated):
-    """A velocity to drive at: forward and to the left, metres per second; counterclockwise, degrees per second."""
+    """A commanded velocity: forward and to the left in m/s, counterclockwise in deg/s."""
 
     vel_x: float = 0.0
     vel_y: float = 0.0
@@ -46,12 +47,12 @@ class MobileBaseVelocity(Generated):
 
 
 DEFAULT_TIMEOUT = 0.1
-"""Seconds for which a command holds where a caller does not say (`INavigation2DVelocityActions.h`)."""
+"""Default validity of a command in seconds (`INavigation2DVelocityActions.h`)."""
 
 
 @rpc
 class INavigation2DVelocityActionsMsgs(Service):
-    """The methods of a mobile base's port: m/s, m/s, deg/s, and seconds for which a command holds."""
+    """The methods of a mobile base's port: m/s, m/s, deg/s, and the validity of a command in seconds."""
 
     def applyVelocityCommandRPC(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> ReturnValue: ...
     def getLastVelocityCommandRPC(self) -> tuple[ReturnValue, float, float, float]: ...
@@ -59,15 +60,15 @@ class INavigation2DVelocityActionsMsgs(Service):
 
 @rpc
 class IOdometry2DMsgs(Service):
-    """The methods of an odometry's port, which begins at zero anew."""
+    """The methods of an odometry port."""
 
     def reset_odometry_RPC(self) -> ReturnValue: ...
 
 
 class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs]):
-    """Drives a base, as YARP's ``mobileBaseVelocityControl_nwc_yarp`` does (`IMobileBaseVelocityControl`).
+    """A client that drives a base, as YARP's ``mobileBaseVelocityControl_nwc_yarp`` (`IMobileBaseVelocityControl`).
 
-    Arguments as of `ServiceClient`. Example::
+    For the arguments, see `ServiceClient`. Example::
 
         with MobileBaseVelocityControl("/baseControl/input/command/rpc:i") as base:
             base.drive(0.2, 0.0, 10.0)
@@ -79,46 +80,53 @@ class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs])
     def applyVelocityCommand(
         self, x_vel: float, y_vel: float, theta_vel: float, timeout: float = DEFAULT_TIMEOUT
     ) -> ReturnValue:
-        """Drive: m/s, m/s, deg/s, for so many seconds; false where that failed."""
-        return called(self.remote.applyVelocityCommandRPC, x_vel, y_vel, theta_vel, timeout)
+        """Drive at a velocity (m/s, m/s, deg/s) for ``timeout`` seconds; the outcome is false on failure."""
+        return invoke(self.remote.applyVelocityCommandRPC, x_vel, y_vel, theta_vel, timeout)
 
     def getLastVelocityCommand(self) -> tuple[ReturnValue, float, float, float]:
-        """The outcome, and what was commanded last: m/s, m/s, deg/s."""
-        return three(self.remote.getLastVelocityCommandRPC)
+        """Return the outcome and the last commanded velocity: m/s, m/s, deg/s."""
+        return fetch_three(self.remote.getLastVelocityCommandRPC)
 
     def drive(self, x: float, y: float, turn: float, seconds: float = DEFAULT_TIMEOUT) -> None:
-        """Drive: m/s, m/s, deg/s; raises `CallFailed` where the base refuses, `OSError` where it does not answer."""
+        """Drive at m/s, m/s, deg/s; raises `CallFailed` if the base refuses, `OSError` if it does not reply."""
         outcome = self.remote.applyVelocityCommandRPC(x, y, turn, seconds)
         if not outcome:
-            raise CallFailed(outcome.code, "the base refuses the command; its log says why")
+            raise CallFailed(outcome.code, "the base refused the command; see its log")
 
 
 class Odometry2DClient(StreamingClient[IOdometry2DMsgs, OdometryData]):
-    """Hears an odometry, and begins it anew, as YARP's ``odometry2D_nwc_yarp`` does (`IOdometry2D`).
+    """A client that receives and resets odometry, as YARP's ``odometry2D_nwc_yarp`` (`IOdometry2D`).
 
-    ``server`` begins the names of its ports (``/baseControl/odometry``), ``name`` the own ones; ``carrier`` is the
-    stream's; more as of `ServiceClient`.
+    ``server`` is the prefix of the server's ports (``/baseControl/odometry``), ``name`` that of the client's;
+    ``carrier`` is the stream's. For the other arguments, see `ServiceClient`.
     """
 
     def __init__(self, server: str, name: str = "", carrier: str = "", **options: Unpack[ClientOptions]) -> None:
-        mine = name.rstrip("/")
-        own, said = mine and f"{mine}/rpc", mine and f"{mine}/odometry:i"
+        prefix = name.rstrip("/")
+        rpc_port, stream_port = prefix and f"{prefix}/rpc", prefix and f"{prefix}/odometry:i"
         super().__init__(
-            IOdometry2DMsgs, f"{server}/rpc", own, f"{server}/odometry:o", OdometryData, said, carrier, **options
+            IOdometry2DMsgs,
+            f"{server}/rpc",
+            rpc_port,
+            f"{server}/odometry:o",
+            OdometryData,
+            stream_port,
+            carrier,
+            **options,
         )
 
     def getOdometry(self, odom: OdometryData | None = None, timestamp: MutableSequence[float] | None = None) -> Any:
-        """The newest odometry, and its time stamp in seconds; false before any has come.
+        """The newest odometry and its time stamp in seconds; the outcome is false before the first message.
 
-        They are filled in where there is something to fill, else returned: the outcome, the odometry, the stamp.
+        Fill in the arguments and return the outcome; without ``odom``, return the outcome, the odometry and the stamp.
         """
-        outcome, found, stamp = (UNREACHED, OdometryData(), 0.0) if (last := self.last()) is None else (OK, *last)
+        outcome, odometry, stamp = (UNREACHED, OdometryData(), 0.0) if (last := self.last()) is None else (OK, *last)
         if odom is None:
-            return outcome, found, stamp
+            return outcome, odometry, stamp
         if outcome and timestamp is not None:
             timestamp[:] = [stamp]
-        return given(outcome, found, odom)
+        return deliver(outcome, odometry, odom)
 
     def resetOdometry(self) -> ReturnValue:
-        """Begin at zero from here; false where that failed."""
-        return called(self.remote.reset_odometry_RPC)
+        """Reset the odometry to zero; the outcome is false on failure."""
+        return invoke(self.remote.reset_odometry_RPC)

@@ -1,12 +1,12 @@
-"""A battery: its stream, the service of its port (`IBatteryMsgs.thrift`), and a client (`IBattery.h`).
+"""A battery: its stream, the service of its RPC port (`IBatteryMsgs.thrift`), and a client (`IBattery.h`).
 
-Ports (`battery_nws_yarp`, once `batteryWrapper`): the stream ``<name>/data:o``, and ``<name>/rpc:i``. From 3.12 on the
-stream is of `BatteryData`. Before it is a Bottle of the same numbers in another order (voltage, current, charge,
-temperature, status), and the port answers older words: ``[ibat] [btnf]`` by ``[is] [btnf] "..."``.
+Ports (`battery_nws_yarp`, formerly `batteryWrapper`): the stream ``<name>/data:o``, and ``<name>/rpc:i``. From 3.12
+on, the stream consists of `BatteryData`. Before, it is a Bottle of the same numbers in another order (voltage, current,
+charge, temperature, status), and the RPC port uses vocabs: the reply to ``[ibat] [btnf]`` is ``[is] [btnf] "..."``.
 """
 
 # mypy: disable-error-code="empty-body"
-# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
+# ruff: noqa: D102 - the names are those of YARP's .thrift file
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from typing import Any, Unpack
 
 from yarp_compat.dev.client import ClientOptions, StreamingClient
 from yarp_compat.dev.fields import Generated
-from yarp_compat.dev.rangefinder import OldAnswer
-from yarp_compat.dev.returnvalue import OK, UNREACHED, ReturnValue, answered, given
+from yarp_compat.dev.rangefinder import VocabReply
+from yarp_compat.dev.returnvalue import OK, UNREACHED, ReturnValue, deliver, results_of
 from yarp_compat.dev.service import Service, before, rpc
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.generation import Generation
@@ -53,27 +53,27 @@ class BatteryData(Generated):
 
 @rpc
 class IBatteryMsgs(Service):
-    """The method of a battery's port: a text of what kind of battery it is."""
+    """The method of a battery's port: a text that describes the battery."""
 
     def getBatteryInfoRPC(self) -> tuple[ReturnValue, str]: ...
 
 
 @rpc
 @before(Generation.YARP_3_12)
-class OlderBatteryWords(Service):
-    """The same in the words of YARP before 3.12."""
+class OlderBatteryVocabs(Service):
+    """The same method in the vocabs of YARP before 3.12."""
 
-    def ibat_btnf(self) -> OldAnswer: ...
+    def ibat_btnf(self) -> VocabReply: ...
 
 
-class _BatteryCalls(IBatteryMsgs, OlderBatteryWords):
-    """What servers of any release answer, some of it."""
+class _BatteryCalls(IBatteryMsgs, OlderBatteryVocabs):
+    """The methods of all releases; a server has some of them."""
 
 
 class IBattery:
-    """A battery under YARP's names: each method returns a value, or has a list's one element become it.
+    """A battery under YARP's names: each method returns a value, or stores it in a list of one element.
 
-    A value that is not known is 0, empty, or ``BATTERY_GENERAL_ERROR``, as in the bindings.
+    An unknown value is 0, empty, or ``BATTERY_GENERAL_ERROR``, as in the bindings.
     """
 
     (
@@ -82,67 +82,67 @@ class IBattery:
     ) = BatteryStatus  # fmt: skip
 
     def newest(self) -> BatteryData | None:
-        """Return the latest message; None before the first."""
+        """Return the newest message; None before the first."""
         raise NotImplementedError
 
     def described(self) -> tuple[ReturnValue, str]:
-        """The outcome, and what kind of battery it is."""
+        """Return the outcome and the description of the battery."""
         raise NotImplementedError
 
     def getBatteryVoltage(self, voltage: MutableSequence[float] | None = None) -> Any:
-        """Volts."""
-        return self._found("voltage", voltage)
+        """The voltage in volts."""
+        return self._value("voltage", voltage)
 
     def getBatteryCurrent(self, current: MutableSequence[float] | None = None) -> Any:
-        """Amperes."""
-        return self._found("current", current)
+        """The current in amperes."""
+        return self._value("current", current)
 
     def getBatteryCharge(self, charge: MutableSequence[float] | None = None) -> Any:
-        """Percent."""
-        return self._found("charge", charge)
+        """The charge in percent."""
+        return self._value("charge", charge)
 
     def getBatteryTemperature(self, temperature: MutableSequence[float] | None = None) -> Any:
-        """Degrees Celsius."""
-        return self._found("temperature", temperature)
+        """The temperature in degrees Celsius."""
+        return self._value("temperature", temperature)
 
     def getBatteryStatus(self, status: MutableSequence[int] | None = None) -> Any:
-        """A `BatteryStatus`, or the number of one that is not known."""
-        return self._found("status", status)
+        """A `BatteryStatus`, or the number of an unknown one."""
+        return self._value("status", status)
 
     def getBatteryInfo(self, battery_info: MutableSequence[str] | None = None) -> Any:
-        """What kind of battery it is."""
-        return given(*self.described(), battery_info)
+        """The description of the battery."""
+        return deliver(*self.described(), battery_info)
 
-    def _found(self, name: str, into: Any) -> Any:
+    def _value(self, name: str, into: Any) -> Any:
         data = self.newest()
         value = getattr(data or BatteryData(), name)
         if name == "status" and value in tuple(BatteryStatus):
             value = BatteryStatus(value)
-        return given(UNREACHED if data is None else OK, value, into)
+        return deliver(UNREACHED if data is None else OK, value, into)
 
 
 class BatteryClient(StreamingClient[_BatteryCalls, BatteryData], IBattery):
-    """Receives a battery's state, as YARP's ``battery_nwc_yarp`` does.
+    """A client that receives a battery's state, as YARP's ``battery_nwc_yarp``.
 
-    ``server`` begins the names of its ports (``/robot/battery``), ``name`` the own ones; ``carrier`` is the stream's;
-    more as of `ServiceClient`.
+    ``server`` is the prefix of the server's ports (``/robot/battery``), ``name`` that of the client's; ``carrier`` is
+    the stream's. For the other arguments, see `ServiceClient`.
     """
 
     def __init__(self, server: str, name: str = "", carrier: str = "", **options: Unpack[ClientOptions]) -> None:
-        own, said = name and f"{name}/rpc:o", name and f"{name}/data:i"
+        rpc_port, stream_port = name and f"{name}/rpc:o", name and f"{name}/data:i"
         super().__init__(
-            _BatteryCalls, f"{server}/rpc:i", own, f"{server}/data:o", BatteryData, said, carrier, **options
+            _BatteryCalls, f"{server}/rpc:i", rpc_port, f"{server}/data:o", BatteryData, stream_port, carrier, **options
         )
 
     def newest(self) -> BatteryData | None:
-        """Return the latest message; None before the first."""
+        """Return the newest message; None before the first."""
         last = self.last()
         return None if last is None else last[0]
 
     def described(self) -> tuple[ReturnValue, str]:
-        """The outcome, and what kind of battery it is."""
+        """Return the outcome and the description of the battery."""
         if self.version is not None:
-            outcome, *info = answered(self.remote.getBatteryInfoRPC)
+            outcome, *info = results_of(self.remote.getBatteryInfoRPC)
             return outcome, info[0] if outcome else ""
         try:
             return OK, str(self.remote.ibat_btnf().values[0])
@@ -150,8 +150,8 @@ class BatteryClient(StreamingClient[_BatteryCalls, BatteryData], IBattery):
             return UNREACHED, ""
 
     def _meant(self, received: tuple[BatteryData, float] | None) -> tuple[BatteryData, float] | None:
-        """Before 3.12 the numbers were voltage, current, charge."""
+        """Reorder the numbers of servers before 3.12: voltage, current, charge."""
         if received is None or self.version is not None:
             return received
-        said, stamp = received
-        return BatteryData(said.current, said.charge, said.voltage, said.temperature, said.status), stamp
+        old, stamp = received  # its fields hold the old order's numbers
+        return BatteryData(old.current, old.charge, old.voltage, old.temperature, old.status), stamp

@@ -1,6 +1,6 @@
-"""A client of an interface with its port, and subscriptions to a server's stream.
+"""Clients of a device server: calls through an RPC port, and subscriptions to its stream.
 
-The port connects to the server's, and reconnects before a call if the server was away.
+The RPC port connects to the server's, and reconnects before a call if the server has restarted.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class PortChannel:
     ) -> None:  # fmt: skip
         self._connect = connect
         self._generation = generation
-        self._has_told = False
+        self._is_fixed = False
         self._port = port
         self._timeout = timeout
 
@@ -47,13 +47,13 @@ class PortChannel:
     def generation(self) -> Generation:
         """The server's generation; its replies set it."""
         profile = self._port.answers_in
-        if not self._has_told and profile is not None and profile is not self._generation.profile:
+        if not self._is_fixed and profile is not None and profile is not self._generation.profile:
             self._generation = Generation.newest(profile)
         return self._generation
 
     @generation.setter
     def generation(self, generation: Generation) -> None:
-        self._generation, self._has_told = generation, True
+        self._generation, self._is_fixed = generation, True
 
     def request(self, payload: bytes, parse: Callable[[Buffer], int]) -> Buffer:
         """Send a request and return the reply; raises `TimeoutError`, or `ConnectionError` without a server."""
@@ -95,18 +95,18 @@ class Stream(Openable, Generic[T]):
         self._reader.close()
 
     def read(self) -> tuple[T, float] | None:
-        """The next data, and its time in seconds (0: none); None once closed. Raises `WireError` for other data."""
-        return self._taken(self._reader.read())
+        """Wait for the next data and its time in seconds (0: none); None once closed. Raises `WireError`."""
+        return self._decoded(self._reader.read())
 
     def read_now(self) -> tuple[T, float] | None:
-        """The next message, if there is one."""
-        return self._taken(self._reader.read_now())
+        """Return the next message without waiting, or None."""
+        return self._decoded(self._reader.read_now())
 
     def __iter__(self) -> Iterator[tuple[T, float]]:
-        while (taken := self.read()) is not None:
-            yield taken
+        while (decoded := self.read()) is not None:
+            yield decoded
 
-    def _taken(self, received: Received | None) -> tuple[T, float] | None:
+    def _decoded(self, received: Received | None) -> tuple[T, float] | None:
         if received is None:
             return None
         stamp = Stamp()
@@ -116,14 +116,14 @@ class Stream(Openable, Generic[T]):
 
 
 class ClientOptions(TypedDict, total=False):
-    """A reply's ``timeout`` (seconds, None: for ever; else `PATIENCE`), and ``naming`` (default: ``yarp.conf``)."""
+    """``timeout`` of a reply in seconds (None: no limit; default `PATIENCE`); ``naming`` (default: ``yarp.conf``)."""
 
     timeout: float | None
     naming: Naming | None
 
 
 class ServiceClient(Client, Generic[S]):
-    """Calls a server's methods: ``client.remote.get_map_names_RPC()``; options as of `ClientOptions`.
+    """A client of a server's methods: ``client.remote.get_map_names_RPC()``; for the options, see `ClientOptions`.
 
     ``server`` is its port, or carrier and port as in ``fast_tcp://map2D_nws_yarp/rpc``; ``name`` is the client's own
     port; if it is empty, the name server chooses one.
@@ -134,7 +134,7 @@ class ServiceClient(Client, Generic[S]):
         timeout = options.get("timeout", PATIENCE)
         self._channel = PortChannel(self.core, timeout=timeout, connect=self._reconnect)
         self.remote = interface(self._channel)
-        self.version: tuple[int, int, int, int] | None = None  # as of `Service.introduce`, once this was open
+        self.version: tuple[int, int, int, int] | None = None  # from `Service.introduce`, at `open`
 
     @property
     def generation(self) -> Generation:
@@ -142,7 +142,7 @@ class ServiceClient(Client, Generic[S]):
         return self._channel.generation
 
     def _reconnect(self) -> None:
-        """Connect to a server that was away, and introduce the client: a server keeps its release per connection."""
+        """Reconnect and introduce the client again, as servers store a client's release per connection."""
         self.connect(self.server)
         self.version = self.remote.introduce()
 
@@ -155,9 +155,9 @@ class ServiceClient(Client, Generic[S]):
 
 
 class StreamingClient(ServiceClient[S], Generic[S, T]):
-    """A client of a server that streams one ``kind`` of data, too.
+    """A client of a server that also streams one ``kind`` of data.
 
-    ``source`` is the port that streams, ``mine`` the client's own port for it; ``carrier`` is the stream's.
+    ``source`` is the streaming port, ``mine`` the client's own port for it; ``carrier`` is the stream's.
     """
 
     def __init__(
@@ -176,22 +176,22 @@ class StreamingClient(ServiceClient[S], Generic[S, T]):
         return self
 
     def close(self) -> None:
-        """Close both ports, which ends waits for data."""
+        """Close both ports, which ends pending `read` calls."""
         self._stream.close()
         super().close()
 
     def read(self) -> tuple[T, float] | None:
-        """Wait for the next data, and its time stamp in seconds; None once the stream is closed."""
-        found = self._meant(self._stream.read())
-        self._last = found or self._last
-        return found
+        """Wait for the next data and its time stamp in seconds; None once the stream is closed."""
+        received = self._meant(self._stream.read())
+        self._last = received or self._last
+        return received
 
     def last(self) -> tuple[T, float] | None:
-        """The newest data, and its time stamp in seconds; None before the first. Other data is skipped."""
+        """Return the newest data and its time stamp in seconds; None before the first. Other data is skipped."""
         with contextlib.suppress(WireError):
             self._last = self._meant(self._stream.read_now()) or self._last
         return self._last
 
     def _meant(self, received: tuple[T, float] | None) -> tuple[T, float] | None:
-        """Return the meaning of data from a server of an older release."""
+        """Convert data of an older release's server."""
         return received

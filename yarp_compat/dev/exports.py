@@ -1,7 +1,7 @@
-"""Places for other programs: GeoJSON (RFC 7946), and waypoints for Nav2.
+"""Export of places for other programs: GeoJSON (RFC 7946), and waypoints for Nav2.
 
-GeoJSON is meant for longitudes and latitudes; here its numbers are metres in a map's frame, which every feature names,
-as Nav2's route graphs have it too.
+GeoJSON is meant for longitudes and latitudes; here, as in Nav2's route graphs, its numbers are meters in the frame of
+the map that each feature names.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ def to_geojson(
     links: Mapping[str, MapLink] | None = None,
     map_name: str = "",
 ) -> str:
-    """The GeoJSON of places: points, polygons and lines; their numbers are metres and degrees.
+    """Return places as GeoJSON: points, polygons and lines in meters and degrees.
 
-    Behaviours become properties of their areas, links lines between two locations; ``map_name`` leaves out other maps.
+    Behaviors become properties of their areas, links become features without a geometry; ``map_name`` selects one map.
     """
     features = [
         feature
@@ -36,30 +36,30 @@ def to_geojson(
 
 
 def to_waypoints(locations: Mapping[str, Map2DLocation]) -> str:
-    """The file of waypoints that Nav2's panel in rviz loads and saves, for its "Waypoint mode".
+    """Return the waypoint file of Nav2's panel in rviz, for its "Waypoint mode".
 
-    ``waypoints: {NAME: {pose: [x, y, z], orientation: [w, x, y, z]}}``, in the order in which they are passed; the file
-    does not say on which map they are.
+    ``waypoints: {NAME: {pose: [x, y, z], orientation: [w, x, y, z]}}``, in the order of ``locations``; the file does
+    not name the map.
     """
     lines = ["waypoints:" if locations else "waypoints: {}"]
     for name, place in locations.items():
         half = math.radians(place.theta) / 2
-        turn = ", ".join(map(decimal, (math.cos(half), 0.0, 0.0, math.sin(half))))
+        rotation = ", ".join(map(decimal, (math.cos(half), 0.0, 0.0, math.sin(half))))
         lines += [
             f"  {json.dumps(name, ensure_ascii=False)}:",
             f"    pose: [{decimal(place.x)}, {decimal(place.y)}, 0.0]",
-            f"    orientation: [{turn}]",
+            f"    orientation: [{rotation}]",
         ]
     return "\n".join(lines) + "\n"
 
 
 def _feature(kind: str, name: str, map_name: str, shape: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
-    said = {key: value for key, value in properties.items() if value is not False and value not in ("", None)}
+    given = {key: value for key, value in properties.items() if value is not False and value not in ("", None)}
     return {
         "type": "Feature",
         "id": f"{kind}/{name}",
         "geometry": {"type": shape, "coordinates": coordinates},
-        "properties": {"kind": kind, "name": name, "map": map_name, **said},
+        "properties": {"kind": kind, "name": name, "map": map_name, **given},
     }
 
 
@@ -81,11 +81,11 @@ def _areas(places: Places, behaviours: Mapping[str, AreaBehaviour]) -> Iterable[
         corners = [[point.x, point.y] for point in area.points]
         turns = sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(corners, [*corners[1:], *corners[:1]], strict=True))
         ring = corners if turns >= 0 else corners[::-1]  # RFC 7946: an outer ring goes counterclockwise
-        said = behaviours.get(name, AreaBehaviour())
+        rules = behaviours.get(name, AreaBehaviour())
         yield _feature(
             "area", name, area.map_id, "Polygon", [[*ring, *ring[:1]]] if ring else [],
-            description=area.description, max_speed=said.max_speed, on_obstacle=said.on_obstacle,
-            keep_out=said.keep_out,
+            description=area.description, max_speed=rules.max_speed, on_obstacle=rules.on_obstacle,
+            keep_out=rules.keep_out,
         )  # fmt: skip
 
 

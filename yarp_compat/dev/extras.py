@@ -1,6 +1,6 @@
-"""Rules for areas, and links between maps, in a file beside YARP's of places, which cannot hold them.
+"""Rules for areas, and links between maps, in a file next to YARP's file of places, which cannot hold them.
 
-It looks as theirs do: ``Version:`` and ``1``; ``Behaviours:`` with lines of an area's name and its settings, ``corridor
+Its format is similar: ``Version:`` and ``1``; ``Behaviours:`` with lines of an area's name and its settings, ``corridor
 max_speed=0.3 on_obstacle=wait``; ``Links:`` with lines of a name, two locations' names and a cost, ``lift lift_0
 lift_1 20.0``.
 """
@@ -21,55 +21,55 @@ _SECTIONS = ("Behaviours:", "Links:")
 
 @dataclass
 class Extras(TextFile):
-    """The content of such a file: behaviours by their areas' names, links by their own."""
+    """The content of such a file: behaviors by the names of their areas, links by their own names."""
 
     behaviours: dict[str, AreaBehaviour] = field(default_factory=dict)
     links: dict[str, MapLink] = field(default_factory=dict)
 
     @classmethod
     def from_text(cls, text: str, source: str = "the file") -> Self:
-        """The content of a file's text, which errors call ``source``; raises `MapFileError` for a wrong line."""
+        """Parse a file's text; errors name the file ``source``. Raises `MapFileError` for an invalid line."""
         lines = [line.strip() for line in text.split("\n")]
         if lines[:2] != ["Version:", "1"]:
-            raise MapFileError(f"{source} does not begin with a line 'Version:' and one that says 1")
+            raise MapFileError(f"{source} does not begin with the lines 'Version:' and '1'")
         extras, section = cls(), ""
         for number, line in enumerate(lines[2:], 3):
             if line in _SECTIONS:
                 section = line
             elif line:
                 try:
-                    extras._take(section, line)
+                    extras._add_line(section, line)
                 except (ValueError, TypeError, IndexError) as error:
                     raise MapFileError(f"{source}, line {number}: {error}: {line:.100}") from None
         return extras
 
     def to_text(self) -> str:
-        """The text of a file, sorted by names."""
+        """Return the text of a file, sorted by name."""
         lines = ["Version:", "1", "Behaviours:"]
-        lines += [f"{value_text(name)} {said.to_text()}" for name, said in sorted(self.behaviours.items())]
+        lines += [f"{value_text(name)} {rules.to_text()}" for name, rules in sorted(self.behaviours.items())]
         lines.append("Links:")
         for name, link in sorted(self.links.items()):
             lines.append(" ".join([*map(value_text, (name, link.first, link.second)), decimal(link.cost)]))
         return "\n".join(lines) + "\n"
 
-    def _take(self, section: str, line: str) -> None:
-        words = from_text(line)
-        name = str(words[0])
+    def _add_line(self, section: str, line: str) -> None:
+        elements = from_text(line)
+        name = str(elements[0])
         if name in (self.links if section == "Links:" else self.behaviours):
-            raise ValueError(f"{name!r} is there already")
+            raise ValueError(f"{name!r} is defined twice")
         if section == "Links:":
-            _, first, second, cost = words
+            _, first, second, cost = elements
             self.links[name] = MapLink(str(first), str(second), float(cost))
         elif section == "Behaviours:":
-            # only after the name, which may have one of the settings' words in it
-            said = AreaBehaviour.from_text(" ".join(map(str, words[1:])))
-            self.behaviours[name] = said or AreaBehaviour()
+            # without the name, which may contain a setting's name
+            rules = AreaBehaviour.from_text(" ".join(map(str, elements[1:])))
+            self.behaviours[name] = rules or AreaBehaviour()
         else:
-            raise ValueError("it stands before any section, which are Behaviours: and Links:")
+            raise ValueError("the line precedes the sections Behaviours: and Links:")
 
 
 def extras_file(places: str | Path) -> Path:
-    """The file beside one of places: ``locations_extras.ini`` beside ``locations.ini``."""
+    """Return the extras file of a places file: ``locations_extras.ini`` next to ``locations.ini``."""
     return Path(places).with_name(f"{Path(places).stem}_extras.ini")
 
 
@@ -82,65 +82,65 @@ _TRUTH = {None: True, "1": True, "true": True, "yes": True, "0": False, "false":
 class AreaBehaviour:
     """The rules of an area."""
 
-    # metres per second, above 0; None where the area sets no limit. `keep_out` says that nobody may drive there: a
-    # limit of 0 means no limit to others
+    # meters per second, above 0; None if the area sets no limit. Closed areas have `keep_out`, as a limit of 0 means
+    # "no limit" to other programs
     max_speed: float | None = None
-    on_obstacle: str = ""  # ``wait`` until it is gone or go ``around`` it; empty where the area does not say
-    keep_out: bool = False  # nobody plans a way through
+    on_obstacle: str = ""  # ``wait`` until it is gone or go ``around`` it; empty if the area sets no rule
+    keep_out: bool = False  # planners plan no path through the area
 
     def __post_init__(self) -> None:
         speed = self.max_speed
         if speed is not None and not (math.isfinite(speed) and speed > 0):
-            raise ValueError(f"max_speed is metres per second above 0, not {speed}: say keep_out to keep robots away")
+            raise ValueError(f"max_speed must be meters per second above 0, not {speed}; keep_out keeps robots away")
         if self.on_obstacle not in _OBSTACLE:
-            raise ValueError(f"on_obstacle is wait or around, not {self.on_obstacle!r}")
+            raise ValueError(f"on_obstacle must be wait or around, not {self.on_obstacle!r}")
 
     @classmethod
     def from_text(cls, text: str) -> AreaBehaviour | None:
-        """The rules in a description, None where it has none; raises `ValueError` for senseless ones."""
-        said: dict[str, str | None] = {}
+        """Parse the rules in a description; None if it has none. Raises `ValueError` for invalid ones."""
+        settings: dict[str, str | None] = {}
         for setting in _SETTING.finditer(text):
             name, value = setting.groups()
-            if name in said:
-                raise ValueError(f"{name} stands twice in {text!r:.100}")
+            if name in settings:
+                raise ValueError(f"{name} appears twice in {text!r:.100}")
             if value is None and name != "keep_out":
-                continue  # the word in a sentence
-            said[name] = value
-        if not said:
+                continue  # a word in a sentence, not a setting
+            settings[name] = value
+        if not settings:
             return None
         return cls(
-            _speed(said["max_speed"]) if "max_speed" in said else None,
-            said.get("on_obstacle") or "",
-            "keep_out" in said and _truth(said["keep_out"]),
+            _speed(settings["max_speed"]) if "max_speed" in settings else None,
+            settings.get("on_obstacle") or "",
+            "keep_out" in settings and _truth(settings["keep_out"]),
         )
 
     def to_text(self) -> str:
-        """The same as it stands in a description."""
-        words = [] if self.max_speed is None else [f"max_speed={self.max_speed!r}"]
+        """Return the rules as text for a description."""
+        settings = [] if self.max_speed is None else [f"max_speed={self.max_speed!r}"]
         if self.on_obstacle:
-            words.append(f"on_obstacle={self.on_obstacle}")
+            settings.append(f"on_obstacle={self.on_obstacle}")
         if self.keep_out:
-            words.append("keep_out")
-        return " ".join(words)
+            settings.append("keep_out")
+        return " ".join(settings)
 
 
 def _speed(text: str | None) -> float:
     try:
         return float(text or "")
     except ValueError:
-        raise ValueError(f"max_speed is metres per second, not {text!r}") from None
+        raise ValueError(f"max_speed must be meters per second, not {text!r}") from None
 
 
 def _truth(text: str | None) -> bool:
     try:
         return _TRUTH[text and text.lower()]
     except KeyError:
-        raise ValueError(f"keep_out is true or false, not {text!r}") from None
+        raise ValueError(f"keep_out must be true or false, not {text!r}") from None
 
 
 @dataclass(frozen=True)
 class MapLink:
-    """Two locations, by name, on two maps between which robots change, at a ``cost`` of so many metres of way."""
+    """Two locations, by name, where robots change between two maps; its ``cost`` is in meters of path length."""
 
     first: str
     second: str
@@ -150,4 +150,4 @@ class MapLink:
         if not (self.first and self.second and self.first != self.second):
             raise ValueError(f"a link joins two locations, not {self.first!r} and {self.second!r}")
         if not (math.isfinite(self.cost) and self.cost >= 0):
-            raise ValueError(f"a link's cost is 0 or more, not {self.cost}")
+            raise ValueError(f"a link's cost must be 0 or more, not {self.cost}")

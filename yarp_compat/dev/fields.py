@@ -1,11 +1,11 @@
-"""The types that YARP's interfaces declare, as its generated (thrift) code writes them.
+"""The types of YARP's interfaces, encoded as by its generated (thrift) code.
 
 A Python annotation names the type: ``bool``, ``int`` (32 bits), ``float`` (a double), ``str``, ``bytes``, an Enum (of
-vocabs where its values are text, else of 32-bit numbers), ``list[...]``, a Portable's class; or ``Annotated`` with one
-of the fields below for the rest, such as ``Annotated[int, INT8]``. (`yarpidl_thrift/src/t_yarp_generator.cc`)
+vocabs if its values are text, otherwise of 32-bit numbers), ``list[...]``, a subclass of Portable; or ``Annotated``
+with one of the fields below, such as ``Annotated[int, INT8]``. (`yarpidl_thrift/src/t_yarp_generator.cc`)
 """
 
-# ruff: noqa: D102 - the base class says what each method does
+# ruff: noqa: D102 - the base class documents the methods
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from yarp_compat.wire.text import to_text
 
 
 class FieldCodec(ABC):
-    """A type of an argument, a result or a structure's field; help calls it ``name``.
+    """The codec of an argument, a result or a structure's field; ``name`` is its type in help texts.
 
-    ``default`` makes the value that C++ has where nothing was set; ``tag`` gives the tag that a list of such values has
-    in a profile, 0 where each has its own.
+    ``default`` makes the initial value of C++; ``tag`` returns the tag of a list of such values in a profile, 0 if each
+    element has its own.
     """
 
     def __init__(self, name: str, default: Callable[[], Any], tag: Callable[[Profile], int] = lambda _: 0) -> None:
@@ -37,11 +37,11 @@ class FieldCodec(ABC):
 
     @abstractmethod
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
-        """Put a value on the wire, with its tag or, in a list that has it, without."""
+        """Write a value, without its tag in a list that has it."""
 
     @abstractmethod
     def read(self, source: ElementReader) -> Any:
-        """Take a value."""
+        """Read a value."""
 
 
 class Integer(FieldCodec):
@@ -56,7 +56,7 @@ class Integer(FieldCodec):
 
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         if isinstance(value, int) and not self._low <= value < self._high:
-            raise WireError(f"{value} is no {self.name}")
+            raise WireError(f"{value} is not an {self.name}")
         out.integer(value, self._tag, tagged=tagged)
 
     def read(self, source: ElementReader) -> int:
@@ -64,12 +64,12 @@ class Integer(FieldCodec):
         if value < 0 and self._wrap:
             value += self._wrap
         if not self._low <= value < self._high:
-            raise WireError(f"{value} before byte {source.at} is no {self.name}")
+            raise WireError(f"{value} before byte {source.at} is not an {self.name}")
         return value
 
 
 class _Plain(FieldCodec):
-    """A type that `ElementWriter` and `ElementReader` have a method for."""
+    """A type with its own methods in `ElementWriter` and `ElementReader`."""
 
     def __init__(
         self, name: str, write: Callable[..., None], read: Callable[[ElementReader], Any], default: Any,
@@ -86,40 +86,40 @@ class _Plain(FieldCodec):
 
 
 class VocabEnum(IntEnum):
-    """An enumeration of vocabs: its members are given by their words, and are these words' numbers, as in C++."""
+    """An enumeration of vocabs: members are declared by their text, and have the vocab's number as value, as in C++."""
 
-    word: str
+    text: str
 
-    def __new__(cls, word: str) -> Self:
-        number = int.from_bytes(word.encode().ljust(4, b"\0"), "little")
+    def __new__(cls, text: str) -> Self:
+        number = int.from_bytes(text.encode().ljust(4, b"\0"), "little")
         member = int.__new__(cls, number)
-        member._value_, member.word = number, word
+        member._value_, member.text = number, text
         return member
 
     @classmethod
     def _missing_(cls, value: object) -> Self | None:
-        return next((member for member in cls if member.word == value), None)
+        return next((member for member in cls if member.text == value), None)
 
 
 class Choice(FieldCodec):
     """An enumeration: of vocabs, or of 32-bit numbers.
 
-    The first member of ``kind`` is what nothing set; ``vocab``: numbers have the tag of a vocab, as YARP does for some.
+    The first member of ``kind`` is the default; ``vocab``: numbers have the tag of a vocab, as for some types of YARP.
     """
 
     def __init__(self, kind: type[IntEnum], *, vocab: bool = False) -> None:
         self._kind = kind
-        self._words = issubclass(kind, VocabEnum)
-        self._tag = tags.VOCAB32 if vocab or self._words else tags.INT32
+        self._is_text = issubclass(kind, VocabEnum)
+        self._tag = tags.VOCAB32 if vocab or self._is_text else tags.INT32
         super().__init__(kind.__name__, lambda: next(iter(kind)), lambda _: self._tag)
 
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         try:
             member = self._kind(value)
         except ValueError:
-            raise WireError(f"{value!r} is no {self.name}") from None
+            raise WireError(f"{value!r} is not a {self.name}") from None
         if isinstance(member, VocabEnum):
-            out.vocab(member.word, tagged=tagged)
+            out.vocab(member.text, tagged=tagged)
         elif tagged and self._tag == tags.VOCAB32:
             out.block(b"\x09\0\0\0")
             out.integer(member.value, tagged=False)
@@ -127,14 +127,14 @@ class Choice(FieldCodec):
             out.integer(member.value, tagged=tagged)
 
     def read(self, source: ElementReader) -> IntEnum:
-        value: Any = source.word() if self._words else source.integer()
-        if value == "":  # the vocab 0, which C++ has where nothing was set: beside an outcome that is not ok
+        value: Any = source.word() if self._is_text else source.integer()
+        if value == "":  # the vocab 0, C++'s initial value: sent with an outcome that is not ok
             return next(iter(self._kind))
         try:
             return self._kind(value)
         except ValueError:
-            choices = ", ".join(str(getattr(member, "word", member.value)) for member in self._kind)
-            raise WireError(f"{value!r} before byte {source.at} is no {self.name}: those are {choices}") from None
+            choices = ", ".join(str(getattr(member, "text", member.value)) for member in self._kind)
+            raise WireError(f"{value!r} before byte {source.at} is not a {self.name}; expected {choices}") from None
 
 
 class ListOf(FieldCodec):
@@ -158,7 +158,7 @@ class ListOf(FieldCodec):
 
 
 class Nested(FieldCodec):
-    """A value of a class of its own."""
+    """A value of a subclass of `Portable`."""
 
     def __init__(self, kind: type[Portable]) -> None:
         super().__init__(kind.__name__, kind)
@@ -166,7 +166,7 @@ class Nested(FieldCodec):
 
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:  # noqa: ARG002
         if not isinstance(value, self.kind):
-            raise WireError(f"{value!r:.60} is no {self.name}")
+            raise WireError(f"{value!r:.60} is not a {self.name}")
         value._write(out)
 
     def read(self, source: ElementReader) -> Portable:
@@ -187,7 +187,7 @@ _PLAIN: dict[Any, FieldCodec] = {bool: BOOLEAN, int: INT32, float: FLOAT64, str:
 
 
 def field_of(annotation: Any) -> FieldCodec:
-    """The field that an annotation names; raises `TypeError` where it names none."""
+    """Return the codec of an annotation; raises `TypeError` if there is none."""
     origin = get_origin(annotation)
     if origin is Annotated:
         fields = [extra for extra in get_args(annotation)[1:] if isinstance(extra, FieldCodec)]
@@ -200,11 +200,11 @@ def field_of(annotation: Any) -> FieldCodec:
         return Choice(annotation)
     if isinstance(annotation, type) and issubclass(annotation, Portable):
         return Nested(annotation)
-    raise TypeError(f"{annotation!r} is no type of YARP's interfaces")
+    raise TypeError(f"{annotation!r} is not a type of YARP's interfaces")
 
 
 class Structure(Portable):
-    """A dataclass whose annotated fields go on the wire, see :mod:`yarp_compat.dev.fields`."""
+    """A dataclass that is sent as its annotated fields, see :mod:`yarp_compat.dev.fields`."""
 
     def _write(self, out: ElementWriter) -> None:
         fields = fields_of(type(self))  # type: ignore[arg-type] # for mypy an object's __hash__ is the class's
@@ -221,33 +221,33 @@ class Structure(Portable):
         count = source.begin()
         if count != len(fields):
             raise WireError(f"a {type(self).__name__} has {len(fields)} fields, not {count}")
-        found = {}
+        values = {}
         name = ""
         try:
             for name, field in fields:
-                found[name] = field.read(source)
+                values[name] = field.read(source)
         except WireError as error:
             raise type(error)(f"{type(self).__name__}.{name}: {error}") from None
         source.end()
-        for name, value in found.items():
+        for name, value in values.items():
             setattr(self, name, value)
 
 
 class Generated(Structure):
-    """A structure whose C++ class is generated, so that its text is a Bottle's; others have words of their own."""
+    """A structure whose C++ class is generated, so that its text is a Bottle's; others have their own format."""
 
     def toString(self) -> str:
-        """The fields as a Bottle's text."""
+        """Return the fields as the text of a Bottle."""
         return to_text(decode(self.to_bytes(Profile.YARP3), Profile.YARP3))
 
     def toString_c(self) -> str:
-        """The same, by the name that YARP's bindings give it."""
+        """Return `toString`, under the name of YARP's bindings."""
         return self.toString()
 
 
 @cache
 def fields_of(kind: type[Structure]) -> tuple[tuple[str, FieldCodec], ...]:
-    """A structure's fields in their order, by name."""
+    """Return a structure's fields in order: name and codec."""
     hints = get_type_hints(kind, include_extras=True)
     fields = dataclasses.fields(kind)  # type: ignore[arg-type] # structures are dataclasses
     return tuple((field.name, field_of(hints[field.name])) for field in fields)

@@ -1,11 +1,11 @@
-"""A camera: its pictures, and its controls (`frameGrabberMsgs.thrift`, `IFrameGrabberControls.h`).
+"""A camera: its images, and its controls (`frameGrabberMsgs.thrift`, `IFrameGrabberControls.h`).
 
-Ports (`frameGrabber_nws_yarp`): the stream of images ``<name>``, and beside it ``<name>/rpc``. Servers before 4.0
-answer words: ``[fgc] [get] [feat] 16`` by ``[fgc] [feat] [is] 0.5``, ``[fgc] [has] [feat] 16`` by four words and a 1.
+Ports (`frameGrabber_nws_yarp`): the stream of images ``<name>``, and ``<name>/rpc``. Servers before 4.0 use vocabs: the
+reply to ``[fgc] [get] [feat] 16`` is ``[fgc] [feat] [is] 0.5``, that to ``[fgc] [has] [feat] 16`` four vocabs and a 1.
 """
 
 # mypy: disable-error-code="empty-body"
-# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
+# ruff: noqa: D102 - the names are those of YARP's .thrift file
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import Any, Self, Unpack
 
 from yarp_compat.dev.client import ClientOptions, ServiceClient
 from yarp_compat.dev.fields import Structure
-from yarp_compat.dev.returnvalue import OK, UNREACHED, ReturnCode, ReturnValue, answered, fill
+from yarp_compat.dev.returnvalue import OK, UNREACHED, ReturnCode, ReturnValue, fill, results_of
 from yarp_compat.dev.service import Service, rpc
 from yarp_compat.naming import connections
 from yarp_compat.ports.sockets import closed_on_failure
@@ -26,7 +26,7 @@ from yarp_compat.wire.values import Vocab
 
 
 class BusType(IntEnum):
-    """How a camera is connected."""
+    """The bus of a camera."""
 
     BUS_UNKNOWN = 0
     BUS_FIREWIRE = 1
@@ -34,7 +34,7 @@ class BusType(IntEnum):
 
 
 class FeatureMode(IntEnum):
-    """Who sets a feature of a camera: a person, or the camera."""
+    """How a feature of a camera is set: manually, or by the camera."""
 
     MODE_UNKNOWN = 0
     MODE_MANUAL = 1
@@ -51,12 +51,12 @@ CameraFeature = IntEnum(
     "YARP_FEATURE_MIRROR YARP_FEATURE_NUMBER_OF",
     start=-1,
 )
-"""What can be set of a camera (``cameraFeature_id_t``)."""
+"""The features of a camera (``cameraFeature_id_t``)."""
 
 
 @dataclass
 class CameraDescriptor(Structure):
-    """A camera's connection and name."""
+    """A camera's bus and name."""
 
     busType: BusType = BusType.BUS_UNKNOWN
     deviceDescription: str = ""
@@ -64,7 +64,7 @@ class CameraDescriptor(Structure):
 
 @rpc
 class FrameGrabberMsgs(Service):
-    """The methods of a camera's port that concern its controls."""
+    """The methods of a camera's port for its controls."""
 
     def getCameraDescriptionRPC(self) -> tuple[ReturnValue, CameraDescriptor]: ...
     def hasFeatureRPC(self, feature: int) -> tuple[ReturnValue, bool]: ...
@@ -84,107 +84,108 @@ class FrameGrabberMsgs(Service):
 
 
 class IFrameGrabberControls:
-    """A camera's controls under YARP's names; what the camera does not say is 0, False or ``MODE_UNKNOWN``."""
+    """A camera's controls under YARP's names; a value that is not reported is 0, False or ``MODE_UNKNOWN``."""
 
-    def asked(self, method: str, words: tuple[str, str], *arguments: float) -> tuple[Any, ...]:
-        """The outcome and results of a method of 4.0, or of an action and its object in older words."""
+    def request(self, method: str, vocabs: tuple[str, str], *arguments: float) -> tuple[Any, ...]:
+        """Return the outcome and results of a method of 4.0, or of an action and its object in the older vocabs."""
         raise NotImplementedError
 
     def getCameraDescription(self, camera: CameraDescriptor) -> ReturnValue:
-        """How the camera is connected, and what it is."""
-        outcome, *found = self.asked("getCameraDescriptionRPC", ("get", "camd"))
+        """Fill in the camera's bus and name."""
+        outcome, *results = self.request("getCameraDescriptionRPC", ("get", "camd"))
         if outcome:
-            fill(camera, found[0] if len(found) == 1 else CameraDescriptor(BusType(int(found[0])), str(found[1])))
+            many = len(results) > 1  # before 4.0
+            fill(camera, CameraDescriptor(BusType(int(results[0])), str(results[1])) if many else results[0])
         return ReturnValue(outcome.code)
 
     def busType2String(self, type: BusType) -> str:  # noqa: A002 - YARP's name
-        """A kind of connection in words."""
+        """The name of a bus."""
         return {BusType.BUS_FIREWIRE: "FireWire", BusType.BUS_USB: "USB"}.get(type, "bus type undefined")
 
     def toFeatureMode(self, _auto: bool) -> FeatureMode:
-        """Who sets what is set by itself, or not."""
+        """Return ``MODE_AUTO`` for True, ``MODE_MANUAL`` for False."""
         return FeatureMode.MODE_AUTO if _auto else FeatureMode.MODE_MANUAL
 
     def hasFeature(self, feature: int) -> bool:
-        """Whether the camera has a feature at all."""
+        """Whether the camera has a feature."""
         return self._truth("hasFeatureRPC", ("has", "feat"), feature)
 
     def hasOnOff(self, feature: int) -> bool:
-        """Whether it can be switched off."""
+        """Whether a feature can be switched off."""
         return self._truth("hasOnOffRPC", ("has", "onof"), feature)
 
     def hasAuto(self, feature: int) -> bool:
-        """Whether the camera can set it by itself."""
+        """Whether the camera can set a feature automatically."""
         return self._truth("hasAutoRPC", ("has", "auto"), feature)
 
     def hasManual(self, feature: int) -> bool:
-        """Whether it can be set."""
+        """Whether a feature can be set manually."""
         return self._truth("hasManualRPC", ("has", "man"), feature)
 
     def hasOnePush(self, feature: int) -> bool:
-        """Whether the camera can set it once."""
+        """Whether the camera can set a feature once, on request."""
         return self._truth("hasOnePushRPC", ("has", "onep"), feature)
 
     def getActive(self, feature: int) -> bool:
-        """Whether it is switched on."""
+        """Whether a feature is switched on."""
         return self._truth("getActiveRPC", ("get", "actv"), feature)
 
     def setActive(self, feature: int, onoff: bool) -> ReturnValue:
-        """Switch it on or off."""
+        """Switch a feature on or off."""
         return self._done("setActiveRPC", ("set", "actv"), feature, onoff)
 
     def getFeature(
         self, feature: int, value1: MutableSequence[float] | None = None, value2: MutableSequence[float] | None = None
     ) -> Any:
-        """Its value; where two lists are given, they get its two values, and whether it has them is returned."""
+        """Return a feature's value; with two lists, store its two values in them and return whether that succeeded."""
         if value1 is None or value2 is None:
-            outcome, *found = self.asked("getFeature1RPC", ("get", "feat"), feature)
-            return float(found[0]) if outcome else 0.0
-        outcome, *found = self.asked("getFeature2RPC", ("get", "fea2"), feature)
+            outcome, *results = self.request("getFeature1RPC", ("get", "feat"), feature)
+            return float(results[0]) if outcome else 0.0
+        outcome, *results = self.request("getFeature2RPC", ("get", "fea2"), feature)
         if outcome:
-            value1[:1], value2[:1] = [float(found[0])], [float(found[1])]
+            value1[:1], value2[:1] = [float(results[0])], [float(results[1])]
         return bool(outcome)
 
     def setFeature(self, feature: int, value: float, value2: float | None = None) -> ReturnValue:
-        """Set its value, or its two."""
+        """Set a feature's value, or its two values."""
         if value2 is None:
             return self._done("setFeature1RPC", ("set", "feat"), feature, float(value))
         return self._done("setFeature2RPC", ("set", "fea2"), feature, float(value), float(value2))
 
     def getMode(self, feature: int) -> FeatureMode:
-        """Who sets it."""
-        outcome, *found = self.asked("getModeRPC", ("get", "mode"), feature)
-        return FeatureMode(int(found[0])) if outcome else FeatureMode.MODE_UNKNOWN
+        """How a feature is set."""
+        outcome, *results = self.request("getModeRPC", ("get", "mode"), feature)
+        return FeatureMode(int(results[0])) if outcome else FeatureMode.MODE_UNKNOWN
 
     def setMode(self, feature: int, mode: FeatureMode) -> ReturnValue:
-        """Say who sets it."""
+        """Select how a feature is set."""
         return self._done("setModeRPC", ("set", "mode"), feature, FeatureMode(mode))
 
     def setOnePush(self, feature: int) -> ReturnValue:
-        """Have the camera set it once."""
+        """Let the camera set a feature once."""
         return self._done("setOnePushRPC", ("set", "onep"), feature)
 
-    def _truth(self, method: str, words: tuple[str, str], feature: int) -> bool:
-        outcome, *found = self.asked(method, words, int(feature))
-        return bool(outcome and found[0])
+    def _truth(self, method: str, vocabs: tuple[str, str], feature: int) -> bool:
+        outcome, *results = self.request(method, vocabs, int(feature))
+        return bool(outcome and results[0])
 
-    def _done(self, method: str, words: tuple[str, str], feature: int, *values: float) -> ReturnValue:
-        return ReturnValue(self.asked(method, words, int(feature), *values)[0].code)
+    def _done(self, method: str, vocabs: tuple[str, str], feature: int, *values: float) -> ReturnValue:
+        return ReturnValue(self.request(method, vocabs, int(feature), *values)[0].code)
 
 
 class FrameGrabberClient(ServiceClient[FrameGrabberMsgs], IFrameGrabberControls):
-    """Sees by a camera, and sets it, as YARP's ``frameGrabber_nwc_yarp`` does.
+    """A client that receives a camera's images and sets its controls, as YARP's ``frameGrabber_nwc_yarp``.
 
-    ``server`` is the port of the images, ``answers`` the one that answers (``<server>/rpc``); ``name`` is the own port,
-    and ``<name>/rpc_client`` the one that asks; ``carrier`` is the images'; more as of `ServiceClient`.
+    ``server`` is the port of the images, ``rpc_port`` that of the controls (``<server>/rpc``); ``name`` is the client's
+    port for images, ``<name>/rpc_client`` that for calls; ``carrier`` is the images'. Otherwise as `ServiceClient`.
     """
 
     def __init__(
-        self, server: str, name: str = "", carrier: str = "", answers: str = "", *, stream: bool = True,
+        self, server: str, name: str = "", carrier: str = "", rpc_port: str = "", *, stream: bool = True,
         **options: Unpack[ClientOptions],
     ) -> None:  # fmt: skip
-        mine = name and f"{name}/rpc_client"
-        super().__init__(FrameGrabberMsgs, answers or f"{server}/rpc", mine, **options)
+        own_rpc_port = name and f"{name}/rpc_client"
+        super().__init__(FrameGrabberMsgs, rpc_port or f"{server}/rpc", own_rpc_port, **options)
         self._source, self._carrier = server, carrier
         self._reader = Reader(name, naming=options.get("naming")) if stream else None
         self._size = (0, 0)
@@ -199,40 +200,40 @@ class FrameGrabberClient(ServiceClient[FrameGrabberMsgs], IFrameGrabberControls)
         return self
 
     def close(self) -> None:
-        """Close the ports; who waits for an image hears of it."""
+        """Close the ports, which ends pending `getImage` calls."""
         if self._reader is not None:
             self._reader.close()
         super().close()
 
     def getImage(self, image: Any) -> ReturnValue:
-        """Wait for the next picture, which ``image`` becomes; false once this is closed, or has no stream."""
+        """Wait for the next image and copy it into ``image``; false once this is closed, or without a stream."""
         received = None if self._reader is None else self._reader.read()
         if received is None:
             return UNREACHED
         try:
-            found = received.to(type(image))
+            decoded = received.to(type(image))
         except WireError:
             return ReturnValue(ReturnCode.METHOD_FAILED)
-        self._size = (found.width(), found.height())
-        fill(image, found)
+        self._size = (decoded.width(), decoded.height())
+        fill(image, decoded)
         return OK
 
     def width(self) -> int:
-        """Columns of the last picture; 0 before one came."""
+        """The columns of the last image; 0 before the first."""
         return self._size[0]
 
     def height(self) -> int:
-        """Rows of the last picture; 0 before one came."""
+        """The rows of the last image; 0 before the first."""
         return self._size[1]
 
-    def asked(self, method: str, words: tuple[str, str], *arguments: float) -> tuple[Any, ...]:
-        """The outcome and results of a method, of servers before 4.0 in their words."""
+    def request(self, method: str, vocabs: tuple[str, str], *arguments: float) -> tuple[Any, ...]:
+        """Call a method, on servers before 4.0 in vocabs."""
         if self.version is not None:
-            return answered(getattr(self.remote, method), *arguments)
-        action, what = words
-        plain = [float(one) if isinstance(one, float) else int(one) for one in arguments]
+            return results_of(getattr(self.remote, method), *arguments)
+        action, subject = vocabs
+        plain = [float(value) if isinstance(value, float) else int(value) for value in arguments]
         try:
-            answer = self.ask([Vocab("fgc"), Vocab(action), Vocab(what), *plain])
+            answer = self.ask([Vocab("fgc"), Vocab(action), Vocab(subject), *plain])
         except (OSError, WireError):
             return (UNREACHED,)
         first = 4 if action == "has" else 3  # [fgc] [has] [feat] number value; [fgc] [feat] [is] value

@@ -1,10 +1,10 @@
-"""Transforms between frames (`yarp/math/FrameTransform.h`), and the services of a server of them.
+"""Transforms between frames (`yarp/math/FrameTransform.h`), and the services of a transform server.
 
 The services are those of `frameTransformStorageMsgs.thrift`; the ports have YARP's names.
 """
 
 # mypy: disable-error-code="empty-body"
-# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
+# ruff: noqa: D102 - the names are those of YARP's .thrift file
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _TAIL = struct.Struct("<id ib" + " id" * 7)
 
 @dataclass
 class FrameTransform(Structure):
-    """The place of the frame ``dst_frame_id`` in ``src_frame_id``: metres, seconds; static: it does not expire."""
+    """The pose of the frame ``dst_frame_id`` in ``src_frame_id``: meters, seconds; a static one does not expire."""
 
     TYPE = "yarp/frameTransform"
     src_frame_id: str = ""
@@ -42,7 +42,7 @@ class FrameTransform(Structure):
     qW: float = 1.0
 
     def _write(self, out: ElementWriter) -> None:
-        """The fields at once: servers send hundreds of these a hundred times a second."""
+        """Write all fields at once, as servers send hundreds of these a hundred times a second."""
         double = out.profile.float64_tag
         try:
             parent = self.src_frame_id.encode("utf-8", "surrogateescape")
@@ -53,29 +53,29 @@ class FrameTransform(Structure):
                 double, self.qX, double, self.qY, double, self.qZ, double, self.qW,
             )  # fmt: skip
         except (struct.error, TypeError, AttributeError, UnicodeEncodeError):
-            super()._write(out)  # which says what is wrong
+            super()._write(out)  # which raises the precise error
             return
         head = _HEAD.pack(tags.LIST, _FIELDS, tags.STRING, len(parent))
         out.block(b"".join((head, parent, _NEXT.pack(tags.STRING, len(child)), child, tail)))
 
     def _read(self, source: ElementReader) -> None:
-        """The usual layout at once; any other that means the same field by field."""
+        """Read the usual layout at once, and equivalent ones field by field."""
         at, data = source.at, source.data
         try:
-            one = _HEAD.unpack_from(data, at)
-            middle = at + _HEAD.size + one[3]
-            two = _NEXT.unpack_from(data, middle)
-            end = middle + _NEXT.size + two[1]
-            found = _TAIL.unpack_from(data, end)
+            first = _HEAD.unpack_from(data, at)
+            middle = at + _HEAD.size + first[3]
+            second = _NEXT.unpack_from(data, middle)
+            end = middle + _NEXT.size + second[1]
+            tail = _TAIL.unpack_from(data, end)
             double = source.profile.float64_tag
             if (
                 source.unit
                 or not source.left
-                or one[:3] != (tags.LIST, _FIELDS, tags.STRING)
-                or min(one[3], two[1]) < 0
-                or two[0] != tags.STRING
-                or found[0:2:2] + found[4::2] != (double,) * 8
-                or found[2] != tags.INT8
+                or first[:3] != (tags.LIST, _FIELDS, tags.STRING)
+                or min(first[3], second[1]) < 0
+                or second[0] != tags.STRING
+                or tail[0:2:2] + tail[4::2] != (double,) * 8
+                or tail[2] != tags.INT8
             ):
                 super()._read(source)
                 return
@@ -87,8 +87,8 @@ class FrameTransform(Structure):
         source.untagged(_HEAD)
         source.block(end + _TAIL.size - source.at)
         self.src_frame_id, self.dst_frame_id = parent, child
-        self.timestamp, self.isStatic = found[1], found[3]
-        self.tX, self.tY, self.tZ, self.qX, self.qY, self.qZ, self.qW = found[5::2]
+        self.timestamp, self.isStatic = tail[1], tail[3]
+        self.tX, self.tY, self.tZ, self.qX, self.qY, self.qZ, self.qW = tail[5::2]
 
 
 SERVER, CLIENT = "/frameTransformServer", "/frameTransformClient"
@@ -98,7 +98,7 @@ STREAM = "/frameTransformGet_nws_yarp/tf:o"
 
 @rpc
 class FrameTransformStorageSetRPC(Service):
-    """Takes transforms: the newest of two frames counts. To delete, order does not matter, and ``*`` is any frame."""
+    """Sets transforms: the newest between two frames counts. Deletes in either order; ``*`` matches any frame."""
 
     def setTransformsRPC(self, transforms: list[FrameTransform]) -> ReturnValue: ...
     def setTransformRPC(self, transform: FrameTransform) -> ReturnValue: ...
@@ -108,7 +108,7 @@ class FrameTransformStorageSetRPC(Service):
 
 @rpc
 class FrameTransformStorageGetRPC(Service):
-    """Gives the transforms that are known and have not expired."""
+    """Returns the transforms that have not expired."""
 
     def getTransformsRPC(self) -> tuple[ReturnValue, list[FrameTransform]]: ...
 

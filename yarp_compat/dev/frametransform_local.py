@@ -1,4 +1,4 @@
-"""Transforms that one program keeps for itself, as YARP's ``frameTransformStorage`` does."""
+"""Transforms that a program stores locally, as YARP's ``frameTransformStorage`` does."""
 
 from __future__ import annotations
 
@@ -13,58 +13,58 @@ from yarp_compat.dev.iframetransform import IFrameTransform
 from yarp_compat.dev.returnvalue import OK, ReturnCode, ReturnValue
 from yarp_compat.os.time import now
 
-_AGAIN = 0.01  # seconds between two looks at what may have expired
+_POLL = 0.01  # seconds between checks for expired transforms
 _ANY = "*"
 
 
 class LocalTransforms(IFrameTransform):
-    """Keeps transforms; those that are not static are forgotten after ``lifetime`` seconds without an update."""
+    """A store of transforms; those that are not static expire ``lifetime`` seconds after their last update."""
 
     def __init__(self, lifetime: float = LIFETIME) -> None:
         self._lifetime = lifetime
-        self._kept: dict[tuple[str, str], FrameTransform] = {}
+        self._transforms: dict[tuple[str, str], FrameTransform] = {}
         self._changed = threading.Condition()
 
     def tree(self) -> FrameTree:
-        """All frames as they are known now."""
+        """Return all current frames."""
         oldest = now() - self._lifetime
         with self._changed:
-            for key in [key for key, t in self._kept.items() if not t.isStatic and t.timestamp < oldest]:
-                del self._kept[key]
-            return FrameTree(self._kept.values())
+            for key in [key for key, t in self._transforms.items() if not t.isStatic and t.timestamp < oldest]:
+                del self._transforms[key]
+            return FrameTree(self._transforms.values())
 
     def send(self, transforms: list[FrameTransform]) -> ReturnValue:
-        """Keep transforms in place of older ones between the same frames."""
+        """Store transforms; they replace older ones between the same frames."""
         with self._changed:
-            self._kept.update({(t.src_frame_id, t.dst_frame_id): t for t in transforms})
+            self._transforms.update({(t.src_frame_id, t.dst_frame_id): t for t in transforms})
             self._changed.notify_all()
         return OK
 
-    def forget(self, one: str, other: str) -> ReturnValue:
-        """Forget what is between two frames, whichever is the parent; false where nothing is."""
+    def remove(self, first: str, second: str) -> ReturnValue:
+        """Delete the transforms between two frames, whichever is the parent; false if there is none."""
         with self._changed:
-            found = [key for key in self._kept if _between(key, one, other) or _between(key, other, one)]
-            for key in found:
-                del self._kept[key]
-        return OK if found else ReturnValue(ReturnCode.METHOD_FAILED)
+            keys = [key for key in self._transforms if _between(key, first, second) or _between(key, second, first)]
+            for key in keys:
+                del self._transforms[key]
+        return OK if keys else ReturnValue(ReturnCode.METHOD_FAILED)
 
-    def forget_all(self) -> ReturnValue:
-        """Forget all transforms."""
+    def remove_all(self) -> ReturnValue:
+        """Delete all transforms."""
         with self._changed:
-            self._kept.clear()
+            self._transforms.clear()
         return OK
 
     def wait_until(self, known: Callable[[FrameTree], bool], timeout: float) -> bool:
-        """Wait until something holds of the frames; whether it does in time."""
+        """Wait until the frames meet a condition; False after ``timeout`` seconds."""
         deadline = time.monotonic() + timeout
         while not known(self.tree()):
             left = deadline - time.monotonic()
             if left <= 0:
                 return False
             with self._changed:
-                self._changed.wait(min(left, _AGAIN))
+                self._changed.wait(min(left, _POLL))
         return True
 
 
-def _between(key: tuple[str, str], one: str, other: str) -> bool:
-    return all(asked in (_ANY, name) for asked, name in zip((one, other), key, strict=True))
+def _between(key: tuple[str, str], parent: str, child: str) -> bool:
+    return all(pattern in (_ANY, name) for pattern, name in zip((parent, child), key, strict=True))

@@ -1,11 +1,11 @@
-"""IMap2D on the wire: maps, and places on them, that a server keeps (`devices/messages/IMap2DMsgs/IMap2DMsgs.thrift`).
+"""IMap2D on the wire: the maps and places of a server (`devices/messages/IMap2DMsgs/IMap2DMsgs.thrift`).
 
-Requests are the same in all releases from 3.6 on; objects and ``reload`` came with 3.12. Replies differ, see
-`yarp_compat.dev.returnvalue`. A ``get`` that fails has a default beside its outcome; ``get_all`` gives no names.
+Requests are the same in all releases from 3.6 on; objects and ``reload`` were added in 3.12. Replies differ, see
+`yarp_compat.dev.returnvalue`. A failed ``get`` returns a default after its outcome; ``get_all`` returns no names.
 """
 
 # mypy: disable-error-code="empty-body"
-# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
+# ruff: noqa: D102 - the names are those of YARP's .thrift file
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from yarp_compat.wire.generation import Generation
 
 @rpc
 class IMap2DMsgs(Service):
-    """The methods of a map server's port; ``get_all`` is in the order of names, temporary flags are obstacles."""
+    """The methods of a map server's port; ``get_all`` is sorted by name; temporary flags are obstacles."""
 
     def clear_all_maps_RPC(self) -> ReturnValue: ...
     def store_map_RPC(self, themap: MapGrid2D) -> ReturnValue: ...

@@ -1,8 +1,8 @@
-"""INavigation2D on the wire, and for a planner: goals, their control, and velocities (`INavigation2DMsgs.thrift`).
+"""INavigation2D on the wire, and its server for planners: goals, control, velocities (`INavigation2DMsgs.thrift`).
 
-Requests are the same in all releases from 3.6 on; ``follow_path`` came with 3.10. Maps, localisation, and what YARP's
-client computes from them, are asked of other servers: see `yarp_compat.dev.navigation2d_client`. A planner's port
-answers by ``Server(Navigation2DServer(Mine()))``, as YARP's ``navigation2D_nws_yarp`` makes it of a device::
+Requests are the same in all releases from 3.6 on; ``follow_path`` was added in 3.10. Maps and localization are on other
+servers, and some results are computed by the client: see `yarp_compat.dev.navigation2d_client`. Like YARP's
+``navigation2D_nws_yarp``, ``Server(Navigation2DServer(Mine()))`` offers a planner at a port::
 
     class Mine:
         def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> None: ...
@@ -10,7 +10,7 @@ answers by ``Server(Navigation2DServer(Mine()))``, as YARP's ``navigation2D_nws_
 """
 
 # mypy: disable-error-code="empty-body"
-# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
+# ruff: noqa: D102 - the names are those of YARP's .thrift file
 
 from __future__ import annotations
 
@@ -42,26 +42,26 @@ class NavigationStatusEnum(VocabEnum):
 
     @property
     def ended(self) -> bool:
-        """Whether no target is under way any more."""
+        """Whether the robot no longer drives to a target."""
         return self.name.removeprefix(_STATUS) in ("idle", "goal_reached", "aborted", "failing", "error")
 
 
 class TrajectoryTypeEnum(VocabEnum):
-    """Which waypoints are asked for."""
+    """The requested kind of waypoints."""
 
     global_trajectory = "glob"
     local_trajectory = "loca"
 
 
 class NavigationMapTypeEnum(VocabEnum):
-    """Which map is asked for."""
+    """The requested kind of map."""
 
     global_map = "glob"
     local_map = "loca"
 
 
 def stringToStatus(s: str) -> NavigationStatusEnum:
-    """The status of a text, ``navigation_status_moving`` or ``moving``; of any other, that of an error."""
+    """Return the status of a text, ``navigation_status_moving`` or ``moving``; for any other, that of an error."""
     try:
         return NavigationStatusEnum[_STATUS + s.removeprefix(_STATUS)]
     except KeyError:
@@ -69,20 +69,20 @@ def stringToStatus(s: str) -> NavigationStatusEnum:
 
 
 def statusToString(status: NavigationStatusEnum) -> str:
-    """The text of a status, as ``status:o`` sends it."""
+    """Return the text of a status, as in ``status:o``."""
     return status.name
 
 
 @rpc
 class INavigation2DMsgs(Service):
-    """The methods of a planner's port: metres, degrees, seconds; what is relative is in the robot's frame.
+    """The methods of a planner's port: meters, degrees, seconds; relative targets are in the robot's frame.
 
-    Servers of 3.12 and 4.0 forget how long a velocity holds, and take 0.1 s.
+    Servers of 3.12 and 4.0 ignore the timeout of a velocity, and assume 0.1 s.
     """
 
     def stop_navigation_RPC(self) -> ReturnValue: ...
     def resume_navigation_RPC(self) -> ReturnValue: ...
-    def suspend_navigation_RPC(self, time_s: float) -> ReturnValue: ...  # infinite: for ever
+    def suspend_navigation_RPC(self, time_s: float) -> ReturnValue: ...  # infinite: until resumed
     def recompute_current_navigation_path_RPC(self) -> ReturnValue: ...
     def get_navigation_status_RPC(self) -> tuple[ReturnValue, NavigationStatusEnum]: ...
     def get_current_nav_waypoint_RPC(self) -> tuple[ReturnValue, Map2DLocation]: ...
@@ -93,7 +93,7 @@ class INavigation2DMsgs(Service):
 
     def goto_target_by_absolute_location_RPC(self, loc: Map2DLocation) -> ReturnValue: ...
     def follow_path_RPC(self, path: Map2DPath) -> ReturnValue: ...
-    def goto_target_by_relative_location1_RPC(self, x: float, y: float) -> ReturnValue: ...  # in any heading
+    def goto_target_by_relative_location1_RPC(self, x: float, y: float) -> ReturnValue: ...  # with any heading
     def goto_target_by_relative_location2_RPC(self, x: float, y: float, theta: float) -> ReturnValue: ...
     def get_absolute_location_of_current_target_RPC(self) -> tuple[ReturnValue, Map2DLocation]: ...
     def get_relative_location_of_current_target_RPC(self) -> tuple[ReturnValue, float, float, float]: ...
@@ -106,15 +106,15 @@ class INavigation2DMsgs(Service):
     def get_name_of_current_target_RPC(self) -> tuple[ReturnValue, str]: ...
 
 
-_NO_TARGET = "there is no target"
-_FARTHEST = 1e7  # metres: farther than maps go
+_NO_TARGET = "no target"
+_FARTHEST = 1e7  # meters: beyond any map
 
 
 class Navigation2DServer(INavigation2DMsgs):
-    """Answers with a device. What it gets is sound: a goal's x and y are on some map, a path has waypoints.
+    """Serves a device. It validates arguments first: a goal's x and y are within map range, a path has waypoints.
 
-    A heading that is no number means that any will do, as it does to YARP's robotGoto. ``target_name`` is the name of
-    the current target, or "".
+    A heading of NaN means any heading, as for YARP's robotGoto. ``target_name`` is the name of the current target, or
+    "".
 
     Args:
         device: any object with the methods of YARP's INavigation2DTargetActions, ...ControlActions and
@@ -136,32 +136,32 @@ class Navigation2DServer(INavigation2DMsgs):
         return self._calls.done("resumeNavigation")
 
     def suspend_navigation_RPC(self, time_s: float) -> ReturnValue:
-        """YARP's robotGoto too stays where it is for ever where the time is 0 or below."""
+        """Pause; like YARP's robotGoto, until resumed if the time is 0 or below."""
         return self._calls.done("suspendNavigation", time_s if time_s > 0 else math.inf)
 
     def recompute_current_navigation_path_RPC(self) -> ReturnValue:
         return self._calls.done("recomputeCurrentNavigationPath")
 
     def get_navigation_status_RPC(self) -> tuple[ReturnValue, NavigationStatusEnum]:
-        status = self._calls.found("getNavigationStatus", lacking="there is no status")
+        status = self._calls.result("getNavigationStatus", lacking="no status")
         if isinstance(status, str):
             status = NavigationStatusEnum[f"navigation_status_{status.removeprefix('navigation_status_')}"]
         return OK, status
 
     def get_current_nav_waypoint_RPC(self) -> tuple[ReturnValue, Map2DLocation]:
-        return OK, self._calls.found("getCurrentNavigationWaypoint", lacking="there is no waypoint")
+        return OK, self._calls.result("getCurrentNavigationWaypoint", lacking="no waypoint")
 
     def get_all_navigation_waypoints_RPC(self, trajectory_type: TrajectoryTypeEnum) -> tuple[ReturnValue, Map2DPath]:
-        return OK, self._calls.found("getAllNavigationWaypoints", trajectory_type, lacking="there is no way")
+        return OK, self._calls.result("getAllNavigationWaypoints", trajectory_type, lacking="no path")
 
     def get_current_navigation_map_RPC(self, map_type: NavigationMapTypeEnum) -> tuple[ReturnValue, MapGrid2D]:
-        return OK, self._calls.found("getCurrentNavigationMap", map_type, lacking="there is no such map")
+        return OK, self._calls.result("getCurrentNavigationMap", map_type, lacking="no such map")
 
     def goto_target_by_absolute_location_RPC(self, loc: Map2DLocation) -> ReturnValue:
         return self.goto_target_by_absolute_location_and_set_name_RPC(loc, "")
 
     def goto_target_by_absolute_location_and_set_name_RPC(self, loc: Map2DLocation, name: str) -> ReturnValue:
-        _sound_goal(loc.x, loc.y, loc.theta)
+        _check_goal(loc.x, loc.y, loc.theta)
         outcome = self._calls.done("gotoTargetByAbsoluteLocation", loc)
         if outcome:
             self.target_name = name
@@ -171,7 +171,7 @@ class Navigation2DServer(INavigation2DMsgs):
         return self.goto_target_by_relative_location2_RPC(x, y, math.nan)
 
     def goto_target_by_relative_location2_RPC(self, x: float, y: float, theta: float) -> ReturnValue:
-        _sound_goal(x, y, theta)
+        _check_goal(x, y, theta)
         outcome = self._calls.done("gotoTargetByRelativeLocation", x, y, theta)
         return self._unnamed(outcome)
 
@@ -179,25 +179,25 @@ class Navigation2DServer(INavigation2DMsgs):
         if not path.waypoints:
             raise CallFailed(ReturnCode.METHOD_FAILED, "the path has no waypoints")
         for place in path:
-            _sound_goal(place.x, place.y, place.theta)
+            _check_goal(place.x, place.y, place.theta)
         return self._unnamed(self._calls.done("followPath", path))
 
     def get_absolute_location_of_current_target_RPC(self) -> tuple[ReturnValue, Map2DLocation]:
-        return OK, self._calls.found("getAbsoluteLocationOfCurrentTarget", lacking=_NO_TARGET)
+        return OK, self._calls.result("getAbsoluteLocationOfCurrentTarget", lacking=_NO_TARGET)
 
     def get_relative_location_of_current_target_RPC(self) -> tuple[ReturnValue, float, float, float]:
-        x, y, theta = self._calls.found("getRelativeLocationOfCurrentTarget", lacking=_NO_TARGET)
+        x, y, theta = self._calls.result("getRelativeLocationOfCurrentTarget", lacking=_NO_TARGET)
         return OK, x, y, theta
 
     def get_name_of_current_target_RPC(self) -> tuple[ReturnValue, str]:
         return OK, self.target_name
 
     def apply_velocity_command_RPC(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> ReturnValue:
-        _sound(x_vel, y_vel, theta_vel, timeout)
+        _check_finite(x_vel, y_vel, theta_vel, timeout)
         return self._calls.done("applyVelocityCommand", x_vel, y_vel, theta_vel, timeout)
 
     def get_last_velocity_command_RPC(self) -> tuple[ReturnValue, float, float, float]:
-        x, y, theta = self._calls.found("getLastVelocityCommand", lacking="nothing was commanded")
+        x, y, theta = self._calls.result("getLastVelocityCommand", lacking="no command yet")
         return OK, x, y, theta
 
     def _unnamed(self, outcome: ReturnValue) -> ReturnValue:
@@ -206,12 +206,12 @@ class Navigation2DServer(INavigation2DMsgs):
         return outcome
 
 
-def _sound_goal(x: float, y: float, theta: float) -> None:
-    _sound(x, y, 0.0 if math.isnan(theta) else theta)
+def _check_goal(x: float, y: float, theta: float) -> None:
+    _check_finite(x, y, 0.0 if math.isnan(theta) else theta)
     if max(abs(x), abs(y)) > _FARTHEST:
-        raise CallFailed(ReturnCode.METHOD_FAILED, f"({x:g}, {y:g}) is on no map")
+        raise CallFailed(ReturnCode.METHOD_FAILED, f"({x:g}, {y:g}) is beyond any map")
 
 
-def _sound(*numbers: float) -> None:
+def _check_finite(*numbers: float) -> None:
     if not all(map(math.isfinite, numbers)):
         raise CallFailed(ReturnCode.METHOD_FAILED, f"{numbers} are not all finite numbers")

@@ -1,7 +1,7 @@
-"""A large language model behind a port (`ILLMMsgs.thrift`, `ILLM.h`), and its client as YARP's ``LLM_nwc_yarp``."""
+"""A large language model at a port (`ILLMMsgs.thrift`, `ILLM.h`), and its client, as YARP's ``LLM_nwc_yarp``."""
 
 # mypy: disable-error-code="empty-body"
-# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
+# ruff: noqa: D102 - the names are those of YARP's .thrift file
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Unpack
 
 from yarp_compat.dev.client import ClientOptions, ServiceClient
 from yarp_compat.dev.fields import Generated
-from yarp_compat.dev.returnvalue import ReturnValue, called, outcome_of
+from yarp_compat.dev.returnvalue import ReturnValue, invoke, outcome_of
 from yarp_compat.dev.service import Service, rpc
 from yarp_compat.os.data.stdvector import StdVector
 
 
 @dataclass
 class LLM_Message(Generated):  # noqa: N801 - YARP's name
-    """A message of a conversation: who says it (``user``, ``assistant``, ``function``), and what."""
+    """A message of a conversation: its author (``user``, ``assistant``, ``function``) and content."""
 
     type: str = ""
     content: str = ""
@@ -27,7 +27,7 @@ class LLM_Message(Generated):  # noqa: N801 - YARP's name
 
 
 class LLMVector(StdVector):
-    """Of messages."""
+    """A vector of messages."""
 
     def __init__(self, content: int | Iterable[LLM_Message] = ()) -> None:
         super().__init__((LLM_Message() for _ in range(content)) if isinstance(content, int) else content)
@@ -46,7 +46,7 @@ class ILLMMsgs(Service):
 
 
 class ILLM:
-    """The interface under YARP's names; what C++ returns by reference is filled in here too, a text in a list."""
+    """The interface under YARP's names; like C++, it fills in results, texts in a list."""
 
     def __init__(self, remote: ILLMMsgs) -> None:
         self._remote = remote
@@ -56,20 +56,20 @@ class ILLM:
     refreshConversation = outcome_of(ILLMMsgs.refreshConversation)
 
     def readPrompt(self, oPrompt: MutableSequence[str]) -> ReturnValue:
-        """What the model was told at first."""
-        return called(self._remote.readPrompt, into=oPrompt)
+        """The prompt of the conversation."""
+        return invoke(self._remote.readPrompt, into=oPrompt)
 
     def ask(self, question: str, answer: LLM_Message) -> ReturnValue:
-        """Ask, and wait for the answer."""
-        return called(self._remote.ask, question, into=answer)
+        """Ask a question and wait for the answer."""
+        return invoke(self._remote.ask, question, into=answer)
 
     def getConversation(self, conversation: MutableSequence[LLM_Message]) -> ReturnValue:
-        """All that was said, from the prompt on."""
-        return called(self._remote.getConversation, into=conversation)
+        """All messages, from the prompt on."""
+        return invoke(self._remote.getConversation, into=conversation)
 
 
 class LLMClient(ServiceClient[ILLMMsgs]):
-    """A client of a model's port; ``llm`` has the interface. A model may think for long: wait as long as it does."""
+    """A client of a model's port; ``llm`` has the interface. By default replies have no timeout, as models are slow."""
 
     def __init__(self, server: str, name: str = "", **options: Unpack[ClientOptions]) -> None:
         options.setdefault("timeout", None)

@@ -1,14 +1,14 @@
-"""ILocalization2D: on the wire (`ILocalization2DMsgs.thrift`), for clients as YARP users know it, and for a localiser.
+"""ILocalization2D: on the wire (`ILocalization2DMsgs.thrift`), its client, and its server for localizers.
 
-with Localization2DClient("/localization2D_nws_yarp") as where:
-    print(where.position)
-    where.getCurrentPosition(location)         # as in C++: true where it succeeded
+with Localization2DClient("/localization2D_nws_yarp") as localizer:
+    print(localizer.position)
+    localizer.getCurrentPosition(location)     # as in C++: true if it succeeded
 
-A localiser's port answers by ``Server(Localization2DServer(device))``. Metres and degrees.
+``Server(Localization2DServer(device))`` offers a localizer at a port. Meters and degrees.
 """
 
 # mypy: disable-error-code="empty-body"
-# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
+# ruff: noqa: D102 - the names are those of YARP's .thrift file
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from yarp_compat.dev.client import ClientOptions, ServiceClient
 from yarp_compat.dev.fields import Nested, VocabEnum
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.map2d_client import succeeded
-from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue, asked, called, outcome_of
+from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue, fetch, invoke, outcome_of
 from yarp_compat.dev.server import DeviceCalls
 from yarp_compat.dev.service import Service, rpc
 from yarp_compat.sig.matrix import Matrix
@@ -34,9 +34,9 @@ SHAPE = (3, 3)
 
 
 class CovarianceCodec(Nested):
-    """A pose's covariance, 3x3, zeros for None: a real client that gets an empty matrix hangs.
+    """A pose's covariance, 3x3; zeros for None, as real clients hang on an empty matrix.
 
-    An empty one is read as such: servers of YARP 3.12 and 4.0 send it where all went well, having confused two cases.
+    Reading accepts an empty one: servers of YARP 3.12 and 4.0 confuse two cases and send it on success.
     """
 
     def __init__(self) -> None:
@@ -47,27 +47,27 @@ class CovarianceCodec(Nested):
         matrix = self.default() if value is None else value if isinstance(value, Matrix) else Matrix(np.asarray(value))
         if not matrix.numpy().size:
             matrix = self.default()
-        _sized(matrix)
+        _check_shape(matrix)
         super().write(out, matrix, tagged=tagged)
 
     def read(self, source: ElementReader) -> Matrix:
         matrix = Matrix()
         matrix._read(source)
         if matrix.numpy().size:
-            _sized(matrix)
+            _check_shape(matrix)
         return matrix
 
 
-def _sized(matrix: Matrix) -> None:
+def _check_shape(matrix: Matrix) -> None:
     if matrix.numpy().shape != SHAPE:
-        raise WireError(f"a pose's covariance is 3x3, not {matrix.rows()}x{matrix.cols()}")
+        raise WireError(f"a pose's covariance must be 3x3, not {matrix.rows()}x{matrix.cols()}")
 
 
 Covariance = Annotated[Matrix, CovarianceCodec()]
 
 
 class LocalizationStatusEnum(VocabEnum):
-    """The state of a localisation."""
+    """The state of a localization."""
 
     localization_status_not_yet_localized = "locn"
     localization_status_localized_ok = "locy"
@@ -76,7 +76,7 @@ class LocalizationStatusEnum(VocabEnum):
 
 @rpc
 class ILocalization2DMsgs(Service):
-    """The methods of a localisation server's port: metres, degrees; covariances of x, y, theta; poses are particles."""
+    """The methods of a localization server's port: meters, degrees; covariances of x, y, theta; poses are particles."""
 
     def start_localization_service_RPC(self) -> ReturnValue: ...
     def stop_localization_service_RPC(self) -> ReturnValue: ...
@@ -103,24 +103,24 @@ class ILocalization2D:
     stopLocalizationService = outcome_of(ILocalization2DMsgs.stop_localization_service_RPC, "_localization")
 
     def getLocalizationStatus(self, status: list[Any] | None = None) -> Any:
-        """The state of the localisation."""
-        return asked(self._localization.get_localization_status_RPC, into=status, default=_UNSURE)
+        """The state of the localization."""
+        return fetch(self._localization.get_localization_status_RPC, into=status, default=_UNSURE)
 
     def getEstimatedPoses(self, poses: list[Map2DLocation] | None = None) -> Any:
-        """The robot's possible poses: the particles. Servers of 3.12 and 4.0 never give any."""
-        return asked(self._localization.get_estimated_poses_RPC, into=poses, default=[])
+        """The robot's possible poses: the particles. Servers of 3.12 and 4.0 never return any."""
+        return fetch(self._localization.get_estimated_poses_RPC, into=poses, default=[])
 
     def getCurrentPosition(self, loc: Map2DLocation | None = None, cov: Matrix | None = None) -> Any:
-        """The robot's pose; with its covariance where a matrix is given for that.
+        """The robot's pose; also its covariance if a matrix is given for it.
 
-        Servers of 3.12 and 4.0 confuse success and failure, and send neither where they know both: a failure here.
+        Servers of 3.12 and 4.0 confuse success and failure, and send neither if they know both; that is a failure here.
         """
         if cov is None:
-            return asked(self._localization.get_current_position1_RPC, into=loc, default=Map2DLocation())
-        outcome, *found = returnvalue.answered(self._localization.get_current_position2_RPC)
+            return fetch(self._localization.get_current_position1_RPC, into=loc, default=Map2DLocation())
+        outcome, *results = returnvalue.results_of(self._localization.get_current_position2_RPC)
         if not outcome:
             return outcome
-        location, covariance = found
+        location, covariance = results
         if not covariance.numpy().size:
             return _FAILED
         returnvalue.fill(Map2DLocation() if loc is None else loc, location)
@@ -129,47 +129,47 @@ class ILocalization2D:
 
     def getEstimatedOdometry(self, odom: OdometryData | None = None) -> Any:
         """The robot's odometry."""
-        return asked(self._localization.get_estimated_odometry_RPC, into=odom, default=OdometryData())
+        return fetch(self._localization.get_estimated_odometry_RPC, into=odom, default=OdometryData())
 
     def setInitialPose(self, loc: Map2DLocation, cov: Matrix | None = None) -> ReturnValue:
-        """Set the robot's pose, and its covariance of 3x3."""
+        """Set the robot's pose and its 3x3 covariance."""
         if cov is None:
-            return called(self._localization.set_initial_pose1_RPC, loc)
+            return invoke(self._localization.set_initial_pose1_RPC, loc)
         if cov.numpy().shape != (3, 3):
             return _FAILED
-        return called(self._localization.set_initial_pose2_RPC, loc, cov)
+        return invoke(self._localization.set_initial_pose2_RPC, loc, cov)
 
     @property
     def position(self) -> Map2DLocation:
-        """The robot's place; raises `CallFailed` where the server does not know, `OSError` where it does not answer."""
+        """The robot's pose; raises `CallFailed` if it is unknown, `OSError` if the server does not reply."""
         outcome, location = self._localization.get_current_position1_RPC()
         succeeded(outcome)
         return location
 
 
 class Localization2DClient(ServiceClient[ILocalization2DMsgs], ILocalization2D):
-    """A client of a localisation server; ``server`` and ``name`` begin the ports' names; see `ServiceClient`."""
+    """A client of a localization server; ``server`` and ``name`` are port prefixes; see `ServiceClient`."""
 
     def __init__(
         self, server: str = "/localization2D_nws_yarp", name: str = "", **options: Unpack[ClientOptions]
     ) -> None:
-        mine = name and f"{name}/localization/rpc"
-        ServiceClient.__init__(self, ILocalization2DMsgs, f"{server}/rpc", mine, **options)
+        rpc_port = name and f"{name}/localization/rpc"
+        ServiceClient.__init__(self, ILocalization2DMsgs, f"{server}/rpc", rpc_port, **options)
         ILocalization2D.__init__(self, self.remote)
 
 
 _STATUS = "localization_status_"
-_NOT_KNOWN = "it is not known where the robot is"
+_NOT_KNOWN = "the robot's position is unknown"
 
 
 class Localization2DServer(ILocalization2DMsgs):
-    """Answers with a device.
+    """Serves a localization device.
 
     Args:
         device: any object with the methods of YARP's ILocalization2D, or some of them; see `DeviceCalls`. They run on
             the threads of the connections, several at a time. ``getLocalizationStatus`` returns a status or its name
             (``localized_ok``); ``getCurrentPosition`` a location and its covariance (a 3x3 array or matrix, or None:
-            zeros are sent); ``setInitialPose`` gets a location and an array of 3x3, or None where none was sent.
+            zeros are sent); ``setInitialPose`` gets a location and a 3x3 array, or None if the client sent none.
     """
 
     def __init__(self, device: object) -> None:
@@ -183,13 +183,13 @@ class Localization2DServer(ILocalization2DMsgs):
         return self._calls.done("stopLocalizationService")
 
     def get_localization_status_RPC(self) -> tuple[ReturnValue, LocalizationStatusEnum]:
-        status = self._calls.found("getLocalizationStatus", lacking="there is no status")
+        status = self._calls.result("getLocalizationStatus", lacking="no status")
         if isinstance(status, str):
             status = LocalizationStatusEnum[_STATUS + status.removeprefix(_STATUS)]
         return OK, status
 
     def get_estimated_poses_RPC(self) -> tuple[ReturnValue, list[Map2DLocation]]:
-        return OK, self._calls.found("getEstimatedPoses", lacking="there are no particles")
+        return OK, self._calls.result("getEstimatedPoses", lacking="no particles")
 
     def get_current_position1_RPC(self) -> tuple[ReturnValue, Map2DLocation]:
         return OK, self._position()[0]
@@ -198,22 +198,22 @@ class Localization2DServer(ILocalization2DMsgs):
         return OK, *self._position()
 
     def get_estimated_odometry_RPC(self) -> tuple[ReturnValue, OdometryData]:
-        return OK, self._calls.found("getEstimatedOdometry", lacking="there is no odometry")
+        return OK, self._calls.result("getEstimatedOdometry", lacking="no odometry")
 
     def set_initial_pose1_RPC(self, loc: Map2DLocation) -> ReturnValue:
-        return self._placed(loc, None)
+        return self._set_pose(loc, None)
 
     def set_initial_pose2_RPC(self, loc: Map2DLocation, cov: Matrix) -> ReturnValue:
-        return self._placed(loc, cov.numpy() if cov.numpy().size else None)
+        return self._set_pose(loc, cov.numpy() if cov.numpy().size else None)
 
     def _position(self) -> tuple[Map2DLocation, Any]:
-        location, covariance = self._calls.found("getCurrentPosition", lacking=_NOT_KNOWN)
+        location, covariance = self._calls.result("getCurrentPosition", lacking=_NOT_KNOWN)
         return location, covariance
 
-    def _placed(self, loc: Map2DLocation, covariance: Any) -> ReturnValue:
+    def _set_pose(self, loc: Map2DLocation, covariance: Any) -> ReturnValue:
         numbers = (loc.x, loc.y, loc.theta, *(() if covariance is None else covariance.ravel()))
         if not all(map(math.isfinite, numbers)):
-            raise CallFailed(ReturnCode.METHOD_FAILED, "the pose or its covariance has numbers that are not finite")
+            raise CallFailed(ReturnCode.METHOD_FAILED, "the pose or its covariance contains non-finite numbers")
         if covariance is not None and covariance.diagonal().min() < 0.0:
-            raise CallFailed(ReturnCode.METHOD_FAILED, "the pose's covariance has variances below zero")
+            raise CallFailed(ReturnCode.METHOD_FAILED, "the pose's covariance contains negative variances")
         return self._calls.done("setInitialPose", loc, covariance)

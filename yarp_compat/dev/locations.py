@@ -1,6 +1,6 @@
 """Places on maps (`yarp/dev/Map2DLocation.h`, `Map2DObject.h`, `Map2DArea.h`, `Map2DPath.h`).
 
-Two are equal where their descriptions are too, on which YARP does not look.
+Equality includes the descriptions, which YARP ignores.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from yarp_compat.sig.vec2d import Vec2D
 
 
 class _Place(Structure):
-    """The methods that the bindings give all of them."""
+    """The common methods of YARP's bindings."""
 
     def toString(self) -> str:
-        """All of it as a text."""
+        """Return all fields as text."""
         raise NotImplementedError
 
     def toString_c(self) -> str:
-        """All of it as a text."""
+        """Return all fields as text."""
         return self.toString()
 
     def isEqual(self, other: object) -> bool:
-        """Whether another is the same."""
+        """Whether another place is equal."""
         return self == other
 
     def notEqual(self, other: object) -> bool:
-        """Whether another differs."""
+        """Whether another place differs."""
         return self != other
 
 
 @dataclass
 class Map2DLocation(_Place):
-    """A pose on the map ``map_id``: metres, metres, degrees; the description is for people."""
+    """A pose on the map ``map_id``: meters, meters, degrees; the description is for users."""
 
     map_id: str = ""
     x: float = 0.0
@@ -48,7 +48,7 @@ class Map2DLocation(_Place):
     def is_near_to(
         self, other_loc: Map2DLocation, linear_tolerance: float, angular_tolerance: float = math.inf
     ) -> bool:
-        """Whether another pose is on the same map, and not further away than so many metres and degrees."""
+        """Whether another pose is on the same map and within the tolerances, in meters and degrees."""
         if self.map_id != other_loc.map_id or linear_tolerance < 0 or angular_tolerance < 0:
             return False
         if math.hypot(self.x - other_loc.x, self.y - other_loc.y) > linear_tolerance:
@@ -59,12 +59,12 @@ class Map2DLocation(_Place):
         )
 
     def toString(self) -> str:
-        """All of it as a text."""
+        """Return all fields as text."""
         return f"map_id:{self.map_id} x:{self.x:g} y:{self.y:g} theta:{self.theta:g}desc:{self.description}"
 
 
 class Map2DLocationVector(StdVector):
-    """Of locations."""
+    """A vector of locations."""
 
     def __init__(self, content: int | Iterable[Map2DLocation] = ()) -> None:
         super().__init__((Map2DLocation() for _ in range(content)) if isinstance(content, int) else content)
@@ -72,7 +72,7 @@ class Map2DLocationVector(StdVector):
 
 @dataclass
 class Map2DObject(_Place):
-    """A pose in space on the map ``map_id``: metres, and angles about the three axes; the description is for people."""
+    """A pose in space on the map ``map_id``: meters, and angles about the three axes; the description is for users."""
 
     map_id: str = ""
     x: float = 0.0
@@ -84,28 +84,28 @@ class Map2DObject(_Place):
     description: str = ""
 
     def is_near_to(self, other_loc: Map2DObject | Map2DLocation, linear_tolerance: float) -> bool:
-        """Whether an object, or in the plane a location, is on the same map and so many metres away or nearer."""
+        """Whether an object, or in the plane a location, is on the same map and within the tolerance in meters."""
         if self.map_id != other_loc.map_id or linear_tolerance < 0:
             return False
         height = self.z - other_loc.z if isinstance(other_loc, Map2DObject) else 0.0
         return math.hypot(self.x - other_loc.x, self.y - other_loc.y, height) <= linear_tolerance
 
     def toString(self) -> str:
-        """All of it as a text."""
+        """Return all fields as text."""
         place = f"map_id:{self.map_id} x:{self.x:g} y:{self.y:g} z:{self.z:g}"
         return f"{place} roll:{self.roll:g} pitch:{self.pitch:g} yaw:{self.yaw:g} desc:{self.description}"
 
 
 @dataclass
 class Map2DArea(_Place):
-    """A polygon on the map ``map_id``, with corners in metres; the description is for people."""
+    """A polygon on the map ``map_id``, with corners in meters; the description is for users."""
 
     map_id: str = ""
     points: list[Vec2D] = field(default_factory=list)
     description: str = ""
 
     def isValid(self) -> bool:
-        """Whether it has three corners or more and is on a map."""
+        """Whether the area has at least three corners and is on a map."""
         return len(self.points) >= 3 and self.map_id != ""
 
     def checkLocationInsideArea(self, loc: Map2DLocation) -> bool:
@@ -117,18 +117,18 @@ class Map2DArea(_Place):
         return obj.map_id == self.map_id and self.contains(obj.x, obj.y)
 
     def contains(self, x: float, y: float) -> bool:
-        """Whether a place on its map, metres, is inside."""
+        """Whether a point on its map (meters) is inside."""
         return len(self.points) >= 3 and sum(border <= x for border in self._borders(y)) % 2 == 1
 
     def findAreaBounds(self) -> tuple[Map2DLocation, Map2DLocation] | None:
-        """Its corners of least and greatest x and y; None where it is no area; YARP finds 0 where all are below."""
+        """Return the corners of the bounding box; None if invalid. Unlike YARP, the maximum may be negative."""
         if not self.isValid():
             return None
         xs, ys = [point.x for point in self.points], [point.y for point in self.points]
         return Map2DLocation(self.map_id, min(xs), min(ys)), Map2DLocation(self.map_id, max(xs), max(ys))
 
     def getCentroid(self) -> Map2DLocation | None:
-        """The middle of its bounds; None where it is no area. YARP gives half its size instead."""
+        """Return the center of the bounding box; None if invalid. YARP returns half its size instead."""
         bounds = self.findAreaBounds()
         if bounds is None:
             return None
@@ -136,7 +136,7 @@ class Map2DArea(_Place):
         return Map2DLocation(self.map_id, (low.x + high.x) / 2, (low.y + high.y) / 2)
 
     def getRandomLocation(self) -> Map2DLocation | None:
-        """A location inside, of theta 0; None where it has no inside."""
+        """Return a random location inside, with theta 0; None if the area is empty."""
         bounds = self.findAreaBounds()
         if bounds is None:
             return None
@@ -151,12 +151,12 @@ class Map2DArea(_Place):
         return None
 
     def clear(self) -> None:
-        """Become no area."""
+        """Remove the map, the corners and the description."""
         self.map_id, self.description = "", ""
         self.points.clear()
 
     def toString(self) -> str:
-        """All of it as a text."""
+        """Return all fields as text."""
         points = "".join(f" point {i}({point.x:g},{point.y:g})" for i, point in enumerate(self.points))
         return f"map_id:{self.map_id} {points}desc:{self.description}"
 
@@ -167,21 +167,21 @@ class Map2DArea(_Place):
         return len(self.points)
 
     def __bool__(self) -> bool:
-        return True  # an empty one too is an area
+        return True  # even without corners
 
     def _borders(self, y: float) -> list[float]:
-        """The crossings of the polygon and a line along the x axis."""
+        """Return the x of each crossing of the polygon and the line at ``y``."""
         corners = zip(self.points, [*self.points[1:], *self.points[:1]], strict=True)
         return [
-            (there.x - here.x) * (y - here.y) / (there.y - here.y) + here.x
-            for here, there in corners
-            if (here.y > y) != (there.y > y)
+            (end.x - start.x) * (y - start.y) / (end.y - start.y) + start.x
+            for start, end in corners
+            if (start.y > y) != (end.y > y)
         ]
 
 
 @dataclass
 class Map2DPath(_Place):
-    """A way: the poses to pass, and a description for people."""
+    """A path: the poses to pass, and a description for users."""
 
     waypoints: list[Map2DLocation] = field(default_factory=list)
     description: str = ""
@@ -191,25 +191,25 @@ class Map2DPath(_Place):
         return len(self.waypoints)
 
     def getLength(self) -> float:
-        """Metres along it, without ways from map to map; YARP adds up how far poses are from their map's origin."""
+        """Return the length in meters without changes of map; YARP adds the poses' distances from the origin."""
         steps = zip(self.waypoints, self.waypoints[1:], strict=False)
         return sum(math.hypot(b.x - a.x, b.y - a.y) for a, b in steps if a.map_id == b.map_id)
 
     def isOnSingleMap(self) -> bool:
-        """Whether all its poses are on one map."""
+        """Whether all poses are on one map."""
         return len({waypoint.map_id for waypoint in self.waypoints}) <= 1
 
     def push_back(self, loc: Map2DLocation) -> None:
-        """Go on to another pose."""
+        """Append a pose."""
         self.waypoints.append(loc)
 
     def clear(self) -> None:
-        """Become no path."""
+        """Remove the poses and the description."""
         self.waypoints.clear()
         self.description = ""
 
     def toString(self) -> str:
-        """All of it as a text."""
+        """Return all fields as text."""
         places = "".join(
             f" waypoint {i}({place.map_id} {place.x:.2g},{place.y:.2g},{place.theta:.2g})"
             for i, place in enumerate(self.waypoints)
@@ -226,4 +226,4 @@ class Map2DPath(_Place):
         return len(self.waypoints)
 
     def __bool__(self) -> bool:
-        return True  # an empty one too is a way
+        return True  # even without poses

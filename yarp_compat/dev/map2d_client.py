@@ -1,9 +1,9 @@
-"""``IMap2D`` as YARP users know it, and the Python way: a server's maps and places as mappings.
+"""A client of a map server: YARP's ``IMap2D``, and the maps and places as mappings.
 
 with Map2DClient("/map2D_nws_yarp/rpc") as maps:
     maps.locations["kitchen"] = Map2DLocation("office", 1.0, 2.0, 90.0)
     office = maps.maps["office"]
-    maps.getLocation("kitchen", location)      # as in C++: true where it succeeded
+    maps.getLocation("kitchen", location)      # as in C++: true if it succeeded
 """
 
 from __future__ import annotations
@@ -21,113 +21,113 @@ T = TypeVar("T")
 
 
 class _View(MutableMapping[str, T], Generic[T]):
-    """Things of one kind by name, through the server's methods for that kind."""
+    """The items of one kind by name, through the server's methods for that kind."""
 
     def __init__(self, remote: IMap2DMsgs, kind: str, names: str, delete: str) -> None:
         self._remote, self._kind, self._names, self._delete = remote, kind, names, delete
 
     def __getitem__(self, name: str) -> T:
-        return cast("T", self._called(f"get_{self._kind}", name, key=name))
+        return cast("T", self._call(f"get_{self._kind}", name, key=name))
 
     def __setitem__(self, name: str, value: T) -> None:
-        self._called(f"store_{self._kind}", name, value)
+        self._call(f"store_{self._kind}", name, value)
 
     def __delitem__(self, name: str) -> None:
-        self._called(self._delete, name, key=name)
+        self._call(self._delete, name, key=name)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._called(self._names))
+        return iter(self._call(self._names))
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
 
     def clear(self) -> None:
-        """Forget all."""
-        self._called(f"clear_all_{self._kind}s")
+        """Delete all items."""
+        self._call(f"clear_all_{self._kind}s")
 
-    def _called(self, method: str, *arguments: Any, key: str | None = None) -> Any:
-        """The result of a method; where it fails on a ``key``, that is not there."""
+    def _call(self, method: str, *arguments: Any, key: str | None = None) -> Any:
+        """Call a method and return its result; raises `KeyError` if it fails for a ``key``."""
         returned = getattr(self._remote, f"{method}_RPC")(*arguments)
-        outcome, *found = (returned,) if isinstance(returned, ReturnValue) else returned
+        outcome, *results = (returned,) if isinstance(returned, ReturnValue) else returned
         if key is not None and outcome.code is ReturnCode.METHOD_FAILED:
             raise KeyError(key)
         succeeded(outcome)
-        return found[0] if found else None
+        return results[0] if results else None
 
 
 class Maps(_View[MapGrid2D]):
-    """Maps by name: ``maps["office"]``. Names in a list come at once, a map when it is asked for.
+    """Maps by name: ``maps["office"]``. One request returns all names, and one each map.
 
-    All raise `CallFailed` where the server refuses, `ConnectionError` and `TimeoutError` where it is away.
+    All methods raise `CallFailed` if the server refuses, `ConnectionError` or `TimeoutError` if it is unreachable.
     """
 
     def __init__(self, remote: IMap2DMsgs) -> None:
         super().__init__(remote, "map", "get_map_names", "remove_map")
 
     def __setitem__(self, name: str, value: MapGrid2D) -> None:
-        """Keep a map; it has its name in itself, so another one is an error."""
+        """Store a map; raises `ValueError` unless ``name`` is the map's own name."""
         if value.name != name:
             raise ValueError(f"the map's own name is {value.name!r}, not {name!r}")
-        self._called("store_map", value)
+        self._call("store_map", value)
 
     def clear_temporary_flags(self, name: str | None = None) -> None:
-        """Take what is temporary out of a map, or of all."""
+        """Remove the temporary flags of one map, or of all."""
         if name is None:
-            self._called("clear_all_maps_temporary_flags")
+            self._call("clear_all_maps_temporary_flags")
         else:
-            self._called("clear_map_temporary_flags", name, key=name)
+            self._call("clear_map_temporary_flags", name, key=name)
 
     def compress(self, enable: bool) -> None:
-        """Have the server send maps compressed, or not."""
-        self._called("enable_maps_compression", enable)
+        """Switch the compression of maps on the wire."""
+        self._call("enable_maps_compression", enable)
 
     def save(self, name: str, file_name: str) -> None:
-        """Have the server write a map into a file of its own."""
-        self._called("save_map_to_disk", name, file_name)
+        """Let the server write a map to a file on its machine."""
+        self._call("save_map_to_disk", name, file_name)
 
     def load(self, file_name: str) -> None:
-        """Have the server read a map from a file of its own."""
-        self._called("load_map_from_disk", file_name)
+        """Let the server read a map from a file on its machine."""
+        self._call("load_map_from_disk", file_name)
 
     def save_collection(self, file_name: str) -> None:
-        """Have the server write all maps, and their list."""
-        self._called("save_maps_collection", file_name)
+        """Let the server write all maps and their list."""
+        self._call("save_maps_collection", file_name)
 
     def load_collection(self, file_name: str) -> None:
-        """Have the server read the maps of such a list."""
-        self._called("load_maps_collection", file_name)
+        """Let the server read the maps of such a list."""
+        self._call("load_maps_collection", file_name)
 
     def reload(self) -> None:
-        """Have the server read the collection of its start again."""
-        self._called("reload_maps_collection")
+        """Let the server read its initial collection again."""
+        self._call("reload_maps_collection")
 
 
 class PlacesView(_View[T], Generic[T]):
-    """Things of one kind (``object``, ``location``, ``area`` or ``path``) by name: ``locations["kitchen"]``."""
+    """Places of one kind (``object``, ``location``, ``area`` or ``path``) by name: ``locations["kitchen"]``."""
 
     def __init__(self, remote: IMap2DMsgs, kind: str) -> None:
         super().__init__(remote, kind, f"get_{kind}s_list", f"delete_{kind}")
 
     def everything(self) -> list[T]:
-        """All of them in one call, in the order of their names."""
-        return cast("list[T]", self._called(f"get_all_{self._kind}s"))
+        """Return all places in one call, sorted by name."""
+        return cast("list[T]", self._call(f"get_all_{self._kind}s"))
 
     def rename(self, old: str, new: str) -> None:
-        """Give one another name; raises `KeyError` where the old is not there, or the new one is."""
-        self._called(f"rename_{self._kind}", old, new, key=old)
+        """Rename a place; raises `KeyError` if the old name is missing or the new one exists."""
+        self._call(f"rename_{self._kind}", old, new, key=old)
 
 
 def succeeded(outcome: ReturnValue) -> None:
-    """Raise `CallFailed` where a call did not succeed."""
+    """Raise `CallFailed` if a call failed."""
     if not outcome:
-        raise CallFailed(outcome.code, "the map server refused; its log says why")
+        raise CallFailed(outcome.code, "the map server refused the call; see its log")
 
 
 class IMap2D:
-    """The interface under YARP's names (`yarp/dev/IMap2D.h`). What C++ returns by reference is filled in here too.
+    """The interface under YARP's names (`yarp/dev/IMap2D.h`). Results that C++ returns by reference are filled in.
 
-    Nothing raises: a call that fails returns an outcome that is false. Lists of results are cleared and filled; where
-    none is given, the results are returned, as in the bindings: ``for name in maps.getLocationsList()``.
+    Nothing raises: a failed call returns a false outcome. Lists of results are cleared and filled; without a list, the
+    results are returned, as in the bindings: ``for name in maps.getLocationsList()``.
     """
 
     def __init__(self, remote: IMap2DMsgs) -> None:
@@ -180,7 +180,7 @@ class IMap2D:
 
 
 class Map2DClient(ServiceClient[IMap2DMsgs], IMap2D):
-    """A client of a map server, whose maps and places are mappings; arguments as of `ServiceClient`."""
+    """A client of a map server, with its maps and places as mappings; for the arguments, see `ServiceClient`."""
 
     def __init__(self, server: str = "/map2D_nws_yarp/rpc", name: str = "", **options: Unpack[ClientOptions]) -> None:
         ServiceClient.__init__(self, IMap2DMsgs, server, name, **options)
@@ -192,13 +192,13 @@ class Map2DClient(ServiceClient[IMap2DMsgs], IMap2D):
         self.paths: PlacesView[Map2DPath] = PlacesView(self.remote, "path")
 
     def save_places(self, file_name: str) -> None:
-        """Have the server write all locations, objects, areas and paths; raises `CallFailed` where it refuses."""
+        """Let the server write all locations, objects, areas and paths; raises `CallFailed` if it refuses."""
         succeeded(self.remote.save_locations_and_extras_RPC(file_name))
 
     def load_places(self, file_name: str) -> None:
-        """Have the server read such a file; raises `CallFailed` where it refuses."""
+        """Let the server read such a file; raises `CallFailed` if it refuses."""
         succeeded(self.remote.load_locations_and_extras_RPC(file_name))
 
     def reload_places(self) -> None:
-        """Have the server read the file of its start again; raises `CallFailed` where it refuses."""
+        """Let the server read its initial file again; raises `CallFailed` if it refuses."""
         succeeded(self.remote.reload_locations_and_extras_RPC())

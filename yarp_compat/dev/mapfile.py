@@ -1,7 +1,7 @@
-"""Files of maps and places that come from anywhere: found where they may be, read up to a size, written at once.
+"""Files of maps and places from untrusted sources: restricted to a folder, limited in size, written atomically.
 
-Images of maps are pgm and ppm (binary or ascii), png, bmp, of any depth. Pillow reads and writes them; of those that
-are not packed (binary pgm and ppm, grey bmp) it reads the header alone.
+Images of maps are pgm and ppm (binary or ascii), png, bmp, of any depth. Pillow reads and writes them; of uncompressed
+ones (binary pgm and ppm, gray bmp) it reads only the header.
 """
 
 from __future__ import annotations
@@ -21,36 +21,36 @@ from yarp_compat.dev.mapflag import MAX_CELLS, too_large
 from yarp_compat.file_names import forbidden
 from yarp_compat.wire.framing import Buffer
 
-LONGEST_TEXT = 1 << 22  # a text file of more bytes is refused
+LONGEST_TEXT = 1 << 22  # bytes; longer text files are rejected
 
 _NO_FILE_NAME = re.compile(r"^$|^\.|[/\\\x00-\x1f\x7f]")
 
 
 class MapFileError(ValueError):
-    """A file that is not there, may not be read or is not what it should be; the text says which, what and why."""
+    """A file is missing, unreadable, forbidden or invalid; the text names the file and the reason."""
 
 
-def found(name: str | os.PathLike[str], beside: Path, jail: Path | None) -> Path:
-    """The file of a name, absolute or relative to ``beside``; with a ``jail`` it must be in that folder.
+def resolve(name: str | os.PathLike[str], base: Path, jail: Path | None) -> Path:
+    """Return the path of a file, absolute or relative to ``base``; with a ``jail`` it must be in that folder.
 
-    Raises `MapFileError` where it is outside of the jail, whatever links exist, or no file.
+    Raises `MapFileError` if it is outside of the jail, even through links, or not a regular file.
     """
     if "\0" in os.fspath(name):
-        raise MapFileError(f"{os.fspath(name)!r:.100} is no file's name")
-    path = (beside / name).resolve()
+        raise MapFileError(f"{os.fspath(name)!r:.100} is not a file name")
+    path = (base / name).resolve()
     if jail is not None and not path.is_relative_to(jail.resolve()):
-        raise MapFileError(f"{os.fspath(name)!r:.100} is outside of {jail}: only files in that folder are read")
+        raise MapFileError(f"{os.fspath(name)!r:.100} is outside of {jail}: only files in that folder can be read")
     try:
         kind = path.stat().st_mode
     except OSError as error:
         raise MapFileError(f"{path}: {error.strerror}") from None
     if not stat.S_ISREG(kind):
-        raise MapFileError(f"{path} is no file")
+        raise MapFileError(f"{path} is not a file")
     return path
 
 
 def read_text(path: Path) -> str:
-    """A text file's content, with surrogate escapes for other than UTF-8; raises `MapFileError`, also if too long."""
+    """Read a text file, with surrogate escapes for bytes other than UTF-8; raises `MapFileError`, also if too long."""
     try:
         with path.open("rb") as file:
             data = file.read(LONGEST_TEXT + 1)
@@ -67,39 +67,39 @@ class TextFile(ABC):
     @classmethod
     @abstractmethod
     def from_text(cls, text: str, source: str = "the file") -> Self:
-        """The content of a file's text, which errors call ``source``; raises `MapFileError` for a wrong line."""
+        """Parse a file's text; errors name the file ``source``. Raises `MapFileError` for an invalid line."""
 
     @abstractmethod
     def to_text(self) -> str:
-        """The text of a file, sorted by names."""
+        """Return the text of a file, sorted by name."""
 
     @classmethod
     def load(cls, path: str | Path, jail: Path | None = None) -> Self:
-        """Read a file, in the folder ``jail`` where that is given; raises `MapFileError` for a missing or wrong one."""
-        file = found(path, Path(), jail)
+        """Read a file, only from the folder ``jail`` if given; raises `MapFileError` for a missing or invalid one."""
+        file = resolve(path, Path(), jail)
         return cls.from_text(read_text(file), str(file))
 
     def save(self, path: str | Path) -> None:
-        """Write a file; raises `MapFileError` where that fails."""
+        """Write a file; raises `MapFileError` on failure."""
         write(Path(path), self.to_text())
 
 
 def file_name(name: str) -> str:
-    """A map's name, if it can be a part of a file's name; else raises `MapFileError`."""
-    if why := forbidden(name):
-        raise MapFileError(f"a map named {name!r:.100} cannot be saved, since files are named after it: it {why}")
+    """Return a map's name if it can be part of a file name; raises `MapFileError` otherwise."""
+    if reason := forbidden(name):
+        raise MapFileError(f"a map named {name!r:.100} cannot be saved, since its files have its name, which {reason}")
     if _NO_FILE_NAME.search(name) or len(name.encode("utf-8", "surrogateescape")) > 200:
         raise MapFileError(
-            f"a map named {name!r:.100} cannot be saved: files are named after it, so its name has up to 200 bytes, no "
-            "slash, and does not begin with a dot"
+            f"a map named {name!r:.100} cannot be saved: its files have its name, which must have up to 200 bytes, no "
+            "slash, and no leading dot"
         )
     return name
 
 
 def write(path: Path, *content: Buffer | str) -> None:
-    """Write a file, which is as it was or whole at any time; raises `MapFileError` where that fails."""
-    if why := forbidden(path.name):
-        raise MapFileError(f"{path} {why}")
+    """Write a file atomically; raises `MapFileError` on failure."""
+    if reason := forbidden(path.name):
+        raise MapFileError(f"{path} {reason}")
     fresh = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.new")
     data = [part.encode("utf-8", "surrogateescape") if isinstance(part, str) else part for part in content]
     try:
@@ -114,7 +114,7 @@ def write(path: Path, *content: Buffer | str) -> None:
 
 
 def decimal(number: float) -> str:
-    """A number without an exponent, which some readers of YAML take for a word; it comes back exactly."""
+    """Format a number without an exponent, which some YAML readers parse as text; the value is preserved exactly."""
     return np.format_float_positional(number, trim="0")
 
 
@@ -122,10 +122,10 @@ _FORMATS = ("PPM", "PNG", "BMP")
 
 
 def read_image(path: Path) -> NDArray[Any]:
-    """An image's pixels, copied once at most; raises `MapFileError` for no image, or, before it is read, one too large.
+    """Read an image's pixels, copied once at most; raises `MapFileError`, for one too large before reading it.
 
-    Greys are of shape (height, width), in bytes or uint16, which reaches from 0 to 65,535 then; colours of (height,
-    width, 3 or 4): red, green, blue and opacity in bytes.
+    Gray images have the shape (height, width), in uint8, or in uint16 with the full range 0 to 65,535; color images
+    (height, width, 3 or 4): red, green, blue and opacity in uint8.
     """
     from PIL import Image
 
@@ -142,10 +142,10 @@ def read_image(path: Path) -> NDArray[Any]:
     return pixels
 
 
-def grey_image(kind: str, pixels: NDArray[np.uint8]) -> list[Buffer]:
-    """The parts of an image's file, in a kind that is ``pgm``, ``png`` or ``bmp``.
+def gray_image(kind: str, pixels: NDArray[np.uint8]) -> list[Buffer]:
+    """Return the parts of an image file of the kind ``pgm``, ``png`` or ``bmp``.
 
-    The pixels are greys of shape (height, width), or, not for pgm, red, green, blue and opacity of (height, width, 4).
+    The pixels are gray, (height, width), or, except for pgm, red, green, blue and opacity, (height, width, 4).
     """
     if kind == "pgm":
         return _binary(b"P5", pixels)
@@ -158,12 +158,12 @@ def grey_image(kind: str, pixels: NDArray[np.uint8]) -> list[Buffer]:
     return [file.getbuffer()]
 
 
-def write_greys(path: Path, pixels: NDArray[np.uint8]) -> None:
+def write_grays(path: Path, pixels: NDArray[np.uint8]) -> None:
     """Write a pgm (P5); raises `MapFileError`."""
     write(path, *_binary(b"P5", pixels))
 
 
-def write_colours(path: Path, pixels: NDArray[np.uint8]) -> None:
+def write_colors(path: Path, pixels: NDArray[np.uint8]) -> None:
     """Write a ppm (P6) of shape (height, width, 3); raises `MapFileError`."""
     write(path, *_binary(b"P6", pixels))
 
@@ -173,13 +173,13 @@ def _binary(magic: bytes, pixels: NDArray[np.uint8]) -> list[Buffer]:
 
 
 def _uncoded(image: Any) -> NDArray[np.uint8] | None:
-    """The bytes of an image that stand in its file as they are, without Pillow's copies; None of any other."""
+    """Return the pixels of an uncompressed image from its file, without Pillow's copies; None for another image."""
     if len(image.tile) != 1 or image.mode not in ("L", "RGB"):
         return None
-    coding, _, offset, said = image.tile[0]
+    coding, _, offset, parameters = image.tile[0]
     if coding != "raw":
         return None
-    mode, stride, direction = (said, 0, 1) if isinstance(said, str) else said
+    mode, stride, direction = (parameters, 0, 1) if isinstance(parameters, str) else parameters
     if mode != image.mode:
         return None
     width, height = image.size
@@ -187,7 +187,7 @@ def _uncoded(image: Any) -> NDArray[np.uint8] | None:
     rows = np.empty((height, stride or length), np.uint8)
     image.fp.seek(offset)
     if image.fp.readinto(rows.data) != rows.size:
-        return None  # Pillow says what is missing
+        return None  # Pillow reports what is missing
     pixels = rows[::direction, :length]
     return pixels if mode == "L" else pixels.reshape(height, width, 3)
 

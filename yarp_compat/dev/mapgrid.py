@@ -1,7 +1,7 @@
-"""Maps (`yarp/dev/MapGrid2D.h`): for each cell how surely it is occupied, and a flag.
+"""Maps (`yarp/dev/MapGrid2D.h`): an occupancy and a flag for each cell.
 
-On the wire: ``width height x y theta resolution name compressed {occupancy} {flags}``, rows from the top one down,
-occupancy 0 to 100 or 255 for unknown; both zipped where ``compressed`` is 1, as it is in a new map.
+On the wire: ``width height x y theta resolution name compressed {occupancy} {flags}``, rows from top to bottom,
+occupancy 0 to 100 or 255 for unknown; both zipped if ``compressed`` is 1, the default.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ __all__ = ["MAX_CELLS", "UNKNOWN", "MapFlag", "MapGrid2D", "flags_of", "occupanc
 
 log = logging.getLogger(__name__)
 
-_LONGEST_NAME = 254  # YARP's reader has a buffer of so many bytes
+_LONGEST_NAME = 254  # bytes: the buffer of YARP's reader
 
 
 class MapGrid2D(MapGrid2DInfo, Portable):
-    """A map; a new one has 2 by 2 free cells of a metre. See :meth:`of` for any other."""
+    """A map; by default of 2 by 2 free cells of one meter. :meth:`of` makes any other map."""
 
     map_flags: ClassVar = MapFlag
     MAP_CELL_FREE: ClassVar = MapFlag.FREE
@@ -55,31 +55,30 @@ class MapGrid2D(MapGrid2DInfo, Portable):
     @classmethod
     def of(
         cls,
-        flags: ArrayLike,  # a :class:`MapFlag` for each cell, of shape (height, width), rows from the top one down
-        # 0 to 100 or 255, of the same shape; by default what the flags say: 100 where a wall is, 255 where nothing is
-        # known
+        flags: ArrayLike,  # a :class:`MapFlag` for each cell, of shape (height, width), rows from top to bottom
+        # 0 to 100 or 255, of the same shape; by default from the flags: 100 for walls, 255 for unknown cells
         occupancy: ArrayLike | None = None,
         *,
-        name: str = "",  # the map's
-        resolution: float = 1.0,  # metres per cell
-        origin: Iterable[float] = (0.0, 0.0, 0.0),  # the lower left corner: metres, metres, degrees
+        name: str = "",  # of the map
+        resolution: float = 1.0,  # meters per cell
+        origin: Iterable[float] = (0.0, 0.0, 0.0),  # the lower left corner: meters, meters, degrees
     ) -> Self:
-        """A map of its cells, which it takes over uncopied where they are arrays of bytes.
+        """Make a map of cells, without a copy if they are arrays of bytes.
 
         Raises:
-            ValueError: something does not fit.
+            ValueError: shapes differ, or a value is out of range.
         """
-        made = cls()
-        made.set_cells(flags, occupancy)
-        made.m_map_name = name
-        made.m_origin = MapGrid2DOrigin(*origin)
-        if not made.setResolution(resolution):
-            raise ValueError(f"a cell cannot be {resolution} metres wide")
-        return made
+        grid = cls()
+        grid.set_cells(flags, occupancy)
+        grid.m_map_name = name
+        grid.m_origin = MapGrid2DOrigin(*origin)
+        if not grid.setResolution(resolution):
+            raise ValueError(f"a cell cannot be {resolution} meters wide")
+        return grid
 
     @property
     def flags(self) -> NDArray[np.uint8]:
-        """The cells' flags, of shape (height, width), rows from the top one down; may be changed in place."""
+        """The cells' flags, of shape (height, width), rows from top to bottom; may be changed in place."""
         return self._flags
 
     @property
@@ -88,52 +87,52 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return self._occupancy
 
     def set_cells(self, flags: ArrayLike, occupancy: ArrayLike | None = None) -> None:
-        """Have other cells, see :meth:`of`."""
+        """Replace the cells; arguments as :meth:`of`."""
         new = np.asarray(flags, np.uint8)
         if new.ndim != 2:
-            raise ValueError(f"the cells of a map are of shape (height, width), not {new.shape}")
+            raise ValueError(f"the cells of a map must have the shape (height, width), not {new.shape}")
         if new.size > MAX_CELLS:
             raise ValueError(too_large(new.shape[1], new.shape[0]))
         cells = occupancy_of(new) if occupancy is None else np.asarray(occupancy, np.uint8)
         if cells.shape != new.shape:
-            raise ValueError(f"the flags are of shape {new.shape}, the occupancy of {cells.shape}")
+            raise ValueError(f"the flags have the shape {new.shape}, but the occupancy {cells.shape}")
         self._flags, self._occupancy = new, cells
         self.m_height, self.m_width = new.shape
 
-    width = getter("m_width", int, "Cells.")
-    height = getter("m_height", int, "Cells.")
+    width = getter("m_width", int, "The width in cells.")
+    height = getter("m_height", int, "The height in cells.")
     getMapName = getter("m_map_name", str, "The map's name.")
 
     def setMapName(self, name: str) -> bool:
-        """Have another name; False where it is empty."""
+        """Rename the map; False if the name is empty."""
         if name:
             self.m_map_name = name
         return bool(name)
 
-    getResolution = getter("m_resolution", float, "Metres per cell.")
+    getResolution = getter("m_resolution", float, "Meters per cell.")
 
     def setResolution(self, resolution: float) -> bool:
-        """Have cells of another size; False where that is no size."""
+        """Set the size of cells in meters; False if it is invalid."""
         if not (math.isfinite(resolution) and resolution > 0):
             return False
         self.m_resolution = float(resolution)
         return True
 
     def getOrigin(self) -> tuple[float, float, float]:
-        """The place of the lower left corner: metres, metres, degrees."""
+        """The pose of the lower left corner: meters, meters, degrees."""
         return self.m_origin.x, self.m_origin.y, self.m_origin.theta
 
     def setOrigin(self, x: float, y: float, theta: float) -> bool:
-        """Have the lower left corner elsewhere."""
+        """Set the pose of the lower left corner."""
         self.m_origin.setOrigin(x, y, theta)
         return True
 
     def getSize_in_cells(self) -> tuple[int, int]:
-        """Width and height."""
+        """Return width and height in cells."""
         return self.m_width, self.m_height
 
     def setSize_in_cells(self, width: int, height: int) -> bool:
-        """Have so many cells, all free; False where that is no map."""
+        """Resize the map to free cells; False if the size is invalid."""
         if not (width > 0 and height > 0):
             return False
         if width * height > MAX_CELLS:
@@ -142,28 +141,28 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return True
 
     def getSize_in_meters(self) -> tuple[float, float]:
-        """Width and height."""
+        """Return width and height in meters."""
         return self.m_width * self.m_resolution, self.m_height * self.m_resolution
 
     def setSize_in_meters(self, width: float, height: float) -> bool:
-        """Have this size, all cells free; False where that is no map."""
+        """Resize the map to free cells; False if the size is invalid."""
         return self.setSize_in_cells(int(width / self.m_resolution), int(height / self.m_resolution))
 
     def getMapFlag(self, cell: Pair) -> MapFlag | None:
         """A cell's flag; None outside of the map."""
-        at = self._at(cell)
+        at = self._index(cell)
         return None if at is None else MapFlag(self._flags[at])
 
     def setMapFlag(self, cell: Pair, flag: MapFlag | int) -> bool:
-        """Give a cell another flag; False outside of the map."""
-        at = self._at(cell)
+        """Set a cell's flag; False outside of the map."""
+        at = self._index(cell)
         if at is not None:
             self._flags[at] = MapFlag(flag)
         return at is not None
 
     def getOccupancyData(self, cell: Pair) -> float | None:
         """The occupancy of a cell, 0 to 100, or -1 for unknown; None outside of the map."""
-        at = self._at(cell)
+        at = self._index(cell)
         if at is None:
             return None
         occupancy = int(self._occupancy[at])
@@ -172,33 +171,33 @@ class MapGrid2D(MapGrid2DInfo, Portable):
     def setOccupancyData(self, cell: Pair, occupancy: float) -> bool:
         """Set the occupancy of a cell, below 0 for unknown; False outside of the map."""
         if not occupancy <= 100:
-            raise ValueError(f"a cell is occupied to 0 to 100, not {occupancy}")
-        at = self._at(cell)
+            raise ValueError(f"a cell's occupancy must be at most 100, not {occupancy}")
+        at = self._index(cell)
         if at is not None:
             self._occupancy[at] = UNKNOWN if occupancy < 0 else int(occupancy)
         return at is not None
 
     def isFree(self, cell: Pair) -> bool:
-        """Whether one may drive there."""
-        at = self._at(cell)
+        """Whether a cell of the map is free to drive."""
+        at = self._index(cell)
         return at is not None and not self._occupancy[at] and not self._flags[at]
 
     def isNotFree(self, cell: Pair) -> bool:
-        """Whether a cell of the map is occupied, an obstacle or to be kept out of."""
-        at = self._at(cell)
+        """Whether a cell of the map is occupied, an obstacle or a keep-out cell."""
+        at = self._index(cell)
         if at is None:
             return False
         flag = self._flags[at]
         return bool(self._occupancy[at]) or MapFlag.KEEP_OUT <= flag <= MapFlag.ENLARGED_OBSTACLE
 
     def isKeepOut(self, cell: Pair) -> bool:
-        """Whether a cell is to be kept out of."""
-        at = self._at(cell)
+        """Whether a cell is a keep-out cell."""
+        at = self._index(cell)
         return at is not None and self._flags[at] == MapFlag.KEEP_OUT
 
     def isWall(self, cell: Pair) -> bool:
         """Whether a cell is a wall."""
-        at = self._at(cell)
+        at = self._index(cell)
         return at is not None and self._flags[at] == MapFlag.WALL
 
     def clearMapTemporaryFlags(self) -> None:
@@ -207,7 +206,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         self._flags[temporary] = MapFlag.FREE
 
     def enlargeObstacles(self, size: float) -> bool:
-        """Make free cells within ``size`` metres (see `enlarge`) of others enlarged obstacles; 0 undoes that."""
+        """Mark free cells within ``size`` meters of others (see `enlarge`) as enlarged obstacles; 0 undoes that."""
         if size > 0:
             enlarge(self._flags, math.ceil(min(size / self.m_resolution, self.m_width + self.m_height)))
         else:
@@ -215,10 +214,9 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return True
 
     def crop(self, left: int = -1, top: int = -1, right: int = -1, bottom: int = -1) -> bool:
-        """Keep columns from left to before right, rows from top to before bottom; False where there are none.
+        """Crop to columns from left to before right, rows from top to before bottom; False if the range is invalid.
 
-        Where a number is below 0, that side goes to the outermost known cell. (YARP loses one column at the right
-        there.)
+        A negative number stands for the outermost known cell on that side. (YARP then loses one column at the right.)
         """
         if min(left, top, right, bottom) < 0:
             known = self._occupancy != UNKNOWN
@@ -237,42 +235,42 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return True
 
     def getMapImage(self, image: ImageRgb) -> bool:
-        """Paint the flags in their colours."""
+        """Paint the flags in their colors."""
         image.copy(ImageRgb.of(mapflag.picture_of_flags(self._flags)))
         return True
 
     def setMapImage(self, image: ImageRgb) -> bool:
-        """Take the flags from their colours, any other as unknown; False where the image has another size."""
+        """Set the flags by their colors, any other color as unknown; False if the image has another size."""
         if (image.width(), image.height()) != self.getSize_in_cells():
             return False
         self._flags = mapflag.flags_of_picture(image.numpy())
         return True
 
     def getOccupancyGrid(self, image: ImageMono) -> bool:
-        """Make the image's pixels the occupancy of the cells, 0 to 100 or 255."""
+        """Copy the occupancy of the cells, 0 to 100 or 255, to an image."""
         image.copy(ImageMono.of(self._occupancy.copy()))
         return True
 
     def setOccupancyGrid(self, image: ImageMono) -> bool:
-        """Take the image's pixels for the occupancy; False where the image has another size."""
+        """Set the occupancy from an image's pixels; False if the image has another size."""
         if (image.width(), image.height()) != self.getSize_in_cells():
             return False
         self._occupancy = image.numpy().copy()
         return True
 
     def loadFromFile(self, map_filename: str) -> bool:
-        """Become the map of a ``.map`` file; False, and a word in the log, where that fails."""
+        """Load a ``.map`` file; False, with the reason in the log, on failure."""
         try:
-            found = type(self).load(map_filename)
+            loaded = type(self).load(map_filename)
         except ValueError as error:
             log.error("%s", error)
             return False
-        found.compressed = self.compressed
-        self._become(found)
+        loaded.compressed = self.compressed
+        self._become(loaded)
         return True
 
     def saveToFile(self, map_filename: str) -> bool:
-        """Write the map as YARP keeps it, see :meth:`save`; False, and a word in the log, where that fails."""
+        """Write a ``.map`` file, see :meth:`save`; False, with the reason in the log, on failure."""
         try:
             self.save(map_filename)
         except ValueError as error:
@@ -284,15 +282,15 @@ class MapGrid2D(MapGrid2DInfo, Portable):
     def load(cls, path: str | Path, jail: Path | None = None) -> Self:
         """Read a map of YARP (``.map``) or of ROS (any other file, which is YAML); raises `MapFileError`.
 
-        The files that it names stand beside it, or where it says; with a ``jail`` all must be in that folder.
+        The paths of its other files are relative to it, or absolute; with a ``jail`` all must be in that folder.
         """
-        found = load_yarp(path, jail) if Path(path).suffix.lower() == ".map" else load_ros(path, jail)
-        return cls.of(found.flags, found.occupancy, name=found.name, resolution=found.resolution, origin=found.origin)
+        read = load_yarp(path, jail) if Path(path).suffix.lower() == ".map" else load_ros(path, jail)
+        return cls.of(read.flags, read.occupancy, name=read.name, resolution=read.resolution, origin=read.origin)
 
     def save(self, path: str | Path, **ros: Any) -> None:
-        """Write a map for YARP (``.map``), or for ROS (another name, best ``.yaml``); raises `MapFileError`.
+        """Write a map for YARP (``.map``), or for ROS (any other suffix, usually ``.yaml``); raises `MapFileError`.
 
-        Other files go beside it, YARP's named after the map; ``ros`` as of `yarp_compat.dev.rosmap.save_ros`.
+        Its images are written to the same folder, YARP's named after the map; ``ros`` are options of `save_ros`.
         """
         contents = MapContents(self._flags, self._occupancy, self.m_map_name, self.m_resolution, self.m_origin)
         if Path(path).suffix.lower() == ".map":
@@ -301,12 +299,12 @@ class MapGrid2D(MapGrid2DInfo, Portable):
             save_ros(contents, path, **ros)
 
     def enable_map_compression_over_network(self, enable: bool) -> bool:
-        """Whether the cells are zipped on the wire."""
+        """Switch the compression of cells on the wire."""
         self.compressed = bool(enable)
         return True
 
     def isIdenticalTo(self, other: MapGrid2D) -> bool:
-        """Whether all is the same: the name, where it lies, and every cell."""
+        """Whether name, resolution, origin and all cells are equal."""
         return (
             (self.m_map_name, self.m_resolution) == (other.m_map_name, other.m_resolution)
             and self.m_origin == other.m_origin
@@ -321,21 +319,21 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return f"<MapGrid2D {self.m_map_name!r} of {self.m_width} x {self.m_height} cells of {self.m_resolution} m>"
 
     def copy(self) -> Self:
-        """A map of its own with the same content."""
-        made = type(self).of(
+        """Return a deep copy."""
+        duplicate = type(self).of(
             self._flags.copy(), self._occupancy.copy(),
             name=self.m_map_name, resolution=self.m_resolution, origin=self.m_origin,
         )  # fmt: skip
-        made.compressed = self.compressed
-        return made
+        duplicate.compressed = self.compressed
+        return duplicate
 
-    def _at(self, cell: Pair) -> tuple[int, int] | None:
+    def _index(self, cell: Pair) -> tuple[int, int] | None:
         column, row = map(int, numbers(cell))
         return (row, column) if 0 <= column < self.m_width and 0 <= row < self.m_height else None
 
     def _write(self, out: ElementWriter) -> None:
         if len(self.m_map_name.encode("utf-8", "surrogateescape")) > _LONGEST_NAME:
-            raise WireError(f"a map's name has up to {_LONGEST_NAME} bytes, unlike {self.m_map_name!r:.60}")
+            raise WireError(f"a map's name must have up to {_LONGEST_NAME} bytes, unlike {self.m_map_name!r:.60}")
         out.begin(10)
         out.integer(self.m_width)
         out.integer(self.m_height)
@@ -350,7 +348,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
     def _read(self, source: ElementReader) -> None:
         count = source.begin()
         if count != 10:
-            raise WireError(f"a map has 10 fields, not {count}")
+            raise WireError(f"a map must have 10 fields, not {count}")
         width, height = source.integer(), source.integer()
         if min(width, height) < 0 or width * height > MAX_CELLS:
             raise WireError(too_large(width, height))
@@ -360,30 +358,30 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         source.end()
         occupancy, flags = (cells.reshape(height, width) for cells in blobs)
         try:
-            found = MapGrid2D.of(flags, occupancy, name=name, resolution=resolution, origin=(x, y, theta))
+            decoded = MapGrid2D.of(flags, occupancy, name=name, resolution=resolution, origin=(x, y, theta))
         except ValueError as error:
             raise WireError(str(error)) from None
-        found.compressed = compressed
-        self.__dict__.update(found.__dict__)
+        decoded.compressed = compressed
+        self.__dict__.update(decoded.__dict__)
 
 
 def _cells(data: memoryview, count: int, *, compressed: bool) -> NDArray[np.uint8]:
-    """A blob's cells, in memory of their own."""
+    """Return a copy of a blob's cells, unzipped."""
     content: Any = data
     if compressed:
         try:
             content = zlib.decompressobj().decompress(data, count + 1)
         except zlib.error as error:
-            raise WireError(f"the map's cells are not zipped as they should be: {error}") from None
+            raise WireError(f"the map's cells cannot be unzipped: {error}") from None
     if len(content) != count:
-        raise WireError(f"a map of {count} cells does not have {len(content)}")
+        raise WireError(f"a map of {count} cells must not have {len(content)}")
     return np.frombuffer(content, np.uint8).copy()
 
 
 def enlarge(flags: NDArray[np.uint8], cells: int) -> None:
-    """Make free cells enlarged obstacles where another flag is within so many cells, diagonal steps counted as one.
+    """Mark free cells as enlarged obstacles within ``cells`` cells of another flag, counting diagonal steps as one.
 
-    That is what YARP's passes over all eight neighbours make. ``flags``, (height, width), is changed in place.
+    The result equals YARP's repeated passes over all eight neighbors. Changes ``flags``, (height, width), in place.
     """
     near = (flags >= MapFlag.KEEP_OUT) & (flags <= MapFlag.UNKNOWN)
     near = _spread(_spread(near, cells).T, cells).T
@@ -391,7 +389,7 @@ def enlarge(flags: NDArray[np.uint8], cells: int) -> None:
 
 
 def _spread(marks: NDArray[np.bool_], cells: int) -> NDArray[np.bool_]:
-    """Marks along rows, so many cells further both ways: by steps that double what there is."""
+    """Extend marks along rows by ``cells`` cells in both directions, with steps that double."""
     cells = min(cells, marks.shape[1])
     done = 0
     while done < cells:

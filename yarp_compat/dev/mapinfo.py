@@ -1,8 +1,8 @@
-"""A map without its cells: its name, size, resolution and place (`yarp/dev/MapGrid2DInfo.h`).
+"""A map without its cells: its name, size, resolution and origin (`yarp/dev/MapGrid2DInfo.h`).
 
-Cell (0, 0) is the upper left one, and YARP takes a cell's lower left corner for its place. The corner that lies ``d``
-metres right of and above the one of the whole map is at ``R(-theta) (origin + d)`` in the map's frame. ROS says
-``origin + R(yaw) d`` instead, so the origins of one map differ where it is turned: see :meth:`MapGrid2DOrigin.to_ros`.
+Cell (0, 0) is the upper left one, and in YARP a cell's position is its lower left corner. The corner ``d`` meters right
+of and above the corner of the whole map is at ``R(-theta) (origin + d)`` in the map's frame. In ROS it is at
+``origin + R(yaw) d``, so the two origins of a rotated map differ: see :meth:`MapGrid2DOrigin.to_ros`.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ Pair = Vec2D | Vec2DInt | Sequence[float]  # YARP's XYCell or XYWorld, or just t
 
 
 class MapGrid2DOrigin:
-    """The place of a map's lower left corner: metres before the turn, degrees clockwise about the frame's origin."""
+    """The pose of a map's lower left corner: meters before the rotation, degrees clockwise about the frame's origin."""
 
     def __init__(self, x: float = 0.0, y: float = 0.0, theta: float = 0.0) -> None:
         self.setOrigin(x, y, theta)
 
     def setOrigin(self, x: float, y: float, theta: float) -> None:
-        """Move there; whole turns are left out. Raises `ValueError` for numbers that are not finite."""
+        """Set the origin, with the angle modulo 360 degrees. Raises `ValueError` for numbers that are not finite."""
         if not all(map(math.isfinite, (x, y, theta))):
-            raise ValueError(f"a map's origin cannot be {(x, y, theta)}")
+            raise ValueError(f"a map's origin must be finite numbers, not {(x, y, theta)}")
         self.x, self.y, self.theta = float(x), float(y), math.fmod(theta, 360.0)
 
-    get_x = getter("x", float, "Metres.")
-    get_y = getter("y", float, "Metres.")
-    get_theta = getter("theta", float, "Degrees.")
+    get_x = getter("x", float, "The x coordinate in meters.")
+    get_y = getter("y", float, "The y coordinate in meters.")
+    get_theta = getter("theta", float, "The angle in degrees.")
 
     def get_ca(self) -> float:
         """The angle's cosine."""
@@ -45,20 +45,20 @@ class MapGrid2DOrigin:
         """The angle's sine."""
         return math.sin(math.radians(self.theta))
 
-    def turned(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Numbers or arrays of x and y, turned by the angle."""
+    def rotated(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """Return numbers or arrays of x and y, rotated by the angle."""
         ca, sa = self.get_ca(), self.get_sa()
         return x * ca + y * sa, y * ca - x * sa
 
     def to_ros(self) -> tuple[float, float, float]:
-        """The same place as ROS says it: the corner's x and y in metres, the yaw in radians."""
+        """Return the origin in ROS's convention: the corner's x and y in meters, the yaw in radians."""
         if not self.theta:
             return self.x, self.y, 0.0
-        return *self.turned(self.x, self.y), -math.radians(self.theta)
+        return *self.rotated(self.x, self.y), -math.radians(self.theta)
 
     @classmethod
     def from_ros(cls, x: float, y: float, yaw: float) -> Self:
-        """The origin of a map whose corner and yaw (radians) ROS says."""
+        """Make an origin from ROS's x, y (meters) and yaw (radians)."""
         if not yaw:
             return cls(x, y, 0.0)
         ca, sa = math.cos(yaw), math.sin(yaw)
@@ -77,7 +77,7 @@ class MapGrid2DOrigin:
 
 
 class MapContents(NamedTuple):
-    """A map's cells, (height, width) from the top: `MapFlag`, 0 to 100 or 255; its name, metres per cell and place."""
+    """A map's cells, (height, width) from the top: `MapFlag`, 0 to 100 or 255; its name, meters per cell and origin."""
 
     flags: NDArray[np.uint8]
     occupancy: NDArray[np.uint8]
@@ -87,7 +87,7 @@ class MapContents(NamedTuple):
 
 
 class MapGrid2DInfo:
-    """A map without its cells: its name, width and height in cells, metres per cell, and origin."""
+    """A map without its cells: its name, width and height in cells, meters per cell, and origin."""
 
     def __init__(
         self,
@@ -109,55 +109,55 @@ class MapGrid2DInfo:
 
     @property
     def resolution(self) -> float:
-        """Metres per cell."""
+        """Meters per cell."""
         return self.m_resolution
 
     @property
     def origin(self) -> MapGrid2DOrigin:
-        """The place of its lower left corner."""
+        """The pose of the lower left corner."""
         return self.m_origin
 
     def cell2World(self, cell: Pair) -> Vec2D:
-        """The place of a cell's lower left corner, metres."""
+        """Return the position of a cell's lower left corner in meters."""
         column, row = numbers(cell)
         x = column * self.m_resolution + self.m_origin.x
         y = -row * self.m_resolution + self.m_origin.y + (self.m_height - 1) * self.m_resolution
-        return Vec2D(*self.m_origin.turned(x, y))
+        return Vec2D(*self.m_origin.rotated(x, y))
 
     def world2Cell(self, world: Pair) -> Vec2DSize:
-        """The cell at a place, or the outermost one next to it, found as YARP does; see also :meth:`cells_at`."""
+        """Return the cell at a position, or the nearest on the map, rounded as in YARP; see also :meth:`cells_at`."""
         column, row = self._truncated(world)
         return Vec2DSize(min(max(column, 0), self.m_width - 1), min(max(row, 0), self.m_height - 1))
 
     def world2Cell_unsafeFast(self, world: Pair) -> Vec2DSize:
-        """The cell at a place, which need not be on the map: below 0 where YARP's number is beyond all maps."""
+        """Return the cell at a position, possibly off the map: below 0 where YARP's unsigned number overflows."""
         return Vec2DSize(*self._truncated(world))
 
     def isInsideMap(self, place: Vec2D | Vec2DInt) -> bool:
-        """Whether a cell (`Vec2DSize`, `Vec2DInt`) or a place (`Vec2D`, metres) is on the map."""
+        """Whether a cell (`Vec2DSize`, `Vec2DInt`) or a position (`Vec2D`, meters) is on the map."""
         cell = place if isinstance(place, Vec2DInt) else self.world2Cell_unsafeFast(place)
         return 0 <= cell.x < self.m_width and 0 <= cell.y < self.m_height
 
     def toLocation(self, place: Vec2D | Vec2DInt) -> Map2DLocation:
-        """A cell or a place as a location on this map."""
+        """Return a cell or a position as a location on this map."""
         world = self.cell2World(place) if isinstance(place, Vec2DInt) else place
         return Map2DLocation(self.m_map_name, world.x, world.y)
 
     def toXYCell(self, location: Map2DLocation) -> Vec2DSize:
-        """The cell of a location."""
+        """Return the cell of a location."""
         return self.world2Cell((location.x, location.y))
 
     def toXYWorld(self, location: Map2DLocation) -> Vec2D:
-        """A location's place."""
+        """Return the position of a location."""
         return Vec2D(location.x, location.y)
 
     def cells_at(self, points: ArrayLike) -> NDArray[np.intp]:
-        """Columns and rows (..., 2) of the cells at places (x, y in metres: (..., 2)); off the map where these are."""
-        found = self.in_cells(points)
-        return np.stack((np.floor(found[..., 0]), np.ceil(found[..., 1]) - 1), -1).astype(np.intp)
+        """Return columns and rows (..., 2) of the cells at positions (x, y in meters: (..., 2)), even off the map."""
+        places = self.in_cells(points)
+        return np.stack((np.floor(places[..., 0]), np.ceil(places[..., 1]) - 1), -1).astype(np.intp)
 
     def in_cells(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Places (x, y in metres: (..., 2)) in cells right of and below the upper left corner, with fractions."""
+        """Convert positions (x, y in meters: (..., 2)) to fractional cells right of and below the upper left corner."""
         places = np.asarray(points, float)
         ca, sa = self.m_origin.get_ca(), self.m_origin.get_sa()
         right = (places[..., 0] * ca - places[..., 1] * sa - self.m_origin.x) / self.m_resolution
@@ -165,11 +165,11 @@ class MapGrid2DInfo:
         return np.stack((right, self.m_height - up), -1)
 
     def centers_of(self, cells: ArrayLike) -> NDArray[np.float64]:
-        """The middles of cells (columns and rows, of shape (..., 2)): x and y in metres, of the same shape."""
-        found = np.asarray(cells, float)
-        x = (found[..., 0] + 0.5) * self.m_resolution + self.m_origin.x
-        y = (self.m_height - 0.5 - found[..., 1]) * self.m_resolution + self.m_origin.y
-        return np.stack(self.m_origin.turned(x, y), -1)
+        """Return the centers (x, y in meters: (..., 2)) of cells (columns and rows, of the same shape)."""
+        indices = np.asarray(cells, float)
+        x = (indices[..., 0] + 0.5) * self.m_resolution + self.m_origin.x
+        y = (self.m_height - 0.5 - indices[..., 1]) * self.m_resolution + self.m_origin.y
+        return np.stack(self.m_origin.rotated(x, y), -1)
 
     def _truncated(self, world: Pair) -> tuple[int, int]:
         x, y = numbers(world)
@@ -179,7 +179,7 @@ class MapGrid2DInfo:
 
 
 def numbers(pair: Pair) -> tuple[float, float]:
-    """A pair's numbers."""
+    """Return a pair's two numbers."""
     if isinstance(pair, Vec2D | Vec2DInt):
         return pair.x, pair.y
     x, y = pair

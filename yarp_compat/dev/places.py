@@ -1,9 +1,9 @@
 """The files of YARP's map storage (`map2DStorage/Map2DStorage.cpp`): places, and collections of maps.
 
-Locations, objects, areas and paths: ``Version:``, its number, and a section each, whose lines are Bottles. Version 1
-has locations and areas, 2 paths too, 3 descriptions, 4 objects; 4 is written. Numbers come back exactly, of which YARP
-keeps six digits. Collections (``maps_collection.ini``): a line for each map, ``mapfile: name.map``, behind which
-``crop`` leaves out what is unknown at its edges.
+Files of places have ``Version:``, its number, and a section for each kind, whose lines are Bottles. Version 1 has
+locations and areas, 2 adds paths, 3 descriptions, 4 objects; version 4 is written. Numbers are preserved exactly, while
+YARP keeps six digits. Collections (``maps_collection.ini``) have a line for each map, ``mapfile: name.map``; with
+``crop`` at its end, unknown edges are removed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
-from yarp_compat.dev.mapfile import MapFileError, TextFile, decimal, file_name, found, read_text, write
+from yarp_compat.dev.mapfile import MapFileError, TextFile, decimal, file_name, read_text, resolve, write
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.sig.vec2d import Vec2D
 from yarp_compat.wire.errors import WireError
@@ -26,7 +26,7 @@ Line = list[Any]
 
 @dataclass
 class Places(TextFile):
-    """The content of such a file, each by its name: locations, objects, areas and paths."""
+    """The content of a file of places, by name: locations, objects, areas and paths."""
 
     locations: dict[str, Map2DLocation] = field(default_factory=dict)
     objects: dict[str, Map2DObject] = field(default_factory=dict)
@@ -35,7 +35,7 @@ class Places(TextFile):
 
     @classmethod
     def from_text(cls, text: str, source: str = "the file") -> Self:
-        """The content of a file's text, ``source`` to errors; raises `MapFileError` for a wrong or doubled line."""
+        """Parse a file's text; errors name it ``source``. Raises `MapFileError` for an invalid or repeated line."""
         lines = iter(enumerate(text.split("\n"), 1))
         version = _version(lines, source)
         places = cls()
@@ -47,15 +47,15 @@ class Places(TextFile):
                 kind = getattr(places, attribute)
             elif line.strip():
                 try:
-                    words = from_text(line)
-                    value = parse(words, version >= 3)
-                    _put(kind, _text(words[0]), value)
+                    elements = from_text(line)
+                    value = parse(elements, version >= 3)
+                    _add(kind, _text(elements[0]), value)
                 except (ValueError, WireError, IndexError, TypeError) as error:
                     raise MapFileError(f"{source}, line {number}: {error}: {line:.100}") from None
         return places
 
     def to_text(self) -> str:
-        """The text of a file, of version 4, sorted by names."""
+        """Return the text of a file of version 4, sorted by name."""
         lines = ["Version:", "4", "Locations:"]
         for name, place in sorted(self.locations.items()):
             lines.append(_line(name, place.map_id, [place.x, place.y, place.theta], place.description))
@@ -69,7 +69,7 @@ class Places(TextFile):
             lines.append(_line(name, area.map_id, corners, area.description, count=len(area.points)))
         lines.append("Paths:")
         for name, path in sorted(self.paths.items()):
-            poses = [f"({_pose_text(value_text(one.map_id), [one.x, one.y, one.theta])})" for one in path.waypoints]
+            poses = [f"({_pose_text(value_text(p.map_id), [p.x, p.y, p.theta])})" for p in path.waypoints]
             lines.append(" ".join([value_text(name), *poses, _quoted(path.description)]))
         return "\n".join(lines) + "\n"
 
@@ -77,12 +77,12 @@ class Places(TextFile):
 def _version(lines: Iterator[tuple[int, str]], source: str) -> int:
     head = [line.strip() for _, line in (next(lines, (0, "")), next(lines, (0, "")))]
     if head[0] != "Version:" or head[1] not in ("1", "2", "3", "4"):
-        raise MapFileError(f"{source} does not begin with a line 'Version:' and one that says 1, 2, 3 or 4")
+        raise MapFileError(f"{source} does not begin with the lines 'Version:' and '1', '2', '3' or '4'")
     return int(head[1])
 
 
 def _nowhere(_line: Line, _described: bool) -> None:
-    raise ValueError("it stands before any section, the first of which is Locations:")
+    raise ValueError("the line precedes all sections, the first of which is Locations:")
 
 
 def _location(line: Line, described: bool) -> Map2DLocation:
@@ -99,7 +99,7 @@ def _object(line: Line, _described: bool) -> Map2DObject:
 def _area(line: Line, described: bool) -> Map2DArea:
     count = line[2]
     if type(count) is not int or count < 0:
-        raise ValueError(f"{count!r:.40} is no number of corners")
+        raise ValueError(f"{count!r:.40} is not a number of corners")
     _sized(line, 3 + 2 * count + described)
     corners = [_number(value) for value in line[3 : 3 + 2 * count]]
     points = [Vec2D(x, y) for x, y in zip(corners[::2], corners[1::2], strict=True)]
@@ -127,34 +127,34 @@ def _pose(line: Line, description: str = "") -> Map2DLocation:
     return Map2DLocation(_text(line[0]), x, y, theta, description)
 
 
-def _put(kind: dict[str, Any], name: str, value: Any) -> None:
+def _add(kind: dict[str, Any], name: str, value: Any) -> None:
     if name in kind:
-        raise ValueError(f"{name!r} is there already")
+        raise ValueError(f"{name!r} is defined twice")
     kind[name] = value
 
 
 def _sized(line: Line, count: int) -> None:
     if len(line) != count:
-        raise ValueError(f"{count} values are expected, not {len(line)}")
+        raise ValueError(f"expected {count} values, not {len(line)}")
 
 
 def _number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{value!r:.40} is no number")  # noqa: TRY004
+        raise ValueError(f"{value!r:.40} is not a number")  # noqa: TRY004
     return float(value)
 
 
 def _text(value: Any) -> str:
-    """A text, also one that looks like a number."""
+    """Return a text, even if it looks like a number."""
     if isinstance(value, str):
         return str(value)
     if isinstance(value, list | bytes):
-        raise ValueError(f"{value!r:.40} is no text")  # noqa: TRY004
+        raise ValueError(f"{value!r:.40} is not a text")  # noqa: TRY004
     return value_text(value)
 
 
 def _line(name: str, map_name: str, numbers: Sequence[float], description: str, count: int | None = None) -> str:
-    """A line, with a count before the numbers where they may be any number."""
+    """Format a line; ``count`` precedes a variable number of numbers."""
     head = value_text(map_name) if count is None else f"{value_text(map_name)} {count}"
     return f"{value_text(name)} {_pose_text(head, numbers)} {_quoted(description)}"
 
@@ -164,35 +164,35 @@ def _pose_text(head: str, numbers: Sequence[float]) -> str:
 
 
 def _quoted(text: str) -> str:
-    word = value_text(text)
-    return word if word.startswith('"') else f'"{word}"'
+    quoted = value_text(text)
+    return quoted if quoted.startswith('"') else f'"{quoted}"'
 
 
 def map_files(path: str | Path, jail: Path | None = None) -> list[tuple[Path, bool]]:
-    """The maps' files of a collection, beside it or where it says, and whether to crop; raises `MapFileError`."""
-    file = found(path, Path(), jail)
+    """Return the map files of a collection, by default in its folder, and whether to crop; raises `MapFileError`."""
+    file = resolve(path, Path(), jail)
     files = []
     for number, line in enumerate(read_text(file).split("\n"), 1):
         text = line.strip()
         if not text or text.startswith("#"):
             continue
-        key, _, rest = text.partition(" ")
-        name, crop = rest.strip(), False
+        key, _, value = text.partition(" ")
+        name, crop = value.strip(), False
         if name.endswith(" crop"):
             name, crop = name.removesuffix(" crop").rstrip(), True
         if key != "mapfile:" or not name:
             raise MapFileError(f"{file}, line {number}: expected 'mapfile: NAME.map [crop]', found {text!r:.100}")
-        files.append((found(name, file.parent, jail), crop))
+        files.append((resolve(name, file.parent, jail), crop))
     return files
 
 
 def load_maps(path: str | Path, jail: Path | None = None) -> dict[str, MapGrid2D]:
-    """Read a collection's maps, by name; raises `MapFileError` as `map_files`, and where two maps have one name."""
+    """Read a collection's maps, by name; raises `MapFileError` as `map_files`, and if two maps share a name."""
     maps: dict[str, MapGrid2D] = {}
     for file, crop in map_files(path, jail):
         grid = MapGrid2D.load(file, jail)
         if grid.name in maps:
-            raise MapFileError(f"{file}: a map named {grid.name!r} is in the collection {path} already")
+            raise MapFileError(f"{file}: the collection {path} already has a map named {grid.name!r}")
         if crop:
             grid.crop()
         maps[grid.name] = grid
@@ -200,10 +200,10 @@ def load_maps(path: str | Path, jail: Path | None = None) -> dict[str, MapGrid2D
 
 
 def save_maps(maps: Mapping[str, MapGrid2D], path: str | Path) -> None:
-    """Write a collection, and its maps beside it; raises `MapFileError` where a map's name cannot be a file's."""
+    """Write a collection and its maps to one folder; raises `MapFileError` if a map's name cannot be a file name."""
     file = Path(path)
     if sys.platform in ("win32", "darwin") and len({name.casefold() for name in maps}) < len(maps):
-        raise MapFileError(f"{file}: two maps' names differ in capitals alone, and files' names here do not")
+        raise MapFileError(f"{file}: two maps' names differ only in case, which file names here do not distinguish")
     for name, grid in maps.items():
         grid.save(file.with_name(f"{file_name(name)}.map"))
     write(file, "".join(f"mapfile: {name}.map\n" for name in sorted(maps)))

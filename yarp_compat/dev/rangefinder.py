@@ -1,11 +1,11 @@
-"""Laser scans (`yarp/sig/LaserScan2D.h`), and what a laser's port answers (`IRangefinder2DMsgs.thrift`).
+"""Laser scans (`yarp/sig/LaserScan2D.h`), and the service of a laser's port (`IRangefinder2DMsgs.thrift`).
 
 Ports (`rangefinder2D_nws_yarp` of YARP 3.6 to 4.0): the stream of LaserScan2D, and the port ``<name>/rpc:i``. Clients
-before 3.10 use older words: ``[get] [ilas] [lsdr]`` is answered ``[is] [lsdr] 0.1 20.0`` (`IRangefinder2D.h`).
+before 3.10 use vocabs: the reply to ``[get] [ilas] [lsdr]`` is ``[is] [lsdr] 0.1 20.0`` (`IRangefinder2D.h`).
 """
 
 # mypy: disable-error-code="empty-body"
-# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
+# ruff: noqa: D102 - the names are those of YARP's .thrift file
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ P = ParamSpec("P")
 
 @dataclass
 class LaserScan2D(Generated):
-    """A turn of a laser, degrees and metres (infinite: no hit); status 0 stands by, 1 in use, 2 error, 3 time-out."""
+    """A scan of a laser: degrees, meters (infinite: no hit), a `DeviceStatus`."""
 
     angle_min: float = 0.0
     angle_max: float = 0.0
@@ -39,25 +39,25 @@ class LaserScan2D(Generated):
 
 
 class LaserMeasurementData:
-    """One point of a scan, in either kind of coordinates: x and y or distance in metres, the angle in radians."""
+    """A point of a scan in Cartesian and polar coordinates: meters, radians."""
 
     def __init__(self) -> None:
         self._x = self._y = self._rho = self._theta = 0.0
 
     def set_cartesian(self, x: float, y: float) -> None:
-        """Become this point."""
+        """Set the point by x and y."""
         self._x, self._y, self._rho, self._theta = x, y, math.hypot(x, y), math.atan2(y, x)
 
     def set_polar(self, rho: float, theta: float) -> None:
-        """Become this point."""
+        """Set the point by distance and angle."""
         self._rho, self._theta, self._x, self._y = rho, theta, rho * math.cos(theta), rho * math.sin(theta)
 
     def get_cartesian(self) -> tuple[float, float]:
-        """Its x and y."""
+        """Return x and y."""
         return self._x, self._y
 
     def get_polar(self) -> tuple[float, float]:
-        """Distance and angle."""
+        """Return distance and angle."""
         return self._rho, self._theta
 
 
@@ -70,19 +70,19 @@ class DeviceStatus(IntEnum):
     DEVICE_TIMEOUT = 3
 
 
-_TEXTS = ("lsnf", "btnf")  # what is answered by a text
+_TEXTS = ("lsnf", "btnf")  # the queries whose reply is a text
 
 
-class OldAnswer(Portable):
-    """An answer in the older words: ``[is]``, the vocab of what was asked for, and its values (numbers or a text)."""
+class VocabReply(Portable):
+    """A reply in vocabs: ``[is]``, the vocab of the queried quantity, and its values (numbers or a text)."""
 
-    def __init__(self, what: str = "", *values: float | str) -> None:
-        self.what, self.values = what, values
+    def __init__(self, quantity: str = "", *values: float | str) -> None:
+        self.quantity, self.values = quantity, values
 
     def _write(self, out: ElementWriter) -> None:
         out.begin(2 + len(self.values))
         out.vocab("is")
-        out.vocab(self.what)
+        out.vocab(self.quantity)
         for value in self.values:
             if isinstance(value, str):
                 out.string(value)
@@ -92,14 +92,15 @@ class OldAnswer(Portable):
     def _read(self, source: ElementReader) -> None:
         count = source.begin()
         source.word()
-        self.what = source.word()
-        self.values = (source.string(),) if self.what in _TEXTS else tuple(source.float64() for _ in range(count - 2))
+        self.quantity = source.word()
+        is_text = self.quantity in _TEXTS
+        self.values = (source.string(),) if is_text else tuple(source.float64() for _ in range(count - 2))
         source.end()
 
 
 @rpc
 class IRangefinder2DMsgs(Service):
-    """The methods of a laser's port: metres, degrees between the first and last ray or two rays, turns per second."""
+    """The methods of a laser's port: meters, degrees, and scans per second."""
 
     def getDeviceStatus_RPC(self) -> tuple[ReturnValue, Annotated[DeviceStatus, Choice(DeviceStatus, vocab=True)]]: ...
     def getDistanceRange_RPC(self) -> tuple[ReturnValue, float, float]: ...
@@ -115,31 +116,31 @@ class IRangefinder2DMsgs(Service):
 
 @rpc
 @before(Generation.YARP_3_11)
-class OlderWords(Service):
-    """The same in the words of clients before 3.10: distances, directions, resolution, rate, description."""
+class OlderVocabs(Service):
+    """The vocabs of clients before 3.10: distances, directions, resolution, rate, description."""
 
-    def get_ilas_lsdr(self) -> OldAnswer: ...
-    def get_ilas_lsar(self) -> OldAnswer: ...
-    def get_ilas_lsas(self) -> OldAnswer: ...
-    def get_ilas_lssr(self) -> OldAnswer: ...
-    def get_ilas_lsnf(self) -> OldAnswer: ...
+    def get_ilas_lsdr(self) -> VocabReply: ...
+    def get_ilas_lsar(self) -> VocabReply: ...
+    def get_ilas_lsas(self) -> VocabReply: ...
+    def get_ilas_lssr(self) -> VocabReply: ...
+    def get_ilas_lsnf(self) -> VocabReply: ...
     def set_ilas_lsdr(self, min: float, max: float) -> bool: ...  # noqa: A002 - YARP's names
     def set_ilas_lsar(self, min: float, max: float) -> bool: ...  # noqa: A002 - YARP's names
     def set_ilas_lsas(self, step: float) -> bool: ...
     def set_ilas_lssr(self, rate: float) -> bool: ...
 
 
-def _asks(what: str, method: Callable[..., Any]) -> Callable[[Any], OldAnswer]:
-    def ask(self: Any) -> OldAnswer:
+def _getter(quantity: str, method: Callable[..., Any]) -> Callable[[Any], VocabReply]:
+    def ask(self: Any) -> VocabReply:
         outcome, *values = getattr(self, method.__name__)()
         if not outcome:
             raise CallFailed(outcome.code)
-        return OldAnswer(what, *values)
+        return VocabReply(quantity, *values)
 
     return ask
 
 
-def _does(method: Callable[Concatenate[Any, P], ReturnValue]) -> Callable[Concatenate[Any, P], bool]:
+def _setter(method: Callable[Concatenate[Any, P], ReturnValue]) -> Callable[Concatenate[Any, P], bool]:
     def do(self: Any, /, *arguments: P.args, **named: P.kwargs) -> bool:
         outcome = getattr(self, method.__name__)(*arguments, **named)
         if not outcome:
@@ -149,15 +150,15 @@ def _does(method: Callable[Concatenate[Any, P], ReturnValue]) -> Callable[Concat
     return do
 
 
-class Rangefinder2D(IRangefinder2DMsgs, OlderWords):
-    """A laser that answers clients of every release; the older words call the newer methods."""
+class Rangefinder2D(IRangefinder2DMsgs, OlderVocabs):
+    """A laser for clients of every release; the older vocabs call the newer methods."""
 
-    get_ilas_lsdr = _asks("lsdr", IRangefinder2DMsgs.getDistanceRange_RPC)
-    get_ilas_lsar = _asks("lsar", IRangefinder2DMsgs.getScanLimits_RPC)
-    get_ilas_lsas = _asks("lsas", IRangefinder2DMsgs.getHorizontalResolution_RPC)
-    get_ilas_lssr = _asks("lssr", IRangefinder2DMsgs.getScanRate_RPC)
-    get_ilas_lsnf = _asks("lsnf", IRangefinder2DMsgs.getDeviceInfo_RPC)
-    set_ilas_lsdr = _does(IRangefinder2DMsgs.setDistanceRange_RPC)
-    set_ilas_lsar = _does(IRangefinder2DMsgs.setScanLimits_RPC)
-    set_ilas_lsas = _does(IRangefinder2DMsgs.setHorizontalResolution_RPC)
-    set_ilas_lssr = _does(IRangefinder2DMsgs.setScanRate_RPC)
+    get_ilas_lsdr = _getter("lsdr", IRangefinder2DMsgs.getDistanceRange_RPC)
+    get_ilas_lsar = _getter("lsar", IRangefinder2DMsgs.getScanLimits_RPC)
+    get_ilas_lsas = _getter("lsas", IRangefinder2DMsgs.getHorizontalResolution_RPC)
+    get_ilas_lssr = _getter("lssr", IRangefinder2DMsgs.getScanRate_RPC)
+    get_ilas_lsnf = _getter("lsnf", IRangefinder2DMsgs.getDeviceInfo_RPC)
+    set_ilas_lsdr = _setter(IRangefinder2DMsgs.setDistanceRange_RPC)
+    set_ilas_lsar = _setter(IRangefinder2DMsgs.setScanLimits_RPC)
+    set_ilas_lsas = _setter(IRangefinder2DMsgs.setHorizontalResolution_RPC)
+    set_ilas_lssr = _setter(IRangefinder2DMsgs.setScanRate_RPC)

@@ -1,10 +1,10 @@
-"""Finds out the release of a client on any machine: by its process, and by a reply that not all releases can read.
+"""Determines the YARP release of a remote client: by its process, and by a reply that not all releases can read.
 
-The name server knows the process of each C++ port (property ``process``), so what one device of a process disclosed
-holds for its others. A ``navigation2D_nwc_yarp`` is tried: its port ``<local>/user_commands/rpc`` answers
-``listLocations`` with the names that it gets from its map server (``Navigation2D_nwc_yarp.cpp``, 3.6 to 4.0). If that
-is one of our servers, it sends the names in the format of 3.6 to 3.10 for once, and the client's answer has them only
-if it could read that.
+The name server has the process of each C++ port (property ``process``), so a finding about one device applies to all
+devices of its process. A trial uses the port ``<local>/user_commands/rpc`` of a ``navigation2D_nwc_yarp``: its reply to
+``listLocations`` contains the names from its map server (``Navigation2D_nwc_yarp.cpp``, 3.6 to 4.0). If that is one of
+our servers, it sends the names once in the format of 3.6 to 3.10, and they are in the client's reply only if the client
+could read them.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ COMMANDS = "/user_commands/rpc"
 _PORTS = ("/navigation/rpc", "/locations/rpc", "/localization/rpc")
 _OPENING = 5.0  # seconds for the client to open its last port
 _STEPS = 0.02, 0.5  # seconds between the first two attempts, and at most
-_PATIENCE = 2.0  # seconds for the client's answer
+_PATIENCE = 2.0  # seconds for the client's reply
 
 
 class ReleaseTrials:
-    """Finds out the releases of clients as they connect, each on a thread that ends by itself."""
+    """Trials that determine the releases of clients as they connect, each on a thread that ends by itself."""
 
     def __init__(self, generations: Generations, naming: Naming) -> None:
         self._generations, self._naming = generations, naming
@@ -45,14 +45,14 @@ class ReleaseTrials:
         return any(thread.is_alive() for thread in self._threads)
 
     def connected(self, peer: str, link: PeerAddress) -> None:
-        """Begin with a port that has connected, if its release is unknown; ``link`` is its end, if that is known."""
+        """Start a trial for a connected port of an unknown release; ``link`` is its address, if known."""
         if peer.startswith("/") and not self._closed.is_set() and not self._generations.of(peer, link=link).sure:
-            run = threading.Thread(target=self._run, args=(peer, link), name=f"release of {peer}", daemon=True)
-            self._threads = [*(thread for thread in self._threads if thread.is_alive()), run]
-            run.start()
+            trial = threading.Thread(target=self._run, args=(peer, link), name=f"release of {peer}", daemon=True)
+            self._threads = [*(thread for thread in self._threads if thread.is_alive()), trial]
+            trial.start()
 
     def close(self) -> None:
-        """Start no new trials, and end the waiting ones."""
+        """Start no more trials, and end the waiting ones."""
         self._closed.set()
 
     def _run(self, peer: str, link: PeerAddress) -> None:
@@ -97,4 +97,4 @@ class ReleaseTrials:
             reason = "a guess: it did not read a reply in the format of 3.6 to 3.10"
             finding = ReleaseFinding(Generation.YARP_3_12, reason, sure=False)
         self._generations.findings.add(peer, finding, link)
-        log.info("%s: its calls are answered as by YARP %s (%s)", device_of(peer), finding.generation.value, reason)
+        log.info("%s: replying to its calls as YARP %s (%s)", device_of(peer), finding.generation.value, reason)

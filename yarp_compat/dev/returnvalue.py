@@ -1,4 +1,4 @@
-"""The outcome of a call of an interface, which each generation of YARP writes in its own way."""
+"""The outcome of a call of an interface, which each generation of YARP encodes differently."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 class ReturnCode(Enum):
-    """The outcomes: each with YARP 4's vocab and the number of 3.11 and 3.12 (`yarp/dev/ReturnValue.h`)."""
+    """The outcomes, each with YARP 4's vocab and the number of 3.11 and 3.12 (`yarp/dev/ReturnValue.h`)."""
 
     OK = "ok", 0
     GENERIC = "err1", 1
@@ -35,26 +35,26 @@ class ReturnCode(Enum):
 
     @property
     def vocab(self) -> str:
-        """YARP 4's word."""
+        """YARP 4's vocab."""
         return self.value[0]
 
     @property
     def vocab_number(self) -> int:
-        """The number of that word, which C++ and the bindings have."""
+        """The number of that vocab, the value in C++ and the bindings."""
         return int.from_bytes(self.vocab.encode().ljust(4, b"\0"), "little")
 
     @property
     def number(self) -> int:
-        """The number of 3.11 and 3.12, which knew no bounds."""
+        """The number in 3.11 and 3.12, which have no out-of-bounds outcome."""
         return self.value[1]
 
 
-_BY_WORD = {**{code.vocab: code for code in ReturnCode}, "fail": ReturnCode.METHOD_FAILED}
+_BY_VOCAB = {**{code.vocab: code for code in ReturnCode}, "fail": ReturnCode.METHOD_FAILED}
 _BY_NUMBER = {code.number: code for code in reversed(ReturnCode)}
 
 
 class ReturnValue(Portable):
-    """An outcome; true where the call succeeded."""
+    """An outcome; true if the call succeeded."""
 
     def __init__(self, code: ReturnCode | ReturnValue | int = ReturnCode.UNINITIALIZED) -> None:
         if isinstance(code, int):
@@ -70,21 +70,21 @@ class ReturnValue(Portable):
         return self.code is other.code if isinstance(other, ReturnValue) else NotImplemented
 
     def __iand__(self, other: ReturnValue) -> Self:
-        return type(self)(other if self else self)  # another one: this may be in use elsewhere
+        return type(self)(other if self else self)  # a new object, as this one may be shared
 
     def isEqual(self, other: object) -> bool:
-        """Whether it is this outcome, or one of the numbers ``return_code_...`` of this class."""
+        """Whether ``other`` is the same outcome, or its number (``return_code_...`` of this class)."""
         return self == other
 
     def __hash__(self) -> int:
-        return hash(self.code.vocab_number)  # as that of the number that it equals
+        return hash(self.code.vocab_number)  # equal to its number, so the hashes must be equal
 
     def __repr__(self) -> str:
         return f"ReturnValue({self.code.name})"
 
     def toString(self) -> str:
-        """The outcome in YARP's words."""
-        return _WORDS[self.code]
+        """Return YARP's name of the outcome."""
+        return _NAMES[self.code]
 
     toString_c = toString
 
@@ -107,27 +107,27 @@ class ReturnValue(Portable):
         tag = source.next_tag()
         if tag & LIST:
             count = source.begin()
-            if count == 0:  # to a client whose generation is a guess, see `yarp_compat.dev.returnvalue`
+            if count == 0:  # `outcome_only`'s reply to a client whose generation is a guess
                 source.end()
                 self.code = ReturnCode.OK
                 return
             if count != 1:
-                raise WireError(f"an outcome is a list of 1, not {count}")
-            word = source.word()
+                raise WireError(f"an outcome must be a list of 1, not {count}")
+            vocab = source.word()
             source.end()
         elif tag == VOCAB32:
-            word = source.word()
+            vocab = source.word()
         elif tag == INT32:
             self.code = _BY_NUMBER.get(source.integer(), ReturnCode.GENERIC)
             return
         else:
             raise WireError(f"expected a call's outcome at byte {source.at}, found tag {tag}")
-        if word not in _BY_WORD:
-            raise WireError(f"{word!r} before byte {source.at} is no outcome of a call")
-        self.code = _BY_WORD[word]
+        if vocab not in _BY_VOCAB:
+            raise WireError(f"{vocab!r} before byte {source.at} is not the outcome of a call")
+        self.code = _BY_VOCAB[vocab]
 
 
-_WORDS = {
+_NAMES = {
     ReturnCode.OK: "ok",
     ReturnCode.GENERIC: "return_value_error_generic",
     ReturnCode.NOT_IMPLEMENTED: "return_value_error_not_implemented_by_device",
@@ -138,15 +138,15 @@ _WORDS = {
     ReturnCode.OUT_OF_BOUNDS: "return_value_error_input_out_of_bounds",
     ReturnCode.UNINITIALIZED: "return_value_uninitialized",
 }
-for _code, _word in _WORDS.items():  # as YARP's bindings name an enumeration inside a class
-    _member = "return_value_ok" if _code is ReturnCode.OK else _word
+for _code, _name in _NAMES.items():  # as YARP's bindings name an enumeration inside a class
+    _member = "return_value_ok" if _code is ReturnCode.OK else _name
     setattr(ReturnValue, f"return_code_{_member}", _code.vocab_number)
 
 OK = ReturnValue(ReturnCode.OK)
 
 
-class CallFailed(Exception):  # noqa: N818 - what happened, as an implementation says it
-    """Raised by an implementation: the outcome is not ok, other results do not matter; the reason is for the log."""
+class CallFailed(Exception):  # noqa: N818 - names the event
+    """Raised by an implementation: the outcome is not ok, other results are ignored; the reason goes to the log."""
 
     def __init__(self, code: ReturnCode = ReturnCode.METHOD_FAILED, reason: str = "") -> None:
         super().__init__(reason or code.name)
@@ -156,9 +156,9 @@ class CallFailed(Exception):  # noqa: N818 - what happened, as an implementation
 UNREACHED = ReturnValue(ReturnCode.COMMUNICATION)
 
 
-def called(call: Callable[..., Any], *arguments: Any, into: Any = None) -> ReturnValue:
-    """Call a server's method of no result or one, which ``into`` becomes: an object of its class, or a list."""
-    outcome, *values = answered(call, *arguments)
+def invoke(call: Callable[..., Any], *arguments: Any, into: Any = None) -> ReturnValue:
+    """Call a server's method and return its outcome; fill ``into`` (an object or a list) with its result, if any."""
+    outcome, *values = results_of(call, *arguments)
     if outcome and values:
         fill(into, values[0])
     return ReturnValue(outcome.code)
@@ -167,11 +167,11 @@ def called(call: Callable[..., Any], *arguments: Any, into: Any = None) -> Retur
 def outcome_of(
     method: Callable[Concatenate[Any, P], ReturnValue], server: str = "_remote"
 ) -> Callable[Concatenate[Any, P], ReturnValue]:
-    """A client's method that calls a server's, which returns an outcome alone; ``server`` is the client's attribute."""
+    """Make a client's method for a server's that returns only an outcome; ``server`` is the client's attribute."""
 
     @wraps(method, updated=())
     def call(self: Any, /, *arguments: P.args, **named: P.kwargs) -> ReturnValue:
-        return called(partial(getattr(getattr(self, server), method.__name__), **named), *arguments)
+        return invoke(partial(getattr(getattr(self, server), method.__name__), **named), *arguments)
 
     call.__doc__ = f"Call the server's ``{method.__name__}``."
     return call
@@ -182,39 +182,39 @@ def filled(method: Callable[[Any], tuple[ReturnValue, T]]) -> Callable[[Any, T],
 @overload
 def filled(method: Callable[[Any, A], tuple[ReturnValue, T]]) -> Callable[[Any, A, T], ReturnValue]: ...
 def filled(method: Callable[..., tuple[ReturnValue, Any]]) -> Callable[..., ReturnValue]:
-    """A client's method that calls a server's, which returns one value; an object behind the arguments becomes it."""
+    """Make a client's method for a server's that returns one value; it is copied into the last argument."""
 
     @wraps(method, updated=())
     def call(self: Any, /, *arguments: Any) -> ReturnValue:
-        *own, into = arguments
-        return called(getattr(self._remote, method.__name__), *own, into=into)
+        *inputs, into = arguments
+        return invoke(getattr(self._remote, method.__name__), *inputs, into=into)
 
-    call.__doc__ = f"Call the server's ``{method.__name__}``, whose result the last argument becomes."
+    call.__doc__ = f"Call the server's ``{method.__name__}``, and copy its result into the last argument."
     return call
 
 
 def listed(method: Callable[[Any], tuple[ReturnValue, list[T]]]) -> Callable[..., Any]:
-    """A client's method that calls a server's, which returns a list; without a list to fill, returns it as a tuple."""
+    """Make a client's method for a server's that returns a list; without a list to fill, it returns a tuple."""
 
     @wraps(method, updated=())
     def call(self: Any, into: Any = None) -> Any:
-        return asked(getattr(self._remote, method.__name__), into=into, default=())
+        return fetch(getattr(self._remote, method.__name__), into=into, default=())
 
     call.__doc__ = (
-        f"Call the server's ``{method.__name__}``, whose result a list becomes; or return it, empty on failure."
+        f"Call the server's ``{method.__name__}``, and fill a list with its result or return it, empty on failure."
     )
     return call
 
 
-def asked(call: Callable[..., Any], *arguments: Any, into: Any, default: Any) -> Any:
-    """Call a server's method that returns a value: ``into`` becomes it; without ``into`` returns it, or the default."""
-    outcome, *values = answered(call, *arguments)
+def fetch(call: Callable[..., Any], *arguments: Any, into: Any, default: Any) -> Any:
+    """Call a server's method, and fill ``into`` with its value; without ``into`` return it, or the default."""
+    outcome, *values = results_of(call, *arguments)
     value = values[0] if outcome else default
-    return given(outcome, value, into)
+    return deliver(outcome, value, into)
 
 
-def answered(call: Callable[..., Any], *arguments: Any) -> tuple[Any, ...]:
-    """A call's outcome, and its other results."""
+def results_of(call: Callable[..., Any], *arguments: Any) -> tuple[Any, ...]:
+    """Return a call's outcome and its other results."""
     try:
         returned = call(*arguments)
     except (OSError, WireError):
@@ -222,15 +222,15 @@ def answered(call: Callable[..., Any], *arguments: Any) -> tuple[Any, ...]:
     return (returned,) if isinstance(returned, ReturnValue) else tuple(returned)
 
 
-def three(call: Callable[[], tuple[ReturnValue, float, float, float]]) -> tuple[ReturnValue, float, float, float]:
-    """A call's outcome and three numbers, 0 where it fails."""
-    outcome, *numbers = answered(call)
+def fetch_three(call: Callable[[], tuple[ReturnValue, float, float, float]]) -> tuple[ReturnValue, float, float, float]:
+    """Return a call's outcome and its three numbers, 0 if it fails."""
+    outcome, *numbers = results_of(call)
     x, y, theta = numbers if outcome else (0.0, 0.0, 0.0)
     return outcome, x, y, theta
 
 
-def given(outcome: ReturnValue, value: Any, into: Any) -> Any:
-    """A value as the caller wants it: filled in, with the outcome returned; or by itself, a list as a tuple."""
+def deliver(outcome: ReturnValue, value: Any, into: Any) -> Any:
+    """Fill ``into`` with a value and return the outcome; without ``into`` return the value, a list as a tuple."""
     if into is None:
         return tuple(value) if isinstance(value, list) else value
     if outcome:
@@ -239,21 +239,21 @@ def given(outcome: ReturnValue, value: Any, into: Any) -> Any:
 
 
 def fill(into: Any, value: Any) -> None:
-    """Have something be as a value is."""
+    """Copy a value into an object, or into a list as its content or only element."""
     if isinstance(into, list):
         into[:] = value if isinstance(value, list) else [value]
     else:
         into._become(value)
 
 
-SPARE = 4  # bytes that the acknowledgement behind an outcome of `alone` has to say
+SPARE = 4  # bytes that the acknowledgement after an outcome of `outcome_only` must announce
 
 _SUCCESS = struct.pack("<ii", LIST | INT32, 0)
 _FAILURE = struct.Struct("<i")
 
 
 class Refused(ReturnValue):
-    """A failure that each generation reads as one; what failed is lost to some."""
+    """A failure that each generation reads as a failure, some without its code."""
 
     def _write(self, out: ElementWriter) -> None:
         if out.generation is Generation.YARP_4:
@@ -261,6 +261,6 @@ class Refused(ReturnValue):
         out.vocab("fail")
 
 
-def alone(outcome: ReturnValue) -> bytes:
-    """The reply that is nothing but an outcome, over a carrier with acknowledgements."""
+def outcome_only(outcome: ReturnValue) -> bytes:
+    """Return the reply that consists of an outcome only, for a carrier with acknowledgements."""
     return _SUCCESS if outcome else _FAILURE.pack(outcome.code.number)

@@ -1,12 +1,11 @@
-"""The commands of robotGoto's own port: its service (`robotGotoMsgs.thrift`, 2026), and the words that it took before.
+"""The commands of robotGoto's own port: its service (`robotGotoMsgs.thrift`, 2026), and its older text commands.
 
 ``reset_params``, ``approach DIRECTION SPEED TIME``, ``set linear_tol 0.05``, ``get navigation_status``
-(`robotGotoDev.cpp`); robotPathPlanner sends the words to robotGoto, also where that is the newer one, which does not
-know them.
+(`robotGotoDev.cpp`); robotPathPlanner sends the text commands even to a newer robotGoto, which does not support them.
 """
 
 # mypy: disable-error-code="empty-body"
-# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
+# ruff: noqa: D102 - the names are those of YARP's .thrift file
 
 from __future__ import annotations
 
@@ -35,38 +34,38 @@ _SWITCHES = {
 
 @rpc
 class RobotGotoMsgs(Service):
-    """The methods of robotGoto's port; the older words call the same."""
+    """The methods of robotGoto's port; the text commands call the same methods."""
 
-    def ResetParams(self) -> ReturnValue: ...  # to those of the start
+    def ResetParams(self) -> ReturnValue: ...  # to the initial ones
     def Approach(self, dir: float, speed: float, time: float) -> ReturnValue: ...  # noqa: A002 - degrees, m/s, seconds
-    def SetLinearTolerance(self, tol: float) -> ReturnValue: ...  # metres
+    def SetLinearTolerance(self, tol: float) -> ReturnValue: ...  # meters
     def SetAngularTolerance(self, tol: float) -> ReturnValue: ...  # degrees
     def SetMaxLinearSpeed(self, maxLin: float) -> ReturnValue: ...  # m/s
     def SetMaxAngularSpeed(self, maxAng: float) -> ReturnValue: ...  # deg/s
     def SetMinLinearSpeed(self, minLin: float) -> ReturnValue: ...
     def SetMinAngularSpeed(self, minAng: float) -> ReturnValue: ...
-    def SetLinearSpeedGain(self, LinGain: float) -> ReturnValue: ...  # m/s for each metre of distance
-    def SetAngularSpeedGain(self, AngGain: float) -> ReturnValue: ...  # deg/s for each degree of error
+    def SetLinearSpeedGain(self, LinGain: float) -> ReturnValue: ...  # m/s per meter of distance
+    def SetAngularSpeedGain(self, AngGain: float) -> ReturnValue: ...  # deg/s per degree of error
     def SetObstacoleAvoidance(self, enable: bool) -> ReturnValue: ...
     def SetObstacoleStop(self, enable: bool) -> ReturnValue: ...
     def GetNavigationStatus(self) -> tuple[ReturnValue, str]: ...  # ``navigation_status_moving``
 
     def command(self, words: list[Any]) -> Sequence[Any] | None:
-        """Answer in words."""
-        verb, *rest = [str(word) if isinstance(word, str) else word for word in words] or [""]
+        """Reply to a text command."""
+        verb, *arguments = [str(word) if isinstance(word, str) else word for word in words] or [""]
         if verb == "help":
             return [Vocab("many"), *self._help()]
         if verb == "reset_params":
             _check(self.ResetParams())
             return ["params reset done"]
         if verb == "approach":
-            direction, speed, seconds = _numbers(rest, 3, "approach DIRECTION SPEED TIME")
+            direction, speed, seconds = _numbers(arguments, 3, "approach DIRECTION SPEED TIME")
             _check(self.Approach(direction, speed, seconds))
             return ["approach command received"]
         if verb == "set":
-            return [self._set(rest)]
+            return [self._set(arguments)]
         if verb == "get":
-            return [self._status() if rest == ["navigation_status"] else "Unknown get."]
+            return [self._status() if arguments == ["navigation_status"] else "Unknown get."]
         return None
 
     def _set(self, words: list[Any]) -> str:
@@ -76,10 +75,10 @@ class RobotGotoMsgs(Service):
             _check(getattr(self, _NUMBERS[name][0])(value))
             return f"{name} set."
         if name in _SWITCHES:
-            method, said = _SWITCHES[name]
+            method, label = _SWITCHES[name]
             (value,) = _numbers(words[1:], 1, f"set {name} 0|1")
             _check(getattr(self, method)(value != 0))
-            return f"{said}={'true' if value else 'false'}"
+            return f"{label}={'true' if value else 'false'}"
         return "Unknown set."
 
     def _status(self) -> str:
@@ -99,10 +98,10 @@ class RobotGotoMsgs(Service):
         ]
 
 
-def _numbers(words: list[Any], count: int, usage: str) -> list[float]:
-    if len(words) != count or not all(isinstance(word, int | float) and not isinstance(word, bool) for word in words):
-        raise ValueError(f"it is: {usage}")
-    return [float(word) for word in words]
+def _numbers(values: list[Any], count: int, usage: str) -> list[float]:
+    if len(values) != count or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+        raise ValueError(f"usage: {usage}")
+    return [float(value) for value in values]
 
 
 def _check(outcome: ReturnValue) -> None:

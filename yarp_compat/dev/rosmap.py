@@ -1,7 +1,7 @@
-"""Maps as ROS keeps them: a YAML file that names an image (http://wiki.ros.org/map_server, nav2_map_server's map_io).
+"""Maps in ROS's format: a YAML file that names an image (http://wiki.ros.org/map_server, nav2_map_server's map_io).
 
 ``image resolution origin: [x, y, yaw] negate occupied_thresh free_thresh mode``, with the yaw in radians. YARP writes
-``origin: [ x y theta ]``, without commas and in degrees, which no map server reads; this recognises it.
+``origin: [ x y theta ]``, without commas and in degrees, which map servers reject; this module recognizes it.
 """
 
 from __future__ import annotations
@@ -16,45 +16,45 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yarp_compat.dev.mapfile import MapFileError, decimal, file_name, found, grey_image, read_image, read_text, write
-from yarp_compat.dev.mapflag import UNKNOWN, flags_of, looked_up
+from yarp_compat.dev.mapfile import MapFileError, decimal, file_name, gray_image, read_image, read_text, resolve, write
+from yarp_compat.dev.mapflag import UNKNOWN, flags_of, lookup
 from yarp_compat.dev.mapinfo import MapContents, MapGrid2DOrigin
 
 MODES = ("trinary", "scale", "raw")
 _LONGEST = 1 << 16
 _DEEPEST = 8
-_UNKNOWN_GREY = 205
-_BAND = 1 << 20  # cells
+_UNKNOWN_GRAY = 205
+_BAND = 1 << 20  # cells per step, so that intermediate results stay in the cache
 
 
 _BETWEEN = np.isin(np.arange(256), (0, 100, UNKNOWN), invert=True).astype(np.uint8)
-"""Whether an occupancy is one that ``trinary`` images cannot hold."""
+"""Whether ``trinary`` images cannot represent an occupancy."""
 
 
 _BEYOND = np.where(np.arange(256) <= 100, 0, UNKNOWN).astype(np.uint8)
-"""All bits set for what is no occupancy, so that what is one stays beside it."""
+"""A mask to combine with pixels by "or": all bits set for numbers that are not an occupancy."""
 
 
 @dataclass(frozen=True)
 class RosMapHeader:
     """The content of the YAML file."""
 
-    image: str  # the image's file
-    resolution: float  # metres per cell
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # the place of the lower left corner, as the file says it
-    # the origin is YARP's, whose third number is its theta in degrees, and not ROS's yaw in radians
+    image: str  # the image file
+    resolution: float  # meters per cell
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # the pose of the lower left corner, as in the file
+    # the origin is YARP's, with theta in degrees, instead of ROS's, with the yaw in radians
     degrees: bool = False
-    negate: bool = False  # white is occupied, not black
-    occupied_thresh: float = 0.65  # pixels that are more surely occupied are occupied, 0 to 1
-    # those that are less so are free. Map servers take unknown cells (205, which is 0.19608) for free with YARP's 0.2
-    # or Nav2's 0.25
+    negate: bool = False  # white is occupied instead of black
+    occupied_thresh: float = 0.65  # pixels with a higher probability are occupied, 0 to 1
+    # pixels with a lower one are free. With YARP's 0.2 or Nav2's 0.25, map servers read unknown cells (gray 205, which
+    # is 0.19608) as free
     free_thresh: float = 0.196
-    # ``trinary`` (what is between is unknown), ``scale`` (a part of the way between, transparent is unknown) or ``raw``
-    # (the pixel's number is the occupancy, above 100 unknown)
+    # ``trinary`` (unknown between the thresholds), ``scale`` (interpolated between them, transparent is unknown) or
+    # ``raw`` (the pixel's number is the occupancy, above 100 unknown)
     mode: str = "trinary"
 
     def to_text(self) -> str:
-        """The YAML file."""
+        """Return the content of the YAML file."""
         origin = ", ".join(map(decimal, self.origin))
         return (
             f"image: {_scalar(self.image)}\nmode: {self.mode}\nresolution: {decimal(self.resolution)}\n"
@@ -64,79 +64,79 @@ class RosMapHeader:
 
 
 def load_ros(path: str | Path, jail: Path | None = None) -> MapContents:
-    """Read a map of ROS from its YAML file, whose name it has; with a ``jail`` all files must be in that folder.
+    """Read a map of ROS from its YAML file, named after the file; with a ``jail`` all files must be in that folder.
 
-    The flags are those that YARP gives such a map: free below 50, wall from there on, unknown. Raises `MapFileError`.
+    It gets the flags that YARP assigns: free below 50, wall up to 100, else unknown. Raises `MapFileError`.
     """
-    file = found(path, Path(), jail)
+    file = resolve(path, Path(), jail)
     header = read_header(file)
-    flags, occupancy = _cells(read_image(found(header.image, file.parent, jail)), header)
+    flags, occupancy = _cells(read_image(resolve(header.image, file.parent, jail)), header)
     origin = MapGrid2DOrigin(*header.origin) if header.degrees else MapGrid2DOrigin.from_ros(*header.origin)
     return MapContents(flags, occupancy, file.stem, header.resolution, origin)
 
 
 def save_ros(
     grid: MapContents,  # the map
-    path: str | Path,  # the YAML file; the image stands beside it, under the same name
+    path: str | Path,  # the YAML file; the image is written to the same folder with the same name
     *,
-    image: str = "pgm",  # its kind: ``pgm``, ``png`` or ``bmp``
-    # as of :class:`RosMapHeader`; by default ``trinary``, or ``raw`` where the map has an occupancy that gets lost
-    # there. ``scale`` is for png, which can say what is unknown
+    image: str = "pgm",  # ``pgm``, ``png`` or ``bmp``
+    # as in :class:`RosMapHeader`; by default ``trinary``, or ``raw`` if ``trinary`` would lose occupancies. ``scale``
+    # needs png, where transparent pixels are unknown
     mode: str = "",
     negate: bool = False,  # paint occupied cells white; not in ``raw``
-    occupied_thresh: float = 0.65,  # as of :class:`RosMapHeader`
-    free_thresh: float = 0.196,  # as of :class:`RosMapHeader`
+    occupied_thresh: float = 0.65,  # as in :class:`RosMapHeader`
+    free_thresh: float = 0.196,  # as in :class:`RosMapHeader`
 ) -> None:
-    """Write a map as ROS keeps it: its occupancy, and no flags.
+    """Write a map in ROS's format: its occupancy, without its flags.
 
     Raises:
-        MapFileError: it cannot be written so.
+        MapFileError: an option is invalid, or a file cannot be written.
     """
     file = Path(path)
     if image not in ("pgm", "png", "bmp"):
-        raise MapFileError(f"images of maps are pgm, png or bmp, not {image!r:.30}")
-    mode = mode or ("raw" if looked_up(grid.occupancy, _BETWEEN).any() else "trinary")
+        raise MapFileError(f"images of maps must be pgm, png or bmp, not {image!r:.30}")
+    mode = mode or ("raw" if lookup(grid.occupancy, _BETWEEN).any() else "trinary")
     header = RosMapHeader(
         f"{file_name(file.stem)}.{image}", grid.resolution, grid.origin.to_ros(), negate=negate and mode != "raw",
         occupied_thresh=occupied_thresh, free_thresh=free_thresh, mode=mode,
     )  # fmt: skip
     _check(header, file)
     if mode == "scale" and image != "png":
-        raise MapFileError(f"the mode scale needs png images, which can say what is unknown, not {image}")
-    write(file.with_name(header.image), *grey_image(image, _painted(grid.occupancy, header)))
+        raise MapFileError(f"the mode scale needs png images, whose transparent pixels are unknown, not {image}")
+    write(file.with_name(header.image), *gray_image(image, _painted(grid.occupancy, header)))
     write(file, header.to_text())
 
 
 def read_header(path: Path) -> RosMapHeader:
-    """The content of a YAML file; raises `MapFileError` where it is none of a map."""
-    said = _mapping(path)
+    """Read the YAML file of a map; raises `MapFileError` if it is invalid."""
+    settings = _mapping(path)
     for key in ("image", "resolution", "origin"):
-        if key not in said:
-            raise MapFileError(f"{path} says no {key}")
-    if not isinstance(said["image"], str) or not said["image"]:
-        raise MapFileError(f"{path}: image is a file's name, not {said['image']!r:.60}")
-    origin, degrees = _origin(said["origin"], path)
+        if key not in settings:
+            raise MapFileError(f"{path}: the key {key} is missing")
+    if not isinstance(settings["image"], str) or not settings["image"]:
+        raise MapFileError(f"{path}: image must be a file name, not {settings['image']!r:.60}")
+    origin, degrees = _origin(settings["origin"], path)
     header = RosMapHeader(
-        said["image"],
-        _number(said, "resolution", path, 0.0),
+        settings["image"],
+        _number(settings, "resolution", path, 0.0),
         origin,
         degrees,
-        bool(_number(said, "negate", path, 0.0)),
-        _number(said, "occupied_thresh", path, RosMapHeader.occupied_thresh),
-        _number(said, "free_thresh", path, RosMapHeader.free_thresh),
-        str(said.get("mode", "trinary")).lower(),
+        bool(_number(settings, "negate", path, 0.0)),
+        _number(settings, "occupied_thresh", path, RosMapHeader.occupied_thresh),
+        _number(settings, "free_thresh", path, RosMapHeader.free_thresh),
+        str(settings.get("mode", "trinary")).lower(),
     )
     _check(header, path)
     return header
 
 
 def occupancy_of_image(pixels: NDArray[Any], header: RosMapHeader) -> NDArray[np.uint8]:
-    """The occupancy, 0 to 100 or 255, that map servers read; in ``trinary`` they take the opacity for a colour."""
+    """Return the occupancy, 0 to 100 or 255, as map servers do; in ``trinary`` they count the opacity as a color."""
     if pixels.ndim == 2:
         if header.mode == "raw" and pixels.dtype == np.uint8:
-            return pixels | looked_up(pixels, _BEYOND)
+            return pixels | lookup(pixels, _BEYOND)
         table = _table(np.iinfo(pixels.dtype).max, header)
-        return looked_up(pixels, table) if pixels.dtype == np.uint8 else table[pixels]
+        return lookup(pixels, table) if pixels.dtype == np.uint8 else table[pixels]
     channels = 4 if header.mode == "trinary" and pixels.shape[2] == 4 else 3
     sums = pixels[..., 0].astype(np.uint16)
     for channel in range(1, channels):
@@ -148,7 +148,7 @@ def occupancy_of_image(pixels: NDArray[Any], header: RosMapHeader) -> NDArray[np
 
 
 def _cells(pixels: NDArray[Any], header: RosMapHeader) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """The flags and the occupancy, made of some rows at a time, so that what lies between stays in the cache."""
+    """Return the flags and the occupancy, computed in bands of rows."""
     height, width = pixels.shape[:2]
     rows = max(1, _BAND // max(1, width))
     if height <= rows:
@@ -164,12 +164,12 @@ def _cells(pixels: NDArray[Any], header: RosMapHeader) -> tuple[NDArray[np.uint8
 
 @lru_cache(maxsize=4)
 def _table(most: int, header: RosMapHeader) -> NDArray[np.uint8]:
-    """The occupancy of each number of pixels that reach from 0 to this one; kept, as all bands of a map ask for it."""
-    return _meant(np.arange(most + 1) / most, header)
+    """Return the occupancy of each gray from 0 to ``most``; cached for the bands of a map."""
+    return _occupancy_of_shades(np.arange(most + 1) / most, header)
 
 
-def _meant(shades: NDArray[np.float64], header: RosMapHeader) -> NDArray[np.uint8]:
-    """The occupancy of shades from 0 (black) to 1."""
+def _occupancy_of_shades(shades: NDArray[np.float64], header: RosMapHeader) -> NDArray[np.uint8]:
+    """Return the occupancy of shades from 0 (black) to 1 (white)."""
     if header.mode == "raw":
         numbers = np.round(shades * 255)
         return np.where(numbers <= 100, numbers, UNKNOWN).astype(np.uint8)
@@ -183,62 +183,62 @@ def _meant(shades: NDArray[np.float64], header: RosMapHeader) -> NDArray[np.uint
 
 
 def _painted(occupancy: NDArray[np.uint8], header: RosMapHeader) -> NDArray[np.uint8]:
-    """The pixels that are read back as this occupancy."""
+    """Return the pixels that are read back as this occupancy."""
     cells = np.arange(256)
     known = cells <= 100
     if header.mode == "raw":
-        return looked_up(occupancy, np.where(known, cells, 255).astype(np.uint8))
+        return lookup(occupancy, np.where(known, cells, 255).astype(np.uint8))
     if header.mode == "scale":
         part = header.free_thresh + cells / 100 * (header.occupied_thresh - header.free_thresh)
-        greys = np.where(cells == 0, 255, np.where(cells >= 100, 0, np.round(255 * (1 - part))))
+        grays = np.where(cells == 0, 255, np.where(cells >= 100, 0, np.round(255 * (1 - part))))
     else:
-        greys = np.where(cells <= header.free_thresh * 100, 254, _UNKNOWN_GREY)
-        greys = np.where(known & (cells >= header.occupied_thresh * 100), 0, greys)
-        greys = np.where(known, greys, _UNKNOWN_GREY)
-    table = (255 - greys if header.negate else greys).clip(0, 255).astype(np.uint8)
+        grays = np.where(cells <= header.free_thresh * 100, 254, _UNKNOWN_GRAY)
+        grays = np.where(known & (cells >= header.occupied_thresh * 100), 0, grays)
+        grays = np.where(known, grays, _UNKNOWN_GRAY)
+    table = (255 - grays if header.negate else grays).clip(0, 255).astype(np.uint8)
     if header.mode == "trinary":
-        return looked_up(occupancy, table)
+        return lookup(occupancy, table)
     pixels = np.empty((*occupancy.shape, 4), np.uint8)
-    pixels[..., :3] = looked_up(occupancy, table)[..., None]
-    pixels[..., 3] = looked_up(occupancy, (known * 255).astype(np.uint8))
+    pixels[..., :3] = lookup(occupancy, table)[..., None]
+    pixels[..., 3] = lookup(occupancy, (known * 255).astype(np.uint8))
     return pixels
 
 
 def _check(header: RosMapHeader, path: Path) -> None:
     if not header.resolution > 0:
-        raise MapFileError(f"{path}: resolution is metres per cell above 0, not {header.resolution}")
+        raise MapFileError(f"{path}: resolution must be meters per cell above 0, not {header.resolution}")
     if header.mode not in MODES:
-        raise MapFileError(f"{path}: mode is {', '.join(MODES)}, not {header.mode!r:.30}")
+        raise MapFileError(f"{path}: mode must be one of {', '.join(MODES)}, not {header.mode!r:.30}")
     if not 0 <= header.free_thresh <= header.occupied_thresh <= 1:
         raise MapFileError(
-            f"{path}: 0 <= free_thresh <= occupied_thresh <= 1 does not hold for {header.free_thresh} and "
-            f"{header.occupied_thresh}"
+            f"{path}: free_thresh {header.free_thresh} and occupied_thresh {header.occupied_thresh} must be "
+            "ascending numbers from 0 to 1"
         )
 
 
 def _mapping(path: Path) -> Mapping[str, Any]:
-    """A YAML file's content: no aliases, which a few bytes make huge, and nothing deep."""
+    """Parse a YAML file without aliases, which can expand a few bytes enormously, and without deep nesting."""
     import yaml
 
     text = read_text(path)
     if len(text) > _LONGEST:
         raise MapFileError(f"{path} is longer than {_LONGEST} characters, too long for a map's YAML file")
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the compiled one is ten times as fast
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the compiled loader is ten times as fast
     try:
         if _may_be_huge(text):
             _check_events(yaml.parse(text, loader), path)
-        said = yaml.load(text, loader)  # noqa: S506 - a safe one
+        content = yaml.load(text, loader)  # noqa: S506 - a safe loader
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         if isinstance(error, MapFileError):
             raise
-        raise MapFileError(f"{path} is no YAML: {' '.join(str(error).split())}") from None
-    if not isinstance(said, dict):
-        raise MapFileError(f"{path} is no YAML file of a map: it has no keys")
-    return said
+        raise MapFileError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(content, dict):
+        raise MapFileError(f"{path} is not the YAML file of a map: it has no keys")
+    return content
 
 
 def _may_be_huge(text: str) -> bool:
-    """Whether it has signs of what `_check_events` refuses: a look at each event takes as long as all the rest."""
+    """Whether `_check_events` could reject a text: checking each event takes as long as parsing."""
     return "*" in text or sum(map(text.count, ("[", "{", "- ", "? "))) > _DEEPEST
 
 
@@ -248,38 +248,38 @@ def _check_events(events: Iterable[Any], path: Path) -> None:
     depth = 0
     for event in events:
         if isinstance(event, yaml.AliasEvent):
-            raise MapFileError(f"{path}: a map's YAML file has no aliases (*{event.anchor})")
+            raise MapFileError(f"{path}: aliases (*{event.anchor}) are not allowed in a map's YAML file")
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > _DEEPEST:
-            raise MapFileError(f"{path}: a map's YAML file has no lists so deep within each other")
+            raise MapFileError(f"{path}: lists are nested too deep for a map's YAML file")
 
 
-def _origin(said: Any, path: Path) -> tuple[tuple[float, float, float], bool]:
-    words = said if isinstance(said, list) else [said]
-    degrees = len(words) == 1 and isinstance(words[0], str)
+def _origin(value: Any, path: Path) -> tuple[tuple[float, float, float], bool]:
+    parts = value if isinstance(value, list) else [value]
+    degrees = len(parts) == 1 and isinstance(parts[0], str)
     if degrees:
-        words = words[0].split()
+        parts = parts[0].split()
     try:
-        x, y, angle = (float(word) for word in words)
+        x, y, angle = (float(part) for part in parts)
         if math.isfinite(x) and math.isfinite(y) and math.isfinite(angle):
             return (x, y, angle), degrees
     except (TypeError, ValueError):
         pass
-    raise MapFileError(f"{path}: origin is [x, y, yaw], three numbers, not {said!r:.60}")
+    raise MapFileError(f"{path}: origin must be [x, y, yaw], three numbers, not {value!r:.60}")
 
 
-def _number(said: Mapping[str, Any], key: str, path: Path, default: float) -> float:
+def _number(settings: Mapping[str, Any], key: str, path: Path, default: float) -> float:
     try:
-        number = float(said.get(key, default))
+        number = float(settings.get(key, default))
         if math.isfinite(number):
             return number
     except (TypeError, ValueError):
         pass
-    raise MapFileError(f"{path}: {key} is a number, not {said[key]!r:.60}")
+    raise MapFileError(f"{path}: {key} must be a number, not {settings[key]!r:.60}")
 
 
 def _scalar(text: str) -> str:
-    """A text as a YAML scalar, in the quotes that YARP knows too where it needs them."""
+    """Format a text as a YAML scalar, if necessary in quotes that YARP understands too."""
     if text.replace("_", "a").replace("-", "a").replace(".", "a").isalnum() and text.isascii():
         return text
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'

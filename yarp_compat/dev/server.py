@@ -1,7 +1,7 @@
-"""Answers the requests to an interface, each client in its own generation of YARP.
+"""A server of an interface that replies to each client in its own generation of YARP.
 
-It accepts what YARP's servers accept: the name in one word or in several, vocabs or strings, in a list with or without
-its elements' type; ``help``; the introduction of YARP 4's clients. Unknown requests are answered by ``[fail]``.
+It accepts the requests that YARP's servers accept: the name in one or several words, vocabs or strings, in a list with
+or without a common type of elements; ``help``; the introduction of YARP 4's clients. Unknown requests get ``[fail]``.
 If a client's generation is a guess, no generation reads a failure as success (`yarp_compat.dev.returnvalue`).
 """
 
@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 
 HELP = "help"
 LOCATIONS = "get_locations_list_RPC"
-SILENCE = 1.0  # seconds between two lines of one server in the log, which a client could fill otherwise
+SILENCE = 1.0  # minimum seconds between log lines of one server, as a client could flood the log
 _HELP = (
     "help([functionName])",
     "Return list of available commands, or help message for a specific function",
@@ -40,13 +40,13 @@ _HELP = (
 )
 
 _OTHER = {Generation.YARP_3_12: Generation.YARP_3_6, Generation.YARP_3_6: Generation.YARP_3_12}
-"""The generation to try for a client that did not read a reply: both replies have the same length."""
+"""The generation to try for a client that could not read a reply; both encodings have the same length."""
 
 
 class Server:
-    """Answers with an interface's implementation: a port's ``on_message`` and, as :meth:`on_event`, ``on_event``.
+    """Replies with a service's implementation: the ``on_message`` of a port; :meth:`on_event` is its ``on_event``.
 
-    ``generations`` has the generation of each client, also for the owner's status.
+    ``generations`` stores the generation of each client, also for the owner's status.
     """
 
     def __init__(self, service: Service, generations: Generations | None = None) -> None:
@@ -54,12 +54,12 @@ class Server:
         self._calls = type(service).calls()
         self._longest = max((name.count("_") + 1 for name in self._calls), default=1)
         self.generations = Generations() if generations is None else generations
-        self.refused = 0  # invalid requests
+        self.refused = 0  # number of invalid requests
         self._silent = 0.0
-        self._given: dict[str, str] = {}  # the location that a client asked for last and was given
+        self._last_location: dict[str, str] = {}  # the last location that each client requested and received
 
     def __call__(self, request: PortMessage) -> None:
-        """Answer a message."""
+        """Reply to a message."""
         peer = request.peer
         name, link = peer.route.source, peer.address
         reply = self.answer(request.payload, name, peer.profile, link, text=peer.carrier.text, acked=peer.carrier.ack)
@@ -71,12 +71,12 @@ class Server:
             peer.profile = Profile.YARP4
 
     def on_event(self, event: ConnectionEvent) -> None:
-        """Note that a connection began or ended: the next client with its name may have another release."""
+        """Handle the start or end of a connection, as the next client with its name may have another release."""
         if event.incoming and event.up:
             self.generations.connected(event.route.source, event.route.carrier, event.address)
         elif event.incoming:
             self.generations.forget(event.route.source, event.address)
-            self._given.pop(event.route.source, None)
+            self._last_location.pop(event.route.source, None)
 
     def answer(
         self,
@@ -90,97 +90,99 @@ class Server:
     ) -> bytes:
         """Return the reply to a request of a port over a connection (``link``), in its dialect if that is known.
 
-        ``text``: it is printed, so it must be a Bottle; ``acked``: the carrier acknowledges, so `returnvalue.SPARE`
-        bytes can follow.
+        ``text``: the reply is printed, so it must be a Bottle; ``acked``: the carrier acknowledges, so
+        `returnvalue.SPARE` bytes can follow.
         """
         if not text:
             inspect_client(self.generations, peer, profile, link)
         decision = self.generations.of(peer, profile, link)
         likely = profile or decision.generation.profile
         try:
-            words, call, arguments, found = self.taken(payload, likely)
+            name, call, arguments, dialect = self.parse_request(payload, likely)
         except WireError as error:
-            said = self._commanded(payload, profile, likely)
-            if said is not None:
-                return said
+            reply = self._run_command(payload, profile, likely)
+            if reply is not None:
+                return reply
             self.refused += 1
-            self._log("a request of %s is refused: %s", peer or "?", error)
+            self._log("rejected a request from %s: %s", peer or "?", error)
             return _fail()
-        if words == HELP and not arguments:
-            said = self._commanded(payload, profile, likely)
-            if said is not None:
-                return said
+        if name == HELP and not arguments:
+            reply = self._run_command(payload, profile, likely)
+            if reply is not None:
+                return reply
         if call is None:
-            return self._special(words, arguments, peer, profile, link, text=text)
+            return self._special(name, arguments, peer, profile, link, text=text)
         if text:
-            reason = "it is text"
-        elif "_" in _first_word(payload, found) and not self.generations.of(peer, profile, link).sure:
-            # generated code splits names: this is a person at `yarp rpc` or a script, and expects a Bottle
-            reason = "its words are typed"
+            reason = "text carrier"
+        elif "_" in _first_word(payload, dialect) and not self.generations.of(peer, profile, link).sure:
+            # generated code splits names: this is a user of `yarp rpc` or a script, which expects a Bottle
+            reason = "typed request"
         else:
-            decision = self._learned(call, arguments, found, peer, profile, link)
-            return self._called(call, arguments, decision, decision.generation.profile, acked=acked)
-        return self._called(call, arguments, GenerationDecision(peer, Generation.YARP_3_6, reason), found)
+            decision = self._decide(call, arguments, dialect, peer, profile, link)
+            return self._execute(call, arguments, decision, decision.generation.profile, acked=acked)
+        return self._execute(call, arguments, GenerationDecision(peer, Generation.YARP_3_6, reason), dialect)
 
-    def _learned(
-        self, call: Call, arguments: list[Any], found: Profile, peer: str, profile: Profile | None, link: PeerAddress
+    def _decide(
+        self, call: Call, arguments: list[Any], dialect: Profile, peer: str, profile: Profile | None, link: PeerAddress
     ) -> GenerationDecision:
-        """Decide the generation of the answer, by all that the request and the connection disclose."""
+        """Decide the generation of the reply from the request and the connection."""
         generations = self.generations
-        if found is not generations.of(peer, profile, link).generation.profile:
-            generations.recognised(peer, found, link)
+        if dialect is not generations.of(peer, profile, link).generation.profile:
+            generations.recognised(peer, dialect, link)
         if generations.of(peer, profile, link).generation.profile is Profile.YARP3:
             if call.since is not None:
                 generations.called(peer, call.name, call.since, link)
             if call.before is not None:
                 reason = f"it called {call.name}, as clients before {call.before.value} do"
                 generations.findings.add(peer, ReleaseFinding(Generation.YARP_3_6, reason), link)
-        decision = self._reacted(call, arguments, peer, generations.of(peer, profile, link), link)
+        decision = self._revise_guess(call, arguments, peer, generations.of(peer, profile, link), link)
         trial = generations.findings.trial_of(peer) if call.name == LOCATIONS and not decision.sure else None
         if trial is not None:
             return GenerationDecision(peer, trial.generation, "a trial", decision.cure)
-        cure = generations.hint(decision) if call.tells else ""
+        cure = generations.hint(decision) if call.has_outcome else ""
         if cure:
-            what = "the YARP release of %s is unknown (%s); its calls are answered as by %s, with care; %s"
-            log.warning(what, peer or "?", decision.reason, decision.generation.value, cure)
+            text = "the YARP release of %s is unknown (%s); replying as YARP %s, with unambiguous failures; %s"
+            log.warning(text, peer or "?", decision.reason, decision.generation.value, cure)
         return decision
 
-    def _reacted(
+    def _revise_guess(
         self, call: Call, arguments: list[Any], peer: str, decision: GenerationDecision, link: PeerAddress
     ) -> GenerationDecision:
-        """Change the guess if the client did not read the last reply.
+        """Change the guess if the client could not read the last reply.
 
-        ``navigation2D_nwc_yarp`` asks for the area of a name only after the location failed
+        ``navigation2D_nwc_yarp`` requests the area of a name only after the request of the location failed
         (``gotoTargetByLocationName``, 3.6 to 4.0).
         """
-        given, other = self._given.pop(peer, None), _OTHER.get(decision.generation)
-        if decision.sure or other is None or call.name != "get_area_RPC" or given is None or given != arguments[0]:
+        location, other = self._last_location.pop(peer, None), _OTHER.get(decision.generation)
+        if decision.sure or other is None or call.name != "get_area_RPC" or location is None:
             return decision
-        reason = f"a guess: it asked for the area {given!r} although it had been given the location"
+        if location != arguments[0]:
+            return decision
+        reason = f"a guess: it requested the area {location!r} although it had received the location"
         self.generations.findings.add(peer, ReleaseFinding(other, reason, sure=False), link)
         return self.generations.of(peer, decision.generation.profile, link)
 
-    def _commanded(self, payload: Buffer, profile: Profile | None, likely: Profile) -> bytes | None:
-        """Return the answer to a request in words; None if it means nothing to the service."""
+    def _run_command(self, payload: Buffer, profile: Profile | None, likely: Profile) -> bytes | None:
+        """Return the reply to a text command; None if the service does not know it."""
         try:
-            said = self._service.command(decode(payload, profile))
-            return None if said is None else encode(begun_by_vocab(said), likely)
+            values = self._service.command(decode(payload, profile))
+            return None if values is None else encode(begun_by_vocab(values), likely)
         except WireError:
             return None
         except (ValueError, CallFailed) as error:
             return encode([Vocab("fail"), str(error)], likely)
         except Exception:
-            self._log("a command", exc_info=True)
+            self._log("a command failed", exc_info=True)
             return _fail()
 
-    def taken(self, payload: Buffer, likely: Profile) -> tuple[str, Call | None, list[Any], Profile]:
-        """A request's name, call, arguments (too many do no harm) and dialect, in which all bytes mean something."""
+    def parse_request(self, payload: Buffer, likely: Profile) -> tuple[str, Call | None, list[Any], Profile]:
+        """Return a request's name, call, arguments (without surplus ones), and the dialect that fits all bytes."""
         other = Profile.YARP3 if likely is Profile.YARP4 else Profile.YARP4
         first: WireError | None = None
         for profile, whole in ((likely, True), (other, True), (likely, False)):
             source = ElementReader(payload, profile)
             try:
-                words, call = self._named(source)
+                name, call = self._read_name(source)
                 arguments = [] if call is None else call.read_arguments(source)
                 if call is None and source.left:
                     arguments = [source.word()]
@@ -189,11 +191,11 @@ class Server:
             except WireError as error:
                 first = first or error
             else:
-                return words, call, arguments, profile
+                return name, call, arguments, profile
         raise first or WireError("no profile fits")
 
-    def _named(self, source: ElementReader) -> tuple[str, Call | None]:
-        """Return the name in a request and its call; None for the names that every service knows."""
+    def _read_name(self, source: ElementReader) -> tuple[str, Call | None]:
+        """Return the name in a request and its call; None for the names that every service has."""
         source.begin()
         name = source.word()
         if name == "__direct__":
@@ -234,7 +236,7 @@ class Server:
             out.string(line)
         return out.payload()
 
-    def _called(
+    def _execute(
         self, call: Call, arguments: list[Any], decision: GenerationDecision, profile: Profile, *, acked: bool = False
     ) -> bytes:
         peer = decision.peer or "?"
@@ -246,27 +248,27 @@ class Server:
         except NotImplementedError:
             results = _failed(call, ReturnCode.NOT_IMPLEMENTED)
         except Exception:
-            self._log("%s for %s", call.name, peer, exc_info=True)
+            self._log("%s for %s failed", call.name, peer, exc_info=True)
             results = _failed(call, ReturnCode.GENERIC)
         if results is None:
             return _fail()
         if call.name == "get_location_RPC" and results[0] and decision.peer.endswith("/locations/rpc"):
-            self._given[decision.peer] = arguments[0]
+            self._last_location[decision.peer] = arguments[0]
         trial = self.generations.findings.trial_of(decision.peer) if call.name == LOCATIONS else None
         if trial is not None and trial.generation is decision.generation:
             trial.answered = bool(results[0] and results[1])
         try:
-            return _written(call, results, decision, profile, acked=acked)
+            return _encode(call, results, decision, profile, acked=acked)
         except WireError:
-            self._log("%s for %s returned what cannot be written", call.name, peer, exc_info=True)
+            self._log("the result of %s for %s cannot be encoded", call.name, peer, exc_info=True)
             failed = _failed(call, ReturnCode.GENERIC)
-            return _fail() if failed is None else _written(call, failed, decision, profile, acked=acked)
+            return _fail() if failed is None else _encode(call, failed, decision, profile, acked=acked)
 
-    def _log(self, what: str, *arguments: object, exc_info: bool = False) -> None:
+    def _log(self, text: str, *arguments: object, exc_info: bool = False) -> None:
         now = time.monotonic()
         if now >= self._silent:
             self._silent = now + SILENCE
-            log.warning(f"%s: {what}", type(self._service).__name__, *arguments, exc_info=exc_info)  # noqa: G004
+            log.warning(f"%s: {text}", type(self._service).__name__, *arguments, exc_info=exc_info)  # noqa: G004
 
 
 def _first_word(payload: Buffer, profile: Profile) -> str:
@@ -276,15 +278,15 @@ def _first_word(payload: Buffer, profile: Profile) -> str:
 
 
 class _Outcome(bytes):
-    """A reply of `returnvalue.alone`, which wants `returnvalue.SPARE` bytes after its acknowledgement."""
+    """A reply of `returnvalue.outcome_only`, which needs `returnvalue.SPARE` bytes after its acknowledgement."""
 
 
-def _written(call: Call, results: list[Any], decision: GenerationDecision, profile: Profile, *, acked: bool) -> bytes:
-    """The reply, such that a peer whose generation is a guess reads no failure as a success."""
-    if call.tells and not decision.sure and isinstance(results[0], ReturnValue):
-        if acked and call.alone and decision.generation.profile is Profile.YARP3:
-            return _Outcome(returnvalue.alone(results[0]))
-        if not results[0] and not (call.alone and decision.generation is Generation.YARP_3_12):
+def _encode(call: Call, results: list[Any], decision: GenerationDecision, profile: Profile, *, acked: bool) -> bytes:
+    """Encode the reply so that a peer whose generation is a guess reads no failure as a success."""
+    if call.has_outcome and not decision.sure and isinstance(results[0], ReturnValue):
+        if acked and call.single and decision.generation.profile is Profile.YARP3:
+            return _Outcome(returnvalue.outcome_only(results[0]))
+        if not results[0] and not (call.single and decision.generation is Generation.YARP_3_12):
             results = [returnvalue.Refused(results[0].code), *results[1:]]
     return call.reply(results, decision.generation, profile)
 
@@ -292,7 +294,7 @@ def _written(call: Call, results: list[Any], decision: GenerationDecision, profi
 def _results(call: Call, returned: Any) -> list[Any]:
     if not call.results:
         return []
-    if call.alone:
+    if call.single:
         return [returned]
     if isinstance(returned, ReturnValue):
         if not returned:
@@ -304,8 +306,8 @@ def _results(call: Call, returned: Any) -> list[Any]:
 
 
 def _failed(call: Call, code: ReturnCode) -> list[Any] | None:
-    """The results of a call that failed: its outcome, and C++'s defaults for the rest."""
-    return [ReturnValue(code), *_defaults(call)] if call.tells else None
+    """Return the results of a failed call: its outcome, and C++'s defaults for the rest."""
+    return [ReturnValue(code), *_defaults(call)] if call.has_outcome else None
 
 
 def _defaults(call: Call) -> list[Any]:
@@ -320,18 +322,18 @@ def _fail() -> bytes:
 
 
 class DeviceCalls:
-    """Calls a device: any object with some methods of YARP, which return results, None or an outcome, or raise."""
+    """Calls a device: any object with some of YARP's methods, which return results, None or an outcome, or raise."""
 
     def __init__(self, device: object) -> None:
         self._device = device
 
     def done(self, method: str, *arguments: Any) -> ReturnValue:
-        """The outcome of a method that returns nothing."""
+        """Call a method without a result and return its outcome."""
         returned = self._method(method)(*arguments)
         return returned if isinstance(returned, ReturnValue) else OK
 
-    def found(self, method: str, *arguments: Any, lacking: str) -> Any:
-        """Return the result of a method; ``lacking`` is the error if it returns None."""
+    def result(self, method: str, *arguments: Any, lacking: str) -> Any:
+        """Call a method and return its result; ``lacking`` is the error if it returns None."""
         returned = self._method(method)(*arguments)
         if isinstance(returned, ReturnValue):
             raise CallFailed(returned.code if not returned else ReturnCode.METHOD_FAILED, lacking)
@@ -347,12 +349,12 @@ class DeviceCalls:
 
 
 class ServiceServer(OpenPort):
-    """Answers clients of every release of YARP, each on its connection's thread; more as of `Server`, `OpenPort`."""
+    """Serves clients of every release of YARP, on their connections' threads; see also `Server` and `OpenPort`."""
 
     def __init__(self, name: str, service: Service, *, generations: Generations | None = None, **options: Any) -> None:
         self._server = Server(service, generations)
         options = {"is_output": False, "rpc": True, "on_event": self._server.on_event, **options}
         super().__init__(name, **options)
 
-    def _take(self, message: PortMessage) -> None:
+    def _on_message(self, message: PortMessage) -> None:
         self._server(message)

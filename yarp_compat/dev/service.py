@@ -1,11 +1,11 @@
-"""Interfaces as classes: what YARP's generated (thrift) services are to C++.
+"""Interfaces as classes, the counterpart of YARP's generated (thrift) services in C++.
 
     class ILocalization2DMsgs(Service):
         @rpc
         def get_current_position1_RPC(self) -> tuple[ReturnValue, Map2DLocation]: ...
 
-A server derives from the interface and defines its methods; :class:`yarp_compat.dev.server.Server` answers requests
-with it. A client is the interface itself, made with a channel to a server: its methods call the server's.
+A server derives from the interface and defines its methods; :class:`yarp_compat.dev.server.Server` dispatches requests
+to it. A client is the interface itself with a channel to a server: its methods call the server's.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.tags import INT32, LIST, STRING, VOCAB32
 
 INTRODUCTION = "getRemoteProtocolVersion"
-"""The method that clients of YARP 4 call before any other; 3.12 has it too, and its stock clients do not call it."""
+"""The method that clients of YARP 4 call first; 3.12 has it too, but its stock clients do not call it."""
 VERSION = struct.Struct("<iihhhh")
-"""Its reply, which is no Bottle: a list of 1, then the service's protocol, YARP's major, minor and patch number."""
+"""Its reply, which is not a Bottle: a list of 1, then the service's protocol, YARP's major, minor and patch number."""
 
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 
@@ -45,21 +45,21 @@ class Channel(Protocol):
 
 
 class Service:
-    """An interface; clients call its methods marked :func:`rpc` through a channel; a server has none."""
+    """An interface; clients call its methods marked :func:`rpc` through a channel, which servers do not need."""
 
-    PROTOCOL: ClassVar[int] = 0  # the protocol that clients of YARP 4 ask for
+    PROTOCOL: ClassVar[int] = 0  # the protocol version for clients of YARP 4
 
     def __init__(self, channel: Channel | None = None) -> None:
         self._channel = channel
 
     @classmethod
     def calls(cls) -> Mapping[str, Call]:
-        """All its methods by name."""
+        """Return all methods by name."""
         return _calls(cls)  # type: ignore[arg-type]  # a class can be hashed
 
     def introduce(self) -> tuple[int, int, int, int] | None:
-        """Ask for the server's protocol, and YARP's major, minor and patch number (None: older than 3.12), as 4.0."""
-        channel = self._reached(INTRODUCTION)
+        """Introduce the client, as 4.0 does; return the server's protocol and YARP version (None: older than 3.12)."""
+        channel = self._require_channel(INTRODUCTION)
         out = ElementWriter(Profile.YARP4)
         out.begin(1)
         out.string(INTRODUCTION)
@@ -69,17 +69,17 @@ class Service:
             channel.generation = Generation.YARP_3_12 if version[1] == 3 else Generation.YARP_4
         return version
 
-    def command(self, words: list[Any]) -> Sequence[Any] | None:  # noqa: ARG002 - most know none
-        """Answer a request in words, as modules had them before their services; None for any other request.
+    def command(self, words: list[Any]) -> Sequence[Any] | None:  # noqa: ARG002 - most have none
+        """Reply to a text command, as modules had them before their services; None for any other request.
 
-        ``words`` are a Bottle's values, and so is the answer, whose first may be a vocab as text (``[many]``). Raises
-        `ValueError` with the reason for a known command that is wrong.
+        ``words`` and the reply are a Bottle's values; the reply's first may be a vocab as text (``[many]``). Raises
+        `ValueError` with the reason for an invalid command.
         """
         return None
 
-    def _reached(self, name: str) -> Channel:
+    def _require_channel(self, name: str) -> Channel:
         if self._channel is None:
-            msg = f"{type(self).__name__} has no channel to a server, and does not define {name} itself"
+            msg = f"{type(self).__name__} neither has a channel to a server nor defines {name}"
             raise NotImplementedError(msg)
         return self._channel
 
@@ -87,8 +87,8 @@ class Service:
 def rpc(method: _Method) -> _Method:
     """Mark a method of an interface: with a channel, calling it calls the server's method.
 
-    Its annotations are what is on the wire, see :mod:`yarp_compat.dev.fields`; ``tuple[ReturnValue, ...]`` is what
-    YARP's structures ``return_...`` are. On a class it marks all public methods that `Service` does not have.
+    Its annotations are the types on the wire, see :mod:`yarp_compat.dev.fields`; ``tuple[ReturnValue, ...]`` stands for
+    YARP's structures ``return_...``. On a class, it marks all public methods that `Service` does not have.
     """
     if isinstance(method, type):
         for name, member in list(vars(method).items()):
@@ -100,22 +100,22 @@ def rpc(method: _Method) -> _Method:
     def remote(self: Service, *arguments: Any, **named: Any) -> Any:
         if named:
             arguments = signature(method).bind(self, *arguments, **named).args[1:]
-        channel = self._reached(method.__name__)
+        channel = self._require_channel(method.__name__)
         call = type(self).calls()[method.__name__]
         reply = channel.request(
             call.request(arguments, channel.generation.profile),
             lambda data: call.read_reply(data, channel.generation).size,
         )
-        found = call.read_reply(reply, channel.generation)
-        channel.generation = found.generation
-        return found.results[0] if call.alone else tuple(found.results) or None
+        parsed = call.read_reply(reply, channel.generation)
+        channel.generation = parsed.generation
+        return parsed.results[0] if call.single else tuple(parsed.results) or None
 
     remote.__dict__["rpc"] = method
-    return remote  # type: ignore[return-value] # it is called as the method is
+    return remote  # type: ignore[return-value] # it has the method's signature
 
 
 def since(generation: Generation) -> Callable[[_Method], _Method]:
-    """Mark a method, below :func:`rpc`: clients of older generations have it not, so who calls it is none of them."""
+    """Mark a method, below :func:`rpc`, that clients of older generations lack, so a caller is not one of them."""
 
     def marked(method: _Method) -> _Method:
         method.__dict__["since"] = generation
@@ -129,15 +129,15 @@ def before(generation: Generation) -> Callable[[_Method], _Method]:
 
     def marked(method: _Method) -> _Method:
         methods = filter(isfunction, vars(method).values()) if isinstance(method, type) else (method,)
-        for each in methods:
-            each.__dict__["before"] = generation
+        for member in methods:
+            member.__dict__["before"] = generation
         return method
 
     return marked
 
 
 def write_version(protocol: int, generation: Generation = Generation.YARP_4) -> bytes:
-    """The answer to a client's introduction, by a server of the client's own generation."""
+    """Return the reply to a client's introduction, as from a server of the client's own generation."""
     major, minor = map(int, generation.value.split("."))
     return VERSION.pack(LIST, 1, protocol, major, minor, 0)
 
@@ -153,7 +153,7 @@ def read_version(reply: Buffer) -> tuple[int, int, int, int] | None:
 
 
 def version_end(data: Buffer) -> int:
-    """The end of the reply to an introduction."""
+    """Return the length of the reply to an introduction; raises `Incomplete` for a part of one."""
     size = memoryview(data).nbytes
     if size < 4:
         raise Incomplete(f"{size} bytes of a reply")
@@ -164,15 +164,15 @@ def version_end(data: Buffer) -> int:
     return VERSION.size
 
 
-@cache  # not kept at the classes: of several threads that ask first, one would change what another goes through
+@cache  # not stored in the classes: concurrent first calls would change the dict that another thread iterates over
 def _calls(kind: type[Service]) -> Mapping[str, Call]:
-    found = {}
+    calls = {}
     for owner in reversed(kind.__mro__):
         for name, member in vars(owner).items():
             method = getattr(member, "rpc", None)
             if method is not None:
-                found[name] = Call.of(method)
-    return found
+                calls[name] = Call.from_method(method)
+    return calls
 
 
 _ONE, _THREE = struct.Struct("<i"), struct.Struct("<iii")
@@ -180,7 +180,7 @@ _ONE, _THREE = struct.Struct("<i"), struct.Struct("<iii")
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """A reply taken apart: the method's results, the number of its bytes, and the generation that wrote them."""
+    """A parsed reply: the method's results, the number of bytes, and the generation that wrote them."""
 
     results: list[Any]
     size: int
@@ -189,45 +189,45 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A method. ``alone``: it has one result and no structure; ``since``, ``before``: the generations that call it."""
+    """A method. ``single``: one result without a structure; ``since``, ``before``: the generations that call it."""
 
     name: str
     arguments: tuple[tuple[str, FieldCodec], ...]
     results: tuple[FieldCodec, ...]
-    alone: bool
+    single: bool
     prototype: str
     since: Generation | None = None
     before: Generation | None = None
 
     @classmethod
-    def of(cls, method: Callable[..., Any]) -> Call:
-        """The call that a method's annotations declare; raises `TypeError` for a type that YARP's interfaces lack."""
+    def from_method(cls, method: Callable[..., Any]) -> Call:
+        """Make the call that a method's annotations declare; raises `TypeError` for an unsupported type."""
         hints = get_type_hints(method, include_extras=True)
         returned = hints.pop("return", None)
-        alone = get_origin(returned) is not tuple
-        kinds = () if returned in (None, type(None)) else (returned,) if alone else get_args(returned)
+        single = get_origin(returned) is not tuple
+        kinds = () if returned in (None, type(None)) else (returned,) if single else get_args(returned)
         arguments = tuple((name, field_of(hint)) for name, hint in hints.items())
         results = tuple(map(field_of, kinds))
         listed = ", ".join(f"{field.name} {name}" for name, field in arguments)
         returns = " ".join(field.name for field in results) or "void"
         prototype = f"{returns} {method.__name__}({listed})"
         bounds = getattr(method, "since", None), getattr(method, "before", None)
-        return cls(method.__name__, arguments, results, alone and bool(results), prototype, *bounds)
+        return cls(method.__name__, arguments, results, single and bool(results), prototype, *bounds)
 
     @property
-    def tells(self) -> bool:
-        """Whether the first of its results is the call's outcome."""
+    def has_outcome(self) -> bool:
+        """Whether its first result is the call's outcome."""
         return bool(self.results) and getattr(self.results[0], "kind", None) is ReturnValue
 
     def request(self, arguments: Sequence[Any], profile: Profile) -> bytes:
-        """The request with these arguments; raises `WireError` where their number or a type is wrong."""
+        """Return the request with these arguments; raises `WireError` if their number or a type is wrong."""
         if len(arguments) != len(self.arguments):
             raise WireError(f"{self.name} takes {len(self.arguments)} arguments, not {len(arguments)}")
         out = ElementWriter(profile)
-        words = self.name.split("_")
-        out.begin(len(words) + len(arguments))
-        for word in words:
-            (out.vocab if len(word) <= 4 else out.string)(word)
+        parts = self.name.split("_")
+        out.begin(len(parts) + len(arguments))
+        for part in parts:
+            (out.vocab if len(part) <= 4 else out.string)(part)
         for (name, field), value in zip(self.arguments, arguments, strict=True):
             try:
                 field.write(out, value)
@@ -236,19 +236,19 @@ class Call:
         return out.payload()
 
     def read_arguments(self, source: ElementReader) -> list[Any]:
-        """The arguments of a request, whose name has been read; raises `WireError` if one is missing or wrong."""
-        found = []
+        """Read the arguments of a request after its name; raises `WireError` if one is missing or invalid."""
+        values = []
         for name, field in self.arguments:
             try:
-                found.append(field.read(source))
+                values.append(field.read(source))
             except WireError as error:
                 raise type(error)(f"{self.name}, {name}: {error}") from None
-        return found
+        return values
 
     def reply(self, results: Sequence[Any], generation: Generation, profile: Profile | None = None) -> bytes:
-        """The reply with these results, in a profile's tags or the generation's; raises `WireError` for other types."""
+        """Encode these results, with a profile's tags or the generation's; raises `WireError` for wrong types."""
         out = ElementWriter(profile or generation.profile, generation)
-        if not (self._itself and not (self.tells and generation is Generation.YARP_3_6)):
+        if not (self._is_bare and not (self.has_outcome and generation is Generation.YARP_3_6)):
             out.begin(len(self.results))
         for place, (field, value) in enumerate(zip(self.results, results, strict=True)):
             try:
@@ -258,36 +258,36 @@ class Call:
         return out.payload()
 
     def read_reply(self, data: Buffer, generation: Generation) -> Reply:
-        """Parse the reply that ``data`` begins with; a generation that its bytes show overrides the argument.
+        """Parse the reply at the start of ``data``; a generation that its bytes show overrides the argument.
 
         Raises `WireError` if it is not a reply to this method (``[fail]``: the server lacks it), `Incomplete` for a
         part of one.
         """
-        if self.tells:
-            generation = _told(data, generation, alone=self.alone)
+        if self.has_outcome:
+            generation = _generation_of(data, generation, single=self.single)
         source = ElementReader(data, generation.profile, generation)
-        if self._itself:
+        if self._is_bare:
             return Reply([self.results[0].read(source)], source.at, generation)
         count = source.begin()
         if count != len(self.results):
-            raise WireError(f"{self.name} returns {len(self.results)} values, and the reply has {count}")
-        found = [field.read(source) for field in self.results]
+            raise WireError(f"{self.name} returns {len(self.results)} values, but the reply has {count}")
+        results = [field.read(source) for field in self.results]
         source.end()
-        return Reply(found, source.at, generation)
+        return Reply(results, source.at, generation)
 
     @property
-    def _itself(self) -> bool:
-        """Whether the only result, a list, is the whole reply."""
-        return self.alone and isinstance(self.results[0], Nested)
+    def _is_bare(self) -> bool:
+        """Whether the reply consists of the only result, a list."""
+        return self.single and isinstance(self.results[0], Nested)
 
 
-def _told(data: Buffer, generation: Generation, *, alone: bool) -> Generation:
+def _generation_of(data: Buffer, generation: Generation, *, single: bool) -> Generation:
     """Return the generation that wrote a reply with an outcome, as far as its first bytes show it."""
     try:
-        first = _ONE.unpack_from(data, 0)[0] if alone else _THREE.unpack_from(data, 0)[2]
+        first = _ONE.unpack_from(data, 0)[0] if single else _THREE.unpack_from(data, 0)[2]
     except struct.error as error:
         raise Incomplete(f"{memoryview(data).nbytes} bytes do not hold a call's outcome") from error
-    if alone and first & LIST:
+    if single and first & LIST:
         return generation  # ([ok]) of 3.6 to 3.10 and of 4.0 are the same
     if first & LIST:
         return Generation.YARP_4

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from bridge.cli.output import clean
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
-from yarp_compat.dev.mapflag import GREYS, picture_of_flags
+from yarp_compat.dev.mapflag import GRAYS, picture_of_flags
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
 LOCATION_COLOUR, AREA_COLOUR, PATH_COLOUR = (0, 110, 0), (0, 90, 200), (200, 0, 120)
@@ -60,7 +60,7 @@ def colours(grid: MapGrid2D) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
     """A colour for each cell, of shape (height, width, 3): its flag's, or the grey of a free one's occupancy."""
     picture = picture_of_flags(grid.flags)
     doubtful = (grid.flags == MapFlag.FREE) & (grid.occupancy > 0)
-    picture[doubtful] = GREYS[grid.occupancy[doubtful]][:, None]
+    picture[doubtful] = GRAYS[grid.occupancy[doubtful]][:, None]
     return picture
 
 

@@ -1,4 +1,4 @@
-"""YARP's navigation and frame transform services as its .thrift files declare them, as far as transcripts go."""
+"""The navigation and frame transform services of YARP's .thrift files that the transcripts contain."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class Transforms(Service):
 
 
 class All(INavigation2DMsgs, IMap2DMsgs, ILocalization2DMsgs, Transforms):
-    """Every method, so that a transcript's requests need no sorting."""
+    """All methods, so that requests of a transcript need not be sorted."""
 
 
 @dataclass
 class Tree(Structure):
-    """What the frame transform server sends all the time."""
+    """The message that the frame transform server streams."""
 
     retvalue: ReturnValue = field(default_factory=ReturnValue)
     transforms: list[FrameTransform] = field(default_factory=list)

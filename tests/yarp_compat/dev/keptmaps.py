@@ -1,4 +1,4 @@
-"""A map server that keeps all in dictionaries, as simply as can be."""
+"""A minimal map server with dictionaries."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from yarp_compat.dev.returnvalue import OK, CallFailed
 
 
 class KeptMaps(IMap2DMsgs):
-    """Keeps maps and places; what it was asked of files is in ``files``."""
+    """A map server that stores maps and places, and records the arguments of file methods in ``files``."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -19,23 +19,23 @@ class KeptMaps(IMap2DMsgs):
     def __getattribute__(self, name: str) -> Any:
         if not name.endswith("_RPC"):
             return super().__getattribute__(name)
-        words = name.removesuffix("_RPC").split("_")
-        kind = next((kind for kind in self.kept if kind in words or f"{kind}s" in words), "")
-        if words[0] in ("save", "load", "reload", "enable"):
-            return lambda *asked: self.filed(name, *asked)
-        verb = f"{words[0]}_all" if "all" in words else "names" if words[-1] in ("list", "names") else words[0]
-        return lambda *asked: getattr(self, verb)(self.kept[kind], *asked)
+        parts = name.removesuffix("_RPC").split("_")
+        kind = next((kind for kind in self.kept if kind in parts or f"{kind}s" in parts), "")
+        if parts[0] in ("save", "load", "reload", "enable"):
+            return lambda *arguments: self.filed(name, *arguments)
+        verb = f"{parts[0]}_all" if "all" in parts else "names" if parts[-1] in ("list", "names") else parts[0]
+        return lambda *arguments: getattr(self, verb)(self.kept[kind], *arguments)
 
-    def filed(self, *asked: Any) -> Any:
-        self.files.append(asked)
+    def filed(self, *arguments: Any) -> Any:
+        self.files.append(arguments)
         return OK
 
-    def store(self, kept: dict[str, Any], *asked: Any) -> Any:
-        kept[asked[0] if len(asked) == 2 else asked[0].name] = asked[-1]
+    def store(self, kept: dict[str, Any], *arguments: Any) -> Any:
+        kept[arguments[0] if len(arguments) == 2 else arguments[0].name] = arguments[-1]
         return OK
 
     def get(self, kept: dict[str, Any], name: str) -> Any:
-        return OK, self.there(kept, name)
+        return OK, self.existing(kept, name)
 
     def names(self, kept: dict[str, Any]) -> Any:
         return OK, sorted(kept)
@@ -44,28 +44,28 @@ class KeptMaps(IMap2DMsgs):
         return OK, [kept[name] for name in sorted(kept)]
 
     def rename(self, kept: dict[str, Any], old: str, new: str) -> Any:
-        self.there(kept, old)
+        self.existing(kept, old)
         if new in kept:
-            raise CallFailed(reason=f"there is a {new}")
+            raise CallFailed(reason=f"{new} exists")
         kept[new] = kept.pop(old)
         return OK
 
     def delete(self, kept: dict[str, Any], name: str) -> Any:
-        self.there(kept, name)
+        self.existing(kept, name)
         del kept[name]
         return OK
 
     remove = delete
 
     def clear(self, kept: dict[str, Any], name: str) -> Any:
-        self.there(kept, name).clearMapTemporaryFlags()
+        self.existing(kept, name).clearMapTemporaryFlags()
         return OK
 
     def clear_all(self, kept: dict[str, Any]) -> Any:
         kept.clear()
         return OK
 
-    def there(self, kept: dict[str, Any], name: str) -> Any:
+    def existing(self, kept: dict[str, Any], name: str) -> Any:
         if name not in kept:
-            raise CallFailed(reason=f"there is no {name}")
+            raise CallFailed(reason=f"no {name}")
         return kept[name]

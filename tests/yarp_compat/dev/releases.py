@@ -1,8 +1,8 @@
-"""How clients of YARP's releases read a reply: what their generated code takes of the stream, and what it makes of it.
+"""How clients of YARP's releases read a reply: the bytes that their generated code consumes, and the outcome.
 
-By the sources of v3.6.0, v3.9.1, v3.11.2, v3.12.3 and v4.0.0: ``Reply::read`` and ``return_...::read`` of
-INavigation2DMsgs, ``WireReader.cpp`` (``readListHeader``, ``readBool``), ``ReturnValue::read``, and for what comes then
-``AbstractCarrier::defaultExpectAck``, whose result ``Protocol::write`` does not look at.
+From the sources of v3.6.0, v3.9.1, v3.11.2, v3.12.3 and v4.0.0: ``Reply::read`` and ``return_...::read`` of
+INavigation2DMsgs, ``WireReader.cpp`` (``readListHeader``, ``readBool``), ``ReturnValue::read``, and afterwards
+``AbstractCarrier::defaultExpectAck``, whose result ``Protocol::write`` ignores.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from yarp_compat.wire.tags import INT32, LIST, VOCAB32
 
 FAIL, OK = b"fail", b"ok\0\0"
 Outcome = tuple[bool, int]
-"""Whether it is a success, and the byte behind it."""
+"""Whether it is a success, and the offset of the next byte."""
 
 
 class HangsError(Exception):
@@ -28,18 +28,18 @@ class HangsError(Exception):
 
 
 def word(data: bytes, at: int) -> int:
-    """The 32 bits there."""
+    """Return the 32 bits at an offset."""
     if len(data) < at + 4:
-        raise Incomplete("more is to come")
+        raise Incomplete("more bytes are expected")
     return int(struct.unpack_from("<i", data, at)[0])
 
 
 def truth(data: bytes, at: int) -> bool:
-    """As ``readBool``."""
+    """Read as ``readBool``."""
     return word(data, at) != 0 and data[at : at + 4] != FAIL
 
 
-def alone_3_6(data: bytes) -> Outcome:
+def single_3_6(data: bytes) -> Outcome:
     first = word(data, 0)
     if not first & LIST:
         return False, 4
@@ -51,13 +51,13 @@ def alone_3_6(data: bytes) -> Outcome:
     return truth(data, 12), 16
 
 
-def beside_3_6(data: bytes, at: int) -> Outcome:
+def first_of_several_3_6(data: bytes, at: int) -> Outcome:
     return (truth(data, at + 4), at + 8) if word(data, at) in (INT32, VOCAB32) else (False, at + 4)
 
 
 def number_3_11(data: bytes, at: int) -> Outcome:
     word(data, at + 4)
-    return word(data, at) == 0, at + 8  # an int64 made an enumeration of 32 bits
+    return word(data, at) == 0, at + 8  # an int64 cast to an enumeration of 32 bits
 
 
 def number_3_12(data: bytes, at: int) -> Outcome:
@@ -74,31 +74,31 @@ class Release:
     """One release's clients.
 
     Attributes:
-        alone: takes an outcome that is the whole reply.
-        beside: takes an outcome beside other results, at a place.
+        single: reads an outcome that is the whole reply.
+        first: reads an outcome that precedes other results, at an offset.
     """
 
     name: str
-    alone: Callable[[bytes], Outcome]
-    beside: Callable[[bytes, int], Outcome]
+    single: Callable[[bytes], Outcome]
+    first: Callable[[bytes, int], Outcome]
     profile: Profile = Profile.YARP3
 
     def read(self, call: Call, data: bytes, *, acked: bool = True) -> Outcome:
-        """Take a reply, and its acknowledgement where there is one; raises `Incomplete` while it waits for more."""
-        ok, end = self.alone(data) if call.alone else self._several(call, data)
+        """Read a reply, and its acknowledgement if it has one; raises `Incomplete` if bytes are missing."""
+        ok, end = self.single(data) if call.single else self._several(call, data)
         if not acked:
             return ok, end
         word(data, end + 4)
         more = framed(data, end) or 0
         if len(data) < end + 8 + more:
-            raise Incomplete("more is to come")
+            raise Incomplete("more bytes are expected")
         return ok, end + 8 + more
 
     def _several(self, call: Call, data: bytes) -> Outcome:
         assert word(data, 0) == LIST
         if word(data, 4) != len(call.results):
             return False, 8
-        ok, end = self.beside(data, 8)
+        ok, end = self.first(data, 8)
         source = ElementReader(data, self.profile, at=end)
         for field in call.results[1:]:
             field.read(source)
@@ -106,8 +106,8 @@ class Release:
 
 
 RELEASES = (
-    Release("3.6", alone_3_6, beside_3_6),
-    Release("3.9", alone_3_6, beside_3_6),
+    Release("3.6", single_3_6, first_of_several_3_6),
+    Release("3.9", single_3_6, first_of_several_3_6),
     Release("3.11", lambda data: number_3_11(data, 0), number_3_11),
     Release("3.12", lambda data: number_3_12(data, 0), number_3_12),
     Release("4.0", lambda data: nested_4_0(data, 0), nested_4_0, Profile.YARP4),

@@ -1,4 +1,4 @@
-"""Interfaces over real ports."""
+"""Interfaces through real ports."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def whole(data: Buffer, size: int) -> int:
 
 @pytest.mark.parametrize("carrier", ["tcp", "fast_tcp"])
 @pytest.mark.parametrize("generation", Generation)
-def test_a_client_and_a_server(make_port: MakePort, generation: Generation, carrier: str) -> None:
+def test_a_client_calls_a_server_of_each_generation(make_port: MakePort, generation: Generation, carrier: str) -> None:
     make_port("/server/rpc", Server(Kept(), Generations(generation)), rpc=True)
     client = make_port("/client/rpc", rpc=True, profile=generation.profile)
     assert client.add_output(f"{carrier}://server/rpc")[0]
@@ -45,8 +45,8 @@ def test_a_client_and_a_server(make_port: MakePort, generation: Generation, carr
     assert places.get_location_RPC("kitchen") == (OK, KITCHEN)
 
 
-def test_a_client_whose_server_was_restarted_reads_failures(make_port: MakePort, naming: Naming) -> None:
-    """The server knows the release of a client that introduced itself, and not on the next connection."""
+def test_a_client_reads_failures_after_a_restart_of_its_server(make_port: MakePort, naming: Naming) -> None:
+    """The server has the release of an introduced client only for that connection."""
     service = Navigation2DServer(SimpleNamespace(stopNavigation=lambda: ReturnValue(ReturnCode.METHOD_FAILED)))
     server = make_port("/server/rpc", Server(service), rpc=True)
     with ServiceClient(INavigation2DMsgs, "/server/rpc", naming=naming, timeout=10) as client:
@@ -58,7 +58,7 @@ def test_a_client_whose_server_was_restarted_reads_failures(make_port: MakePort,
             assert client.remote.stop_navigation_RPC().code is ReturnCode.METHOD_FAILED
 
 
-def test_a_reply_of_a_megabyte(make_port: MakePort) -> None:
+def test_a_reply_of_a_megabyte_arrives(make_port: MakePort) -> None:
     make_port("/server/rpc", Server(Kept(), Generations(Generation.YARP_3_11)), rpc=True)
     client = make_port("/client/rpc", rpc=True)
     assert client.add_output("/server/rpc")[0]
@@ -68,8 +68,8 @@ def test_a_reply_of_a_megabyte(make_port: MakePort) -> None:
     assert places.get_location_RPC("large") == (OK, large)
 
 
-def test_the_server_tells_who_is_who(make_port: MakePort) -> None:
-    """A client of 4.0 introduces itself, a rule names one of 3.9, and nothing names the third one."""
+def test_the_server_distinguishes_clients_of_three_releases(make_port: MakePort) -> None:
+    """A client of 4.0 introduces itself, a rule matches one of 3.9, and the third has the default."""
     generations = Generations(Generation.YARP_3_12, [("/old/*", Generation.YARP_3_6)])
     make_port("/server/rpc", Server(Kept(), generations), rpc=True)
     dialects = {"/new/rpc": Profile.YARP4, "/old/rpc": Profile.YARP3, "/other/rpc": Profile.YARP3}
@@ -81,12 +81,12 @@ def test_the_server_tells_who_is_who(make_port: MakePort) -> None:
     ok = "00010000 01000000 09000000 6f6b0000"
     for name, reply in [("/new/rpc", ok), ("/old/rpc", ok), ("/other/rpc", "01000000 00000000")]:
         expected = bytes.fromhex(reply)
-        asked = ports[name].request(store, timeout=10, parse=lambda data: whole(data, len(expected)))  # noqa: B023
-        assert asked == expected
-    assert [(found.peer, found.generation) for found in generations.explain()] == [("/new/rpc", Generation.YARP_4)]
+        received = ports[name].request(store, timeout=10, parse=lambda data: whole(data, len(expected)))  # noqa: B023
+        assert received == expected
+    assert [(known.peer, known.generation) for known in generations.explain()] == [("/new/rpc", Generation.YARP_4)]
 
 
-def test_a_name_that_calls_again_is_unknown_again(make_port: MakePort) -> None:
+def test_a_release_is_forgotten_with_its_connection(make_port: MakePort) -> None:
     server = Server(Kept())
     make_port("/server/rpc", server, rpc=True, on_event=server.on_event)
     client = make_port("/client/rpc", rpc=True)
@@ -100,12 +100,12 @@ def test_a_name_that_calls_again_is_unknown_again(make_port: MakePort) -> None:
         assert client.remove_output("/server/rpc")
 
 
-def test_a_person_who_types(make_port: MakePort) -> None:
-    """As `yarp rpc` and `telnet` do: text, whatever the generation."""
+def test_a_text_client_receives_text(make_port: MakePort) -> None:
+    """`yarp rpc` and `telnet` use text, whatever the generation."""
     kept = Kept()
     kept.at["kitchen"] = KITCHEN
     make_port("/server/rpc", Server(kept), rpc=True)
-    client = make_port("/person", rpc=True)
+    client = make_port("/user", rpc=True)
     assert client.add_output("text_ack://server/rpc")[0]
     reply = client.request(binary.encode(["get_location_RPC", "kitchen"], Profile.YARP3), timeout=10)
     assert reply == b'[ok] (m1 1.5 -2.0 90.0 "by the door")\r\n' or binary.decode(reply) == [

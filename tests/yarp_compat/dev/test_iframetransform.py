@@ -1,4 +1,4 @@
-"""IFrameTransform: every method, over the bytes of every generation; the tree and its numbers."""
+"""IFrameTransform: every method in the encoding of every generation; the tree and its numbers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tests.yarp_compat.dev.test_transcripts import exchanges, taken
+from tests.yarp_compat.dev.test_transcripts import exchanges, parse_request
 from yarp_compat.dev.frametransform import (
     AllTransforms,
     FrameTransform,
@@ -41,10 +41,10 @@ class Setting(FrameTransformStorageSetRPC):
         return self.setTransformsRPC([transform])
 
     def deleteTransformRPC(self, src: str, dst: str) -> ReturnValue:
-        found = [t for t in self.kept if {t.src_frame_id, t.dst_frame_id} == {src, dst}]
-        if not found:
+        matching = [t for t in self.kept if {t.src_frame_id, t.dst_frame_id} == {src, dst}]
+        if not matching:
             raise CallFailed
-        self.kept.remove(found[0])
+        self.kept.remove(matching[0])
         return OK
 
     def clearAllRPC(self) -> ReturnValue:
@@ -62,7 +62,7 @@ class Getting(FrameTransformStorageGetRPC):
 
 
 class Wire:
-    """A channel straight to a server."""
+    """A channel that calls a server directly."""
 
     def __init__(self, server: Server, generation: Generation) -> None:
         self.server, self.generation = server, generation
@@ -76,7 +76,7 @@ class Wire:
 
 
 class Local(IFrameTransform):
-    """The interface over wires; ``away`` breaks them."""
+    """The interface with direct channels; ``away`` breaks them."""
 
     def __init__(self, generation: Generation) -> None:
         self.kept: list[FrameTransform] = []
@@ -97,12 +97,12 @@ class Local(IFrameTransform):
     def send(self, transforms: list[FrameTransform]) -> ReturnValue:
         return self.setter.setTransformRPC(transforms[0])
 
-    def forget(self, one: str, other: str) -> ReturnValue:
+    def remove(self, first: str, second: str) -> ReturnValue:
         if self.away:
             raise WireError("not a reply")
-        return self.setter.deleteTransformRPC(one, other)
+        return self.setter.deleteTransformRPC(first, second)
 
-    def forget_all(self) -> ReturnValue:
+    def remove_all(self) -> ReturnValue:
         return self.setter.clearAllRPC()
 
     def wait_until(self, known: Callable[[FrameTree], bool], timeout: float) -> bool:  # noqa: ARG002
@@ -115,43 +115,43 @@ def frames(request: pytest.FixtureRequest) -> Local:
 
 
 def pose(x: float, y: float, z: float, yaw: float = 0.0) -> np.ndarray:
-    made = of_angles(0.0, 0.0, yaw)
-    made[:3, 3] = x, y, z
-    return made
+    matrix = of_angles(0.0, 0.0, yaw)
+    matrix[:3, 3] = x, y, z
+    return matrix
 
 
 BASE, LASER = pose(1.0, 2.0, 3.0, math.pi / 2), pose(0.5, 0.0, 0.0)
 
 
-def told(frames: Local) -> Local:
-    """Map, base on it, laser and camera on the base."""
+def with_transforms(frames: Local) -> Local:
+    """Set a base on the map, and a laser and a camera on the base."""
     assert frames.setTransform("base", "map", Matrix(BASE))
     assert frames.setTransformStatic("laser", "base", Matrix(LASER))
     assert frames.setTransform("camera", "base", Matrix(pose(0.0, 0.0, 1.0)))
     return frames
 
 
-def test_what_is_set_is_given_in_every_direction(frames: Local) -> None:
-    told(frames)
+def test_poses_are_returned_in_every_direction(frames: Local) -> None:
+    with_transforms(frames)
     assert [(t.src_frame_id, t.dst_frame_id, t.isStatic) for t in frames.kept] == [
         ("map", "base", 0),
         ("base", "laser", 1),
         ("base", "camera", 0),
     ]
-    found = Matrix()
+    matrix = Matrix()
     for target, source, want in (
         ("laser", "map", BASE @ LASER),
         ("map", "laser", inverse(BASE @ LASER)),
         ("laser", "camera", pose(0.5, 0.0, -1.0)),
         ("anything", "anything", np.eye(4)),
     ):
-        assert frames.getTransform(target, source, found)
-        np.testing.assert_allclose(found.numpy(), want, atol=1e-12)
-    assert frames.getTransform("laser", "nowhere", found).code is ReturnCode.METHOD_FAILED
+        assert frames.getTransform(target, source, matrix)
+        np.testing.assert_allclose(matrix.numpy(), want, atol=1e-12)
+    assert frames.getTransform("laser", "nowhere", matrix).code is ReturnCode.METHOD_FAILED
 
 
-def test_questions_about_frames_as_in_4_and_as_in_3(frames: Local) -> None:
-    told(frames)
+def test_queries_return_results_as_in_4_and_as_in_3(frames: Local) -> None:
+    with_transforms(frames)
     truth, text, ids = BVector(), SVector(), SVector()
     for target, source, want in (("laser", "camera", True), ("laser", "moon", False), ("moon", "moon", True)):
         assert frames.canTransform(target, source, truth)
@@ -175,8 +175,8 @@ def test_questions_about_frames_as_in_4_and_as_in_3(frames: Local) -> None:
     assert frames.allFramesAsString() == text[0]
 
 
-def test_points_poses_and_rotations(frames: Local) -> None:
-    told(frames)
+def test_points_poses_and_rotations_are_transformed(frames: Local) -> None:
+    with_transforms(frames)
     out = Vector()
     assert frames.transformPoint("laser", "map", Vector([1.0, 0.0, 0.0]), out)
     np.testing.assert_allclose(out, [1.0, 3.5, 3.0], atol=1e-12)
@@ -191,10 +191,10 @@ def test_points_poses_and_rotations(frames: Local) -> None:
     assert not frames.transformQuaternion("laser", "map", Quaternion(0.0, 0.0, 0.0, 0.0), turned)
 
 
-def test_what_is_not_to_be_set(frames: Local) -> None:
-    told(frames)
+def test_conflicting_transforms_are_rejected(frames: Local) -> None:
+    with_transforms(frames)
     assert frames.setTransform("base", "map", Matrix(LASER)), "the same again is an update"
-    assert not frames.setTransform("laser", "map", Matrix(LASER)), "it follows from others"
+    assert not frames.setTransform("laser", "map", Matrix(LASER)), "other transforms define it"
     assert not frames.setTransform("map", "map", Matrix(LASER))
     assert not frames.setTransformStatic("laser", "base", Matrix(LASER))
     assert not frames.setTransformStatic("map", "laser", Matrix(LASER))
@@ -202,8 +202,8 @@ def test_what_is_not_to_be_set(frames: Local) -> None:
     assert len(frames.kept) == 4
 
 
-def test_delete_clear_and_wait(frames: Local) -> None:
-    told(frames)
+def test_transforms_are_deleted_cleared_and_awaited(frames: Local) -> None:
+    with_transforms(frames)
     assert frames.waitForTransform("laser", "map", 0.1)
     assert frames.deleteTransform("map", "base")
     assert frames.deleteTransform("map", "base").code in (ReturnCode.METHOD_FAILED, ReturnCode.GENERIC)
@@ -212,8 +212,8 @@ def test_delete_clear_and_wait(frames: Local) -> None:
     assert not frames.kept
 
 
-def test_a_server_that_is_away_is_an_outcome(frames: Local) -> None:
-    told(frames).away = True
+def test_an_unreachable_server_gives_a_communication_error(frames: Local) -> None:
+    with_transforms(frames).away = True
     away = ReturnCode.COMMUNICATION
     assert frames.getTransform("laser", "map", Matrix()).code is away
     assert frames.setTransform("base", "map", Matrix(BASE)).code is away
@@ -223,11 +223,11 @@ def test_a_server_that_is_away_is_an_outcome(frames: Local) -> None:
     assert frames.frameExists("map", BVector()).code is away
 
 
-def test_the_requests_are_those_of_the_real_client(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What frameTransformClient of 4.0 sent for ``setTransform`` and ``setTransformStatic``, byte for byte."""
+def test_requests_equal_those_of_the_real_client(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Recorded: frameTransformClient of 4.0 with ``setTransform`` and ``setTransformStatic``."""
     seen = 0
     for request, reply in exchanges("frame-transform.txt"):
-        name, call, arguments = taken(request, Profile.YARP4)
+        name, call, arguments = parse_request(request, Profile.YARP4)
         if call is None:
             continue
         frames, given = Local(Generation.YARP_4), arguments[0]
@@ -242,7 +242,7 @@ def test_the_requests_are_those_of_the_real_client(monkeypatch: pytest.MonkeyPat
     assert seen == 2
 
 
-def test_transforms_are_read_at_once_as_field_by_field() -> None:
+def test_fast_and_field_by_field_decoding_agree() -> None:
     given = FrameTransform("äther", "", 1.5, 1, 1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 0.9)
     for profile in Profile:
         payload = given.to_bytes(profile)
@@ -253,7 +253,7 @@ def test_transforms_are_read_at_once_as_field_by_field() -> None:
         static = payload.rindex(b"\x20\0\0\0\x01")
         with pytest.raises(WireError, match="isStatic"):
             FrameTransform.from_bytes(payload[:static] + b"\x63" + payload[static + 1 :], profile)
-    by_hand = ["map", "base", 1, 0, 1, 2, 3, 0, 0, 0, 1]  # integers, as somebody types them
+    by_hand = ["map", "base", 1, 0, 1, 2, 3, 0, 0, 0, 1]  # integers, as users type them
     read = FrameTransform()
     read.from_values(by_hand)
     assert (read.dst_frame_id, read.tZ, read.qW) == ("base", 3.0, 1.0)
@@ -266,15 +266,15 @@ def test_transforms_are_read_at_once_as_field_by_field() -> None:
     assert AllTransforms.from_bytes(tree.to_bytes(Profile.YARP4), Profile.YARP4) == tree
 
 
-def test_a_loop_and_two_parents_end() -> None:
+def test_a_loop_and_two_parents_are_handled() -> None:
     loop = FrameTree([transform_of("a", "b", LASER, 0.0), transform_of("b", "a", LASER, 0.0)])
     assert loop.connected("a", "b")
-    with pytest.raises(TransformError, match="no frame 'c'; those that there are: b, a"):
+    with pytest.raises(TransformError, match="unknown frame 'c'; known frames: b, a"):
         loop.pose("a", "c")
-    two = FrameTree([transform_of("x", "first", LASER, 0.0), transform_of("x", "second", BASE, 0.0)])
-    assert two.parent("x") == "first"
+    tree = FrameTree([transform_of("x", "first", LASER, 0.0), transform_of("x", "second", BASE, 0.0)])
+    assert tree.parent("x") == "first"
     with pytest.raises(TransformError, match="not connected"):
-        two.pose("x", "second")
+        tree.pose("x", "second")
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -290,9 +290,9 @@ def test_matrices_angles_and_quaternions_agree(seed: int) -> None:
 
 
 @pytest.mark.parametrize(("pitch", "yaw"), [(math.pi / 2, -0.4), (-math.pi / 2, 0.4)])
-def test_straight_up_one_of_many_answers_is_taken(pitch: float, yaw: float) -> None:
+def test_angles_at_the_singularity_reproduce_the_matrix(pitch: float, yaw: float) -> None:
     matrix = np.round(of_angles(0.0, pitch, yaw), 15)
     matrix[2, 0] = -math.copysign(1.0, pitch)
-    found = angles_of(matrix)
-    assert found[0] == 0.0
-    np.testing.assert_allclose(of_angles(*found), matrix, atol=1e-9)
+    angles = angles_of(matrix)
+    assert angles[0] == 0.0
+    np.testing.assert_allclose(of_angles(*angles), matrix, atol=1e-9)

@@ -1,4 +1,4 @@
-"""Every call of IMap2D: its bytes by the rules of YARP's generated code, and our client with a server of ours."""
+"""Every call of IMap2D: its bytes by the rules of YARP's generated code, and our client with our server."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.yarp_compat.dev.keptmaps import KeptMaps
-from tests.yarp_compat.dev.written import Bytes, Says, listed, text
+from tests.yarp_compat.dev.written import Bytes, Returning, listed, text
 from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
 from yarp_compat.dev.imap2d import IMap2DMsgs
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
@@ -29,18 +29,18 @@ __all__ = ["make_port", "naming"]
 KITCHEN = Map2DLocation("m1", 1.0, 2.0, 90.0, "by the door")
 CUP = Map2DObject("m1", 1, 2, 3, 4, 5, 6, "a cup")
 ROOM = Map2DArea("m1", [Vec2D(0, 0), Vec2D(1, 0), Vec2D(1, 1)], "a room")
-WAY = Map2DPath([KITCHEN, Map2DLocation("m1", 3, 4)], "a way")
-PLACES: dict[str, Any] = {"object": CUP, "location": KITCHEN, "area": ROOM, "path": WAY}
+PATH = Map2DPath([KITCHEN, Map2DLocation("m1", 3, 4)], "a path")
+PLACES: dict[str, Any] = {"object": CUP, "location": KITCHEN, "area": ROOM, "path": PATH}
 
 
 def small_map() -> MapGrid2D:
-    made = MapGrid2D.of(np.arange(6).reshape(2, 3), name="m1", resolution=0.5, origin=(1, 2, 0))
-    made.enable_map_compression_over_network(False)
-    return made
+    grid = MapGrid2D.of(np.arange(6).reshape(2, 3), name="m1", resolution=0.5, origin=(1, 2, 0))
+    grid.enable_map_compression_over_network(False)
+    return grid
 
 
 def every_call() -> Iterator[tuple[str, tuple[Any, ...], tuple[Any, ...]]]:
-    """Each method, with arguments, and with what it returns beside its outcome."""
+    """Yield each method with its arguments, and its results after the outcome."""
     grid = small_map()
     for name in ("clear_all_maps", "clear_all_maps_temporary_flags", "reload_maps_collection"):
         yield name, (), ()
@@ -68,36 +68,37 @@ def every_call() -> Iterator[tuple[str, tuple[Any, ...], tuple[Any, ...]]]:
 CALLS = {f"{name}_RPC": (arguments, results) for name, arguments, results in every_call()}
 
 
-def test_all_calls_are_here() -> None:
+def test_the_list_of_calls_is_complete() -> None:
     assert set(CALLS) == set(IMap2DMsgs.calls())
     assert len(CALLS) == 44
 
 
 @pytest.mark.parametrize("generation", Generation)
 @pytest.mark.parametrize("name", CALLS)
-def test_the_bytes_of_a_call(name: str, generation: Generation) -> None:
+def test_a_call_has_the_bytes_of_generated_code(name: str, generation: Generation) -> None:
     arguments, results = CALLS[name]
     call, rules = IMap2DMsgs.calls()[name], Bytes(generation)
     request = rules.request(name, *arguments)
     assert call.request(arguments, generation.profile) == request
-    server = Says.of(IMap2DMsgs, (OK, *results) if results else OK)
+    server = Returning.of(IMap2DMsgs, (OK, *results) if results else OK)
     reply = Server(server, Generations(generation)).answer(request, "/peer", generation.profile)
-    assert list(server.asked) == list(arguments)
+    assert list(server.arguments) == list(arguments)
     assert reply == rules.reply(OK, *results)
-    found = call.read_reply(reply, generation)
-    assert found.results == [OK, *results]
+    assert call.read_reply(reply, generation).results == [OK, *results]
 
 
 @pytest.mark.parametrize("generation", Generation)
 @pytest.mark.parametrize("name", CALLS)
-def test_a_call_that_fails_has_defaults_beside_its_outcome(name: str, generation: Generation) -> None:
+def test_a_failed_call_returns_defaults_after_its_outcome(name: str, generation: Generation) -> None:
     arguments, results = CALLS[name]
     rules, failed = Bytes(generation), ReturnValue(ReturnCode.METHOD_FAILED)
-    reply = Server(Says.of(IMap2DMsgs, CallFailed()), Generations(generation)).answer(
+    reply = Server(Returning.of(IMap2DMsgs, CallFailed()), Generations(generation)).answer(
         rules.request(name, *arguments), "/peer"
     )
-    found = IMap2DMsgs.calls()[name].read_reply(reply, generation).results
-    assert found == [failed, *([type(result)() for result in results])]
+    assert IMap2DMsgs.calls()[name].read_reply(reply, generation).results == [
+        failed,
+        *([type(result)() for result in results]),
+    ]
     assert reply.startswith(rules.reply(failed, *results)[: 8 if results else None])
 
 
@@ -116,11 +117,11 @@ def client(
     generation: Generation = request.param
     server = Server(kept, Generations(generation))
     make_port("/maps/rpc", server, rpc=True, on_event=server.on_event, profile=generation.profile)
-    with Map2DClient("fast_tcp://maps/rpc", "/client", naming=naming) as made:
-        yield made
+    with Map2DClient("fast_tcp://maps/rpc", "/client", naming=naming) as connected:
+        yield connected
 
 
-def test_yarps_methods(client: Map2DClient, kept: KeptMaps) -> None:
+def test_the_methods_of_yarp_call_the_server(client: Map2DClient, kept: KeptMaps) -> None:
     names, grid = SVector(), MapGrid2D()
     assert client.store_map(small_map())
     assert client.get_map("m1", grid)
@@ -137,11 +138,11 @@ def test_yarps_methods(client: Map2DClient, kept: KeptMaps) -> None:
         assert called["store{}"]("a", value)
         assert called["rename{}"]("a", "b")
         assert not called["rename{}"]("a", "c")
-        found, names, everything = type(value)(), SVector(["x"]), [1, 2]
-        assert called["get{}"]("b", found)
+        item, names, everything = type(value)(), SVector(["x"]), [1, 2]
+        assert called["get{}"]("b", item)
         assert called["get{}sList"](names)
         assert called["getAll{}s"](everything)
-        assert (found, names, everything) == (value, ["b"], [value])
+        assert (item, names, everything) == (value, ["b"], [value])
         assert called["delete{}"]("b")
         assert not called["delete{}"]("b")
         assert called["store{}"]("c", value)
@@ -152,14 +153,14 @@ def test_yarps_methods(client: Map2DClient, kept: KeptMaps) -> None:
              "reloadMapsCollection": (), "reloadLocationsAndExtras": (), "enableMapsCompression": (False,)}  # fmt: skip
     for name, arguments in files.items():
         assert getattr(client, name)(*arguments), name
-    assert [asked[1:] for asked in kept.files] == list(files.values())
+    assert [arguments[1:] for arguments in kept.files] == list(files.values())
     assert client.clearAllMapsTemporaryFlags()
     assert client.store_map(small_map())
     assert client.remove_map("m1")
     assert client.clearAllMaps()
 
 
-def test_the_python_way(client: Map2DClient, kept: KeptMaps) -> None:
+def test_maps_and_places_are_mappings(client: Map2DClient, kept: KeptMaps) -> None:
     client.maps["m1"] = small_map()
     assert client.maps["m1"] == small_map()
     assert list(client.maps) == ["m1"]
@@ -195,7 +196,7 @@ def test_the_python_way(client: Map2DClient, kept: KeptMaps) -> None:
     client.maps.clear()
 
 
-def test_a_client_comes_back_to_a_server_that_was_away(make_port: MakePort, naming: LocalNaming) -> None:
+def test_a_client_reconnects_to_a_restarted_server(make_port: MakePort, naming: LocalNaming) -> None:
     first = make_port("/maps/rpc", Server(KeptMaps()), rpc=True)
     with Map2DClient("/maps/rpc", "/client", naming=naming, timeout=10) as client:
         client.locations["kitchen"] = KITCHEN
@@ -207,16 +208,16 @@ def test_a_client_comes_back_to_a_server_that_was_away(make_port: MakePort, nami
         assert list(client.locations) == []
 
 
-def test_names_are_as_yarp_has_them() -> None:
-    """The client has a method for each of the service's."""
+def test_the_client_has_a_method_for_each_of_the_service() -> None:
+    """They have YARP's names."""
     methods = [name for name, _ in inspect.getmembers(IMap2D, inspect.isfunction) if not name.startswith("_")]
     assert len(methods) == 44
     assert {"getAllLocations", "store_map", "reloadLocationsAndExtras", "enableMapsCompression"} <= set(methods)
 
 
-def test_a_name_in_one_word_is_known_too() -> None:
-    """As ``yarp rpc`` sends it."""
+def test_a_method_name_in_one_word_is_accepted() -> None:
+    """``yarp rpc`` sends it so."""
     kept = KeptMaps()
     kept.kept["map"]["m1"] = small_map()
     reply = Server(kept).answer(listed(text("get_map_names_RPC")), "/peer", Profile.YARP3)
-    assert reply == Bytes(Generation.YARP_3_6).reply(OK, ["m1"]), "a Bottle, as it reads one"
+    assert reply == Bytes(Generation.YARP_3_6).reply(OK, ["m1"]), "a Bottle, which yarp rpc can print"

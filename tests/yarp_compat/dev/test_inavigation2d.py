@@ -1,4 +1,4 @@
-"""Every call of INavigation2D and ILocalization2D: its bytes, and the servers that answer with a device."""
+"""Every call of INavigation2D and ILocalization2D: its bytes, and the servers of devices."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.yarp_compat.dev.test_imap2d import KITCHEN, WAY, small_map
+from tests.yarp_compat.dev.test_imap2d import KITCHEN, PATH, small_map
 from tests.yarp_compat.dev.test_service import Wire
-from tests.yarp_compat.dev.written import Bytes, Says, listed, text, vocab
+from tests.yarp_compat.dev.written import Bytes, Returning, listed, text, vocab
 from yarp_compat.dev.basecontrol import OdometryData
 from yarp_compat.dev.inavigation2d import (
     INavigation2DMsgs,
@@ -42,10 +42,10 @@ NAVIGATION: dict[str, tuple[tuple[Any, ...], tuple[Any, ...]]] = {
     "recompute_current_navigation_path": ((), ()),
     "get_navigation_status": ((), (MOVING,)),
     "get_current_nav_waypoint": ((), (KITCHEN,)),
-    "get_all_navigation_waypoints": ((TrajectoryTypeEnum.local_trajectory,), (WAY,)),
+    "get_all_navigation_waypoints": ((TrajectoryTypeEnum.local_trajectory,), (PATH,)),
     "get_current_navigation_map": ((NavigationMapTypeEnum.global_map,), (small_map(),)),
     "goto_target_by_absolute_location": ((KITCHEN,), ()),
-    "follow_path": ((WAY,), ()),
+    "follow_path": ((PATH,), ()),
     "goto_target_by_relative_location1": ((1.0, 2.0), ()),
     "goto_target_by_relative_location2": ((1.0, 2.0, 90.0), ()),
     "get_absolute_location_of_current_target": ((), (KITCHEN,)),
@@ -66,8 +66,8 @@ LOCALIZATION: dict[str, tuple[tuple[Any, ...], tuple[Any, ...]]] = {
     "set_initial_pose1": ((KITCHEN,), ()),
     "set_initial_pose2": ((KITCHEN, COVARIANCE), ()),
 }
-CALLS = [(INavigation2DMsgs, f"{name}_RPC", *said) for name, said in NAVIGATION.items()]
-CALLS += [(ILocalization2DMsgs, f"{name}_RPC", *said) for name, said in LOCALIZATION.items()]
+CALLS = [(INavigation2DMsgs, f"{name}_RPC", *data) for name, data in NAVIGATION.items()]
+CALLS += [(ILocalization2DMsgs, f"{name}_RPC", *data) for name, data in LOCALIZATION.items()]
 NAMES = [call[1] for call in CALLS]
 UNSET: dict[type[Any], Any] = {
     NavigationStatusEnum: NavigationStatusEnum.navigation_status_idle,
@@ -76,57 +76,57 @@ UNSET: dict[type[Any], Any] = {
 }
 
 
-def test_all_calls_are_here() -> None:
+def test_the_list_of_calls_is_complete() -> None:
     assert {name for kind, name, *_ in CALLS if kind is INavigation2DMsgs} == set(INavigation2DMsgs.calls())
     assert {name for kind, name, *_ in CALLS if kind is ILocalization2DMsgs} == set(ILocalization2DMsgs.calls())
 
 
 @pytest.mark.parametrize("generation", Generation)
 @pytest.mark.parametrize(("kind", "name", "arguments", "results"), CALLS, ids=NAMES)
-def test_the_bytes_of_a_call(
+def test_a_call_has_the_bytes_of_generated_code(
     kind: type[Service], name: str, arguments: Any, results: Any, generation: Generation
 ) -> None:
     call, rules = kind.calls()[name], Bytes(generation)
     request = rules.request(name, *arguments)
     assert call.request(arguments, generation.profile) == request
-    server = Says.of(kind, (OK, *results) if results else OK)
+    server = Returning.of(kind, (OK, *results) if results else OK)
     reply = Server(server, Generations(generation)).answer(request, "/peer", generation.profile)
-    assert list(server.asked) == list(arguments)
+    assert list(server.arguments) == list(arguments)
     assert reply == rules.reply(OK, *results)
     assert call.read_reply(reply, generation).results == [OK, *results]
 
 
 @pytest.mark.parametrize("generation", Generation)
 @pytest.mark.parametrize(("kind", "name", "arguments", "results"), CALLS, ids=NAMES)
-def test_a_call_that_fails_has_defaults_beside_its_outcome(
+def test_a_failed_call_returns_defaults_after_its_outcome(
     kind: type[Any], name: str, arguments: Any, results: Any, generation: Generation
 ) -> None:
-    server = Server(Says.of(kind, CallFailed()), Generations(generation))
+    server = Server(Returning.of(kind, CallFailed()), Generations(generation))
     reply = server.answer(Bytes(generation).request(name, *arguments), "/peer", generation.profile)
-    found = kind.calls()[name].read_reply(reply, generation).results
-    assert found == [FAILED, *(UNSET[type(it)] if type(it) in UNSET else type(it)() for it in results)]
+    defaults = (UNSET[type(it)] if type(it) in UNSET else type(it)() for it in results)
+    assert kind.calls()[name].read_reply(reply, generation).results == [FAILED, *defaults]
 
 
 @pytest.mark.parametrize("generation", Generation)
-def test_a_status_that_a_real_server_did_not_set_is_read(generation: Generation) -> None:
-    """It writes the number 0 as a vocab beside an outcome that is not ok."""
+def test_an_unset_status_of_a_real_server_is_read(generation: Generation) -> None:
+    """After an outcome that is not ok, it writes the number 0 as a vocab."""
     rules = Bytes(generation)
     reply = listed(rules.outcome(ReturnCode.METHOD_FAILED), vocab(""))
-    found = INavigation2DMsgs.calls()["get_navigation_status_RPC"].read_reply(reply, generation)
-    assert found.results == [FAILED, NavigationStatusEnum.navigation_status_idle]
+    parsed = INavigation2DMsgs.calls()["get_navigation_status_RPC"].read_reply(reply, generation)
+    assert parsed.results == [FAILED, NavigationStatusEnum.navigation_status_idle]
 
 
 @pytest.mark.parametrize("given", [None, Matrix(), np.zeros((0, 0)), Matrix(3, 3), np.zeros((3, 3)), [[0.0] * 3] * 3])
 def test_an_empty_covariance_is_written_as_zeros(given: Any) -> None:
     rules = Bytes(Generation.YARP_4)
-    server = Server(Says.of(ILocalization2DMsgs, (OK, KITCHEN, given)), Generations(Generation.YARP_4))
+    server = Server(Returning.of(ILocalization2DMsgs, (OK, KITCHEN, given)), Generations(Generation.YARP_4))
     reply = server.answer(rules.request("get_current_position2_RPC"), "/peer")
     assert reply == rules.reply(OK, KITCHEN, Matrix(3, 3))
 
 
-def test_a_covariance_of_another_size_is_refused_both_ways() -> None:
+def test_a_covariance_of_another_size_is_rejected_in_both_directions() -> None:
     rules = Bytes(Generation.YARP_4)
-    server = Server(Says.of(ILocalization2DMsgs, (OK, KITCHEN, Matrix(2, 2))), Generations(Generation.YARP_4))
+    server = Server(Returning.of(ILocalization2DMsgs, (OK, KITCHEN, Matrix(2, 2))), Generations(Generation.YARP_4))
     places = ILocalization2DMsgs(Wire(server, Generation.YARP_4))
     assert places.get_current_position2_RPC()[0].code is ReturnCode.GENERIC
     reply = server.answer(rules.request("set_initial_pose2_RPC", KITCHEN, Matrix(2, 2)), "/peer")
@@ -134,16 +134,16 @@ def test_a_covariance_of_another_size_is_refused_both_ways() -> None:
     assert server.refused == 1
 
 
-def test_the_empty_covariance_of_a_real_server_is_read_as_such() -> None:
-    """It has two cases confused: all that it says after "ok" is unset (measured with 3.12.3 and 4.0)."""
+def test_the_empty_covariance_of_a_real_server_is_read() -> None:
+    """The server confuses two cases: everything after "ok" is unset (measured with 3.12.3 and 4.0)."""
     rules = Bytes(Generation.YARP_4)
     empty = listed(*[bytes.fromhex("0100000000000000")] * 2, bytes.fromhex("1401000000000000"))
     reply = listed(rules.of(OK), rules.of(Map2DLocation()), empty)
-    found = ILocalization2DMsgs.calls()["get_current_position2_RPC"].read_reply(reply, Generation.YARP_4)
-    assert found.results == [OK, Map2DLocation(), Matrix()]
+    parsed = ILocalization2DMsgs.calls()["get_current_position2_RPC"].read_reply(reply, Generation.YARP_4)
+    assert parsed.results == [OK, Map2DLocation(), Matrix()]
 
 
-def test_texts_of_a_status() -> None:
+def test_a_status_is_converted_from_and_to_text() -> None:
     assert statusToString(MOVING) == "navigation_status_moving"
     assert stringToStatus("navigation_status_goal_reached") is NavigationStatusEnum.navigation_status_goal_reached
     assert stringToStatus("goal_reached") is NavigationStatusEnum.navigation_status_goal_reached
@@ -154,10 +154,10 @@ def test_texts_of_a_status() -> None:
 
 
 class Planner:
-    """A device that keeps what it is told."""
+    """A device that records its commands."""
 
     def __init__(self) -> None:
-        self.told: list[Any] = []
+        self.commands: list[Any] = []
         self.target: Map2DLocation | None = None
         self.refuses: CallFailed | ReturnValue | None = None
 
@@ -169,17 +169,17 @@ class Planner:
         return self.refuses
 
     def gotoTargetByRelativeLocation(self, *pose: float) -> None:
-        self.told.append(pose)
+        self.commands.append(pose)
 
     def followPath(self, path: Map2DPath) -> ReturnValue:
-        self.told.append(path)
+        self.commands.append(path)
         return OK
 
     def stopNavigation(self) -> None:
         self.target = None
 
     def suspendNavigation(self, seconds: float) -> None:
-        self.told.append(seconds)
+        self.commands.append(seconds)
 
     def getNavigationStatus(self) -> str:
         return "waiting_obstacle"
@@ -191,13 +191,13 @@ class Planner:
         return None if self.target is None else (1.0, 2.0, 3.0)
 
     def getAllNavigationWaypoints(self, kind: TrajectoryTypeEnum) -> Map2DPath:
-        return WAY if kind is TrajectoryTypeEnum.global_trajectory else Map2DPath()
+        return PATH if kind is TrajectoryTypeEnum.global_trajectory else Map2DPath()
 
     def getCurrentNavigationMap(self, kind: NavigationMapTypeEnum) -> MapGrid2D | None:
         return small_map() if kind is NavigationMapTypeEnum.local_map else None
 
     def applyVelocityCommand(self, *command: float) -> None:
-        self.told.append(command)
+        self.commands.append(command)
 
 
 @pytest.fixture
@@ -207,9 +207,9 @@ def planner() -> Planner:
 
 @pytest.fixture(params=[Generation.YARP_3_6, Generation.YARP_3_12, Generation.YARP_4])
 def release(request: pytest.FixtureRequest) -> Generation:
-    """What the client speaks."""
-    found: Generation = request.param
-    return found
+    """The client's release."""
+    generation: Generation = request.param
+    return generation
 
 
 @pytest.fixture
@@ -217,14 +217,14 @@ def remote(release: Generation, planner: Planner) -> INavigation2DMsgs:
     return INavigation2DMsgs(Wire(Server(Navigation2DServer(planner), Generations(release)), release))
 
 
-def test_a_planner_is_asked(remote: INavigation2DMsgs, planner: Planner) -> None:
+def test_calls_reach_the_planner(remote: INavigation2DMsgs, planner: Planner) -> None:
     assert remote.get_absolute_location_of_current_target_RPC() == (FAILED, Map2DLocation())
     assert remote.get_relative_location_of_current_target_RPC() == (FAILED, 0.0, 0.0, 0.0)
     assert remote.goto_target_by_absolute_location_RPC(KITCHEN)
     assert remote.get_absolute_location_of_current_target_RPC() == (OK, KITCHEN)
     assert remote.get_relative_location_of_current_target_RPC() == (OK, 1.0, 2.0, 3.0)
     assert remote.get_navigation_status_RPC() == (OK, NavigationStatusEnum.navigation_status_waiting_obstacle)
-    assert remote.get_all_navigation_waypoints_RPC(TrajectoryTypeEnum.global_trajectory) == (OK, WAY)
+    assert remote.get_all_navigation_waypoints_RPC(TrajectoryTypeEnum.global_trajectory) == (OK, PATH)
     assert remote.get_all_navigation_waypoints_RPC(TrajectoryTypeEnum.local_trajectory) == (OK, Map2DPath())
     assert remote.get_current_navigation_map_RPC(NavigationMapTypeEnum.local_map) == (OK, small_map())
     assert remote.get_current_navigation_map_RPC(NavigationMapTypeEnum.global_map)[0] == FAILED
@@ -233,35 +233,35 @@ def test_a_planner_is_asked(remote: INavigation2DMsgs, planner: Planner) -> None
     for seconds in (2.5, 0.0, math.inf):
         assert remote.suspend_navigation_RPC(seconds)
     assert remote.apply_velocity_command_RPC(0.1, 0.0, 5.0, 0.2)
-    assert math.isnan(planner.told[0][2])
-    assert planner.told[0][:2] == (1.0, 2.0)
-    assert planner.told[1:] == [(1.0, 2.0, 3.0), 2.5, math.inf, math.inf, (0.1, 0.0, 5.0, 0.2)]
+    assert math.isnan(planner.commands[0][2])
+    assert planner.commands[0][:2] == (1.0, 2.0)
+    assert planner.commands[1:] == [(1.0, 2.0, 3.0), 2.5, math.inf, math.inf, (0.1, 0.0, 5.0, 0.2)]
     assert remote.stop_navigation_RPC()
     assert planner.target is None
 
 
-def test_what_a_device_lacks_is_not_implemented(remote: INavigation2DMsgs, release: Generation) -> None:
+def test_missing_methods_of_a_device_are_not_implemented(remote: INavigation2DMsgs, release: Generation) -> None:
     lacking = ReturnValue(ReturnCode.NOT_IMPLEMENTED)
-    said = [remote.resume_navigation_RPC(), remote.get_current_nav_waypoint_RPC()[0],
-            remote.recompute_current_navigation_path_RPC(), remote.get_last_velocity_command_RPC()[0]]  # fmt: skip
-    assert not any(said)
-    if release is not Generation.YARP_3_6:  # 3.6 knows ok and fail only
-        assert said == [lacking] * 4
+    outcomes = [remote.resume_navigation_RPC(), remote.get_current_nav_waypoint_RPC()[0],
+                remote.recompute_current_navigation_path_RPC(), remote.get_last_velocity_command_RPC()[0]]  # fmt: skip
+    assert not any(outcomes)
+    if release is not Generation.YARP_3_6:  # 3.6 has only ok and fail
+        assert outcomes == [lacking] * 4
 
 
-def test_the_name_of_a_target(remote: INavigation2DMsgs, planner: Planner) -> None:
-    """A target keeps it until there is another or none: also where a goal is refused."""
+def test_a_target_keeps_its_name_until_it_is_replaced(remote: INavigation2DMsgs, planner: Planner) -> None:
+    """A refused goal does not change the name."""
     go = remote.goto_target_by_absolute_location_and_set_name_RPC
     assert remote.get_name_of_current_target_RPC() == (OK, "")
-    for forget in (
+    for replace in (
         remote.stop_navigation_RPC,
-        lambda: remote.follow_path_RPC(WAY),
+        lambda: remote.follow_path_RPC(PATH),
         lambda: remote.goto_target_by_absolute_location_RPC(KITCHEN),
         lambda: remote.goto_target_by_relative_location1_RPC(1, 2),
     ):
         assert go(KITCHEN, "kitchen")
         assert remote.get_name_of_current_target_RPC() == (OK, "kitchen")
-        assert forget()
+        assert replace()
         assert remote.get_name_of_current_target_RPC() == (OK, "")
     assert go(KITCHEN, "kitchen")
     for planner.refuses in (CallFailed(ReturnCode.METHOD_FAILED, "off the map"), FAILED):
@@ -269,34 +269,34 @@ def test_the_name_of_a_target(remote: INavigation2DMsgs, planner: Planner) -> No
         assert remote.get_name_of_current_target_RPC() == (OK, "kitchen")
 
 
-def test_goals_that_are_none_do_not_reach_the_device(remote: INavigation2DMsgs, planner: Planner) -> None:
+def test_invalid_goals_do_not_reach_the_device(remote: INavigation2DMsgs, planner: Planner) -> None:
     nowhere = Map2DLocation("m1", math.nan, 0.0)
     assert not remote.goto_target_by_absolute_location_RPC(nowhere)
     assert not remote.goto_target_by_relative_location1_RPC(math.inf, 0)
     assert not remote.goto_target_by_relative_location1_RPC(0, -1.7e308)
     assert not remote.follow_path_RPC(Map2DPath())
     assert not remote.follow_path_RPC(Map2DPath([KITCHEN, nowhere]))
-    no_heading = Map2DLocation("m1", 1.0, 2.0, math.inf)  # none is one that says: any
+    no_heading = Map2DLocation("m1", 1.0, 2.0, math.inf)  # only NaN means any heading
     assert not remote.goto_target_by_absolute_location_RPC(no_heading)
     assert not remote.goto_target_by_relative_location2_RPC(1.0, 2.0, -math.inf)
     assert not remote.follow_path_RPC(Map2DPath([KITCHEN, no_heading]))
     assert not remote.apply_velocity_command_RPC(math.nan, 0, 0, 0.1)
-    assert (planner.told, planner.target) == ([], None)
+    assert (planner.commands, planner.target) == ([], None)
     any_heading = Map2DLocation("m1", 1.0, 2.0, math.nan)
     assert remote.goto_target_by_absolute_location_RPC(any_heading)
     assert planner.target is not None
     assert math.isnan(planner.target.theta)
 
 
-def test_a_localizer_is_asked() -> None:
-    told: list[Any] = []
+def test_calls_reach_the_localizer() -> None:
+    commands: list[Any] = []
     device = SimpleNamespace(
         getLocalizationStatus=lambda: "localized_ok",
         getCurrentPosition=lambda: (KITCHEN, None),
         getEstimatedPoses=lambda: [KITCHEN] * 3,
         getEstimatedOdometry=lambda: OdometryData(odom_x=1),
-        startLocalizationService=lambda: told.append("start"),
-        setInitialPose=lambda *said: told.append(said),
+        startLocalizationService=lambda: commands.append("start"),
+        setInitialPose=lambda *arguments: commands.append(arguments),
     )
     remote = ILocalization2DMsgs(Wire(Server(Localization2DServer(device)), Generation.YARP_3_12))
     assert remote.get_localization_status_RPC() == (OK, LOCALIZED)
@@ -311,15 +311,15 @@ def test_a_localizer_is_asked() -> None:
     assert not remote.set_initial_pose1_RPC(Map2DLocation("m1", 1.0, 2.0, math.nan))
     assert not remote.set_initial_pose2_RPC(KITCHEN, Matrix(np.full((3, 3), math.inf)))
     assert not remote.set_initial_pose2_RPC(KITCHEN, Matrix(-np.eye(3)))
-    assert told[:2] == ["start", (KITCHEN, None)]
-    assert told[2][0] == KITCHEN
-    assert np.array_equal(told[2][1], COVARIANCE.numpy())
-    assert len(told) == 3
+    assert commands[:2] == ["start", (KITCHEN, None)]
+    assert commands[2][0] == KITCHEN
+    assert np.array_equal(commands[2][1], COVARIANCE.numpy())
+    assert len(commands) == 3
     device.getCurrentPosition = lambda: None
     assert remote.get_current_position2_RPC() == (FAILED, Map2DLocation(), Matrix(3, 3))
 
 
-def test_a_status_as_words_in_one_string_is_understood() -> None:
-    """A request as ``yarp rpc`` sends it, answered to 3.9."""
+def test_a_request_with_its_name_in_one_string_is_accepted() -> None:
+    """As from ``yarp rpc``, with a reply for 3.9."""
     server = Server(Navigation2DServer(Planner()), Generations(Generation.YARP_3_6))
     assert server.answer(listed(text("get_navigation_status_RPC")), "/peer") == listed(vocab("ok"), vocab("wait"))

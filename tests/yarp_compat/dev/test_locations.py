@@ -18,22 +18,22 @@ def area(*corners: tuple[float, float]) -> Map2DArea:
 L_SHAPE = area((-5, -5), (-1, -5), (-1, -4), (-4, -4), (-4, -1), (-5, -1))
 
 
-def test_nearness() -> None:
-    here = Map2DLocation("m", 1, 2, 170)
-    there = Map2DLocation("m", 1.3, 2.4, -170)
-    assert here.is_near_to(there, 0.5)
-    assert not here.is_near_to(there, 0.49)
-    assert here.is_near_to(there, 1, 20)
-    assert not here.is_near_to(there, 1, 19)
-    assert not here.is_near_to(Map2DLocation("n", 1, 2), 1)
-    assert not here.is_near_to(here, -1)
+def test_nearness_compares_map_distance_and_angle() -> None:
+    first = Map2DLocation("m", 1, 2, 170)
+    second = Map2DLocation("m", 1.3, 2.4, -170)
+    assert first.is_near_to(second, 0.5)
+    assert not first.is_near_to(second, 0.49)
+    assert first.is_near_to(second, 1, 20)
+    assert not first.is_near_to(second, 1, 19)
+    assert not first.is_near_to(Map2DLocation("n", 1, 2), 1)
+    assert not first.is_near_to(first, -1)
     thing = Map2DObject("m", 1, 2, 3)
-    assert thing.is_near_to(here, 0)
+    assert thing.is_near_to(first, 0)
     assert not thing.is_near_to(Map2DObject("m", 1, 2, 4), 0.9)
     assert thing.is_near_to(Map2DObject("m", 1, 2, 4), 1)
 
 
-def test_what_is_in_an_area() -> None:
+def test_an_area_contains_points_and_has_bounds() -> None:
     assert L_SHAPE.isValid()
     assert L_SHAPE.checkLocationInsideArea(Map2DLocation("m", -4.5, -2))
     assert not L_SHAPE.checkLocationInsideArea(Map2DLocation("m", -2, -2))
@@ -56,7 +56,7 @@ def test_what_is_in_an_area() -> None:
     assert nothing == Map2DArea()
 
 
-def test_paths() -> None:
+def test_a_path_has_a_length_and_maps() -> None:
     path = Map2DPath([Map2DLocation("m", 1, 1), Map2DLocation("m", 4, 5)], "d")
     assert (path.size(), path.getLength(), path.isOnSingleMap()) == (2, 5.0, True)
     path.push_back(Map2DLocation("n", 100, 100))
@@ -68,7 +68,7 @@ def test_paths() -> None:
 
 
 def test_texts_are_those_of_a_real_yarp() -> None:
-    """As `tests/yarp_compat/data/portables.txt` has them."""
+    """Recorded in `tests/yarp_compat/data/portables.txt`."""
     first = Map2DLocation("map1", 1, 2, 90, "desc")
     assert first.toString() == "map_id:map1 x:1 y:2 theta:90desc:desc"
     corners = [Vec2D(0, 0), Vec2D(1, 0), Vec2D(1, 1)]
@@ -83,7 +83,7 @@ def test_texts_are_those_of_a_real_yarp() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "rules"),
     [
         ("", None),
         ("the room with the max_speed sign", None),
@@ -94,30 +94,30 @@ def test_texts_are_those_of_a_real_yarp() -> None:
         ("keep_out=no", AreaBehaviour()),
     ],
 )
-def test_behaviour_stands_in_a_description(text: str, said: AreaBehaviour | None) -> None:
-    assert AreaBehaviour.from_text(text) == said
-    if said is not None and said != AreaBehaviour():
-        assert AreaBehaviour.from_text(said.to_text()) == said
+def test_the_rules_of_an_area_are_parsed_from_its_description(text: str, rules: AreaBehaviour | None) -> None:
+    assert AreaBehaviour.from_text(text) == rules
+    if rules is not None and rules != AreaBehaviour():
+        assert AreaBehaviour.from_text(rules.to_text()) == rules
 
 
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("max_speed=0", "keep_out to keep robots away"),
+        ("max_speed=0", "keep_out keeps robots away"),
         ("max_speed=-1", "above 0"),
         ("max_speed=nan", "above 0"),
-        ("max_speed=fast", "metres per second, not 'fast'"),
+        ("max_speed=fast", "meters per second, not 'fast'"),
         ("on_obstacle=stop", "wait or around"),
         ("keep_out=maybe", "true or false"),
         ("max_speed=1 max_speed=2", "twice"),
     ],
 )
-def test_behaviour_that_cannot_be_meant(text: str, reason: str) -> None:
+def test_invalid_rules_of_an_area_are_rejected(text: str, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         AreaBehaviour.from_text(text)
 
 
-def test_links() -> None:
+def test_invalid_links_are_rejected() -> None:
     assert MapLink("a", "b", 3) == MapLink("a", "b", 3.0)
     for wrong in (("a", "a", 0), ("", "b", 0), ("a", "b", -1), ("a", "b", math.inf)):
         with pytest.raises(ValueError, match="link"):
@@ -125,14 +125,14 @@ def test_links() -> None:
 
 
 def test_places_have_the_methods_of_the_bindings() -> None:
-    here, there = Map2DLocation("m1", 1.0, 2.0, 3.0), Map2DLocation("m1", 1.0, 2.0, 4.0)
-    for one, other in ((here, there), (Map2DPath([here]), Map2DPath([there])), (Map2DArea("m1"), Map2DArea("m2"))):
-        assert one.isEqual(one)
-        assert one.notEqual(other)
-        assert not one.isEqual(other)
-        assert one.toString_c() == one.toString()
+    a, b = Map2DLocation("m1", 1.0, 2.0, 3.0), Map2DLocation("m1", 1.0, 2.0, 4.0)
+    for place, other in ((a, b), (Map2DPath([a]), Map2DPath([b])), (Map2DArea("m1"), Map2DArea("m2"))):
+        assert place.isEqual(place)
+        assert place.notEqual(other)
+        assert not place.isEqual(other)
+        assert place.toString_c() == place.toString()
     places = Map2DLocationVector(2)
     places[0].x = 1.0
-    assert places == [Map2DLocation(x=1.0), Map2DLocation()], "each its own"
-    places.push_back(here)
+    assert places == [Map2DLocation(x=1.0), Map2DLocation()], "the elements are distinct objects"
+    places.push_back(a)
     assert places.size() == 3

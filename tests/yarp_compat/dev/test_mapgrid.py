@@ -1,4 +1,4 @@
-"""MapGrid2D: cells, places, obstacles, the wire."""
+"""MapGrid2D: cells, positions, obstacles, the encoding."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.yarp_compat.dev.maps import METRES, maps
+from tests.yarp_compat.dev.maps import METERS, maps
 from yarp_compat.dev.locations import Map2DLocation
-from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, flags_of, looked_up, occupancy_of
+from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, flags_of, lookup, occupancy_of
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.mapinfo import MapGrid2DInfo, MapGrid2DOrigin
 from yarp_compat.sig.image import ImageMono, ImageRgb
@@ -22,8 +22,8 @@ from yarp_compat.wire import binary
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
 
-# What MapGrid2D of YARP 4.0 says of a map of 53 x 37 cells of 0.05 m at (-1.25, 0.5): theta, a place, the cell that
-# world2Cell gives, what cell2World makes of that, and whether the place is inside.
+# Results of MapGrid2D of YARP 4.0 for a map of 53 x 37 cells of 0.05 m at (-1.25, 0.5): theta, a position, its cell by
+# world2Cell, the position of that cell by cell2World, and whether the position is inside.
 REAL = """
 0 -1.1499999999999995 0.45999999999999969 2 36 -1.1499999999999999 0.5 1
 0 -0.40999999999999948 0.86999999999999966 16 29 -0.44999999999999996 0.84999999999999987 1
@@ -39,7 +39,7 @@ REAL = """
 
 
 @pytest.mark.parametrize("line", REAL.split("\n")[1:-1])
-def test_cells_and_places_are_those_of_a_real_yarp(line: str) -> None:
+def test_cells_and_positions_equal_those_of_a_real_yarp(line: str) -> None:
     theta, x, y, column, row, cell_x, cell_y, inside = map(float, line.split())
     info = MapGrid2DInfo("m", 53, 37, 0.05, (-1.25, 0.5, theta))
     assert info.world2Cell(Vec2D(x, y)) == Vec2DSize(int(column), int(row))
@@ -50,7 +50,7 @@ def test_cells_and_places_are_those_of_a_real_yarp(line: str) -> None:
 
 @given(grid=maps(), spot=st.tuples(st.integers(0, 11), st.integers(0, 11)))
 @settings(max_examples=50)
-def test_a_cells_middle_is_in_the_cell(grid: MapGrid2D, spot: tuple[int, int]) -> None:
+def test_the_center_of_a_cell_is_in_the_cell(grid: MapGrid2D, spot: tuple[int, int]) -> None:
     grid.setResolution(max(grid.resolution, 0.01))
     cell = spot[0] % grid.width(), spot[1] % grid.height()
     assert tuple(grid.cells_at(grid.centers_of(cell))) == cell
@@ -58,9 +58,9 @@ def test_a_cells_middle_is_in_the_cell(grid: MapGrid2D, spot: tuple[int, int]) -
     assert grid.cells_at(np.zeros(shape)).shape == shape == (3, 4, 2)
 
 
-@given(x=METRES, y=METRES, theta=st.floats(-180, 180), d=st.tuples(METRES, METRES))
+@given(x=METERS, y=METERS, theta=st.floats(-180, 180), d=st.tuples(METERS, METERS))
 @settings(max_examples=50)
-def test_the_origins_of_yarp_and_ros_put_a_map_in_one_place(x: float, y: float, theta: float, d: Any) -> None:
+def test_the_origins_of_yarp_and_ros_are_equivalent(x: float, y: float, theta: float, d: Any) -> None:
     info = MapGrid2DInfo("m", 1, 1, 1.0, (x, y, theta))
     corner_x, corner_y, yaw = info.origin.to_ros()
     ca, sa = math.cos(yaw), math.sin(yaw)
@@ -69,7 +69,7 @@ def test_the_origins_of_yarp_and_ros_put_a_map_in_one_place(x: float, y: float, 
     assert tuple(MapGrid2DOrigin.from_ros(corner_x, corner_y, yaw)) == pytest.approx((x, y, theta), abs=1e-6)
 
 
-def test_a_map_lies_somewhere() -> None:
+def test_positions_and_cells_are_converted() -> None:
     with pytest.raises(ValueError, match="origin"):
         MapGrid2DOrigin(math.nan, 0, 0)
     assert MapGrid2DOrigin(1, 2, 370) == MapGrid2DOrigin(1, 2, 10)
@@ -83,14 +83,14 @@ def test_a_map_lies_somewhere() -> None:
     assert not grid.isInsideMap(Vec2DInt(-1, 1))
 
 
-def test_a_cells_flag_and_occupancy() -> None:
+def test_the_flag_and_occupancy_of_a_cell_are_set_and_read() -> None:
     grid = MapGrid2D()
     assert (grid.width(), grid.height(), grid.getResolution(), grid.getMapName()) == (2, 2, 1.0, "")
     cell = Vec2DSize(1, 0)
     assert grid.isFree(cell)
     assert grid.setMapFlag(cell, MapGrid2D.MAP_CELL_WALL)
     assert (grid.getMapFlag(cell), grid.flags[0, 1], grid.isWall(cell)) == (MapFlag.WALL, 4, True)
-    assert (grid.isFree(cell), grid.isNotFree(cell)) == (False, False)  # as in YARP, which looks at the occupancy
+    assert (grid.isFree(cell), grid.isNotFree(cell)) == (False, False)  # as in YARP, which checks the occupancy
     assert grid.setOccupancyData(cell, 100)
     assert (grid.getOccupancyData(cell), grid.isNotFree(cell)) == (100.0, True)
     assert grid.setOccupancyData(cell, -1)
@@ -105,11 +105,11 @@ def test_a_cells_flag_and_occupancy() -> None:
     assert not any((grid.isFree(away), grid.isNotFree(away), grid.isWall(away), grid.isKeepOut(away)))
     with pytest.raises(ValueError, match="6 is not a valid MapFlag"):
         grid.setMapFlag(cell, 6)
-    with pytest.raises(ValueError, match="0 to 100"):
+    with pytest.raises(ValueError, match="at most 100"):
         grid.setOccupancyData(cell, 101)
 
 
-def test_a_maps_size_and_name() -> None:
+def test_the_size_and_name_of_a_map_are_set_and_read() -> None:
     grid = MapGrid2D()
     assert grid.setMapName("m")
     assert not grid.setMapName("")
@@ -118,18 +118,18 @@ def test_a_maps_size_and_name() -> None:
     assert grid.setSize_in_meters(2, 1)
     assert (grid.getSize_in_cells(), grid.getSize_in_meters(), grid.flags.shape) == ((4, 2), (2.0, 1.0), (2, 4))
     assert not grid.setSize_in_cells(0, 3)
-    with pytest.raises(ValueError, match="cells: up to"):
+    with pytest.raises(ValueError, match="is too large"):
         grid.setSize_in_cells(MAX_CELLS, 2)
     assert grid.setOrigin(-1, 2, 3)
     assert (grid.getOrigin(), grid.getMapName()) == ((-1.0, 2.0, 3.0), "m")
     with pytest.raises(ValueError, match="shape"):
         MapGrid2D.of(np.zeros((2, 2)), np.zeros((2, 3)))
-    with pytest.raises(ValueError, match="metres wide"):
+    with pytest.raises(ValueError, match="meters wide"):
         MapGrid2D.of(np.zeros((2, 2)), resolution=0)
 
 
 @pytest.mark.parametrize("size", [0.05, 0.1, 0.12, 0.35, 10.0])
-def test_obstacles_grow_as_in_yarps_passes(size: float) -> None:
+def test_obstacles_are_enlarged_as_by_the_passes_of_yarp(size: float) -> None:
     rng = np.random.default_rng(5)
     flags = np.where(rng.random((31, 17)) < 0.02, rng.integers(1, 6, (31, 17)), 0).astype(np.uint8)
     grid = MapGrid2D.of(flags.copy(), resolution=0.05)
@@ -144,7 +144,7 @@ def test_obstacles_grow_as_in_yarps_passes(size: float) -> None:
     assert (grid.flags == np.where(flags == MapFlag.ENLARGED_OBSTACLE, 0, flags)).all()
 
 
-def test_crop() -> None:
+def test_a_map_is_cropped_to_a_range_or_to_known_cells() -> None:
     flags = np.arange(20, dtype=np.uint8).reshape(4, 5) % 6
     grid = MapGrid2D.of(flags, resolution=0.5, origin=(1, 2, 90))
     before = grid.centers_of((2, 1))
@@ -161,27 +161,27 @@ def test_crop() -> None:
     assert not MapGrid2D.of(np.full((2, 2), MapFlag.UNKNOWN, np.uint8)).crop()
 
 
-def test_pictures() -> None:
+def test_flags_and_occupancy_are_converted_from_and_to_images() -> None:
     flags = np.array([[0, 1, 2], [3, 4, 5]], np.uint8)
-    grid, picture, greys = MapGrid2D.of(flags), ImageRgb(), ImageMono()
+    grid, picture, grays = MapGrid2D.of(flags), ImageRgb(), ImageMono()
     assert grid.getMapImage(picture)
-    colours = [(254, 254, 254), (255, 0, 0), (100, 100, 200), (255, 200, 0), (0, 0, 0), (205, 205, 205)]
-    assert [picture.getPixel(i % 3, i // 3) for i in range(6)] == colours
+    colors = [(254, 254, 254), (255, 0, 0), (100, 100, 200), (255, 200, 0), (0, 0, 0), (205, 205, 205)]
+    assert [picture.getPixel(i % 3, i // 3) for i in range(6)] == colors
     other = MapGrid2D.of(np.zeros((2, 3), np.uint8))
     assert other.setMapImage(picture)
     assert (other.flags == flags).all()
     picture.setPixel(0, 0, (1, 2, 3))
     assert other.setMapImage(picture)
     assert other.getMapFlag((0, 0)) is MapFlag.UNKNOWN
-    assert grid.getOccupancyGrid(greys)
-    assert (greys.numpy() == [[0, 0, 0], [0, 100, 255]]).all()
-    assert other.setOccupancyGrid(greys)
+    assert grid.getOccupancyGrid(grays)
+    assert (grays.numpy() == [[0, 0, 0], [0, 100, 255]]).all()
+    assert other.setOccupancyGrid(grays)
     assert (other.occupancy == grid.occupancy).all()
     assert not MapGrid2D().setMapImage(picture)
-    assert not MapGrid2D().setOccupancyGrid(greys)
+    assert not MapGrid2D().setOccupancyGrid(grays)
 
 
-def test_what_flags_and_occupancy_say_of_each_other() -> None:
+def test_flags_and_occupancy_are_derived_from_each_other() -> None:
     assert occupancy_of(np.arange(7, dtype=np.uint8)).tolist() == [0, 0, 0, 0, 100, 255, 255]
     assert flags_of(np.array([0, 49, 50, 100, 101, 255], np.uint8)).tolist() == [0, 0, 4, 4, 5, 5]
 
@@ -190,26 +190,26 @@ def test_what_flags_and_occupancy_say_of_each_other() -> None:
     edges=st.lists(st.integers(1, 255), max_size=4, unique=True),
     values=st.lists(st.integers(0, 255), min_size=5, max_size=5),
     shape=st.sampled_from([(0, 0), (1, 1), (3, 5), (1100, 1000)]),
-    turned=st.booleans(),
+    rotated=st.booleans(),
 )
 @settings(max_examples=60)
-def test_cells_are_looked_up_in_tables_of_any_steps(
-    edges: list[int], values: list[int], shape: tuple[int, int], turned: bool
+def test_lookup_equals_indexing_for_any_table(
+    edges: list[int], values: list[int], shape: tuple[int, int], rotated: bool
 ) -> None:
     table = np.array(values, np.uint8)[np.searchsorted(sorted(edges), np.arange(256), "right")]
     cells = np.resize(np.random.default_rng(5).permutation(np.arange(256)).astype(np.uint8), shape)
-    cells = cells[::-1, ::-1] if turned else cells
-    assert np.array_equal(looked_up(cells, table), table[cells])
+    cells = cells[::-1, ::-1] if rotated else cells
+    assert np.array_equal(lookup(cells, table), table[cells])
 
 
 @given(grid=maps(), profile=st.sampled_from(Profile), zipped=st.booleans())
 @settings(max_examples=50)
-def test_maps_cross_ports(grid: MapGrid2D, profile: Profile, zipped: bool) -> None:
+def test_a_map_survives_encoding_and_decoding(grid: MapGrid2D, profile: Profile, zipped: bool) -> None:
     grid.enable_map_compression_over_network(zipped)
-    again = MapGrid2D.from_bytes(grid.to_bytes(profile), profile)
-    assert again == grid == again.copy()
-    assert again.compressed == zipped
-    assert again.flags.flags.writeable
+    decoded = MapGrid2D.from_bytes(grid.to_bytes(profile), profile)
+    assert decoded == grid == decoded.copy()
+    assert decoded.compressed == zipped
+    assert decoded.flags.flags.writeable
     text = MapGrid2D()
     text.from_text(grid.to_text())
     assert text == grid
@@ -224,16 +224,16 @@ def fields(**changes: Any) -> list[Any]:
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"width": 31623, "height": 31623}, "31623 x 31623 cells: up to"),
-        ({"width": -5, "height": -2}, "cells: up to"),
-        ({"flags": bytes(9)}, "10 cells does not have 9"),
-        ({"zipped": 1}, "not zipped as they should be"),
-        ({"zipped": 1, "cells": zlib.compress(bytes(10_000_000))}, "does not have 11"),
-        ({"resolution": 0.0}, "metres wide"),
+        ({"width": 31623, "height": 31623}, "31623 x 31623 cells is too large"),
+        ({"width": -5, "height": -2}, "is too large"),
+        ({"flags": bytes(9)}, "10 cells must not have 9"),
+        ({"zipped": 1}, "cannot be unzipped"),
+        ({"zipped": 1, "cells": zlib.compress(bytes(10_000_000))}, "must not have 11"),
+        ({"resolution": 0.0}, "meters wide"),
         ({"x": math.nan}, "origin"),
     ],
 )
-def test_hostile_maps_are_refused(changes: dict[str, Any], reason: str) -> None:
+def test_malicious_maps_are_rejected(changes: dict[str, Any], reason: str) -> None:
     with pytest.raises(WireError, match=reason):
         MapGrid2D.from_bytes(binary.encode(fields(**changes), Profile.YARP4), Profile.YARP4)
     grid = MapGrid2D()

@@ -1,4 +1,4 @@
-"""Our clients of INavigation2D and ILocalization2D with servers of ours, over ports, in every generation."""
+"""Our clients of INavigation2D and ILocalization2D with our servers, through ports, in every generation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tests.yarp_compat.dev.keptmaps import KeptMaps
-from tests.yarp_compat.dev.test_imap2d import KITCHEN, WAY, small_map
+from tests.yarp_compat.dev.test_imap2d import KITCHEN, PATH, small_map
 from tests.yarp_compat.dev.test_inavigation2d import COVARIANCE, FAILED, LOCALIZED, Planner
 from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
 from yarp_compat.dev.basecontrol import OdometryData
@@ -40,22 +40,22 @@ ROOM = Map2DArea("m1", [Vec2D(0, 0), Vec2D(2, 0), Vec2D(2, 3), Vec2D(0, 3)], "a 
 
 
 class Robot(Planner):
-    """A planner and localiser; what they are told is kept."""
+    """A planner and localizer that records its commands."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.status, self.coming = "moving", list[str]()
+        self.status, self.next_states = "moving", list[str]()
         self.placed: list[Any] = []
         self.located: tuple[Map2DLocation, Any] | None = (Map2DLocation("m1", 1.0, 2.1, 100.0), COVARIANCE)
 
     def getNavigationStatus(self) -> str:
-        return self.coming.pop(0) if self.coming else self.status
+        return self.next_states.pop(0) if self.next_states else self.status
 
     def resumeNavigation(self) -> None:
-        self.told.append("resume")
+        self.commands.append("resume")
 
     def recomputeCurrentNavigationPath(self) -> None:
-        self.told.append("recompute")
+        self.commands.append("recompute")
 
     def getCurrentNavigationWaypoint(self) -> Map2DLocation:
         return KITCHEN
@@ -75,14 +75,14 @@ class Robot(Planner):
     def getEstimatedOdometry(self) -> OdometryData:
         return OdometryData(odom_x=1.5)
 
-    def setInitialPose(self, *said: Any) -> None:
-        self.placed.append(said)
+    def setInitialPose(self, *arguments: Any) -> None:
+        self.placed.append(arguments)
 
     def startLocalizationService(self) -> None:
-        self.told.append("start")
+        self.commands.append("start")
 
     def stopLocalizationService(self) -> None:
-        self.told.append("stop")
+        self.commands.append("stop")
 
 
 @pytest.fixture
@@ -95,7 +95,7 @@ def kept() -> KeptMaps:
     kept = KeptMaps()
     kept.kept["location"]["kitchen"] = KITCHEN
     kept.kept["area"].update(room=ROOM, far=Map2DArea("m1", [Vec2D(8, 8), Vec2D(9, 8), Vec2D(9, 9)]))
-    kept.kept["path"]["way"] = WAY
+    kept.kept["path"]["tour"] = PATH
     return kept
 
 
@@ -107,31 +107,31 @@ def client(
     for name, service in (("/nav", Navigation2DServer(robot)), ("/loc", Localization2DServer(robot)), ("/maps", kept)):
         server = Server(service, Generations(generation))
         make_port(f"{name}/rpc", server, rpc=True, on_event=server.on_event, profile=generation.profile)
-    with Navigation2DClient("/nav", "/maps", "/loc", "/me", naming=naming) as made:
-        yield made
+    with Navigation2DClient("/nav", "/maps", "/loc", "/me", naming=naming) as connected:
+        yield connected
 
 
-def test_targets_and_their_control(client: Navigation2DClient, robot: Robot) -> None:
+def test_targets_are_sent_and_controlled(client: Navigation2DClient, robot: Robot) -> None:
     assert client.gotoTargetByAbsoluteLocation(KITCHEN)
-    place, way, grid, status = Map2DLocation(), Map2DPath(), MapGrid2D(), [None]
+    place, path, grid, status = Map2DLocation(), Map2DPath(), MapGrid2D(), [None]
     assert client.getAbsoluteLocationOfCurrentTarget(place)
     assert place == client.getAbsoluteLocationOfCurrentTarget() == KITCHEN
     assert client.getRelativeLocationOfCurrentTarget() == (OK, 1.0, 2.0, 3.0)
     assert client.getNavigationStatus(status)
     assert status == [client.getNavigationStatus()] == [NavigationStatusEnum.navigation_status_moving]
     assert status[0] == Vocab32.encode("movg")  # a number, as in the bindings
-    assert client.getAllNavigationWaypoints(TrajectoryTypeEnum.global_trajectory, way)
-    assert way == client.getAllNavigationWaypoints(TrajectoryTypeEnum.global_trajectory) == WAY
+    assert client.getAllNavigationWaypoints(TrajectoryTypeEnum.global_trajectory, path)
+    assert path == client.getAllNavigationWaypoints(TrajectoryTypeEnum.global_trajectory) == PATH
     assert client.getCurrentNavigationWaypoint() == KITCHEN
     assert client.getCurrentNavigationMap(NavigationMapTypeEnum.local_map, grid)
     assert grid == small_map()
     assert not client.getCurrentNavigationMap(NavigationMapTypeEnum.global_map, grid)
     assert grid == small_map()
     calls = [client.suspendNavigation(), client.suspendNavigation(2.0), client.resumeNavigation(),
-             client.recomputeCurrentNavigationPath(), client.followPath(WAY),
+             client.recomputeCurrentNavigationPath(), client.followPath(PATH),
              client.gotoTargetByRelativeLocation(1, 2, 90), client.applyVelocityCommand(0.1, 0, 5)]  # fmt: skip
     assert all(calls)
-    assert robot.told == [math.inf, 2.0, "resume", "recompute", WAY, (1.0, 2.0, 90.0), (0.1, 0.0, 5.0, 0.1)]
+    assert robot.commands == [math.inf, 2.0, "resume", "recompute", PATH, (1.0, 2.0, 90.0), (0.1, 0.0, 5.0, 0.1)]
     assert client.gotoTargetByRelativeLocation(1, 2)
     assert client.getLastVelocityCommand() == (OK, 0.1, 0.0, 5.0)
     assert client.stopNavigation()
@@ -139,7 +139,7 @@ def test_targets_and_their_control(client: Navigation2DClient, robot: Robot) -> 
     assert client.getAbsoluteLocationOfCurrentTarget() == Map2DLocation()
 
 
-def test_targets_by_name(client: Navigation2DClient, robot: Robot) -> None:
+def test_targets_are_found_by_name(client: Navigation2DClient, robot: Robot) -> None:
     name = SVector()
     assert client.gotoTargetByLocationName("kitchen")
     assert (robot.target, client.getNameOfCurrentTarget()) == (KITCHEN, "kitchen")
@@ -148,13 +148,15 @@ def test_targets_by_name(client: Navigation2DClient, robot: Robot) -> None:
     assert ROOM.checkLocationInsideArea(robot.target)
     assert client.getNameOfCurrentTarget(name)
     assert name == ["room"]
-    assert client.gotoTargetByLocationName("way")
-    assert robot.told == [WAY]
+    assert client.gotoTargetByLocationName("tour")
+    assert robot.commands == [PATH]
     assert client.gotoTargetByLocationName("nowhere") == FAILED
-    assert robot.target is None  # it is stopped, as upstream's client does
+    assert robot.target is None  # the robot is stopped, as by YARP's client
 
 
-def test_places_by_where_the_robot_is(client: Navigation2DClient, robot: Robot, kept: KeptMaps) -> None:
+def test_places_are_compared_with_the_position_of_the_robot(
+    client: Navigation2DClient, robot: Robot, kept: KeptMaps
+) -> None:
     truth, name, area = BVector(), SVector(), Map2DArea()
     assert client.checkInsideArea("room", truth)
     assert truth == [True]
@@ -177,7 +179,7 @@ def test_places_by_where_the_robot_is(client: Navigation2DClient, robot: Robot, 
         assert call() == FAILED
 
 
-def test_where_the_robot_is(client: Navigation2DClient, robot: Robot) -> None:
+def test_the_position_of_the_robot_is_read_and_set(client: Navigation2DClient, robot: Robot) -> None:
     place, covariance, poses, odometry = Map2DLocation(), Matrix(), [], OdometryData()
     assert client.getCurrentPosition(place, covariance)
     assert (place, covariance) == (robot.located[0], COVARIANCE)
@@ -189,18 +191,18 @@ def test_where_the_robot_is(client: Navigation2DClient, robot: Robot) -> None:
     assert odometry.odom_x == 1.5
     assert client.startLocalizationService()
     assert client.stopLocalizationService()
-    assert robot.told == ["start", "stop"]
+    assert robot.commands == ["start", "stop"]
     assert client.setInitialPose(KITCHEN)
     assert client.setInitialPose(KITCHEN, COVARIANCE)
     assert client.setInitialPose(KITCHEN, Matrix(2, 2)) == FAILED
-    assert [said[0] for said in robot.placed] == [KITCHEN, KITCHEN]
+    assert [arguments[0] for arguments in robot.placed] == [KITCHEN, KITCHEN]
     robot.located = None
     assert client.getCurrentPosition(place, covariance) == FAILED
     with pytest.raises(CallFailed):
         _ = client.position
 
 
-def test_the_map_servers_methods(client: Navigation2DClient) -> None:
+def test_the_methods_of_the_map_server_are_inherited(client: Navigation2DClient) -> None:
     names = SVector()
     assert client.getLocationsList(names)
     assert client.getLocationsList() == tuple(names)
@@ -208,28 +210,28 @@ def test_the_map_servers_methods(client: Navigation2DClient) -> None:
     assert client.deleteLocation("kitchen")
 
 
-def test_the_python_way(client: Navigation2DClient, robot: Robot) -> None:
+def test_the_python_interface_raises_exceptions(client: Navigation2DClient, robot: Robot) -> None:
     client.go("kitchen")
     client.go(KITCHEN)
     with pytest.raises(CallFailed):
         client.go("nowhere")
     with pytest.raises(TimeoutError, match="moving"):
         client.wait(0)
-    robot.status, robot.coming = "aborted", ["moving", "paused"]
+    robot.status, robot.next_states = "aborted", ["moving", "paused"]
     assert client.wait() is client.status is NavigationStatusEnum.navigation_status_aborted
 
 
-def test_what_people_ask(client: Navigation2DClient, robot: Robot, naming: LocalNaming) -> None:
-    with Client("/me/user_commands/rpc", "/people", naming=naming) as people:
-        assert people.ask(["listLocations"]) == ["many", "kitchen"]
-        assert people.ask(["gotoLocation", "kitchen"]) == ["ok"]
-        assert people.ask(["gotoLocation", "nowhere"]) == ["fail"]
-        assert people.ask(["help"])[0] == "many"
-        assert people.ask(["nonsense"]) == ["err"]
+def test_text_commands_are_executed(client: Navigation2DClient, robot: Robot, naming: LocalNaming) -> None:
+    with Client("/me/user_commands/rpc", "/user", naming=naming) as user:
+        assert user.ask(["listLocations"]) == ["many", "kitchen"]
+        assert user.ask(["gotoLocation", "kitchen"]) == ["ok"]
+        assert user.ask(["gotoLocation", "nowhere"]) == ["fail"]
+        assert user.ask(["help"])[0] == "many"
+        assert user.ask(["nonsense"]) == ["err"]
     assert robot.target is None
 
 
-def test_a_server_that_is_not_there(make_port: MakePort, naming: LocalNaming, robot: Robot) -> None:
+def test_calls_to_a_missing_server_fail(make_port: MakePort, naming: LocalNaming, robot: Robot) -> None:
     port = make_port("/nav/rpc", Server(Navigation2DServer(robot)), rpc=True)
     unreached = ReturnValue(ReturnCode.COMMUNICATION)
     with Navigation2DClient("/nav", "", "", naming=naming) as client:
@@ -242,7 +244,7 @@ def test_a_server_that_is_not_there(make_port: MakePort, naming: LocalNaming, ro
         assert client.getNavigationStatus() is NavigationStatusEnum.navigation_status_error
 
 
-def test_streams(make_port: MakePort, naming: LocalNaming) -> None:
+def test_a_stream_yields_messages_until_it_is_closed(make_port: MakePort, naming: LocalNaming) -> None:
     with (
         Writer("/loc/streaming:o", naming=naming) as writer,
         Stream("/loc/streaming:o", Map2DLocation, strict=True, naming=naming) as positions,
@@ -250,25 +252,25 @@ def test_streams(make_port: MakePort, naming: LocalNaming) -> None:
         assert positions.read_now() is None
         for place, envelope in ((KITCHEN, "7 12.5"), (Map2DLocation("", math.nan, math.nan, math.nan), "")):
             assert writer.write(place, envelope, strict=True)
-        each = iter(positions)
-        assert next(each) == (KITCHEN, 12.5)
-        place, stamp = next(each)
+        messages = iter(positions)
+        assert next(messages) == (KITCHEN, 12.5)
+        place, stamp = next(messages)
         assert math.isnan(place.x)
         assert stamp == 0
         positions.close()
-        assert list(each) == []
+        assert list(messages) == []
     with pytest.raises(PortError, match="nowhere"), Stream("/nowhere", Map2DLocation, naming=naming):
         pass
 
 
 class Forgetful(ILocalization2DMsgs):
-    """As servers of 4.0 are: what follows the outcome is unset where it is "ok"."""
+    """A server like those of 4.0, which sets nothing after an outcome "ok"."""
 
     def get_current_position2_RPC(self) -> Any:
         return OK, Map2DLocation(), Matrix(3, 3)
 
 
-def test_a_position_without_covariance_is_none(
+def test_a_position_without_covariance_is_a_failure(
     make_port: MakePort, naming: LocalNaming, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make_port("/loc/rpc", Server(Forgetful()), rpc=True)

@@ -1,4 +1,4 @@
-"""Files of places: YARP's, of every version, and ours beside them; what is exported."""
+"""Files of places: every version of YARP's, our extras, and exports."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ V3 = (
     'Paths:\ntour ( m1 1 2 90) ( m1 3 4.5 0) "the tour"\n'
 )
 V4 = V3.replace("\n3\n", "\n4\n", 1).replace("Areas:", 'Objects:\ncup m1 1 2 3 4 5 6 "of tea"\nAreas:')
-WAY = [Map2DLocation("m1", 1, 2, 90), Map2DLocation("m1", 3, 4.5, 0)]
+TOUR = [Map2DLocation("m1", 1, 2, 90), Map2DLocation("m1", 3, 4.5, 0)]
 
 
-def test_every_version_of_yarps_file() -> None:
+def test_every_version_of_the_file_of_yarp_is_read() -> None:
     first = Places({"kitchen": Map2DLocation("m1", 1, 2, 90)}, {}, {"hall": Map2DArea("m1", TRIANGLE)})
     assert Places.from_text(V1) == first
-    first.paths["tour"] = Map2DPath(WAY)
+    first.paths["tour"] = Map2DPath(TOUR)
     assert Places.from_text(V2) == first
     last = Places(
         {"kitchen": Map2DLocation("m1", 1, 2, 90, "it is warm")},
         {},
         {"hall": Map2DArea("m1", TRIANGLE, "big")},
-        {"tour": Map2DPath(WAY, "the tour")},
+        {"tour": Map2DPath(TOUR, "the tour")},
     )
     assert Places.from_text(V3) == last
     last.objects["cup"] = Map2DObject("m1", 1, 2, 3, 4, 5, 6, "of tea")
@@ -67,7 +67,7 @@ def named(values: Any) -> Any:
 
 @given(places=st.builds(Places, named(LOCATIONS), named(OBJECTS), named(AREAS), named(PATHS)))
 @settings(max_examples=60)
-def test_any_places_come_back(places: Places) -> None:
+def test_any_places_survive_a_round_trip(places: Places) -> None:
     assert Places.from_text(places.to_text()) == places
 
 
@@ -75,26 +75,26 @@ def test_any_places_come_back(places: Places) -> None:
     ("text", "reason"),
     [
         ("", "Version:"),
-        ("Version:\n5\n", "1, 2, 3 or 4"),
-        ("Version:\n4\nk m 1 2 3 d\n", "line 3: it stands before any section"),
-        ("Version:\n4\nLocations:\nk m 1 2 3\n", "line 4: 6 values are expected, not 5"),
-        ("Version:\n4\nLocations:\nk m 1 x 3 d\n", "'x' is no number"),
-        ("Version:\n4\nLocations:\n(k) m 1 2 3 d\n", "is no text"),
-        ("Version:\n4\nLocations:\nk m 1 2 3 d\nk m 1 2 3 d\n", "line 5: 'k' is there already"),
+        ("Version:\n5\n", "'1', '2', '3' or '4'"),
+        ("Version:\n4\nk m 1 2 3 d\n", "line 3: the line precedes all sections"),
+        ("Version:\n4\nLocations:\nk m 1 2 3\n", "line 4: expected 6 values, not 5"),
+        ("Version:\n4\nLocations:\nk m 1 x 3 d\n", "'x' is not a number"),
+        ("Version:\n4\nLocations:\n(k) m 1 2 3 d\n", "is not a text"),
+        ("Version:\n4\nLocations:\nk m 1 2 3 d\nk m 1 2 3 d\n", "line 5: 'k' is defined twice"),
         ("Version:\n4\nObjects:\nk m 1 2 3 d\n", "9 values"),
-        ("Version:\n4\nAreas:\nk m 1000000000 3 d\n", "values are expected, not 5"),
-        ("Version:\n4\nAreas:\nk m inf 3 d\n", "no number of corners"),
+        ("Version:\n4\nAreas:\nk m 1000000000 3 d\n", "values, not 5"),
+        ("Version:\n4\nAreas:\nk m inf 3 d\n", "not a number of corners"),
         ("Version:\n4\nAreas:\nk\n", "line 4"),
-        ("Version:\n4\nPaths:\nk (m 1 2) d\n", "4 values are expected, not 3"),
-        ("Version:\n4\nPaths:\nk (m 1 2 3) d e\n", "3 values are expected, not 4"),
+        ("Version:\n4\nPaths:\nk (m 1 2) d\n", "expected 4 values, not 3"),
+        ("Version:\n4\nPaths:\nk (m 1 2 3) d e\n", "expected 3 values, not 4"),
     ],
 )
-def test_lines_that_mean_nothing(text: str, reason: str) -> None:
+def test_invalid_lines_are_rejected(text: str, reason: str) -> None:
     with pytest.raises(MapFileError, match=reason):
         Places.from_text(text)
 
 
-def test_files(tmp_path: Path) -> None:
+def test_files_are_saved_and_loaded(tmp_path: Path) -> None:
     path = tmp_path / "locations.ini"
     places = Places.from_text(V4)
     places.save(path)
@@ -105,13 +105,13 @@ def test_files(tmp_path: Path) -> None:
     with pytest.raises(MapFileError, match="longer"):
         Places.load(path)
     extras = Extras({"hall": AreaBehaviour(0.3, "wait"), "a b": AreaBehaviour(keep_out=True)}, {"lift": LIFT})
-    beside = extras_file(path)
-    assert beside == tmp_path / "locations_extras.ini"
-    extras.save(beside)
-    assert beside.read_text() == (
+    path_of_extras = extras_file(path)
+    assert path_of_extras == tmp_path / "locations_extras.ini"
+    extras.save(path_of_extras)
+    assert path_of_extras.read_text() == (
         'Version:\n1\nBehaviours:\n"a b" keep_out\nhall max_speed=0.3 on_obstacle=wait\nLinks:\nlift up down 12.5\n'
     )
-    assert Extras.load(beside, jail=tmp_path) == extras
+    assert Extras.load(path_of_extras, jail=tmp_path) == extras
 
 
 LIFT = MapLink("up", "down", 12.5)
@@ -120,28 +120,28 @@ LIFT = MapLink("up", "down", 12.5)
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("Version:\n2\n", "says 1"),
-        ("Version:\n1\nx\n", "before any section"),
+        ("Version:\n2\n", "'Version:' and '1'"),
+        ("Version:\n1\nx\n", "precedes the sections"),
         ("Version:\n1\nBehaviours:\na max_speed=0\n", "line 4: max_speed"),
-        ("Version:\n1\nBehaviours:\na keep_out\na keep_out\n", "there already"),
+        ("Version:\n1\nBehaviours:\na keep_out\na keep_out\n", "defined twice"),
         ("Version:\n1\nLinks:\nlift a b\n", "line 4"),
         ("Version:\n1\nLinks:\n(lift a b\n", "line 4"),
         ("Version:\n1\nLinks:\nlift a a 1\n", "two locations"),
         ("Version:\n1\nLinks:\nlift a b x\n", "line 4"),
     ],
 )
-def test_extras_that_mean_nothing(text: str, reason: str) -> None:
+def test_invalid_extras_are_rejected(text: str, reason: str) -> None:
     with pytest.raises(MapFileError, match=reason):
         Extras.from_text(text)
 
 
-def test_geojson() -> None:
+def test_places_are_exported_as_geojson() -> None:
     places = Places.from_text(V4)
     places.areas["back"] = Map2DArea("m2", TRIANGLE[::-1])
     places.locations |= {"up": Map2DLocation("m1"), "down": Map2DLocation("m2")}
-    made = json.loads(to_geojson(places, {"hall": AreaBehaviour(0.3, keep_out=True)}, {"lift": LIFT}))
-    assert made["type"] == "FeatureCollection"
-    by_id = {feature["id"]: feature for feature in made["features"]}
+    collection = json.loads(to_geojson(places, {"hall": AreaBehaviour(0.3, keep_out=True)}, {"lift": LIFT}))
+    assert collection["type"] == "FeatureCollection"
+    by_id = {feature["id"]: feature for feature in collection["features"]}
     assert by_id["location/kitchen"]["geometry"] == {"type": "Point", "coordinates": [1.0, 2.0]}
     assert by_id["location/up"]["properties"] == {"kind": "location", "name": "up", "map": "m1", "theta": 0.0}
     assert by_id["object/cup"]["geometry"]["coordinates"] == [1.0, 2.0, 3.0]
@@ -149,18 +149,18 @@ def test_geojson() -> None:
     assert by_id["area/hall"]["geometry"] == {"type": "Polygon", "coordinates": ring}
     hall = {"kind": "area", "name": "hall", "map": "m1", "description": "big", "max_speed": 0.3, "keep_out": True}
     assert by_id["area/hall"]["properties"] == hall
-    # counterclockwise, however the corners go
+    # counterclockwise, whatever the order of the corners
     assert by_id["area/back"]["geometry"]["coordinates"] == ring
     assert by_id["path/tour"]["geometry"] == {"type": "LineString", "coordinates": [[1, 2], [3, 4.5]]}
     assert by_id["link/lift"]["properties"]["maps"] == ["m1", "m2"]
-    there = json.loads(to_geojson(places, map_name="m2"))["features"]
-    assert [feature["id"] for feature in there] == ["location/down", "area/back"]
+    features = json.loads(to_geojson(places, map_name="m2"))["features"]
+    assert [feature["id"] for feature in features] == ["location/down", "area/back"]
 
 
-def test_waypoints_of_nav2() -> None:
-    made = yaml.safe_load(to_waypoints({"kitchen": Map2DLocation("m", 1, 1e-9, 90), 'b "x"': Map2DLocation("m")}))
+def test_places_are_exported_as_waypoints_of_nav2() -> None:
+    content = yaml.safe_load(to_waypoints({"kitchen": Map2DLocation("m", 1, 1e-9, 90), 'b "x"': Map2DLocation("m")}))
     half = math.sqrt(0.5)
-    assert list(made["waypoints"]) == ["kitchen", 'b "x"']
-    assert made["waypoints"]["kitchen"]["pose"] == [1.0, 1e-9, 0.0]
-    assert made["waypoints"]["kitchen"]["orientation"] == pytest.approx([half, 0, 0, half])
+    assert list(content["waypoints"]) == ["kitchen", 'b "x"']
+    assert content["waypoints"]["kitchen"]["pose"] == [1.0, 1e-9, 0.0]
+    assert content["waypoints"]["kitchen"]["orientation"] == pytest.approx([half, 0, 0, half])
     assert yaml.safe_load(to_waypoints({})) == {"waypoints": {}}

@@ -1,4 +1,4 @@
-"""Clients of all releases at one server at once: each gets its own replies, and none a success of what failed."""
+"""Clients of all releases at one server: each gets its own replies, and none reads a failure as success."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.support.wait import until
 from tests.support.yarp_processes import library, processes
 from tests.yarp_compat.dev.interfaces import All
 from tests.yarp_compat.dev.releases import RELEASES, Release
-from tests.yarp_compat.dev.test_transcripts import exchanges, taken
+from tests.yarp_compat.dev.test_transcripts import exchanges, parse_request
 from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
 from yarp_compat.dev.inavigation2d import NavigationStatusEnum
 from yarp_compat.dev.locations import Map2DLocation, Map2DObject
@@ -44,7 +44,7 @@ KITCHEN = Map2DLocation("m1", 1.0, 2.0, 90.0, "")
 
 
 class Planner(All):
-    """Knows the kitchen only, and refuses goals elsewhere."""
+    """A planner that has only the kitchen, and refuses goals elsewhere."""
 
     def get_location_RPC(self, location_name: str) -> Any:
         if location_name != "kitchen":
@@ -84,7 +84,7 @@ BAD: list[tuple[str, list[Any]]] = [
 
 
 class Client:
-    """A program of some release, connected to a server's port: a socket that reads as its generated code does."""
+    """A program of a release, connected to a server's port: a socket that reads like its generated code."""
 
     def __init__(self, name: str, release: Release, at: PortContact, carrier: Carrier = carriers.TCP) -> None:
         self._release, self._acked = release, carrier.ack
@@ -92,7 +92,7 @@ class Client:
         self._sock.settimeout(30)
         self._sock.sendall(carriers.opening(carrier, name))
         self.receive(8)
-        self._came = b""
+        self._buffer = b""
         self.address: tuple[str, int] = self._sock.getsockname()
 
     def close(self) -> None:
@@ -108,76 +108,76 @@ class Client:
         self._sock.sendall(framing.prefix(len(payload), "d") + payload)
 
     def receive(self, size: int) -> bytes:
-        came = b""
-        while len(came) < size and (part := self._sock.recv(size - len(came))):
-            came += part
-        return came
+        data = b""
+        while len(data) < size and (part := self._sock.recv(size - len(data))):
+            data += part
+        return data
 
     def introduce(self) -> None:
-        """As clients of 4.0 do before all else."""
+        """Introduce the client, the first request of clients of 4.0."""
         self.send(encode([INTRODUCTION], Profile.YARP4))
         self.receive(VERSION.size + 8)
 
     def read(self, call: Call) -> bool:
         while True:
             try:
-                ok, end = self._release.read(call, self._came, acked=self._acked)
+                ok, end = self._release.read(call, self._buffer, acked=self._acked)
             except Incomplete:
                 part = self._sock.recv(4096)
                 assert part, "the server closed"
-                self._came += part
+                self._buffer += part
             else:
-                self._came = self._came[end:]
+                self._buffer = self._buffer[end:]
                 return ok
 
     @property
     def in_step(self) -> bool:
-        """Whether nothing of the last reply is left for the next call."""
-        return not self._came
+        """Whether the last reply is consumed completely."""
+        return not self._buffer
 
 
 @pytest.fixture
 def connect(make_port: MakePort) -> Iterator[Callable[..., Client]]:
-    made: list[Client] = []
+    clients: list[Client] = []
     ports: dict[int, PortContact] = {}
 
     def connected(server: Server, name: str, release: str, carrier: Carrier = carriers.TCP) -> Client:
         if id(server) not in ports:
             port = make_port("/server/rpc", server, rpc=True, on_event=server.on_event)
             ports[id(server)] = port.contact
-        made.append(Client(name, BY_NAME[release], ports[id(server)], carrier))
-        return made[-1]
+        clients.append(Client(name, BY_NAME[release], ports[id(server)], carrier))
+        return clients[-1]
 
     yield connected
-    for client in made:
+    for client in clients:
         client.close()
 
 
 @pytest.mark.parametrize("release", ["3.6", "3.9", "3.11", "3.12"])
-def test_no_release_that_nothing_tells_reads_a_success_of_what_failed(
+def test_no_client_of_an_unknown_release_reads_a_failure_as_success(
     connect: Callable[..., Client], release: str
 ) -> None:
-    """Over tcp all stay in step too, so that no reply is read as the reply to a later call."""
+    """With tcp, all also stay in step: no reply is read as the reply to a later call."""
     client = connect(Server(Planner()), "/nav/rpc", release)
     calls = [(call, True) for call in GOOD] + [(call, False) for call in BAD]
     chance = random.Random(7)
     for (name, arguments), succeeds in chance.choices(calls, k=200):
-        told = client.call(name, arguments)
+        success = client.call(name, arguments)
         assert client.in_step, name
-        assert succeeds or not told, name
-        if release == "3.12" or (release in ("3.6", "3.9") and All.calls()[name].alone):
-            assert told is succeeds, name
+        assert succeeds or not success, name
+        if release == "3.12" or (release in ("3.6", "3.9") and All.calls()[name].single):
+            assert success is succeeds, name
 
 
-def test_maps_of_3_12_are_asked_without_acknowledgements(connect: Callable[..., Client]) -> None:
+def test_a_map_client_of_3_12_works_without_acknowledgements(connect: Callable[..., Client]) -> None:
     client = connect(Server(Planner()), "/maps/rpc", "3.12", carriers.FAST_TCP)
     for (name, arguments), succeeds in [*((c, True) for c in GOOD), *((c, False) for c in BAD)] * 3:
         assert client.call(name, arguments) is succeeds, name
         assert client.in_step
 
 
-def test_a_method_of_3_12_tells_the_release(connect: Callable[..., Client]) -> None:
-    """The next failure has its number, which a client that may be older is not given."""
+def test_a_method_of_3_12_shows_the_release(connect: Callable[..., Client]) -> None:
+    """The next failure has its number, which is not sent to a client that may be older."""
     server = Server(Planner())
     client = connect(server, "/nav/rpc", "3.12")
     assert client.call("get_object_RPC", ["cup"])
@@ -188,18 +188,18 @@ def test_a_method_of_3_12_tells_the_release(connect: Callable[..., Client]) -> N
     assert client.receive(16) == bytes.fromhex("01000000 05000000") + framing.ACK
 
 
-def test_who_types_a_method_is_answered_by_bottles(connect: Callable[..., Client]) -> None:
-    """As `yarp rpc` sends what is typed: the name in one word, which generated code never does."""
-    client = connect(Server(Planner()), "/person", "3.12")
-    for typed, said in (("stop_navigation_RPC", b"ok\0\0"), ("resume_navigation_RPC", b"fail")):
+def test_a_typed_request_gets_a_bottle(connect: Callable[..., Client]) -> None:
+    """`yarp rpc` sends the name in one word, which generated code never does."""
+    client = connect(Server(Planner()), "/user", "3.12")
+    for typed, vocab in (("stop_navigation_RPC", b"ok\0\0"), ("resume_navigation_RPC", b"fail")):
         client.send(encode([typed], Profile.YARP3))
-        assert client.receive(16 + 8) == bytes.fromhex("00010000 01000000 09000000") + said + framing.ACK
+        assert client.receive(16 + 8) == bytes.fromhex("00010000 01000000 09000000") + vocab + framing.ACK
     client.send(encode(["get_location_RPC", "nowhere"], Profile.YARP3))
     assert decode(client.receive(76 + 8)[:-8], Profile.YARP3)[0] == "fail"
 
 
-def test_two_of_one_name_are_told_apart(connect: Callable[..., Client]) -> None:
-    """Names without a slash belong to programs without a port, and several may have the same."""
+def test_two_clients_of_one_name_are_distinguished(connect: Callable[..., Client]) -> None:
+    """Names without a slash belong to programs without a port, and several programs may share one."""
     server = Server(Planner())
     new, old = connect(server, "nav", "4.0"), connect(server, "nav", "3.12")
     new.introduce()
@@ -234,7 +234,7 @@ def test_the_log_names_each_unknown_client_and_its_setting_once(
 
 @pytest.fixture
 def loads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, Client]], None]:
-    """Have the processes of clients load the library of a release."""
+    """Let the processes of clients load the library of a release."""
     numbers = itertools.count()
 
     def load(clients: dict[str, Client]) -> None:
@@ -248,24 +248,24 @@ Load = Callable[[dict[str, Client]], None]
 LOADED = {"3.9": "3.9.1", "3.11": "3.11.2", "3.12": "3.12.3", "4.0": "4.0.0"}
 
 
-def served(client: Client) -> bool:
-    """Return whether a client is answered in its own generation; asserts each reply."""
+def reads_all_replies(client: Client) -> bool:
+    """Assert that a client reads each reply correctly; return True."""
     for (name, arguments), succeeds in [*((c, True) for c in GOOD), *((c, False) for c in BAD)] * 2:
         assert client.call(name, arguments) is succeeds, name
         assert client.in_step, name
     return True
 
 
-def test_clients_on_this_machine_are_answered_as_their_library_reads(
+def test_local_clients_get_replies_for_their_library(
     connect: Callable[..., Client], loads: Load, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """All generations at one server at once, without a setting; over fast_tcp too, which allows no care."""
+    """All generations at one server, without a setting; also with fast_tcp, which has no unambiguous replies."""
     for carrier in (carriers.TCP, carriers.FAST_TCP):
         server = Server(Planner())
         clients = {loaded: connect(server, f"/of{name}/rpc", name, carrier) for name, loaded in LOADED.items()}
         loads(clients)
         for client in clients.values():
-            assert served(client)
+            assert reads_all_replies(client)
         for name, loaded in LOADED.items():
             decision = server.generations.of(f"/of{name}/rpc", link=clients[loaded].address)
             assert (decision.generation, decision.sure) == (Generation.of(loaded), True)
@@ -277,38 +277,38 @@ def test_a_setting_overrides_the_library(connect: Callable[..., Client], loads: 
     for settings in (Generations(None, [("/odd/*", Generation.YARP_3_6)]), Generations(Generation.YARP_3_6)):
         client = connect(Server(Planner(), settings), "/odd/rpc", "3.9")
         loads({"3.12.3": client})
-        assert served(client)
+        assert reads_all_replies(client)
 
 
-def test_another_release_may_connect_by_the_same_name(connect: Callable[..., Client], loads: Load) -> None:
+def test_another_release_may_connect_under_the_same_name(connect: Callable[..., Client], loads: Load) -> None:
     server = Server(Planner())
     for name in ("3.9", "3.12", "3.9"):
         client = connect(server, "/nav/navigation/rpc", name)
         loads({LOADED[name]: client})
-        assert served(client)
+        assert reads_all_replies(client)
         client.close()
 
 
-def test_maps_by_tcp_are_asked_by_releases_before_3_10(connect: Callable[..., Client]) -> None:
-    """``map2D_nwc_yarp`` connects by fast_tcp since 3.10; a hint, so answers stay careful."""
+def test_a_map_client_with_tcp_is_taken_for_one_before_3_10(connect: Callable[..., Client]) -> None:
+    """``map2D_nwc_yarp`` connects by fast_tcp since 3.10; as this is only a hint, replies stay unambiguous."""
     server = Server(Planner())
     old = connect(server, "/module/mapClient_rpc", "3.9", carriers.TCP)
     new = connect(server, "/other/mapClient_rpc", "3.12", carriers.FAST_TCP)
-    assert served(old)
-    assert served(new)
+    assert reads_all_replies(old)
+    assert reads_all_replies(new)
     decision = server.generations.of("/module/mapClient_rpc", link=old.address)
     assert (decision.generation, decision.sure) == (Generation.YARP_3_6, False)
-    careful = connect(server, "/third/mapClient_rpc", "3.12", carriers.TCP)
+    unsure = connect(server, "/third/mapClient_rpc", "3.12", carriers.TCP)
     for name, arguments in BAD:
-        assert not careful.call(name, arguments), name
-        assert careful.in_step
+        assert not unsure.call(name, arguments), name
+        assert unsure.in_step
 
 
 @pytest.mark.parametrize(("name", "rounds"), [("3.12", 0), ("3.9", 1), ("3.6", 1)])
-def test_a_client_that_does_not_read_a_location_asks_for_an_area(
+def test_a_request_for_the_area_shows_that_the_location_was_not_read(
     connect: Callable[..., Client], name: str, rounds: int
 ) -> None:
-    """``gotoTargetByLocationName`` of ``navigation2D_nwc_yarp``; afterwards all ports of the device are understood."""
+    """As in ``navigation2D_nwc_yarp``'s ``gotoTargetByLocationName``; the finding applies to all the device's ports."""
     server = Server(Planner())
     maps, goals = connect(server, "/nav/locations/rpc", name), connect(server, "/nav/navigation/rpc", name)
     needed = 0
@@ -326,7 +326,7 @@ def test_a_client_that_does_not_read_a_location_asks_for_an_area(
     assert (decision.generation, decision.sure) == (Generation.of(name), False)
 
 
-def test_an_area_of_another_name_discloses_nothing(connect: Callable[..., Client]) -> None:
+def test_a_request_for_another_area_shows_nothing(connect: Callable[..., Client]) -> None:
     client = connect(Server(Planner()), "/nav/locations/rpc", "3.12")
     for method, arguments in (("get_area_RPC", ["bedroom"]), ("get_navigation_status_RPC", [])):
         assert client.call("get_location_RPC", ["kitchen"])
@@ -336,13 +336,13 @@ def test_an_area_of_another_name_discloses_nothing(connect: Callable[..., Client
 
 
 def settled(client: Client) -> Client:
-    """Return a client whose connection the server has noted: a call comes after that."""
+    """Return a client after the server has registered its connection, which a call ensures."""
     client.call("stop_navigation_RPC", [])
     return client
 
 
 class Places(Planner):
-    """Has a location; ``names`` are those of its list."""
+    """A planner with a location; ``names`` are those of its list."""
 
     def __init__(self, *names: str) -> None:
         super().__init__()
@@ -353,14 +353,14 @@ class Places(Planner):
 
 
 class Commands:
-    """``<local>/user_commands/rpc`` of a ``navigation2D_nwc_yarp``, which asks its map server for the list."""
+    """The ``<local>/user_commands/rpc`` of a ``navigation2D_nwc_yarp``, which requests the list from its map server."""
 
     def __init__(self, maps: Client, names: list[str]) -> None:
         self.maps, self.names = maps, names
-        self.asked: list[Any] = []
+        self.requests: list[Any] = []
 
     def __call__(self, message: PortMessage) -> None:
-        self.asked.append(decode(message.payload, Profile.YARP3))
+        self.requests.append(decode(message.payload, Profile.YARP3))
         read = self.maps.call("get_locations_list_RPC", [])
         message.reply(encode([Vocab("many"), *(self.names if read else [])], Profile.YARP3))
 
@@ -374,7 +374,7 @@ class Commands:
         ("3.9", [], Generation.YARP_3_12, False),  # an empty list shows nothing
     ],
 )
-def test_a_navigation_client_is_tried_by_a_list_of_locations(
+def test_a_list_of_locations_shows_the_release_of_a_navigation_client(
     connect: Callable[..., Client], make_port: MakePort, naming: Naming, name: str, names: list[str],
     generation: Generation, sure: bool,
 ) -> None:  # fmt: skip
@@ -385,17 +385,17 @@ def test_a_navigation_client_is_tried_by_a_list_of_locations(
     trials.connected("/nav/navigation/rpc", goals.address)
     commands = Commands(maps, names)
     make_port("/nav/user_commands/rpc", commands, rpc=True)
-    until(lambda: commands.asked == [["listLocations"]], "the question")
+    until(lambda: commands.requests == [["listLocations"]], "the request")
     until(lambda: not trials.running, "the end of the trial")
     decision = server.generations.of("/nav/navigation/rpc", link=goals.address)
     assert (decision.generation, decision.sure) == (generation, sure)
     if names:
         for client in (maps, goals):
-            assert served(client)
+            assert reads_all_replies(client)
     trials.close()
 
 
-def test_a_client_of_another_map_server_is_not_judged(
+def test_a_client_of_another_map_server_stays_unknown(
     connect: Callable[..., Client], make_port: MakePort, naming: Naming
 ) -> None:
     ours, theirs = Server(Places("kitchen")), Places("kitchen")
@@ -406,13 +406,15 @@ def test_a_client_of_another_map_server_is_not_judged(
     make_port("/nav/user_commands/rpc", commands, rpc=True)
     trials = ReleaseTrials(ours.generations, naming)
     trials.connected("/nav/navigation/rpc", goals.address)
-    until(lambda: commands.asked and not trials.running, "the end of the trial")
+    until(lambda: commands.requests and not trials.running, "the end of the trial")
     assert ours.generations.findings.get("/nav/navigation/rpc") is None
     maps.close()
     trials.close()
 
 
-def test_a_known_client_is_not_asked(connect: Callable[..., Client], make_port: MakePort, naming: Naming) -> None:
+def test_no_trial_starts_for_a_known_client(
+    connect: Callable[..., Client], make_port: MakePort, naming: Naming
+) -> None:
     server = Server(Places("kitchen"), Generations(None, [("/nav/*", Generation.YARP_3_12)]))
     maps = connect(server, "/nav/locations/rpc", "3.12")
     commands = Commands(maps, ["kitchen"])
@@ -421,12 +423,12 @@ def test_a_known_client_is_not_asked(connect: Callable[..., Client], make_port: 
     for peer in ("/nav/locations/rpc", "/nav/other", "nav/locations/rpc"):
         trials.connected(peer, maps.address)
     until(lambda: not trials.running, "the end of the trials")
-    assert commands.asked == []
+    assert commands.requests == []
     trials.close()
 
 
-def test_the_devices_of_a_process_are_of_one_release(connect: Callable[..., Client], naming: Naming) -> None:
-    """By the property that C++ ports set at the name server (``NameClient.cpp``, ``process``), and their host."""
+def test_all_devices_of_a_process_have_one_release(connect: Callable[..., Client], naming: Naming) -> None:
+    """The process is identified by its host and the property ``process`` that C++ ports set (``NameClient.cpp``)."""
     server = Server(Planner())
     trials = ReleaseTrials(server.generations, naming)
     clients: dict[str, Client] = {}
@@ -449,13 +451,13 @@ def test_the_devices_of_a_process_are_of_one_release(connect: Callable[..., Clie
     trials.close()
 
 
-def test_the_ports_of_a_device_are_of_one_release(connect: Callable[..., Client]) -> None:
+def test_all_ports_of_a_device_have_one_release(connect: Callable[..., Client]) -> None:
     server = Server(Planner(), Generations(Generation.YARP_3_6))
     nav, maps = connect(server, "/nav/navigation/rpc", "4.0"), connect(server, "/nav/locations/rpc", "4.0")
     nav.introduce()
-    assert served(maps)
+    assert reads_all_replies(maps)
     old = connect(server, "/old/locations/rpc", "3.9")
-    assert served(old)
+    assert reads_all_replies(old)
 
 
 # -- the transcripts ---------------------------------------------------------------------------------------------------
@@ -464,14 +466,14 @@ Talk = list[tuple[bytes, bytes]]
 
 
 def recorded() -> dict[str, Talk]:
-    """Requests and replies of four releases.
+    """Return requests and replies of four releases.
 
-    3.12.3 and 4.0 were recorded. 3.6 and 3.9 were not: their requests are 3.12's (captured of 3.9.1; the interfaces and
-    writers of v3.6.0 and v3.9.1 are the same for all of these), and their replies are those with a truth as outcome.
+    Those of 3.12.3 and 4.0 were recorded. Requests of 3.6 and 3.9 equal 3.12's (captured with 3.9.1; the interfaces and
+    writers of v3.6.0 and v3.9.1 are the same for all of these), and their replies have a boolean as outcome.
     """
     older = []
     for request, reply in exchanges("nav-3.12.3.txt"):
-        _, call, _ = taken(request, Profile.YARP3)
+        _, call, _ = parse_request(request, Profile.YARP3)
         assert call is not None
         results = call.read_reply(reply, Generation.YARP_3_12).results
         older.append((request, call.reply(results, Generation.YARP_3_6)))
@@ -481,7 +483,7 @@ def recorded() -> dict[str, Talk]:
 
 
 class Replaying(All):
-    """Each method returns what the real server of the caller's release did; the thread's name has that release."""
+    """A server whose methods return the recorded results of the client's release, taken from the thread's name."""
 
     def __init__(self, talks: dict[str, Talk]) -> None:
         super().__init__()
@@ -489,68 +491,68 @@ class Replaying(All):
         for release, talk in talks.items():
             generation = Generation.of(release)
             for request, reply in talk:
-                _, call, _ = taken(request, generation.profile)
+                _, call, _ = parse_request(request, generation.profile)
                 if call is not None:
                     self.results.setdefault(release, []).append(call.read_reply(reply, generation).results)
 
     def __getattribute__(self, name: str) -> Any:
         if name.endswith("RPC"):
-            return lambda *_: self.said()
+            return lambda *_: self.next_results()
         return super().__getattribute__(name)
 
-    def said(self) -> Any:
+    def next_results(self) -> Any:
         release = threading.current_thread().name.split()[1].removeprefix("/nav")
         results = self.results[release].pop(0)
         return results[0] if len(results) == 1 else tuple(results)
 
 
-def test_transcripts_of_four_releases_at_one_server_at_once(connect: Callable[..., Client]) -> None:
-    """In turn, a request of each: byte for byte what the real servers of each release answered."""
+def test_transcripts_of_four_releases_are_reproduced_at_one_server(connect: Callable[..., Client]) -> None:
+    """The clients take turns; each reply equals that of the real server byte for byte."""
     talks = recorded()
     rules = [(f"/nav{release}", Generation.of(release)) for release in ("3.6", "3.9", "3.12")]
     replaying = Replaying(talks)
     server = Server(replaying, Generations(None, rules))
     clients = {release: connect(server, f"/nav{release}", release) for release in talks}
-    for turn in itertools.zip_longest(*([(release, *pair) for pair in talk] for release, talk in talks.items())):
-        asked = [one for one in turn if one is not None]
-        for release, request, _ in asked:
+    for requests in itertools.zip_longest(*([(release, *pair) for pair in talk] for release, talk in talks.items())):
+        sent = [request for request in requests if request is not None]
+        for release, request, _ in sent:
             clients[release].send(request)
-        for release, _, reply in asked:
+        for release, _, reply in sent:
             assert clients[release].receive(len(reply) + 8) == reply + framing.ACK, release
     assert not any(replaying.results.values())
 
 
-def test_transcripts_of_four_releases_where_nobody_said_who_is_who(connect: Callable[..., Client]) -> None:
-    """3.12's and 4.0's clients get all that they ask; the older ones never get a false success."""
+def test_transcripts_of_four_unknown_releases_contain_no_false_success(connect: Callable[..., Client]) -> None:
+    """Clients of 3.12 and 4.0 read all results; the older ones never read a false success."""
     talks = recorded()
     server = Server(Replaying(talks), Generations())
     clients = {release: connect(server, f"/nav{release}", release) for release in talks}
-    for turn in itertools.zip_longest(*([(release, *pair) for pair in talk] for release, talk in talks.items())):
-        for one in turn:
-            if one is None:
+    for requests in itertools.zip_longest(*([(release, *pair) for pair in talk] for release, talk in talks.items())):
+        for recorded_call in requests:
+            if recorded_call is None:
                 continue
-            release, request, reply = one
+            release, request, reply = recorded_call
             generation, client = Generation.of(release), clients[release]
-            _, call, _ = taken(request, generation.profile)
+            _, call, _ = parse_request(request, generation.profile)
             client.send(request)
             if call is None:
                 assert client.receive(len(reply) + 8) == reply + framing.ACK
                 continue
             succeeded = bool(call.read_reply(reply, generation).results[0])
-            told = client.read(call)
+            success = client.read(call)
             assert client.in_step
-            if release in ("3.12", "4.0") or call.alone:
-                assert told is succeeded, (release, call.name)
+            if release in ("3.12", "4.0") or call.single:
+                assert success is succeeded, (release, call.name)
             else:
-                assert not told
+                assert not success
 
 
-def test_outcomes_have_the_numbers_and_words_of_the_bindings() -> None:
+def test_outcomes_have_the_numbers_and_names_of_the_bindings() -> None:
     failed = ReturnValue(ReturnCode.METHOD_FAILED)
-    number = getattr(ReturnValue, "return_code_return_value_error_method_failed")  # noqa: B009 - made from a table
+    number = getattr(ReturnValue, "return_code_return_value_error_method_failed")  # noqa: B009 - set from a table
     assert number == int.from_bytes(b"err5", "little")
     assert failed == number
-    assert hash(failed) == hash(number), "as of all that is equal"
+    assert hash(failed) == hash(number), "equal objects have equal hashes"
     assert failed.isEqual(number)
     assert ReturnValue(number) == failed
     assert failed.toString() == "return_value_error_method_failed"

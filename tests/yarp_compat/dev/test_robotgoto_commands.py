@@ -1,4 +1,4 @@
-"""robotGoto's commands, as words and as a service, beside INavigation2D on one port."""
+"""robotGoto's commands, as text and as a service, together with INavigation2D at one port."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from yarp_compat.wire.values import Vocab
 
 
 class Goto(RobotGotoMsgs, Navigation2DServer):
-    """Both interfaces; what it is told is kept."""
+    """Both interfaces; it records its calls."""
 
     def __init__(self) -> None:
         super().__init__(self)
-        self.told: list[tuple[Any, ...]] = []
+        self.recorded: list[tuple[Any, ...]] = []
 
     def __getattribute__(self, name: str) -> Any:
         if name.startswith("Set") and name != "SetMaxAngularSpeed":
-            return lambda value: self.kept(name, value)
+            return lambda value: self.record(name, value)
         return super().__getattribute__(name)
 
-    def kept(self, *told: Any) -> ReturnValue:
-        self.told.append(told)
+    def record(self, *call: Any) -> ReturnValue:
+        self.recorded.append(call)
         return OK
 
     def ResetParams(self) -> ReturnValue:
-        return self.kept("ResetParams")
+        return self.record("ResetParams")
 
     def Approach(self, dir: float, speed: float, time: float) -> ReturnValue:  # noqa: A002
         if speed > 1:
             raise CallFailed(ReturnCode.OUT_OF_BOUNDS, "that is too fast")
-        return self.kept("Approach", dir, speed, time)
+        return self.record("Approach", dir, speed, time)
 
     def GetNavigationStatus(self) -> tuple[ReturnValue, str]:
         return OK, "navigation_status_idle"
@@ -54,7 +54,7 @@ def goto() -> Goto:
 
 
 @pytest.mark.parametrize("profile", Profile)
-def test_words(goto: Goto, profile: Profile) -> None:
+def test_text_commands_are_executed(goto: Goto, profile: Profile) -> None:
     server = Server(goto, Generations(Generation.newest(profile)))
 
     def ask(*words: Any) -> list[Any]:
@@ -69,26 +69,26 @@ def test_words(goto: Goto, profile: Profile) -> None:
     assert ask("get") == ["Unknown get."]
     assert ask("reset_params") == ["params reset done"]
     assert ask("approach", 180, 0.2, 0.3) == ["approach command received"]
-    assert goto.told == [
+    assert goto.recorded == [
         ("SetLinearTolerance", 0.05), ("SetAngularSpeedGain", 2.0), ("SetObstacoleStop", True),
         ("SetObstacoleAvoidance", False), ("ResetParams",), ("Approach", 180.0, 0.2, 0.3),
     ]  # fmt: skip
-    assert ask("approach", 180) == ["fail", "it is: approach DIRECTION SPEED TIME"]
-    assert ask("set", "linear_tol", "far") == ["fail", "it is: set linear_tol NUMBER"]
+    assert ask("approach", 180) == ["fail", "usage: approach DIRECTION SPEED TIME"]
+    assert ask("set", "linear_tol", "far") == ["fail", "usage: set linear_tol NUMBER"]
     assert ask("approach", 0.0, 2.0, 1.0) == ["fail", "that is too fast"]
     assert ask("set", "max_ang_speed", 1)[0] == "fail"
-    told = ask("help")
-    assert told[:2] == ["many", "Available commands are:"]
-    assert {"set linear_tol <m>", "set obstacle_stop <0/1>", "SetLinearTolerance", "stop_navigation_RPC"} <= set(told)
+    lines = ask("help")
+    assert lines[:2] == ["many", "Available commands are:"]
+    assert {"set linear_tol <m>", "set obstacle_stop <0/1>", "SetLinearTolerance", "stop_navigation_RPC"} <= set(lines)
 
 
-def test_an_answer_may_begin_with_a_vocab_as_text(goto: Goto, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reply_may_begin_with_a_vocab_as_text(goto: Goto, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(goto, "command", lambda _words: ["[many]", "[lines]"])
     answer = Server(goto).answer(encode(["help"], Profile.YARP3), "/peer")
     assert answer == encode([Vocab("many"), "[lines]"], Profile.YARP3)
 
 
-def test_what_is_no_command_is_refused(goto: Goto) -> None:
+def test_unknown_commands_are_rejected(goto: Goto) -> None:
     server = Server(goto, Generations(Generation.YARP_3_12))
     assert server.answer(encode(["nonsense"], Profile.YARP3), "/peer") == FAIL
     assert server.answer(encode([], Profile.YARP3), "/peer") == FAIL
@@ -97,12 +97,12 @@ def test_what_is_no_command_is_refused(goto: Goto) -> None:
 
 
 @pytest.mark.parametrize("generation", Generation)
-def test_both_services_answer_on_the_port(goto: Goto, generation: Generation) -> None:
+def test_both_services_are_available_at_the_port(goto: Goto, generation: Generation) -> None:
     wire = Wire(Server(goto, Generations(generation)), generation)
     remote = RobotGotoMsgs(wire)
     assert remote.SetObstacoleStop(True)
     assert remote.Approach(90.0, 0.5, 1.0)
-    assert goto.told == [("SetObstacoleStop", True), ("Approach", 90.0, 0.5, 1.0)]
+    assert goto.recorded == [("SetObstacoleStop", True), ("Approach", 90.0, 0.5, 1.0)]
     assert remote.GetNavigationStatus() == (OK, "navigation_status_idle")
     assert not remote.SetMaxAngularSpeed(1.0)
     navigation = INavigation2DMsgs(wire)

@@ -1,4 +1,4 @@
-"""Interfaces over a channel: every generation, for any expectation of the client; requests that are typed or wrong."""
+"""Interfaces through a channel: every generation, with any expectation of the client; typed and invalid requests."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FAIL = bytes.fromhex("09010000010000006661696c")
 
 
 class Status(IntEnum):
-    """As `IRangefinder2D::Device_status`."""
+    """The counterpart of `IRangefinder2D::Device_status`."""
 
     STANDBY = 0
     IN_USE = 1
@@ -76,7 +76,7 @@ class Kept(Places):
 
     def get_location_RPC(self, name: str) -> tuple[ReturnValue, Map2DLocation]:
         if name not in self.at:
-            raise CallFailed(reason=f"there is no {name}")
+            raise CallFailed(reason=f"no {name}")
         return OK, self.at[name]
 
     def get_names_RPC(self) -> Any:
@@ -111,19 +111,19 @@ class Kept(Places):
 
 @dataclass
 class Wire:
-    """A channel to a server in this process, whose replies come a byte at a time, followed by other bytes."""
+    """A channel to a server in this process, with other bytes after each reply."""
 
     server: Server
     generation: Generation
     peer: str = "/client/rpc"
     sent: list[bytes] = field(default_factory=list)
-    got: list[bytes] = field(default_factory=list)
+    received: list[bytes] = field(default_factory=list)
 
     def request(self, payload: bytes, parse: Callable[[bytes], int]) -> bytes:
         reply = self.server.answer(payload, self.peer)
         assert parse(reply + b"YA\0\0\0\0RP") == len(reply)
         self.sent.append(payload)
-        self.got.append(reply)
+        self.received.append(reply)
         return reply
 
 
@@ -132,7 +132,7 @@ KITCHEN = Map2DLocation("m1", 1.5, -2.0, 90.0, "by the door")
 
 @pytest.mark.parametrize("expected", Generation)
 @pytest.mark.parametrize("generation", Generation)
-def test_clients_of_any_expectation_understand_servers_of_any_generation(
+def test_clients_with_any_expectation_read_replies_of_any_generation(
     generation: Generation, expected: Generation
 ) -> None:
     server = Server(Kept(), Generations(generation))
@@ -157,23 +157,23 @@ def test_clients_of_any_expectation_understand_servers_of_any_generation(
 
 
 @pytest.mark.parametrize("generation", Generation)
-def test_an_introduction_makes_a_peer_one_of_4_0(generation: Generation) -> None:
+def test_an_introduced_peer_is_one_of_4_0(generation: Generation) -> None:
     server = Server(Kept(), Generations(generation))
     wire = Wire(server, generation)
     assert Places(wire).introduce() == (3, 4, 0, 0)
     assert wire.generation is Generation.YARP_4
-    assert wire.got[0].hex() == "00010000010000000300040000000000"
+    assert wire.received[0].hex() == "00010000010000000300040000000000"
     assert wire.sent[0].hex() == "00010000010000000400000018000000" + b"getRemoteProtocolVersion".hex()
     Places(wire).count(1, 1.0)
     Places(wire).get_names_RPC()
-    assert wire.got[-1].hex().startswith("00010000 02000000 00010000 01000000 09000000 65727236".replace(" ", ""))
+    assert wire.received[-1].hex().startswith("00010000 02000000 00010000 01000000 09000000 65727236".replace(" ", ""))
     assert b"\x14\0\0\0" in wire.sent[1]
     (decision,) = server.generations.explain()
     assert (decision.peer, decision.generation) == ("/client/rpc", Generation.YARP_4)
     assert "asked for the protocol" in decision.reason
 
 
-def test_an_old_server_does_not_know_introductions() -> None:
+def test_an_old_server_rejects_introductions() -> None:
     class Old:
         generation = Generation.YARP_3_12
 
@@ -186,8 +186,8 @@ def test_an_old_server_does_not_know_introductions() -> None:
     assert old.generation is Generation.YARP_3_12
 
 
-def test_a_server_of_3_12_tells_that_it_is_one() -> None:
-    """Its generated services answer introductions by their own version."""
+def test_a_server_of_3_12_is_recognized_by_its_version() -> None:
+    """Its generated services reply to introductions with their own version."""
 
     class Older:
         generation = Generation.YARP_4
@@ -208,7 +208,7 @@ REPLIES = {
     Generation.YARP_3_12: "00010000 02000000 01000000 00000000 09000000 6c6f6379",
     Generation.YARP_4: "00010000 02000000 00010000 01000000 09000000 6f6b0000 09000000 6c6f6379",
 }
-ALONE = {
+SINGLE = {
     Generation.YARP_3_6: "00010000 01000000 09000000 6f6b0000",
     Generation.YARP_3_11: "00000000 00000000",
     Generation.YARP_3_12: "01000000 00000000",
@@ -217,13 +217,12 @@ ALONE = {
 
 
 @pytest.mark.parametrize("generation", Generation)
-def test_the_bytes_of_each_generation(generation: Generation) -> None:
-    """By the table in the fact sheet's section 0.2."""
+def test_replies_have_the_bytes_of_each_generation(generation: Generation) -> None:
     server = Server(Kept(), Generations(generation))
     status = Places.calls()["get_status_RPC"].request([], generation.profile)
     store = Places.calls()["store_location_RPC"].request(["a", KITCHEN], generation.profile)
     assert server.answer(status) == bytes.fromhex(REPLIES[generation])
-    assert server.answer(store) == bytes.fromhex(ALONE[generation])
+    assert server.answer(store) == bytes.fromhex(SINGLE[generation])
 
 
 @pytest.mark.parametrize(
@@ -236,14 +235,14 @@ def test_the_bytes_of_each_generation(generation: Generation) -> None:
         ["__direct__", "enable_RPC", 1],
     ],
 )
-def test_names_and_arguments_as_people_type_them(typed: list[Any]) -> None:
+def test_typed_names_and_arguments_are_accepted(typed: list[Any]) -> None:
     kept = Kept()
     server = Server(kept)
     assert server.answer(binary.encode(typed, Profile.YARP3)) != FAIL
     assert kept.on
 
 
-def test_a_name_alone_makes_a_list_of_one_type() -> None:
+def test_a_request_of_only_a_name_is_a_list_of_one_type() -> None:
     assert Server(Kept()).answer(binary.encode(["names"], Profile.YARP3)) == bytes.fromhex(
         "0001000001000000 0401000000000000"
     )
@@ -254,19 +253,19 @@ def test_a_name_alone_makes_a_list_of_one_type() -> None:
     [[], ["nonsense"], ["get", Vocab("loca")], ["enable_RPC"], ["enable_RPC", "x"], ["count", "1", 2], [1], [["names"]],
      ["find", "nowhere"], ["store_location_RPC", "a", ["m", 1, 2]]],
 )  # fmt: skip
-def test_what_nobody_knows_is_answered_by_fail(request_: list[Any], caplog: pytest.LogCaptureFixture) -> None:
+def test_unknown_requests_get_fail(request_: list[Any], caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         assert Server(Kept()).answer(binary.encode(request_, Profile.YARP3), "/peer") == FAIL
     assert "/peer" in caplog.text
 
 
-def test_bytes_that_are_no_request_are_answered_by_fail() -> None:
+def test_invalid_bytes_get_fail() -> None:
     server = Server(Kept())
     for data in (b"", b"\0" * 8, b"\xff" * 40, bytes.fromhex("00010000ffffff7f")):
         assert server.answer(data) == FAIL
 
 
-def test_help() -> None:
+def test_help_lists_and_describes_methods() -> None:
     server = Server(Kept())
     many, lines = binary.decode(server.answer(binary.encode([Vocab("help")], Profile.YARP3)))
     assert (many, lines[0], lines[1], lines[-1]) == ("many", "*** Available commands:", "store_location_RPC", "help")
@@ -276,7 +275,7 @@ def test_help() -> None:
     assert "functionName" in binary.decode(server.answer(binary.encode(["help", "help"], Profile.YARP3)))[1][0]
 
 
-def test_what_an_implementation_raises_is_an_outcome(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_exception_of_an_implementation_becomes_an_outcome(caplog: pytest.LogCaptureFixture) -> None:
     class Broken(Kept):
         def get_location_RPC(self, name: str) -> Any:
             if name == "odd":
@@ -302,23 +301,23 @@ def test_what_an_implementation_raises_is_an_outcome(caplog: pytest.LogCaptureFi
         places.find()  # type: ignore[call-arg]
     with pytest.raises(WireError, match="name"):
         places.find(5)  # type: ignore[arg-type]
-    with pytest.raises(NotImplementedError, match="no channel"):
+    with pytest.raises(NotImplementedError, match="neither has a channel"):
         Places().find("a")
 
 
-def test_the_dialect_of_a_request_tells_the_generation() -> None:
+def test_the_dialect_of_a_request_shows_the_generation() -> None:
     server = Server(Kept())
     store = Places.calls()["store_location_RPC"]
     assert server.answer(store.request(["a", KITCHEN], Profile.YARP4), "/new") == bytes.fromhex(
-        ALONE[Generation.YARP_4]
+        SINGLE[Generation.YARP_4]
     )
     assert server.answer(store.request(["a", KITCHEN], Profile.YARP3), "/old") == bytes.fromhex(
-        ALONE[Generation.YARP_3_12]
+        SINGLE[Generation.YARP_3_12]
     )
-    assert [(found.peer, found.generation) for found in server.generations.explain()] == [("/new", Generation.YARP_4)]
+    assert [(known.peer, known.generation) for known in server.generations.explain()] == [("/new", Generation.YARP_4)]
     server = Server(Kept(), Generations(Generation.YARP_4))
     assert server.answer(store.request(["a", KITCHEN], Profile.YARP3), "/old") == bytes.fromhex(
-        ALONE[Generation.YARP_3_12]
+        SINGLE[Generation.YARP_3_12]
     )
     assert "YARP 3" in server.generations.of("/old").reason
     server.generations.introduced("/new")
@@ -328,7 +327,7 @@ def test_the_dialect_of_a_request_tells_the_generation() -> None:
 
 @pytest.mark.parametrize("generation", Generation)
 @pytest.mark.parametrize("profile", Profile)
-def test_no_number_is_misread_whatever_was_expected(generation: Generation, profile: Profile) -> None:
+def test_no_number_is_misread_with_any_expectation(generation: Generation, profile: Profile) -> None:
     """The tag of YARP 3's doubles is that of YARP 4's floats, which are half as long."""
     server = Server(Kept(), Generations(generation))
     for number in (0.0, 2.0, 1e9):
@@ -339,7 +338,7 @@ def test_no_number_is_misread_whatever_was_expected(generation: Generation, prof
 def test_a_text_carrier_gets_a_bottle_in_every_generation() -> None:
     for generation in Generation:
         server = Server(Kept(), Generations(generation))
-        said = []
+        replies = []
         peer = SimpleNamespace(
             route=SimpleNamespace(source="admin"),
             carrier=SimpleNamespace(text=True, ack=True),
@@ -347,17 +346,17 @@ def test_a_text_carrier_gets_a_bottle_in_every_generation() -> None:
             profile=Profile.YARP3,
         )
         ask = binary.encode(["get_status_RPC"], Profile.YARP3)
-        server(SimpleNamespace(payload=ask, peer=peer, reply=said.append))
-        assert binary.decode(said[0], Profile.YARP3) == ["ok", "locy"]
-        server(SimpleNamespace(payload=binary.encode([INTRODUCTION], Profile.YARP3), peer=peer, reply=said.append))
-        assert binary.decode(said[1], Profile.YARP3) == [3, 4, 0, 0]
+        server(SimpleNamespace(payload=ask, peer=peer, reply=replies.append))
+        assert binary.decode(replies[0], Profile.YARP3) == ["ok", "locy"]
+        server(SimpleNamespace(payload=binary.encode([INTRODUCTION], Profile.YARP3), peer=peer, reply=replies.append))
+        assert binary.decode(replies[1], Profile.YARP3) == [3, 4, 0, 0]
         assert peer.profile is Profile.YARP3
         assert server.generations.explain() == []
 
 
-def test_a_message_is_answered_and_its_connection_told_the_dialect() -> None:
+def test_a_request_sets_the_dialect_of_its_connection() -> None:
     server = Server(Kept())
-    said = []
+    replies = []
     peer = SimpleNamespace(
         route=SimpleNamespace(source="/c"),
         carrier=SimpleNamespace(text=False, ack=True),
@@ -365,12 +364,12 @@ def test_a_message_is_answered_and_its_connection_told_the_dialect() -> None:
         profile=None,
     )
     ask = Places.calls()["count"].request([1, 2.0], Profile.YARP4)
-    server(SimpleNamespace(payload=ask, peer=peer, reply=said.append))
-    assert binary.decode(said[0]) == [3]
+    server(SimpleNamespace(payload=ask, peer=peer, reply=replies.append))
+    assert binary.decode(replies[0]) == [3]
     assert peer.profile is Profile.YARP4
 
 
-def test_rules_come_before_the_default_and_words_before_rules() -> None:
+def test_introductions_override_rules_and_rules_the_default() -> None:
     generations = Generations(Generation.YARP_3_12, [("/cer/*", Generation.YARP_3_6), ("/c*", Generation.YARP_3_11)])
     assert [generations.of(peer).generation.value for peer in ("/cer/x", "/cx", "/x")] == ["3.6", "3.11", "3.12"]
     assert "/cer/*" in generations.of("/cer/x").reason
@@ -394,7 +393,7 @@ def test_versions_have_a_generation(version: str, generation: str) -> None:
 
 
 @pytest.mark.parametrize("version", ["", "3.5", "x", "3.9.1.2.3", "9" * 30, "-4"])
-def test_what_is_no_version_is_refused(version: str) -> None:
+def test_an_invalid_version_is_rejected(version: str) -> None:
     with pytest.raises(ValueError, match="not a supported version of YARP"):
         Generation.of(version)
 
@@ -442,7 +441,7 @@ everything = st.builds(
 
 
 @given(everything, st.sampled_from(Profile))
-def test_every_field_there_and_back(value: Everything, profile: Profile) -> None:
+def test_every_field_survives_a_round_trip(value: Everything, profile: Profile) -> None:
     data = value.to_bytes(profile)
     assert Everything.from_bytes(data, profile) == value
     assert len(binary.decode(data, profile)) == 20
@@ -454,31 +453,33 @@ def test_every_field_there_and_back(value: Everything, profile: Profile) -> None
     [("byte", 128), ("positive", -1), ("short", 2**15), ("number", 2**31), ("long", 2**63), ("number", "1"),
      ("double", "x"), ("single", 1e300), ("text", 5), ("kind", "none"), ("place", None), ("places", [1])],
 )  # fmt: skip
-def test_what_does_not_fit_a_field_is_refused_by_its_name(name: str, wrong: Any) -> None:
+def test_an_error_on_writing_names_the_field(name: str, wrong: Any) -> None:
     value = Everything()
     setattr(value, name, wrong)
     with pytest.raises(WireError, match=f"Everything.{name}"):
         value.to_bytes()
 
 
-def test_what_a_field_cannot_be_is_refused_by_its_name() -> None:
+def test_an_error_on_reading_names_the_field() -> None:
     good = Everything().to_values()
     for place, wrong, name in [(0, "x", "flag"), (1, 500, "byte"), (8, 1.0, "text"), (10, Vocab("nope"), "kind"),
                                (11, 7, "status"), (9, "x", "data"), (12, [1], "place")]:  # fmt: skip
         with pytest.raises(WireError, match=f"Everything.{name}"):
             Everything().from_values([*good[:place], wrong, *good[place + 1 :]])
-    with pytest.raises(TypeError, match="no type"):
+    with pytest.raises(TypeError, match="not a type"):
         field_of(complex)
 
 
-def test_threads_that_ask_first_at_once() -> None:
-    """A client is used by several threads; none finds the interface half read."""
-    wrong: list[BaseException] = []
+def test_concurrent_first_calls_read_the_whole_interface() -> None:
+    """Several threads may use a client; none sees an incomplete interface."""
+    errors: list[BaseException] = []
     switch = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
     try:
         for _ in range(50):
-            kind = type("Fresh", (Service,), {name: of for name, of in vars(Places).items() if hasattr(of, "rpc")})
+            kind = type(
+                "Fresh", (Service,), {name: method for name, method in vars(Places).items() if hasattr(method, "rpc")}
+            )
             start = threading.Barrier(4)
 
             def ask(kind: type[Service] = kind, start: threading.Barrier = start) -> None:
@@ -486,7 +487,7 @@ def test_threads_that_ask_first_at_once() -> None:
                 try:
                     assert "store_location_RPC" in kind.calls()
                 except BaseException as err:
-                    wrong.append(err)
+                    errors.append(err)
 
             threads = [threading.Thread(target=ask) for _ in range(4)]
             for thread in threads:
@@ -495,4 +496,4 @@ def test_threads_that_ask_first_at_once() -> None:
                 thread.join()
     finally:
         sys.setswitchinterval(switch)
-    assert not wrong
+    assert not errors

@@ -1,4 +1,4 @@
-"""Each request and reply that real YARP programs exchanged, read and written again to the same bytes."""
+"""Transcripts of real YARP programs: each request and reply is decoded and encoded to the same bytes."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ RECORDED = {"nav-3.12.3.txt": Generation.YARP_3_12, "nav-4.0.txt": Generation.YA
 
 
 def exchanges(name: str) -> Iterator[tuple[bytes, bytes]]:
-    """Requests with their replies."""
+    """Yield requests with their replies."""
     for talk in read(name):
-        for asked, told in zip(talk.steps, talk.steps[1:], strict=False):
-            if asked.by == "C" and told.by == "S" and asked.data.startswith(INDEX):
-                command, payload = framing.parse(asked.data)
+        for request, reply in zip(talk.steps, talk.steps[1:], strict=False):
+            if request.by == "C" and reply.by == "S" and request.data.startswith(INDEX):
+                command, payload = framing.parse(request.data)
                 if command.key == "d":
-                    assert told.data.endswith(ACK)
-                    yield bytes(payload), told.data[: -len(ACK)]
+                    assert reply.data.endswith(ACK)
+                    yield bytes(payload), reply.data[: -len(ACK)]
 
 
 def streamed(name: str) -> Iterator[bytes]:
@@ -43,17 +43,17 @@ def streamed(name: str) -> Iterator[bytes]:
                     yield bytes(payload)
 
 
-def taken(payload: bytes, profile: Profile) -> tuple[str, Call | None, list[Any]]:
-    name, call, arguments, found = Server(All()).taken(payload, profile)
-    assert found is profile
+def parse_request(payload: bytes, profile: Profile) -> tuple[str, Call | None, list[Any]]:
+    name, call, arguments, dialect = Server(All()).parse_request(payload, profile)
+    assert dialect is profile
     return name, call, arguments
 
 
 @pytest.mark.parametrize(("name", "count"), [("nav-3.12.3.txt", 16), ("nav-4.0.txt", 60), ("frame-transform.txt", 4)])
-def test_every_exchange(name: str, count: int) -> None:
+def test_every_recorded_exchange_is_reproduced(name: str, count: int) -> None:
     generation, seen = RECORDED[name], 0
     for request, reply in exchanges(name):
-        method, call, arguments = taken(request, generation.profile)
+        method, call, arguments = parse_request(request, generation.profile)
         seen += 1
         if call is None:
             assert method == INTRODUCTION
@@ -61,16 +61,16 @@ def test_every_exchange(name: str, count: int) -> None:
             assert write_version(0) == reply
             continue
         assert call.request(arguments, generation.profile) == request
-        found = call.read_reply(reply, generation)
-        assert (found.size, found.generation) == (len(reply), generation)
-        assert call.reply(found.results, generation) == reply
+        parsed = call.read_reply(reply, generation)
+        assert (parsed.size, parsed.generation) == (len(reply), generation)
+        assert call.reply(parsed.results, generation) == reply
     assert seen >= count
 
 
 @pytest.mark.parametrize("name", RECORDED)
-def test_a_reply_in_pieces_is_told_from_a_whole_one(name: str) -> None:
+def test_an_incomplete_reply_is_recognized(name: str) -> None:
     for request, reply in exchanges(name):
-        _, call, _ = taken(request, RECORDED[name].profile)
+        _, call, _ = parse_request(request, RECORDED[name].profile)
         for size in range(len(reply)):
             with pytest.raises(Incomplete):
                 version_end(reply[:size]) if call is None else call.read_reply(reply[:size], RECORDED[name])
@@ -78,15 +78,15 @@ def test_a_reply_in_pieces_is_told_from_a_whole_one(name: str) -> None:
         assert end == len(reply)
 
 
-def test_the_reply_tells_its_generation_to_a_client_that_expects_another() -> None:
+def test_a_reply_shows_its_generation_to_a_client_that_expects_another() -> None:
     for name, generation in RECORDED.items():
         for request, reply in exchanges(name):
-            _, call, _ = taken(request, generation.profile)
-            if call is not None and not call.alone:
+            _, call, _ = parse_request(request, generation.profile)
+            if call is not None and not call.single:
                 assert call.read_reply(reply, Generation.YARP_3_6).generation is generation
 
 
-def test_the_stream_of_transforms() -> None:
+def test_the_recorded_stream_of_transforms_is_reproduced() -> None:
     sizes = set()
     for payload in streamed("frame-transform.txt"):
         tree = Tree.from_bytes(payload, Profile.YARP4)
@@ -97,20 +97,20 @@ def test_the_stream_of_transforms() -> None:
     assert tree.transforms[0].src_frame_id
 
 
-def test_locations_of_a_3_12_server_are_what_was_stored() -> None:
-    found = [
+def test_a_server_of_3_12_returns_stored_locations() -> None:
+    calls = [
         (call.name, call.read_reply(reply, Generation.YARP_3_12).results)
         for request, reply in exchanges("nav-3.12.3.txt")
-        if (call := taken(request, Profile.YARP3)[1]) is not None
+        if (call := parse_request(request, Profile.YARP3)[1]) is not None
     ]
-    stored = [results for name, results in found if name == "get_location_RPC"]
+    stored = [results for name, results in calls if name == "get_location_RPC"]
     assert [bool(results[0]) for results in stored] == [True, False, True]
     assert dataclasses.astuple(stored[0][1]) == ("m1", 1.0, 2.0, 90.0, "kd")
     assert dataclasses.astuple(stored[1][1]) == ("", 0.0, 0.0, 0.0, "")
 
 
 class Replayed(All):
-    """A server whose every method returns what the real one did."""
+    """A server whose methods return the results of the real one."""
 
     def __init__(self, results: dict[str, list[Any]]) -> None:
         super().__init__()
@@ -118,25 +118,25 @@ class Replayed(All):
 
     def __getattribute__(self, name: str) -> Any:
         if name.endswith("RPC") and not name.startswith("_"):
-            return lambda *_: self.said(name)
+            return lambda *_: self.next_results(name)
         return super().__getattribute__(name)
 
-    def said(self, name: str) -> Any:
+    def next_results(self, name: str) -> Any:
         results = self.results[name].pop(0)
         return results[0] if len(results) == 1 else tuple(results)
 
 
 @pytest.mark.parametrize("name", RECORDED)
 @pytest.mark.parametrize("default", [Generation.YARP_3_12, Generation.YARP_4])
-def test_a_server_of_ours_answers_as_the_real_one_did(name: str, default: Generation) -> None:
-    """Whatever the name server's generation is: 4.0's clients introduce themselves, 3.12's are named by a rule."""
+def test_our_server_replies_like_the_real_one(name: str, default: Generation) -> None:
+    """With any default generation: clients of 4.0 introduce themselves, those of 3.12 match a rule."""
     generation = RECORDED[name]
-    said: dict[str, list[Any]] = {}
+    recorded: dict[str, list[Any]] = {}
     for request, reply in exchanges(name):
-        _, call, _ = taken(request, generation.profile)
+        _, call, _ = parse_request(request, generation.profile)
         if call is not None:
-            said.setdefault(call.name, []).append(call.read_reply(reply, generation).results)
-    server = Server(Replayed(said), Generations(default, [("/cli3/*", Generation.YARP_3_12)]))
+            recorded.setdefault(call.name, []).append(call.read_reply(reply, generation).results)
+    server = Server(Replayed(recorded), Generations(default, [("/cli3/*", Generation.YARP_3_12)]))
     if name == "nav-3.12.3.txt":
         peer = "/cli3/rpc"
     else:

@@ -1,4 +1,4 @@
-"""Requests and replies written down by the rules of YARP's generated code, without the code under test."""
+"""Encodes requests and replies by the rules of YARP's generated code, independently of the code under test."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def listed(*elements: bytes) -> bytes:
 
 
 class Bytes:
-    """Values as one generation writes them."""
+    """The encoding of one generation."""
 
     def __init__(self, generation: Generation) -> None:
         self.generation = generation
@@ -43,13 +43,13 @@ class Bytes:
             case str():
                 return text(value)
             case list() if value and isinstance(value[0], str):
-                return struct.pack("<ii", 260, len(value)) + b"".join(text(each)[4:] for each in value)
+                return struct.pack("<ii", 260, len(value)) + b"".join(text(item)[4:] for item in value)
             case list():
                 return listed(*map(self.of, value))
             case float():
                 return self.number(value)
             case VocabEnum():
-                return vocab(value.word)
+                return vocab(value.text)
             case Matrix():
                 size = [struct.pack("<ii", 1, number) for number in (value.rows(), value.cols())]
                 numbers = value.numpy().ravel().tolist()
@@ -89,8 +89,8 @@ class Bytes:
         return vocab("ok" if code is ReturnCode.OK else "fail")
 
     def request(self, name: str, *arguments: Any) -> bytes:
-        words = [vocab(word) if len(word) <= 4 else text(word) for word in name.split("_")]
-        return listed(*words, *map(self.of, arguments))
+        parts = [vocab(part) if len(part) <= 4 else text(part) for part in name.split("_")]
+        return listed(*parts, *map(self.of, arguments))
 
     def reply(self, outcome: ReturnValue, *results: Any) -> bytes:
         if results or self.generation is Generation.YARP_3_6:
@@ -98,23 +98,23 @@ class Bytes:
         return self.of(outcome)
 
 
-class Says:
-    """A service of any interface that answers each call alike, and keeps what it was asked."""
+class Returning:
+    """A service of any interface that returns the same from each call, and stores its arguments."""
 
     @staticmethod
     def of(interface: type[Any], returned: Any) -> Any:
-        class Made(Says, interface):  # type: ignore[misc, valid-type]
+        class Combined(Returning, interface):  # type: ignore[misc, valid-type]
             pass
 
-        made = Made()
-        made.returned, made.asked = returned, ()
-        return made
+        service = Combined()
+        service.returned, service.arguments = returned, ()
+        return service
 
     def __getattribute__(self, name: str) -> Any:
-        return super().__getattribute__("said" if name.endswith("_RPC") else name)
+        return super().__getattribute__("respond" if name.endswith("_RPC") else name)
 
-    def said(self, *arguments: Any) -> Any:
-        self.asked = arguments
+    def respond(self, *arguments: Any) -> Any:
+        self.arguments = arguments
         if isinstance(self.returned, Exception):
             raise self.returned
         return self.returned

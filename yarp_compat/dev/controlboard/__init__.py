@@ -1,1 +1,1 @@
-"""Control boards: the joints of a robot's part, by YARP's wire of 3.x and of 4.0; client, views, and server."""
+"""Control boards (the joints of a robot part) in the protocols of YARP 3 and 4: client, views and server."""

@@ -1,11 +1,11 @@
-"""A client of a control board, of YARP 3 or 4: its calls, its stream of commands, and the joints' state.
+"""A client of a control board of YARP 3 or 4: calls, the stream of commands, and the joints' state.
 
     with ControlBoardClient("/robot/head", "/my_script") as board:
         board.call("positionMoveOneRPC", 0, 20.0)     # (outcome,)
-        board.state("jointPosition")                  # numbers and their time, None where there are none
+        board.state("jointPosition")                  # numbers and their time, or None
 
-Which release the board is of, its ports tell: 4.0 asks at ``/nws/rpc:i``, 3.x at ``/rpc:i``. Methods have the names of
-4.0; `yarp_compat.dev.controlboard.views` has what scripts use.
+The board's ports show its release: 4.0 has ``/nws/rpc:i``, 3.x only ``/rpc:i``. Methods have the names of 4.0; scripts
+use those of `yarp_compat.dev.controlboard.views`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from contextlib import ExitStack
 from typing import Any, Self
 
 from yarp_compat.dev.client import ServiceClient
-from yarp_compat.dev.controlboard import words
+from yarp_compat.dev.controlboard import vocab_rpc
 from yarp_compat.dev.controlboard.messages import ControlBoardMsgs
 from yarp_compat.dev.controlboard.streams import JointData, Numbers, command, streamed
 from yarp_compat.dev.returnvalue import OK, UNREACHED, ReturnCode, ReturnValue
@@ -36,27 +36,28 @@ from yarp_compat.wire.values import Vocab
 
 log = logging.getLogger("yarp.dev.ControlBoard")
 
-ANSWER = 10.0  # seconds to wait for an answer
-STATE = 0.5  # seconds for which the joints' state holds, as YARP's option ``timeout`` has it
-_LACKING = ReturnValue(ReturnCode.NOT_IMPLEMENTED)
+REPLY_TIMEOUT = 10.0  # seconds
+STATE_TIMEOUT = 0.5  # seconds for which the joints' state is valid, as in YARP's option ``timeout``
+_NOT_IMPLEMENTED = ReturnValue(ReturnCode.NOT_IMPLEMENTED)
 _FAILED = ReturnValue(ReturnCode.METHOD_FAILED)
 
 
 class ControlBoardClient(Openable):
-    """Drives the joints of one board; `open` connects, and raises `PortError` where the board is not there.
+    """A client of one board; `open` connects, and raises `PortError` if the board is missing.
 
     Args:
-        remote: what the board's ports begin with.
-        local: what the client's begin with.
-        carrier: of the streams.
-        timeout: seconds for which the joints' state holds.
-        strict: no command takes the place of one that is still on its way, also of those to several joints.
+        remote: the prefix of the board's ports.
+        local: the prefix of the client's ports.
+        carrier: the carrier of the streams.
+        timeout: seconds for which the joints' state is valid.
+        strict: no command replaces one that is still queued, not even a command to several joints.
         on_state: called with each state and its time in seconds, on the thread of the board's connection.
     """
 
     def __init__(
         self, remote: str, local: str, *, naming: Naming | None = None, carrier: str = "fast_tcp",
-        timeout: float = STATE, strict: bool = False, on_state: Callable[[JointData, float], None] | None = None,
+        timeout: float = STATE_TIMEOUT, strict: bool = False,
+        on_state: Callable[[JointData, float], None] | None = None,
     ) -> None:  # fmt: skip
         self.remote, self.local = remote, local
         self.profile = Profile.YARP3
@@ -69,7 +70,7 @@ class ControlBoardClient(Openable):
         self._open = ExitStack()
 
     def open(self) -> Self:
-        """Connect; see above."""
+        """Open the ports and connect them; errors as in the class."""
         with closed_on_failure(self):
             self._connect()
         return self
@@ -79,38 +80,39 @@ class ControlBoardClient(Openable):
         self._open.close()
 
     def call(self, method: str, *arguments: Any) -> tuple[Any, ...]:
-        """The outcome of a method of `ControlBoardMsgs`, and its results; what is streamed has no outcome but ok.
+        """Call a method of `ControlBoardMsgs` and return its outcome and results; a streamed one always returns ok.
 
-        Raises `TypeError` and `ValueError` for arguments that are no numbers.
+        Raises `TypeError` and `ValueError` for arguments that are not numbers.
         """
         try:
             if streamed(method):
                 message = command(method, arguments, self.profile)
                 strict = self.strict or "One" in method  # commands to two joints in a row must both arrive
                 return (OK,) if self._commands.write(payload_of(message), strict=strict) else (UNREACHED,)
-            return self._asked(method, arguments)
+            return self._request(method, arguments)
         except WireError as error:
             log.error("%s of %s: %s", method, self.remote, error)
             return (_FAILED,)
         except OSError as error:
-            log.error("%s does not answer %s: %s", self.remote, method, error)
+            log.error("%s: no reply to %s: %s", self.remote, method, error)
             return (UNREACHED,)
 
     def state(self, name: str) -> tuple[Numbers, float] | None:
-        """What the board said last of all joints, and when; None where that is too old, or it does not say it."""
+        """Return the last numbers of all joints and their time; None if they are too old or not reported."""
         return self._state.read(name)
 
     def stamp(self) -> Stamp:
-        """The number and time of the newest state; none came: an invalid one."""
+        """Return the number and time of the newest state; invalid before the first."""
         return self._state.stamp()
 
-    def _asked(self, method: str, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
+    def _request(self, method: str, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
         if self.profile is Profile.YARP4:
             returned = getattr(self._service.remote, method)(*arguments)
             return returned if isinstance(returned, tuple) else (returned,)
-        if words.words_of(method) is None:
-            return (_LACKING,)
-        return words.results(method, self._words.ask(words.request(method, arguments), timeout=ANSWER))
+        if vocab_rpc.form_of(method) is None:
+            return (_NOT_IMPLEMENTED,)
+        reply = self._vocab_port.ask(vocab_rpc.request(method, arguments), timeout=REPLY_TIMEOUT)
+        return vocab_rpc.results(method, reply)
 
     def _connect(self) -> None:
         naming = self._naming
@@ -119,40 +121,41 @@ class ControlBoardClient(Openable):
             self._service = self._open.enter_context(
                 ServiceClient(
                     ControlBoardMsgs, f"{self.remote}/nws/rpc:i", f"{self.local}/nwc/rpc:o",
-                    naming=naming, timeout=ANSWER,
+                    naming=naming, timeout=REPLY_TIMEOUT,
                 )
             )  # fmt: skip
         elif naming.query(f"{self.remote}/rpc:i") is not None:
             self.profile = Profile.YARP3
-            self._words = self._open.enter_context(Client(f"{self.remote}/rpc:i", f"{self.local}/rpc:o", naming=naming))
+            client = Client(f"{self.remote}/rpc:i", f"{self.local}/rpc:o", naming=naming)
+            self._vocab_port = self._open.enter_context(client)
             self._check_protocol()
         else:
             raise PortError(
-                f"there is no control board {self.remote}: the name server knows neither {self.remote}/nws/rpc:i"
-                f" (YARP 4) nor {self.remote}/rpc:i (YARP 3)"
+                f"no control board {self.remote}: neither {self.remote}/nws/rpc:i (YARP 4)"
+                f" nor {self.remote}/rpc:i (YARP 3) is registered at the name server"
             )
         writer = PortCore(f"{self.local}/command:o", naming=naming, is_input=False, profile=self.profile)
         self._open.callback(writer.close)
         writer.open()
-        done, said = writer.add_output(f"{self._carrier}:/{self.remote}/command:i")
+        done, reply = writer.add_output(f"{self._carrier}:/{self.remote}/command:i")
         if not done:
-            raise PortError(said)
+            raise PortError(reply)
         self._commands = writer
         reader = self._open.enter_context(_StateReader(f"{self.local}/stateExt:i", self._state, naming, self._on_state))
         connections.connect(naming, f"{self.remote}/stateExt:o", reader.name, self._carrier)
         outcome, *axes = self.call("getAxesRPC")
         if not outcome or axes[0] < 1:
-            raise PortError(f"{self.remote} does not tell its number of joints")
+            raise PortError(f"{self.remote} does not report its number of joints")
         self.axes = axes[0]
 
     def _check_protocol(self) -> None:
-        answer = self._words.ask([Vocab("get"), Vocab("prot")], timeout=ANSWER)
-        if answer[:3] != ["prot", *words.PROTOCOL[:2]]:
-            log.warning("%s speaks another protocol than YARP's %s: %s", self.remote, words.PROTOCOL, answer)
+        answer = self._vocab_port.ask([Vocab("get"), Vocab("prot")], timeout=REPLY_TIMEOUT)
+        if answer[:3] != ["prot", *vocab_rpc.PROTOCOL[:2]]:
+            log.warning("%s: unexpected protocol version, YARP's is %s: %s", self.remote, vocab_rpc.PROTOCOL, answer)
 
 
 class JointState:
-    """The newest state of a board's joints; any thread."""
+    """The newest state of a board's joints; thread-safe."""
 
     def __init__(self, timeout: float) -> None:
         self._timeout = timeout
@@ -162,31 +165,31 @@ class JointState:
         self._stamp = Stamp()
         self._until = 0.0
 
-    def take(self, received: Received) -> None:
-        """A state came; it is read when somebody asks."""
+    def store(self, received: Received) -> None:
+        """Store a received state; `read` decodes it."""
         with self._lock:
             self._received = received
             self._until = time.monotonic() + self._timeout
 
     def read(self, name: str) -> tuple[Numbers, float] | None:
-        """A quantity of all joints, and the time of the state in seconds; None where it is missing or too old."""
+        """Return a quantity of all joints and the state's time in seconds; None if it is missing or too old."""
         with self._lock:
             received, self._received = self._received, None
             if received is not None:
                 self._read(received)
             if self._data is None or time.monotonic() > self._until:
                 return None
-            found = self._data.values.get(name)
-            return None if found is None else (found, self._stamp.getTime())
+            numbers = self._data.values.get(name)
+            return None if numbers is None else (numbers, self._stamp.getTime())
 
     def newest(self) -> tuple[JointData, float] | None:
-        """The newest state, and its time in seconds; None before the first."""
+        """Return the newest state and its time in seconds; None before the first."""
         self.read("")
         with self._lock:
             return None if self._data is None else (self._data, self._stamp.getTime())
 
     def stamp(self) -> Stamp:
-        """The number and time of the newest state."""
+        """Return the number and time of the newest state."""
         self.read("")
         with self._lock:
             return self._stamp
@@ -197,7 +200,7 @@ class JointState:
             self._data = received.to(JointData)
             stamp.from_text(received.envelope or "")
         except WireError as error:
-            log.warning("a state of %s is refused: %s", received.source, error)
+            log.warning("rejected a state from %s: %s", received.source, error)
         if not stamp.isValid():
             stamp.update(time.time())
         self._stamp = stamp
@@ -210,8 +213,8 @@ class _StateReader(OpenPort):
         self._state, self._on_state = state, on_state
         super().__init__(name, naming=naming, is_output=False)
 
-    def _take(self, message: PortMessage) -> None:
-        self._state.take(Received(message, self.core.profile))
+    def _on_message(self, message: PortMessage) -> None:
+        self._state.store(Received(message, self.core.profile))
         if self._on_state is not None:
             newest = self._state.newest()
             if newest is not None:

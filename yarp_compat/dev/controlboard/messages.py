@@ -1,14 +1,14 @@
-"""What a control board's ports are asked, in both of YARP's wires (`ControlBoardMsgs.thrift` of 4.0, vocabs of 3.x).
+"""The methods of a control board in both of YARP's protocols (`ControlBoardMsgs.thrift` of 4.0, vocabs of 3.x).
 
-4.0 calls methods at ``/nws/rpc:i``; the annotations are what it has on the wire. 3.x writes vocabs to ``/rpc:i``, which
-stand in :func:`words` (`controlBoard_nws_yarp/RPCMessagesParser.cpp` of 3.12.3); a method without them does not exist
-there, or is streamed to ``/command:i``. Degrees, degrees per second, newton metres, per cent, amperes.
+4.0 calls methods at ``/nws/rpc:i``; the annotations are the types on the wire. 3.x writes the vocabs given by
+:func:`vocabs` to ``/rpc:i`` (`controlBoard_nws_yarp/RPCMessagesParser.cpp` of 3.12.3); a method without vocabs does not
+exist there, or is streamed to ``/command:i``. Units: degrees, degrees per second, newton meters, percent, amperes.
 
-Not here: PIDs, calibration, impedance, brakes, torque parameters.
+Not included: PIDs, calibration, impedance, brakes, torque parameters.
 """
 
 # mypy: disable-error-code="empty-body"
-# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
+# ruff: noqa: D102 - the names are those of YARP's .thrift file
 
 from __future__ import annotations
 
@@ -26,37 +26,37 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True, slots=True)
-class Words:
-    """A method in the words of 3.x: what a request begins with, and what the reply is.
+class VocabForm:
+    """A method in the vocabs of 3.x: the start of the request, and the reply.
 
-    ``*`` stands for the results, ``t`` for a time stamp; the outcome, ``[ok]``, comes behind.
+    ``*`` stands for the results, ``t`` for a time stamp; the outcome, ``[ok]``, follows.
     """
 
     request: tuple[str, ...]
     reply: tuple[str, ...]
 
 
-def words(request: str, reply: str = "") -> Callable[[_Method], _Method]:
-    """Mark a method: 3.x asks for it in these vocabs. Most answers to ``get x`` are ``is x * t``."""
-    asked = tuple(request.split())
-    answered = tuple(reply.split()) or (("is", asked[1], "*", "t") if asked[0] == "get" else ())
+def vocabs(request: str, reply: str = "") -> Callable[[_Method], _Method]:
+    """Attach the vocabs of 3.x to a method; by default the reply to ``get x`` is ``is x * t``."""
+    head = tuple(request.split())
+    tail = tuple(reply.split()) or (("is", head[1], "*", "t") if head[0] == "get" else ())
 
     def marked(method: _Method) -> _Method:
-        method.__dict__["words"] = Words(asked, answered)
+        method.__dict__["vocabs"] = VocabForm(head, tail)
         return method
 
     return marked
 
 
 class _Truncated(Integer):
-    """A number that YARP 4.0 declares as a whole one by mistake; 3.x has all of it."""
+    """A number that YARP 4.0 declares as an integer by mistake; 3.x has all of it."""
 
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         super().write(out, int(value), tagged=tagged)
 
 
 class _Flags(FieldCodec):
-    """Truths by name (thrift's ``map<string, bool>``)."""
+    """Booleans by name (thrift's ``map<string, bool>``)."""
 
     def __init__(self) -> None:
         super().__init__("map<string, bool>", dict)
@@ -69,14 +69,14 @@ class _Flags(FieldCodec):
             BOOLEAN.write(out, flag)
 
     def read(self, source: ElementReader) -> dict[str, bool]:
-        found = {}
+        flags = {}
         for _ in range(source.begin()):
             source.begin()
             name = source.string()
-            found[name] = source.boolean()
+            flags[name] = source.boolean()
             source.end()
         source.end()
-        return found
+        return flags
 
 
 MODE, TRUNCATED = Integer(32), _Truncated(32)
@@ -88,152 +88,152 @@ Interfaces = Annotated[dict[str, bool], _Flags()]
 
 @rpc
 class ControlBoardMsgs(Service):
-    """The methods of a board; names of joints, lists by joint, ``Group``: of the joints that are given."""
+    """The methods of a board; ``One``: of a joint, ``All``: lists by joint, ``Group``: of the given joints."""
 
     # -- The board -----------------------------------------------------------------------------------------------------
 
     def getDeviceInterfacesRPC(self) -> tuple[ReturnValue, Interfaces]: ...
-    @words("get ijfl jhfl", "is *")
+    @vocabs("get ijfl jhfl", "is *")
     def getLastJointFaultRPC(self, j: int) -> tuple[ReturnValue, int, str]: ...
-    @words("get axes")
+    @vocabs("get axes")
     def getAxesRPC(self) -> tuple[ReturnValue, int]: ...
-    @words("get name")
+    @vocabs("get name")
     def getAxisNameRPC(self, j: int) -> tuple[ReturnValue, str]: ...
-    @words("get type")
+    @vocabs("get type")
     def getJointTypeRPC(self, j: int) -> tuple[ReturnValue, int]: ...
 
     # -- IEncodersTimed ------------------------------------------------------------------------------------------------
 
-    @words("set ere")
+    @vocabs("set ere")
     def resetEncoderOneRPC(self, j: int) -> ReturnValue: ...
-    @words("set eres")
+    @vocabs("set eres")
     def resetEncoderAllRPC(self) -> ReturnValue: ...
-    @words("set enc")
+    @vocabs("set enc")
     def setEncoderOneRPC(self, j: int, val: Truncated) -> ReturnValue: ...
-    @words("set encs")
+    @vocabs("set encs")
     def setEncoderAllRPC(self, vals: list[float]) -> ReturnValue: ...
-    @words("get enc")
+    @vocabs("get enc")
     def getEncoderOneRPC(self, j: int) -> tuple[ReturnValue, float]: ...
     def getEncoderTimedOneRPC(self, j: int) -> tuple[ReturnValue, float, float]: ...
-    @words("get encs")
+    @vocabs("get encs")
     def getEncoderAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
     def getEncoderTimedAllRPC(self) -> tuple[ReturnValue, list[float], list[float]]: ...
-    @words("get esp")
+    @vocabs("get esp")
     def getEncoderSpeedOneRPC(self, j: int) -> tuple[ReturnValue, float]: ...
-    @words("get esps")
+    @vocabs("get esps")
     def getEncoderSpeedAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
-    @words("get eac")
+    @vocabs("get eac")
     def getEncoderAccelerationOneRPC(self, j: int) -> tuple[ReturnValue, float]: ...
-    @words("get eacs")
+    @vocabs("get eacs")
     def getEncoderAccelerationAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
 
     # -- IMotorEncoders ------------------------------------------------------------------------------------------------
 
-    @words("set mre")
+    @vocabs("set mre")
     def resetMotorEncoderRPC(self, j: int) -> ReturnValue: ...
-    @words("set mres")
+    @vocabs("set mres")
     def resetMotorEncodersRPC(self) -> ReturnValue: ...
-    @words("set mnc")
+    @vocabs("set mnc")
     def setMotorEncoderRPC(self, j: int, val: float) -> ReturnValue: ...
-    @words("set mncs")
+    @vocabs("set mncs")
     def setMotorEncodersAllRPC(self, vals: list[float]) -> ReturnValue: ...
-    @words("get mnc")
+    @vocabs("get mnc")
     def getMotorEncoderOneRPC(self, j: int) -> tuple[ReturnValue, float]: ...
-    @words("get mncs")
+    @vocabs("get mncs")
     def getMotorEncoderAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
     def getMotorEncoderTimedOneRPC(self, j: int) -> tuple[ReturnValue, float, float]: ...
     def getMotorEncodersTimedAllRPC(self) -> tuple[ReturnValue, list[float], list[float]]: ...
-    @words("get msp")
+    @vocabs("get msp")
     def getMotorEncoderSpeedOneRPC(self, j: int) -> tuple[ReturnValue, float]: ...
-    @words("get msps")
+    @vocabs("get msps")
     def getMotorEncoderSpeedAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
-    @words("get mac")
+    @vocabs("get mac")
     def getMotorEncoderAccelerationOneRPC(self, j: int) -> tuple[ReturnValue, float]: ...
-    @words("get macs")
+    @vocabs("get macs")
     def getMotorEncoderAccelerationAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
-    @words("get mnum")
+    @vocabs("get mnum")
     def getNumberOfMotorEncodersRPC(self) -> tuple[ReturnValue, int]: ...
 
     # -- IControlMode --------------------------------------------------------------------------------------------------
 
     def getAvailableControlModesRPC(self, j: Short) -> tuple[ReturnValue, list[Mode]]: ...
-    @words("set icmd cmod")
+    @vocabs("set icmd cmod")
     def setControlModeOneRPC(self, j: int, mod: Mode) -> ReturnValue: ...
-    @words("set icmd cmds")
+    @vocabs("set icmd cmds")
     def setControlModeAllRPC(self, modes: list[Mode]) -> ReturnValue: ...
-    @words("set icmd cmog")
+    @vocabs("set icmd cmog")
     def setControlModeGroupRPC(self, j: list[int], modes: list[Mode]) -> ReturnValue: ...
 
     # -- IInteractionMode ----------------------------------------------------------------------------------------------
 
-    @words("get intm mode", "* t")
+    @vocabs("get intm mode", "* t")
     def getInteractionModeOneRPC(self, axis: int) -> tuple[ReturnValue, Mode]: ...
-    @words("get intm modg", "* t")
+    @vocabs("get intm modg", "* t")
     def getInteractionModesGroupRPC(self, joints: list[int]) -> tuple[ReturnValue, list[Mode]]: ...
-    @words("get intm mods", "* t")
+    @vocabs("get intm mods", "* t")
     def getInteractionModesAllRPC(self) -> tuple[ReturnValue, list[Mode]]: ...
-    @words("set intm mode")
+    @vocabs("set intm mode")
     def setInteractionModeOneRPC(self, axis: int, mode: Mode) -> ReturnValue: ...
-    @words("set intm modg")
+    @vocabs("set intm modg")
     def setInteractionModesGroupRPC(self, joints: list[int], modes: list[Mode]) -> ReturnValue: ...
-    @words("set intm mods")
+    @vocabs("set intm mods")
     def setInteractionModesAllRPC(self, modes: list[Mode]) -> ReturnValue: ...
 
     # -- IPositionControl ----------------------------------------------------------------------------------------------
 
-    @words("set pos")
+    @vocabs("set pos")
     def positionMoveOneRPC(self, j: int, ref: float) -> ReturnValue: ...
-    @words("set posg")
+    @vocabs("set posg")
     def positionMoveGroupRPC(self, joints: list[int], refs: list[float]) -> ReturnValue: ...
-    @words("set poss")
+    @vocabs("set poss")
     def positionMoveAllRPC(self, refs: list[float]) -> ReturnValue: ...
-    @words("set rel")
+    @vocabs("set rel")
     def relativeMoveOneRPC(self, j: int, delta: float) -> ReturnValue: ...
-    @words("set relg")
+    @vocabs("set relg")
     def relativeMoveGroupRPC(self, joints: list[int], refs: list[float]) -> ReturnValue: ...
-    @words("set rels")
+    @vocabs("set rels")
     def relativeMoveAllRPC(self, deltas: list[float]) -> ReturnValue: ...
-    @words("set vel")
+    @vocabs("set vel")
     def setTrajSpeedOneRPC(self, j: int, sp: float) -> ReturnValue: ...
-    @words("set velg")
+    @vocabs("set velg")
     def setTrajSpeedGroupRPC(self, joints: list[int], spds: list[float]) -> ReturnValue: ...
-    @words("set vels")
+    @vocabs("set vels")
     def setTrajSpeedAllRPC(self, spds: list[float]) -> ReturnValue: ...
-    @words("set acc")
+    @vocabs("set acc")
     def setTrajAccelerationOneRPC(self, j: int, acc: float) -> ReturnValue: ...
-    @words("set accg")
+    @vocabs("set accg")
     def setTrajAccelerationsGroupRPC(self, joints: list[int], accs: list[float]) -> ReturnValue: ...
-    @words("set accs")
+    @vocabs("set accs")
     def setTrajAccelerationsAllRPC(self, accs: list[float]) -> ReturnValue: ...
-    @words("set sto")
+    @vocabs("set sto")
     def stopOneRPC(self, j: int) -> ReturnValue: ...
-    @words("set stog")
+    @vocabs("set stog")
     def stopGroupRPC(self, joints: list[int]) -> ReturnValue: ...
-    @words("set stos")
+    @vocabs("set stos")
     def stopAllRPC(self) -> ReturnValue: ...
-    @words("get pos")
+    @vocabs("get pos")
     def getTargetPositionOneRPC(self, j: int) -> tuple[ReturnValue, float]: ...
-    @words("get posg")
+    @vocabs("get posg")
     def getTargetPositionGroupRPC(self, joints: list[int]) -> tuple[ReturnValue, list[float]]: ...
-    @words("get poss")
+    @vocabs("get poss")
     def getTargetPositionAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
-    @words("get vel")
+    @vocabs("get vel")
     def getTrajSpeedOneRPC(self, j: int) -> tuple[ReturnValue, float]: ...
-    @words("get velg")
+    @vocabs("get velg")
     def getTrajSpeedsGroupRPC(self, joints: list[int]) -> tuple[ReturnValue, list[float]]: ...
-    @words("get vels")
+    @vocabs("get vels")
     def getTrajSpeedsAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
-    @words("get acc")
+    @vocabs("get acc")
     def getTrajAccelerationOneRPC(self, j: int) -> tuple[ReturnValue, float]: ...
-    @words("get accg")
+    @vocabs("get accg")
     def getTrajAccelerationGroupRPC(self, joints: list[int]) -> tuple[ReturnValue, list[float]]: ...
-    @words("get accs")
+    @vocabs("get accs")
     def getTrajAccelerationAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
-    @words("get don")
+    @vocabs("get don")
     def checkMotionDoneOneRPC(self, j: int) -> tuple[ReturnValue, bool]: ...
-    @words("get dong")
+    @vocabs("get dong")
     def checkMotionDoneGroupRPC(self, joints: list[int]) -> tuple[ReturnValue, bool]: ...
-    @words("get dons")
+    @vocabs("get dons")
     def checkMotionDoneAllRPC(self) -> tuple[ReturnValue, bool]: ...
 
     # -- IPositionDirect -----------------------------------------------------------------------------------------------
@@ -241,41 +241,41 @@ class ControlBoardMsgs(Service):
     def setRefPositionOneRPC(self, j: int, value: float) -> ReturnValue: ...
     def setRefPositionAllRPC(self, value: list[float]) -> ReturnValue: ...
     def setRefPositionGroupRPC(self, j: list[int], value: list[float]) -> ReturnValue: ...
-    @words("get dpo")
+    @vocabs("get dpo")
     def getRefPositionOneRPC(self, j: int) -> tuple[ReturnValue, float]: ...
-    @words("get dpos")
+    @vocabs("get dpos")
     def getRefPositionAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
-    @words("get dpog")
+    @vocabs("get dpog")
     def getRefPositionGroupRPC(self, j: list[int]) -> tuple[ReturnValue, list[float]]: ...
 
     # -- IVelocityControl ----------------------------------------------------------------------------------------------
 
     def velocityMoveOneRPC(self, j: int, ref: float) -> ReturnValue: ...
     def velocityMoveGroupRPC(self, joints: list[int], refs: list[float]) -> ReturnValue: ...
-    @words("set vmos")
+    @vocabs("set vmos")
     def velocityMoveAllRPC(self, refs: list[float]) -> ReturnValue: ...
-    @words("get vmo")
+    @vocabs("get vmo")
     def getTargetVelocityOneRPC(self, j: int) -> tuple[ReturnValue, float]: ...
-    @words("get vmog")
+    @vocabs("get vmog")
     def getTargetVelocityGroupRPC(self, joints: list[int]) -> tuple[ReturnValue, list[float]]: ...
-    @words("get vmos")
+    @vocabs("get vmos")
     def getTargetVelocityAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
 
     # -- ITorqueControl ------------------------------------------------------------------------------------------------
 
-    @words("get torq ref", "is torq * t")
+    @vocabs("get torq ref", "is torq * t")
     def getRefTorqueOneRPC(self, j: int) -> tuple[ReturnValue, float]: ...
-    @words("get torq refs", "is torq * t")
+    @vocabs("get torq refs", "is torq * t")
     def getRefTorqueAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
     def getRefTorqueGroupRPC(self, j: list[int]) -> tuple[ReturnValue, list[float]]: ...
-    @words("set torq ref")
+    @vocabs("set torq ref")
     def setRefTorqueOneRPC(self, j: int, val: float) -> ReturnValue: ...
-    @words("set torq refs")
+    @vocabs("set torq refs")
     def setRefTorqueAllRPC(self, val: list[float]) -> ReturnValue: ...
     def setRefTorqueGroupRPC(self, j: list[int], val: list[float]) -> ReturnValue: ...
-    @words("get torq rng", "is torq * t")
+    @vocabs("get torq rng", "is torq * t")
     def getTorqueRangeOneRPC(self, j: int) -> tuple[ReturnValue, float, float]: ...
-    @words("get torq rngs", "is torq * t")
+    @vocabs("get torq rngs", "is torq * t")
     def getTorqueRangeAllRPC(self) -> tuple[ReturnValue, list[float], list[float]]: ...
 
     # -- IPWMControl ---------------------------------------------------------------------------------------------------
@@ -283,97 +283,97 @@ class ControlBoardMsgs(Service):
     def setRefDutyCycleOneRPC(self, j: int, v: float) -> ReturnValue: ...
     def setRefDutyCycleAllRPC(self, v: list[float]) -> ReturnValue: ...
     def setRefDutyCycleGroupRPC(self, j: list[int], v: list[float]) -> ReturnValue: ...
-    @words("get ipwm ref", "is ipwm *")
+    @vocabs("get ipwm ref", "is ipwm *")
     def getRefDutyCycleOneRPC(self, j: int) -> tuple[ReturnValue, float]: ...
-    @words("get ipwm refs", "is ipwm *")
+    @vocabs("get ipwm refs", "is ipwm *")
     def getRefDutyCycleAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
-    @words("get ipwm pwm", "is ipwm *")
+    @vocabs("get ipwm pwm", "is ipwm *")
     def getDutyCycleOneRPC(self, j: int) -> tuple[ReturnValue, float]: ...
-    @words("get ipwm pwms", "is ipwm *")
+    @vocabs("get ipwm pwms", "is ipwm *")
     def getDutyCycleAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
 
     # -- ICurrentControl -----------------------------------------------------------------------------------------------
 
-    @words("get icur refs", "is icur *")
+    @vocabs("get icur refs", "is icur *")
     def getRefCurrentAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
-    @words("get icur ref", "is icur *")
+    @vocabs("get icur ref", "is icur *")
     def getRefCurrentOneRPC(self, j: int) -> tuple[ReturnValue, float]: ...
     def setRefCurrentAllRPC(self, refs: list[float]) -> ReturnValue: ...
     def setRefCurrentOneRPC(self, j: int, ref: float) -> ReturnValue: ...
     def setRefCurrentGroupRPC(self, j: list[int], refs: list[float]) -> ReturnValue: ...
-    @words("get acus")
+    @vocabs("get acus")
     def getCurrentAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
-    @words("get acu")
+    @vocabs("get acu")
     def getCurrentOneRPC(self, j: int) -> tuple[ReturnValue, float]: ...
-    @words("get icur rng", "is icur *")
+    @vocabs("get icur rng", "is icur *")
     def getCurrentRangeOneRPC(self, j: int) -> tuple[ReturnValue, float, float]: ...
-    @words("get icur rngs", "is icur *")
+    @vocabs("get icur rngs", "is icur *")
     def getCurrentRangeAllRPC(self) -> tuple[ReturnValue, list[float], list[float]]: ...
 
     # -- IControlLimits ------------------------------------------------------------------------------------------------
 
-    @words("set llim")
+    @vocabs("set llim")
     def setPosLimitsRPC(self, j: Short, min: float, max: float) -> ReturnValue: ...  # noqa: A002
-    @words("set vlim")
+    @vocabs("set vlim")
     def setVelLimitsRPC(self, j: Short, min: float, max: float) -> ReturnValue: ...  # noqa: A002
-    @words("get llim")
+    @vocabs("get llim")
     def getPosLimitsRPC(self, j: Short) -> tuple[ReturnValue, float, float]: ...
-    @words("get vlim")
+    @vocabs("get vlim")
     def getVelLimitsRPC(self, j: Short) -> tuple[ReturnValue, float, float]: ...
 
     # -- IRemoteVariables ----------------------------------------------------------------------------------------------
 
-    @words("get ivar mvar", "is ivar *")
+    @vocabs("get ivar mvar", "is ivar *")
     def getRemoteVariableRPC(self, key: str) -> tuple[ReturnValue, Bottle]: ...
-    @words("set ivar mvar")
+    @vocabs("set ivar mvar")
     def setRemoteVariableRPC(self, key: str, val: Bottle) -> ReturnValue: ...
-    @words("get ivar lvar", "is ivar *")
+    @vocabs("get ivar lvar", "is ivar *")
     def getRemoteVariablesListRPC(self) -> tuple[ReturnValue, list[Bottle]]: ...
 
     # -- IMotor --------------------------------------------------------------------------------------------------------
 
-    @words("get mtnm")
+    @vocabs("get mtnm")
     def getNumberOfMotorsRPC(self) -> tuple[ReturnValue, int]: ...
-    @words("get tmp")
+    @vocabs("get tmp")
     def getTemperatureOneRPC(self, m: int) -> tuple[ReturnValue, float]: ...
-    @words("get tmps")
+    @vocabs("get tmps")
     def getTemperatureAllRPC(self) -> tuple[ReturnValue, list[float]]: ...
-    @words("get tmpl")
+    @vocabs("get tmpl")
     def getTemperatureLimitRPC(self, m: int) -> tuple[ReturnValue, float]: ...
-    @words("set tmpl")
+    @vocabs("set tmpl")
     def setTemperatureLimitRPC(self, m: int, val: float) -> ReturnValue: ...
-    @words("get gbxr")
+    @vocabs("get gbxr")
     def getGearboxRatioRPC(self, m: int) -> tuple[ReturnValue, float]: ...
-    @words("set gbxr")
+    @vocabs("set gbxr")
     def setGearboxRatioRPC(self, m: int, val: float) -> ReturnValue: ...
 
     # -- IAmplifierControl ---------------------------------------------------------------------------------------------
 
-    @words("set aen")
+    @vocabs("set aen")
     def enableAmpRPC(self, j: int) -> ReturnValue: ...
-    @words("set adi")
+    @vocabs("set adi")
     def disableAmpRPC(self, j: int) -> ReturnValue: ...
-    @words("get asta")
+    @vocabs("get asta")
     def getAmpStatusAllRPC(self) -> tuple[ReturnValue, list[int]]: ...
-    @words("get asts")
+    @vocabs("get asts")
     def getAmpStatusOneRPC(self, j: int) -> tuple[ReturnValue, int]: ...
-    @words("set maxc")
+    @vocabs("set maxc")
     def setMaxCurrentRPC(self, j: int, v: float) -> ReturnValue: ...
-    @words("get maxc")
+    @vocabs("get maxc")
     def getMaxCurrentRPC(self, j: int) -> tuple[ReturnValue, float]: ...
-    @words("get acno")
+    @vocabs("get acno")
     def getNominalCurrentRPC(self, m: int) -> tuple[ReturnValue, float]: ...
-    @words("set acno")
+    @vocabs("set acno")
     def setNominalCurrentRPC(self, m: int, val: float) -> ReturnValue: ...
-    @words("get acpk")
+    @vocabs("get acpk")
     def getPeakCurrentRPC(self, m: int) -> tuple[ReturnValue, float]: ...
-    @words("set acpk")
+    @vocabs("set acpk")
     def setPeakCurrentRPC(self, m: int, val: float) -> ReturnValue: ...
-    @words("get pwm")
+    @vocabs("get pwm")
     def getPWMRPC(self, m: int) -> tuple[ReturnValue, float]: ...
-    @words("get pwml")
+    @vocabs("get pwml")
     def getPWMLimitRPC(self, m: int) -> tuple[ReturnValue, float]: ...
-    @words("set pwml")
+    @vocabs("set pwml")
     def setPWMLimitRPC(self, m: int, val: float) -> ReturnValue: ...
-    @words("get avsu")
+    @vocabs("get avsu")
     def getPowerSupplyVoltageRPC(self, m: int) -> tuple[ReturnValue, float]: ...

@@ -1,7 +1,7 @@
-"""Serves a board of joints to clients of YARP 3 and 4, and to people at ``yarp rpc``.
+"""A server that offers a board of joints to clients of YARP 3 and 4, and to users of ``yarp rpc``.
 
 The ports are those of `controlBoard_nws_yarp`: ``/rpc:i`` of 3.x and ``/nws/rpc:i`` of 4.0, ``/command:i``,
-``/state:o`` (positions) and ``/stateExt:o`` (all that is known of the joints).
+``/state:o`` (positions) and ``/stateExt:o`` (the complete state).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any, Self
 from yarp_compat.dev.controlboard.board import JointBoard, answer
 from yarp_compat.dev.controlboard.messages import ControlBoardMsgs
 from yarp_compat.dev.controlboard.streams import CommandMessage, JointData, called
-from yarp_compat.dev.controlboard.words import respond
+from yarp_compat.dev.controlboard.vocab_rpc import respond
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnValue
 from yarp_compat.dev.server import ServiceServer
 from yarp_compat.naming.client import NameClient
@@ -47,7 +47,7 @@ _INTERFACES = {
     "iMotorEncoders": "getMotorEncoderOneRPC",
     "iPWMControl": "setRefDutyCycleOneRPC",
     "iPidControl": "",
-    "iPwmControl": "setRefDutyCycleOneRPC",  # what the client of 4.0 looks for by mistake
+    "iPwmControl": "setRefDutyCycleOneRPC",  # the misspelled name that the client of 4.0 uses
     "iPositionControl": "positionMoveOneRPC",
     "iPositionDirect": "setRefPositionOneRPC",
     "iPreciselyTimed": "getEncoderOneRPC",
@@ -57,7 +57,7 @@ _INTERFACES = {
     "iVelocityControl": "velocityMoveOneRPC",
     "iVelocityDirect": "",
 }
-"""YARP 4's names of interfaces, and the method that a board of this interface defines; empty: none can."""
+"""YARP 4's names of interfaces, and the method that a board with this interface defines; empty: never offered."""
 
 
 def _calling(name: str) -> Callable[..., Any]:
@@ -68,7 +68,7 @@ def _calling(name: str) -> Callable[..., Any]:
 
 
 class BoardService(ControlBoardMsgs):
-    """A board as YARP 4 calls it."""
+    """A board's methods for clients of YARP 4."""
 
     def __init__(self, board: JointBoard) -> None:
         super().__init__()
@@ -88,45 +88,45 @@ for _name in ControlBoardMsgs.calls():
         setattr(BoardService, _name, _calling(_name))
 
 
-class BoardAnswers:
-    """What a board's ports do with what comes; the ports themselves are whose they are. Any thread."""
+class BoardHandler:
+    """The handler of a board's requests and commands, for ports that another object owns; thread-safe."""
 
     def __init__(self, board: JointBoard) -> None:
         self.board = board
         self.service = BoardService(board)
-        self.refused = 0  # commands that were none
+        self.refused = 0  # number of invalid or refused commands
         self._numbers = itertools.count()
 
-    def respond(self, asked: list[Any]) -> list[Any]:
-        """The answer to a Bottle of vocabs."""
-        return respond(self.board, asked, (next(self._numbers), time.time()))
+    def respond(self, request: list[Any]) -> list[Any]:
+        """Return the reply to a Bottle of vocabs."""
+        return respond(self.board, request, (next(self._numbers), time.time()))
 
-    def take(self, received: Received) -> None:
-        """A command came; raises `WireError` where it makes no sense, and does nothing where the board refuses it."""
+    def execute(self, received: Received) -> None:
+        """Execute a command; raises `WireError` if it is invalid, and does nothing if the board refuses it."""
         try:
             method, arguments = called(received.to(CommandMessage))
             answer(self.board, method, arguments)
         except (CallFailed, NotImplementedError) as error:
             self.refused += 1
-            log.debug("a command of %s is refused: %s", received.source, error)
+            log.debug("the board refused a command from %s: %s", received.source, error)
         except WireError:
             self.refused += 1
             raise
 
 
 class ControlBoardServer(Openable):
-    """A board with ports of its own, and a thread that says its state every ``period`` seconds."""
+    """A board with its own ports, and a thread that streams its state every ``period`` seconds."""
 
     def __init__(self, name: str, board: JointBoard, *, naming: Naming | None = None, period: float = 0.02) -> None:
         naming = naming or NameClient()
         self._name, self._period = name, period
-        self.answers = BoardAnswers(board)
+        self.handler = BoardHandler(board)
         self._state, self._positions = (Writer(f"{name}/{end}", naming=naming) for end in ("stateExt:o", "state:o"))
         newest = Generations(Generation.YARP_4)
         self._ports = (
-            ServiceServer(f"{name}/nws/rpc:i", self.answers.service, generations=newest, naming=naming),
-            Server(f"{name}/rpc:i", self.answers.respond, naming=naming),
-            _CommandPort(f"{name}/command:i", self.answers, naming=naming),
+            ServiceServer(f"{name}/nws/rpc:i", self.handler.service, generations=newest, naming=naming),
+            Server(f"{name}/rpc:i", self.handler.respond, naming=naming),
+            _CommandPort(f"{name}/command:i", self.handler, naming=naming),
             self._state,
             self._positions,
         )
@@ -139,40 +139,40 @@ class ControlBoardServer(Openable):
             for port in self._ports:
                 self._open.enter_context(port)
             self._stop.clear()
-            teller = threading.Thread(target=self._tell, name=f"board {self._name}", daemon=True)
-            teller.start()
-            self._open.callback(teller.join)
+            streamer = threading.Thread(target=self._stream, name=f"board {self._name}", daemon=True)
+            streamer.start()
+            self._open.callback(streamer.join)
             self._open.callback(self._stop.set)
         return self
 
     def close(self) -> None:
-        """Close them."""
+        """Close the ports and end the thread."""
         self._open.close()
 
-    def _tell(self) -> None:
+    def _stream(self) -> None:
         number = 0
         while not self._stop.wait(self._period):
             number += 1
-            state = self.answers.board.run(self.answers.board.state)
+            state = self.handler.board.run(self.handler.board.state)
             envelope = f"{number} {time.time():.9f}"
             self._state.write(state, envelope)
             self._positions.write(positions(state), envelope)
 
 
 def positions(state: JointData) -> Vector:
-    """What ``/state:o`` says."""
-    found = state.values.get("jointPosition")
-    return Vector(state.axes) if found is None else Vector(found)
+    """Return the message of ``/state:o``."""
+    angles = state.values.get("jointPosition")
+    return Vector(state.axes) if angles is None else Vector(angles)
 
 
 class _CommandPort(OpenPort):
-    def __init__(self, name: str, answers: BoardAnswers, *, naming: Naming) -> None:
-        self._answers = answers
+    def __init__(self, name: str, handler: BoardHandler, *, naming: Naming) -> None:
+        self._handler = handler
         super().__init__(name, naming=naming, is_output=False)
 
-    def _take(self, message: PortMessage) -> None:
+    def _on_message(self, message: PortMessage) -> None:
         received = Received(message, self.core.profile)
         try:
-            self._answers.take(received)
+            self._handler.execute(received)
         except WireError as error:
-            log.warning("%s: a command of %s is refused: %s", self.name, received.source, error)
+            log.warning("%s: rejected a command from %s: %s", self.name, received.source, error)

@@ -1,4 +1,4 @@
-"""What control boards stream: the joints' state, ``/stateExt:o``, and commands that nobody answers, ``/command:i``."""
+"""The streams of control boards: the joints' state, ``/stateExt:o``, and commands without a reply, ``/command:i``."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ _LAYOUTS = {Profile.YARP3: _STATE, Profile.YARP4: _STATE | {"pwmDutycycle": _FLO
 
 
 class JointData(Portable):
-    """The state of all joints (`jointData.thrift`): degrees, newton metres, per cent, amperes, vocabs of modes.
+    """The state of all joints (`jointData.thrift`): degrees, newton meters, percent, amperes, vocabs of modes.
 
-    ``values`` holds what is valid, by YARP's names; ``axes`` numbers stand on the wire for what is not. 4.0 added
-    temperatures, and writes them and the duty cycles as floats of four bytes.
+    ``values`` holds the valid quantities by YARP's names; an invalid one has ``axes`` zeros on the wire. 4.0 added
+    temperatures, and writes them and the duty cycles as 32-bit floats.
     """
 
     def __init__(self, axes: int = 0, values: dict[str, Numbers] | None = None) -> None:
@@ -50,23 +50,23 @@ class JointData(Portable):
 
     def _read(self, source: ElementReader) -> None:
         count = source.begin()
-        layout = next((found for found in _LAYOUTS.values() if 2 * len(found) == count), None)
+        layout = next((known for known in _LAYOUTS.values() if 2 * len(known) == count), None)
         if layout is None:
             raise WireError(f"the state of a control board has 22 or 24 fields, not {count}")
         values = {}
         axes = 0
         for name, kind in layout.items():
-            found = read_numbers(source, kind)
-            axes = max(axes, len(found))
+            numbers = read_numbers(source, kind)
+            axes = max(axes, len(numbers))
             if source.boolean():
-                values[name] = found
+                values[name] = numbers
         source.end()
         self.axes, self.values = axes, values
 
 
 @dataclass
 class CommandMessage(Structure):
-    """A command (`PortablePair<Bottle, Vector>`): what is to be set, of which joints, and the numbers."""
+    """A command (`PortablePair<Bottle, Vector>`): what to set, of which joints, and the numbers."""
 
     head: Bottle = field(default_factory=Bottle)
     body: Vector = field(default_factory=Vector)
@@ -89,21 +89,21 @@ COMMANDS = {
     "setRefDutyCycleOneRPC": ("ipwm ref", "ipwm ref"),
     "setRefDutyCycleAllRPC": ("ipwm refs", "ipwm refs"),
 }
-"""The methods that are streamed; what their commands begin with in 3.x and 4.0 (`StreamingMessagesParser.cpp`)."""
+"""The streamed methods, and the start of their commands in 3.x and 4.0 (`StreamingMessagesParser.cpp`)."""
 
 _METHODS = {tuple(heads.split()): name for name, both in COMMANDS.items() for heads in both}
-_STATED = "positionMoveAllRPC"  # clients ask for it at the RPC port, and are answered
+_RPC = "positionMoveAllRPC"  # clients call it at the RPC port, and wait for a reply
 
 
 def streamed(method: str) -> bool:
-    """Whether YARP's clients stream a method; there is no outcome then."""
-    return method in COMMANDS and method != _STATED
+    """Whether YARP's clients stream a method; it has no outcome then."""
+    return method in COMMANDS and method != _RPC
 
 
 def command(method: str, arguments: Sequence[Any], profile: Profile) -> CommandMessage:
-    """The command that calls a method with these arguments."""
-    words = COMMANDS[method][profile is Profile.YARP4].split()
-    head: list[Any] = list(map(Vocab, words))
+    """Return the command that calls a method with these arguments."""
+    vocabs = COMMANDS[method][profile is Profile.YARP4].split()
+    head: list[Any] = list(map(Vocab, vocabs))
     if "One" in method:
         joint, value = arguments
         return CommandMessage(Bottle([*head, int(joint)]), Vector([float(value)]))
@@ -114,22 +114,22 @@ def command(method: str, arguments: Sequence[Any], profile: Profile) -> CommandM
 
 
 def called(message: CommandMessage) -> tuple[str, list[Any]]:
-    """The method and arguments of a command in either release's words; raises `WireError` where it makes no sense."""
-    words = message.head.plain
+    """Return the method and arguments of a command of either release; raises `WireError` if it is invalid."""
+    parts = message.head.plain
     numbers = list(message.body)
     for count in (2, 1):
-        method = _METHODS.get(tuple(map(str, words[:count])))
+        method = _METHODS.get(tuple(map(str, parts[:count])))
         if method is not None:
             break
     else:
-        raise WireError(f"there is no command {message.head.toString()}")
-    rest = words[count:]
+        raise WireError(f"unknown command {message.head.toString()}")
+    joints = parts[count:]
     if "One" in method:
-        if len(rest) != 1 or not isinstance(rest[0], int) or len(numbers) != 1:
-            raise WireError(f"{method} is of one joint, not {message.head.toString()} with {len(numbers)} numbers")
-        return method, [rest[0], numbers[0]]
+        if len(joints) != 1 or not isinstance(joints[0], int) or len(numbers) != 1:
+            raise WireError(f"{method} sets one joint, not {message.head.toString()} with {len(numbers)} numbers")
+        return method, [joints[0], numbers[0]]
     if "Group" not in method:
         return method, [numbers]
-    if len(rest) != 2 or not isinstance(rest[1], list) or not len(rest[1]) == rest[0] == len(numbers):
+    if len(joints) != 2 or not isinstance(joints[1], list) or not len(joints[1]) == joints[0] == len(numbers):
         raise WireError(f"{method} has as many joints as numbers, not {message.head.toString()} with {len(numbers)}")
-    return method, [rest[1], numbers]
+    return method, [joints[1], numbers]

@@ -1,12 +1,13 @@
 """A control board's interfaces as scripts use them, ``driver.viewIEncoders().getEncoders(encs)`` (``bindings/yarp.i``).
 
-What YARP 3 and 4 call by two names has both: ``setRefSpeed`` is ``setTrajSpeed``, ``getLimits`` is ``getPosLimits``.
-Degrees, degrees per second, newton metres, per cent, amperes; a mode is a vocab's number (``VOCAB_CM_POSITION``).
+A method that has different names in YARP 3 and 4 has both: ``setRefSpeed`` is ``setTrajSpeed``, ``getLimits`` is
+``getPosLimits``. Units: degrees, degrees per second, newton meters, percent, amperes; a mode is a vocab's number
+(``VOCAB_CM_POSITION``).
 
-A method that sets returns whether it succeeded, and so does one that fills in: its last arguments become what is asked
-for, a ``DVector``, an ``IVector``, a ``Vector`` or its ``data()``. ``getEncoder(j)``, ``getControlMode(j)``,
-``getAxisName(j)`` and their like return the value itself, as the bindings have it, and 0 or ``unknown`` where there is
-none. Joints are given as ``(j, ...)``, ``(n, joints, ...)`` or ``(joints, ...)``, or not at all: that is all of them.
+Setters return whether they succeeded. So do getters that fill in their last arguments: a ``DVector``, an ``IVector``, a
+``Vector`` or its ``data()``. ``getEncoder(j)``, ``getControlMode(j)``, ``getAxisName(j)`` and the like return the value
+itself, as the bindings do, and 0 or ``unknown`` if it is missing. Joints are given as ``(j, ...)``,
+``(n, joints, ...)`` or ``(joints, ...)``; without any, a method applies to all joints.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ class BoardView:
         self._board = board
 
     def getAxes(self, axes: Any = None) -> Any:
-        """How many joints there are; or becomes it, and whether it is known."""
+        """Return the number of joints; or store it in ``axes`` and return True."""
         if axes is None:
             return self._board.axes
         fill(axes, [self._board.axes])
@@ -47,9 +48,9 @@ class BoardView:
 
 
 def fill(into: Any, values: Sequence[Any]) -> None:
-    """Have the first elements of something be these; a list or a Vector that is too short becomes as long."""
+    """Overwrite the first elements of a container; a list or a Vector that is too short grows."""
     if not hasattr(into, "__setitem__"):
-        raise TypeError(f"{into!r} cannot be filled in: give a DVector, an IVector, or a Vector")
+        raise TypeError(f"{into!r} cannot be filled in: pass a DVector, an IVector, or a Vector")
     if len(into) < len(values) and hasattr(into, "resize"):
         into.resize(len(values))
     for i, value in enumerate(values):
@@ -68,7 +69,7 @@ def _numbers(values: Any) -> list[Any]:
 
 
 def _chosen(arguments: tuple[Any, ...], values: int, name: str) -> tuple[str, list[Any], list[Any]]:
-    """Which joints arguments are of, ``One``, ``All`` or ``Group``: the joints, and as many lists or values behind."""
+    """Split arguments: the kind (``One``, ``All`` or ``Group``), the joints, and the ``values`` lists or numbers."""
     given = len(arguments) - values
     if given == 0 and all(map(_is_list, arguments)):
         return "All", [], list(arguments)
@@ -83,7 +84,7 @@ def _chosen(arguments: tuple[Any, ...], values: int, name: str) -> tuple[str, li
 
 
 def _setter(one: str = "", of_all: str = "", group: str = "", values: int = 1) -> Method:
-    """A method that sets a value of one joint, of all, or of some."""
+    """Make a method that sets a value of one joint, of all, or of some."""
     methods = {"One": one, "All": of_all, "Group": group}
 
     def do(self: BoardView, *arguments: Any) -> bool:
@@ -91,7 +92,7 @@ def _setter(one: str = "", of_all: str = "", group: str = "", values: int = 1) -
         if kind == "All":
             given = [_numbers(value)[: self._board.axes] for value in given]
             if any(len(value) != self._board.axes for value in given):
-                log.error("%s: %d joints want as many numbers", methods[kind], self._board.axes)
+                log.error("%s: a board of %d joints needs one number for each", methods[kind], self._board.axes)
                 return False
         elif kind == "Group":
             given = [_numbers(value)[: len(joints[0])] for value in given]
@@ -103,17 +104,17 @@ def _setter(one: str = "", of_all: str = "", group: str = "", values: int = 1) -
 
 
 def _asker(one: str = "", of_all: str = "", group: str = "", values: int = 1) -> Method:
-    """A method that asks for values, which the last arguments become."""
+    """Make a method that requests values and stores them in its last arguments."""
     methods = {"One": one, "All": of_all, "Group": group}
 
     def ask(self: BoardView, *arguments: Any) -> bool:
         kind, joints, into = _chosen(arguments, values, methods["One"] or methods["All"])
         if not methods[kind]:
             raise TypeError(f"{methods['One']}: wrong arguments {arguments!r}")
-        outcome, *found = self._board.call(methods[kind], *joints)
+        outcome, *returned = self._board.call(methods[kind], *joints)
         if not outcome:
             return False
-        for place, value in zip(into, found, strict=True):
+        for place, value in zip(into, returned, strict=True):
             fill(place, value if isinstance(value, list) else [value])
         return True
 
@@ -121,14 +122,14 @@ def _asker(one: str = "", of_all: str = "", group: str = "", values: int = 1) ->
 
 
 def _streamed(name: str, *, timed: bool = False) -> Method:
-    """A method that fills in what the board streams, of all joints, of one or of some; ``timed``: and its times."""
+    """Make a method that fills in a streamed quantity of all joints, of one or of some; ``timed``: also the times."""
 
     def ask(self: BoardView, *arguments: Any) -> bool:
         kind, joints, into = _chosen(arguments, 2 if timed else 1, name)
-        found = self._board.state(name)
-        if found is None:
+        state = self._board.state(name)
+        if state is None:
             return False
-        values, time = found
+        values, time = state
         chosen = range(len(values)) if kind == "All" else joints if kind == "One" else joints[0]
         if any(not 0 <= joint < len(values) for joint in chosen):
             log.error("%s: the board has no joint %s", name, list(chosen))
@@ -142,14 +143,14 @@ def _streamed(name: str, *, timed: bool = False) -> Method:
 
 
 def _streamed_value(name: str, default: Any) -> Method:
-    """A method that returns what the board streams of one joint; or fills it in, as `_streamed` does."""
+    """Make a method that returns a streamed quantity of one joint, or fills it in as `_streamed` does."""
     filled = _streamed(name)
 
     def get(self: BoardView, *arguments: Any) -> Any:
         if len(arguments) != 1 or _is_list(arguments[0]):
             return filled(self, *arguments)
-        found, joint = self._board.state(name), int(arguments[0])
-        return found[0][joint].item() if found is not None and 0 <= joint < len(found[0]) else default
+        state, joint = self._board.state(name), int(arguments[0])
+        return state[0][joint].item() if state is not None and 0 <= joint < len(state[0]) else default
 
     return get
 
@@ -158,7 +159,7 @@ class IAxisInfo(BoardView):
     """Names and types of joints."""
 
     def getAxisName(self, axis: int) -> str:
-        """The name of a joint; ``unknown`` where the board does not tell."""
+        """The name of a joint; ``unknown`` if the board does not report it."""
         return str(self._value("getAxisNameRPC", axis, default="unknown"))
 
     def getJointType(self, axis: int) -> int:
@@ -167,7 +168,7 @@ class IAxisInfo(BoardView):
 
 
 class IEncoders(BoardView):
-    """Where joints are, and how they move."""
+    """Positions, velocities and accelerations of joints."""
 
     resetEncoder = _setter("resetEncoderOneRPC", values=0)
     setEncoder = _setter("setEncoderOneRPC")
@@ -180,19 +181,19 @@ class IEncoders(BoardView):
     getEncoderAccelerations = _streamed("jointAcceleration")
 
     def resetEncoders(self) -> bool:
-        """Let all joints be at 0."""
+        """Set the encoders of all joints to 0."""
         return self._ok("resetEncoderAllRPC")
 
 
 class IEncodersTimed(IEncoders):
-    """The same, with times in seconds."""
+    """Encoders with times in seconds."""
 
     getEncoderTimed = _streamed("jointPosition", timed=True)
     getEncodersTimed = _streamed("jointPosition", timed=True)
 
 
 class IMotorEncoders(BoardView):
-    """Where motors are, and how they turn."""
+    """Positions, velocities and accelerations of motors."""
 
     resetMotorEncoder = _setter("resetMotorEncoderRPC", values=0)
     setMotorEncoder = _setter("setMotorEncoderRPC")
@@ -207,16 +208,16 @@ class IMotorEncoders(BoardView):
     getMotorEncoderAccelerations = _streamed("motorAcceleration")
 
     def getNumberOfMotorEncoders(self) -> int:
-        """How many there are."""
+        """The number of motor encoders."""
         return int(self._value("getNumberOfMotorEncodersRPC", default=0))
 
     def resetMotorEncoders(self) -> bool:
-        """Let all motors be at 0."""
+        """Set the encoders of all motors to 0."""
         return self._ok("resetMotorEncodersRPC")
 
 
 class IPositionControl(BoardView):
-    """Moves along a trajectory to a position."""
+    """Moves to a position along a trajectory."""
 
     positionMove = _setter("positionMoveOneRPC", "positionMoveAllRPC", "positionMoveGroupRPC")
     relativeMove = _setter("relativeMoveOneRPC", "relativeMoveAllRPC", "relativeMoveGroupRPC")
@@ -236,24 +237,24 @@ class IPositionControl(BoardView):
     _motion_done = _asker("checkMotionDoneOneRPC", "checkMotionDoneAllRPC", "checkMotionDoneGroupRPC")
 
     def stop(self, *joints: Any) -> bool:
-        """Stop a joint, some, or all."""
+        """Stop one joint, some, or all."""
         return self._stop(*joints) if joints else self._ok("stopAllRPC")
 
     def checkMotionDone(self, *arguments: Any) -> bool:
-        """Whether all motions are done, also where the board does not tell; or a flag becomes it, of which joints."""
+        """Whether all motions are done, True if the board does not report it; with arguments, fill in a flag."""
         if not arguments:
             return bool(self._value("checkMotionDoneAllRPC", default=True))
         return bool(self._motion_done(*arguments))
 
     def isMotionDone(self, joint: int | None = None) -> bool:
-        """Whether the motion of a joint, or of all, is done; not, where the board does not tell."""
+        """Whether the motion of a joint, or of all, is done; False if the board does not report it."""
         if joint is None:
             return bool(self._value("checkMotionDoneAllRPC", default=False))
         return bool(self._value("checkMotionDoneOneRPC", int(joint), default=False))
 
 
 class IPositionDirect(BoardView):
-    """Sets positions at once, without a trajectory."""
+    """Sets positions directly, without a trajectory."""
 
     setPosition = setRefPosition = _setter("setRefPositionOneRPC")
     setPositions = setRefPositions = _setter("", "setRefPositionAllRPC", "setRefPositionGroupRPC")
@@ -262,7 +263,7 @@ class IPositionDirect(BoardView):
 
 
 class IVelocityControl(BoardView):
-    """Moves with a velocity. Midspan's own boards stop where it is not said again (`docs/yarp/boards.md`)."""
+    """Moves with a velocity. Midspan's own boards stop unless it is repeated (`docs/yarp/boards.md`)."""
 
     velocityMove = _setter("velocityMoveOneRPC", "velocityMoveAllRPC", "velocityMoveGroupRPC")
     getTargetVelocity = getRefVelocity = _asker("getTargetVelocityOneRPC")
@@ -276,7 +277,7 @@ class IVelocityControl(BoardView):
 
 
 class ITorqueControl(BoardView):
-    """Torques, in newton metres."""
+    """Torques, in newton meters."""
 
     setRefTorque = _setter("setRefTorqueOneRPC")
     setRefTorques = _setter("", "setRefTorqueAllRPC", "setRefTorqueGroupRPC")
@@ -290,12 +291,12 @@ class ITorqueControl(BoardView):
 
 class _Motors(BoardView):
     def getNumberOfMotors(self) -> int:
-        """How many motors there are."""
+        """The number of motors."""
         return self._board.axes
 
 
 class IPWMControl(_Motors):
-    """Duty cycles, in per cent."""
+    """Duty cycles, in percent."""
 
     setRefDutyCycle = _setter("setRefDutyCycleOneRPC")
     setRefDutyCycles = _setter("", "setRefDutyCycleAllRPC")
@@ -319,7 +320,7 @@ class ICurrentControl(_Motors):
 
 
 class IMotor(_Motors):
-    """The motors themselves: degrees Celsius."""
+    """Temperatures (degrees Celsius) and gearbox ratios of motors."""
 
     getTemperature = _asker("getTemperatureOneRPC")
     getTemperatures = _asker("", "getTemperatureAllRPC")
@@ -330,7 +331,7 @@ class IMotor(_Motors):
 
 
 class IAmplifierControl(BoardView):
-    """What drives the motors: amperes, per cent, volts."""
+    """The amplifiers of the motors: amperes, percent, volts."""
 
     enableAmp = _setter("enableAmpRPC", values=0)
     disableAmp = _setter("disableAmpRPC", values=0)
@@ -350,7 +351,7 @@ class IAmplifierControl(BoardView):
 
 
 class IControlLimits(BoardView):
-    """The least and the greatest position and velocity."""
+    """The limits of position and velocity."""
 
     setPosLimits = setLimits = _setter("setPosLimitsRPC", values=2)
     getPosLimits = getLimits = _asker("getPosLimitsRPC", values=2)
@@ -359,7 +360,7 @@ class IControlLimits(BoardView):
 
 
 class IControlMode(BoardView):
-    """What joints are driven by: position, velocity, torque, ..."""
+    """The control mode of joints: position, velocity, torque, ..."""
 
     setControlMode = _setter("setControlModeOneRPC")
     setControlModes = _setter("", "setControlModeAllRPC", "setControlModeGroupRPC")
@@ -387,34 +388,34 @@ _INTERACTION_MODE = _streamed_value("interactionMode", VOCAB_IM_UNKNOWN)
 
 
 class IRemoteVariables(BoardView):
-    """Values of the board under names."""
+    """Named variables of the board."""
 
     def getRemoteVariable(self, key: str, value: Bottle) -> bool:
-        """A Bottle becomes the value of this name; whether there is one."""
-        found = self._value("getRemoteVariableRPC", key, default=None)
-        if found is None:
+        """Store a variable's value in a Bottle; False if the board has none of this name."""
+        variable = self._value("getRemoteVariableRPC", key, default=None)
+        if variable is None:
             return False
-        value.copy(found)
+        value.copy(variable)
         return True
 
     def setRemoteVariable(self, key: str, value: Bottle) -> bool:
-        """Change a value."""
+        """Set a variable."""
         return self._ok("setRemoteVariableRPC", key, value)
 
     def getRemoteVariablesList(self, names: Bottle) -> bool:
-        """A Bottle becomes the names."""
-        found = self._value("getRemoteVariablesListRPC", default=None)
-        if found is None:
+        """Store the names of all variables in a Bottle."""
+        variables = self._value("getRemoteVariablesListRPC", default=None)
+        if variables is None:
             return False
-        names.copy(found[0] if found else Bottle())
+        names.copy(variables[0] if variables else Bottle())
         return True
 
 
 class IPreciselyTimed(BoardView):
-    """The time of what was read."""
+    """The time stamp of the last state."""
 
     def getLastInputStamp(self) -> Stamp:
-        """Of the newest state."""
+        """The number and time of the newest state."""
         return self._board.stamp()
 
 
@@ -423,4 +424,4 @@ VIEWS = (
     ITorqueControl, IPWMControl, ICurrentControl, IMotor, IAmplifierControl, IControlLimits, IControlMode,
     IInteractionMode, IRemoteVariables, IPreciselyTimed,
 )  # fmt: skip
-"""The interfaces that a board is viewed as."""
+"""The interfaces of a board."""

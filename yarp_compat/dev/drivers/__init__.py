@@ -1,1 +1,1 @@
-"""Devices by name: `PolyDriver`, the registry of what it opens, and the devices of each kind."""
+"""Devices by name: `PolyDriver`, its registry, and the factories of each kind of device."""

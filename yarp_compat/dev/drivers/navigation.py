@@ -1,7 +1,7 @@
-"""The clients of planner, map server, localisation server and base as devices, with the options of YARP's own.
+"""Clients of planner, map server, localization server and base as devices with YARP's options.
 
-Their names, ports and options are the same from YARP 3.6 to 4.0 (``*_nwc_yarp_params.md`` of 4.0 lists the options);
-``navigation2DClient`` and its kin are what releases before 3.7 call them.
+Names, ports and options are the same from YARP 3.6 to 4.0 (``*_nwc_yarp_params.md`` of 4.0 lists the options); releases
+before 3.7 have other device names, such as ``navigation2DClient``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from yarp_compat.dev.navigation2d_client import Navigation2DClient
 
 
 def navigation2d(options: DeviceOptions) -> OpenDevice:
-    """``local``, ``navigation_server``, ``map_locations_server`` and ``localization_server``: what ports begin with."""
+    """Open with ``local``, ``navigation_server``, ``map_locations_server``, ``localization_server``: port prefixes."""
     client = Navigation2DClient(
         options.port("navigation_server"),
         options.port("map_locations_server"),
@@ -26,20 +26,20 @@ def navigation2d(options: DeviceOptions) -> OpenDevice:
 
 
 def localization2d(options: DeviceOptions) -> OpenDevice:
-    """``local`` and ``remote``: what the ports' names begin with."""
+    """Open with ``local`` and ``remote``: port prefixes."""
     client = Localization2DClient(options.port("remote"), options.port("local"), naming=options.naming).open()
     return OpenDevice(client.close, {"ILocalization2D": client})
 
 
 def map2d(options: DeviceOptions) -> OpenDevice:
-    """``local`` and ``remote``: what the ports' names begin with; ``carrier`` of the questions."""
+    """Open with ``local`` and ``remote``: port prefixes; ``carrier`` of the calls."""
     server = f"{options.text('carrier', 'fast_tcp')}:/{options.port('remote')}/rpc"
     client = Map2DClient(server, f"{options.port('local')}/mapClient_rpc", naming=options.naming).open()
     return OpenDevice(client.close, {"IMap2D": client})
 
 
 def mobile_base_velocity_control(options: DeviceOptions) -> OpenDevice:
-    """``local`` and ``server``: what the ports' names begin with; ``carrier`` of the commands."""
+    """Open with ``local`` and ``server``: port prefixes; ``carrier`` of the commands."""
     server = f"{options.text('carrier', 'tcp')}:/{options.port('server')}/rpc:i"
     name = f"{options.port('local')}/navigation/rpc:o"
     client = MobileBaseVelocityControl(server, name, naming=options.naming).open()

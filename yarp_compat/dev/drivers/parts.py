@@ -1,6 +1,6 @@
-"""The clients of a robot's parts as devices, with the options of YARP's own: boards, laser, odometry, battery, camera.
+"""Clients of a robot's parts as devices with YARP's options: boards, laser, odometry, battery, camera.
 
-And of a language model. The options of a board: `controlBoard_nwc_yarp_params.md` of YARP 4,
+Also the client of a language model. The options of a board: `controlBoard_nwc_yarp_params.md` of YARP 4,
 `RemoteControlBoard_params.md` of 3.12.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from yarp_compat.dev.basecontrol import Odometry2DClient
 from yarp_compat.dev.battery import BatteryClient
-from yarp_compat.dev.controlboard.client import STATE, ControlBoardClient
+from yarp_compat.dev.controlboard.client import STATE_TIMEOUT, ControlBoardClient
 from yarp_compat.dev.controlboard.views import VIEWS
 from yarp_compat.dev.drivers.registry import DeviceError, DeviceOptions, OpenDevice
 from yarp_compat.dev.framegrabber import FrameGrabberClient
@@ -17,35 +17,35 @@ from yarp_compat.dev.rangefinder_client import Rangefinder2DClient
 
 
 def controlboard(options: DeviceOptions) -> OpenDevice:
-    """``remote`` and ``local``: what ports begin with; ``carrier`` of the streams, ``timeout`` of the state, seconds.
+    """Open with ``remote`` and ``local``: port prefixes; ``carrier`` of the streams, ``timeout`` of states in seconds.
 
-    ``writeStrict`` ``on``: no streamed command takes the place of one that is still on its way.
+    With ``writeStrict`` ``on``, no streamed command replaces one that is still queued.
     """
     client = ControlBoardClient(
         options.port("remote"),
         options.port("local"),
         naming=options.naming,
         carrier=options.text("carrier", "fast_tcp"),
-        timeout=options.number("timeout", STATE),
+        timeout=options.number("timeout", STATE_TIMEOUT),
         strict=options.flag("writeStrict", default=False),
     ).open()
     return OpenDevice(client.close, {view.__name__: view(client) for view in VIEWS})
 
 
 def rangefinder2d(options: DeviceOptions) -> OpenDevice:
-    """``local`` and ``remote``: the ports of the stream, which begin the others' names; ``carrier`` of the stream."""
+    """Open with ``local`` and ``remote``: the stream's ports, prefixes of the others; ``carrier`` of the stream."""
     client = Rangefinder2DClient(
         options.port("remote"), options.port("local"), options.text("carrier", "tcp"), naming=options.naming
     ).open()
     outcome, first, last = client.getScanLimits()
     if not outcome or last < first:
         client.close()
-        raise DeviceError(f"the laser {client.server} does not say in which directions it measures")
+        raise DeviceError(f"the laser {client.server} does not report its scan limits")
     return OpenDevice(client.close, {"IRangefinder2D": client})
 
 
 def odometry2d(options: DeviceOptions) -> OpenDevice:
-    """``local`` and ``remote``: what the ports' names begin with; ``carrier`` of the stream."""
+    """Open with ``local`` and ``remote``: port prefixes; ``carrier`` of the stream."""
     client = Odometry2DClient(
         options.port("remote"), options.port("local"), options.text("carrier", "tcp"), naming=options.naming
     ).open()
@@ -53,7 +53,7 @@ def odometry2d(options: DeviceOptions) -> OpenDevice:
 
 
 def battery(options: DeviceOptions) -> OpenDevice:
-    """``local`` and ``remote``: what the ports' names begin with; ``carrier`` of the stream."""
+    """Open with ``local`` and ``remote``: port prefixes; ``carrier`` of the stream."""
     client = BatteryClient(
         options.port("remote"), options.port("local"), options.text("carrier", "fast_tcp"), naming=options.naming
     ).open()
@@ -61,24 +61,24 @@ def battery(options: DeviceOptions) -> OpenDevice:
 
 
 def frame_grabber(options: DeviceOptions) -> OpenDevice:
-    """``local`` and ``remote``: the ports of the images, which begin the others' names; ``carrier``; ``no_stream``.
+    """Open with ``local`` and ``remote``: the images' ports, prefixes of the others; ``carrier``; ``no_stream``.
 
-    What ``remote_grabber`` connected to answered by the port of the images itself, and some still do.
+    Servers of ``remote_grabber`` reply at the port of the images itself, and some still do.
     """
     remote, carrier = options.port("remote"), options.text("carrier", "fast_tcp")
-    answers = f"{remote}/rpc"
+    rpc_port = f"{remote}/rpc"
     if options.device == "remote_grabber":
         carrier = options.text("stream", carrier)
-        answers = answers if options.naming.query(answers) is not None else remote
+        rpc_port = rpc_port if options.naming.query(rpc_port) is not None else remote
     stream = not options.flag("no_stream", default=False)
     client = FrameGrabberClient(
-        remote, options.port("local"), carrier, answers, stream=stream, naming=options.naming
+        remote, options.port("local"), carrier, rpc_port, stream=stream, naming=options.naming
     ).open()
     views = {"IFrameGrabberControls": client}
     return OpenDevice(client.close, views | ({"IFrameGrabberImage": client} if stream else {}))
 
 
 def llm(options: DeviceOptions) -> OpenDevice:
-    """``local`` and ``remote``: the names of both ports."""
+    """Open with ``local`` and ``remote``: the names of both ports."""
     client = LLMClient(options.port("remote"), options.port("local"), naming=options.naming).open()
     return OpenDevice(client.close, {"ILLM": client.llm})

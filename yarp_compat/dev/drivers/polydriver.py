@@ -1,4 +1,4 @@
-"""``PolyDriver``: opens a device by its name, and gives its interfaces (`yarp/dev/PolyDriver.h`, ``yarp.i``).
+"""``PolyDriver``: opens a device by its name, and returns its interfaces (`yarp/dev/PolyDriver.h`, ``yarp.i``).
 
     options = yarp.Property()
     options.put("device", "navigation2D_nwc_yarp")
@@ -8,7 +8,7 @@
     if driver.isValid():
         robot = driver.viewINavigation2D()
 
-What there is, and how to add to it: `yarp_compat.dev.drivers.registry`.
+For the supported devices, and how to add one, see `yarp_compat.dev.drivers.registry`.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ log = logging.getLogger("yarp.dev.PolyDriver")
 
 def _view(interface: str) -> Callable[[PolyDriver], Any]:
     def view(self: PolyDriver) -> Any:
-        return self._viewed(interface)
+        return self._get_view(interface)
 
-    view.__doc__ = f"The device as an {interface}; None where it has none, or is not open."
+    view.__doc__ = f"The device's {interface}; None if it has none, or is not open."
     return view
 
 
 class PolyDriver:
-    """A device of any kind. It is closed at the latest when nobody holds this any more, and its views end with it."""
+    """A device of any kind. It is closed, and its views end, at the latest when this object is garbage collected."""
 
     def __init__(self, config: Searchable | str | None = None) -> None:
         self._device: OpenDevice | None = None
@@ -47,19 +47,19 @@ class PolyDriver:
             self.open(config)
 
     def open(self, config: Searchable | str) -> bool:
-        """Open the device that the option ``device`` names, with the other options, or the device of this name alone.
+        """Open the device named by the option ``device`` with the other options, or a device by its name only.
 
-        False where it cannot, and the log says why; also where a device is open already.
+        False on failure, with the reason in the log; also if a device is already open.
         """
         if self._device is not None:
-            log.error("the device %s is open already: close it first", self._name)
+            log.error("the device %s is already open: close it first", self._name)
             return False
         if isinstance(config, str):
             config = Property({"device": config})
         self._used = True
         self._name = config.find("device").toString() or config.toString()
         try:
-            self._device = self._opened(config)
+            self._device = self._open_device(config)
         except (DeviceError, CallFailed, OSError, WireError, ValueError) as error:
             log.error("the device <%s> could not be opened: %s", self._name, error)
             return False
@@ -67,11 +67,11 @@ class PolyDriver:
         return True
 
     def open_str(self, device: str) -> bool:
-        """Open a device by its name alone, as the bindings call that."""
+        """Open a device by its name only; the bindings' name for that overload."""
         return self.open(device)
 
     def close(self) -> bool:
-        """Close the device; False where `open` was never called since the last time."""
+        """Close the device; False if `open` was not called since the last `close`."""
         device, self._device = self._device, None
         used, self._used = self._used, False
         if device is not None:
@@ -117,25 +117,25 @@ class PolyDriver:
     viewITorqueControl = _view("ITorqueControl")
     viewIVelocityControl = _view("IVelocityControl")
 
-    def _opened(self, config: Searchable) -> OpenDevice:
+    def _open_device(self, config: Searchable) -> OpenDevice:
         make = registry.factory(self._name)
         if not RUNTIME.is_up:
             raise DeviceError("YARP not initialized; call yarp.Network.init() before opening devices")
         return make(DeviceOptions(self._name, config))
 
-    def _viewed(self, interface: str) -> Any:
+    def _get_view(self, interface: str) -> Any:
         if self._device is None:
-            log.error("there is no %s: no device is open", interface)
+            log.error("no %s: no device is open", interface)
             return None
         if interface not in self._device.views:
-            log.warning("the device <%s> is no %s here, only %s", self._name, interface, ", ".join(self._device.views))
+            log.warning("the device <%s> has no %s here, only %s", self._name, interface, ", ".join(self._device.views))
             return None
         return self._device.views[interface]
 
     def __del__(self) -> None:
-        with contextlib.suppress(Exception):  # at the program's end what closes it may be gone
+        with contextlib.suppress(Exception):  # at interpreter exit, the modules that close it may be gone
             if self._device is not None:
-                log.info("the device <%s> is closed: nobody holds its PolyDriver any more", self._name)
+                log.info("the device <%s> is closed: its PolyDriver was garbage collected", self._name)
             self.close()
 
 
@@ -145,7 +145,7 @@ IJointFault IOrientationSensors IPidControl IRGBDSensor ISimulatedWorld ISixAxis
 ISpeechSynthesizer ISpeechTranscription ITemperatureSensors IThreeAxisGyroscopes IThreeAxisLinearAccelerometers
 IThreeAxisMagnetometers
 """
-"""What else the bindings view a device as (``yarp.i`` of 3.9 to 4.0): None, as no device here has it."""
+"""Other views of the bindings (``yarp.i`` of 3.9 to 4.0): always None, as no device here has them."""
 
 for _interface in _OTHERS.split():
     setattr(PolyDriver, f"view{_interface}", _view(_interface))

@@ -1,20 +1,20 @@
-"""The devices that `PolyDriver` opens, by YARP's names for them, and what to use in place of those that are not here.
+"""The devices that `PolyDriver` opens, by YARP's names, and replacements for devices that are not supported.
 
 A kind of device is added in two steps:
 
-1. A *factory* in a module of its own, a function of `DeviceOptions` that returns an `OpenDevice`::
+1. A *factory* in its own module, a function of `DeviceOptions` that returns an `OpenDevice`::
 
         def battery(options: DeviceOptions) -> OpenDevice:
             client = BatteryClient(options.port("remote"), options.port("local"), naming=options.naming).open()
             return OpenDevice(client.close, {"IBattery": client})
 
-   It raises `DeviceError` for options that make no sense, and lets the errors of ports through (`OSError`,
-   `WireError`); what it had opened by then it closes.
-2. One line in `_FACTORIES`: all names that releases of YARP have for the device, and where the factory is. The module
-   is imported when a device of these names is opened.
+   It raises `DeviceError` for invalid options, passes on the errors of ports (`OSError`, `WireError`), and closes what
+   it has opened on an error.
+2. One line in `_FACTORIES`: all names of the device in YARP's releases, and the location of the factory. Its module is
+   imported when such a device is opened.
 
-What a view gives (``viewIBattery()``) stands under the interface's name in ``views``. An interface that `PolyDriver`
-does not list yet becomes one more line there.
+``views`` maps the interface's name to the object that a view (``viewIBattery()``) returns. An interface that
+`PolyDriver` does not list yet needs one more line there.
 """
 
 from __future__ import annotations
@@ -50,28 +50,28 @@ _FACTORIES = {
 _BY_NAME = {name: place for names, place in _FACTORIES.items() for name in names.split()}
 
 _INSTEAD = {
-    r"controlboardremapper|remotecontrolboardremapper": "open each board by a controlBoard_nwc_yarp of its own",
-    r"(RGBD|rgbd).*": "read its images by BufferedPortImageRgb and BufferedPortImageFloat",
-    r"frameTransform(Get|Set)_nwc_yarp": "frameTransform_nwc_yarp is both",
-    r"(frameGrabber|grabber|usb|opencv|ffmpeg|openCV).*": "read the camera's port by BufferedPortImageRgb",
-    r"analogsensorclient|AnalogSensorClient": "read the sensor's port by BufferedPortVector",
-    r"multipleanalogsensors\w*": "read the sensors' port, <remote>/measures:o, by BufferedPortBottle",
-    r"(cartesian|gaze)controllerclient|(Cartesian|Gaze).*": "ask the controller's rpc port by RpcClient",
-    r"(speech|audio|chatBot).*_nwc_yarp": "ask its rpc port by RpcClient",
+    r"controlboardremapper|remotecontrolboardremapper": "open each board with its own controlBoard_nwc_yarp",
+    r"(RGBD|rgbd).*": "read its images with BufferedPortImageRgb and BufferedPortImageFloat",
+    r"frameTransform(Get|Set)_nwc_yarp": "use frameTransform_nwc_yarp for both",
+    r"(frameGrabber|grabber|usb|opencv|ffmpeg|openCV).*": "read the camera's port with BufferedPortImageRgb",
+    r"analogsensorclient|AnalogSensorClient": "read the sensor's port with BufferedPortVector",
+    r"multipleanalogsensors\w*": "read the sensors' port, <remote>/measures:o, with BufferedPortBottle",
+    r"(cartesian|gaze)controllerclient|(Cartesian|Gaze).*": "call the controller's rpc port with RpcClient",
+    r"(speech|audio|chatBot).*_nwc_yarp": "call its rpc port with RpcClient",
     r".*(_nws_\w+|Wrapper|Server)|controlboardwrapper2": (
-        "servers of maps, places, frames, planners and localisers are modules of Midspan (docs/navigation/modules.md)"
+        "servers of maps, places, frames, planners and localizers are modules of Midspan (docs/navigation/modules.md)"
     ),
-    r"fake\w*|test_\w*": "it is made for YARP's own tests",
+    r"fake\w*|test_\w*": "it only serves YARP's own tests",
 }
 
 
 class DeviceError(Exception):
-    """A device cannot be opened: it does not exist here, or its options make no sense."""
+    """A device cannot be opened: it is not supported, or its options are invalid."""
 
 
 @dataclass(frozen=True)
 class OpenDevice:
-    """A device that a factory opened: what closes it, and what it is viewed as, by the interface's name."""
+    """A device that a factory opened: its closing function, and its views by the interface's name."""
 
     close: Callable[[], object]
     views: Mapping[str, object]
@@ -81,7 +81,7 @@ Factory = Callable[["DeviceOptions"], OpenDevice]
 
 
 class DeviceOptions:
-    """The options of a device, as factories read them; errors say which option is wrong and what it is for."""
+    """The options of a device, for factories; errors name the invalid option and its expected value."""
 
     def __init__(self, device: str, config: Searchable) -> None:
         self.device, self._config = device, config
@@ -96,41 +96,40 @@ class DeviceOptions:
         return self._config.check(key)
 
     def text(self, key: str, default: str | None = None) -> str:
-        """A text; raises `DeviceError` where it is not given, or empty, and there is no default."""
+        """Return a text; raises `DeviceError` if it is missing or empty and there is no default."""
         value = self._config.find(key)
-        found = value.asString() if value.isString() else value.toString()
-        if not found and default is None:
-            said = f"is empty: {key} {found!r}" if self.has(key) else "is not given"
-            raise DeviceError(f"the option {key!r} of {self.device} {said}")
-        return found or default or ""
+        text = value.asString() if value.isString() else value.toString()
+        if not text and default is None:
+            problem = f"is empty: {key} {text!r}" if self.has(key) else "is missing"
+            raise DeviceError(f"the option {key!r} of {self.device} {problem}")
+        return text or default or ""
 
     def port(self, key: str, default: str | None = None) -> str:
-        """The name of a port, or what ports' names begin with, with YARP's ``/`` before it; raises as `text`."""
-        found = self.text(key, default)
-        name = found if rooted(found) else f"/{found}"
+        """Return a port's name or prefix, with a leading ``/``; raises as `text`."""
+        text = self.text(key, default)
+        name = text if rooted(text) else f"/{text}"
         if not is_port_name(name):
-            said = f"the option {key!r} of {self.device} names a port, as /robot/battery does, not {found!r}"
-            raise DeviceError(said)
+            raise DeviceError(f"the option {key!r} of {self.device} must be a port like /robot/battery, not {text!r}")
         return name
 
     def number(self, key: str, default: float) -> float:
-        """A number; raises `DeviceError` for something else."""
+        """Return a number; raises `DeviceError` for another type."""
         value = self._value(key)
         if value is None:
             return default
         if not (value.isInt64() or value.isFloat64() or value.isInt32()):
-            raise DeviceError(f"the option {key!r} of {self.device} is a number, not {value.toString()}")
+            raise DeviceError(f"the option {key!r} of {self.device} must be a number, not {value.toString()}")
         return value.asFloat64()
 
     def flag(self, key: str, *, default: bool) -> bool:
-        """Whether something is on: ``true``, ``1`` or ``on``; raises `DeviceError` for something else."""
+        """Whether an option is ``true``, ``1``, ``on`` or ``yes``; raises `DeviceError` if it is not a boolean."""
         value = self._value(key)
         if value is None:
             return default
-        said = value.toString().lower()
-        if said not in _TRUTH:
-            raise DeviceError(f"the option {key!r} of {self.device} is true or false, not {value.toString()}")
-        return _TRUTH[said]
+        text = value.toString().lower()
+        if text not in _TRUTH:
+            raise DeviceError(f"the option {key!r} of {self.device} must be true or false, not {value.toString()}")
+        return _TRUTH[text]
 
     def _value(self, key: str) -> Value | None:
         return self._config.find(key) if self.has(key) else None
@@ -140,15 +139,15 @@ _TRUTH = {"true": True, "1": True, "on": True, "yes": True, "false": False, "0":
 
 
 def names() -> list[str]:
-    """The names of all devices that there are."""
+    """The names of all supported devices."""
     return list(_BY_NAME)
 
 
 def factory(device: str) -> Factory:
-    """What opens a device; raises `DeviceError` where there is none of this name, which says what there is instead."""
+    """Return the factory of a device; raises `DeviceError` for an unknown name, with the replacement in its text."""
     if device not in _BY_NAME:
-        instead = next((said for names, said in _INSTEAD.items() if re.fullmatch(names, device)), "")
-        raise DeviceError(f"there is no device {device!r} here; {instead or f'there are {_listed()}'}")
+        instead = next((cure for names, cure in _INSTEAD.items() if re.fullmatch(names, device)), "")
+        raise DeviceError(f"unknown device {device!r}; {instead or f'supported are {_listed()}'}")
     module, _, name = _BY_NAME[device].partition(".")
     return cast("Factory", getattr(importlib.import_module(f"yarp_compat.dev.drivers.{module}"), name))
 

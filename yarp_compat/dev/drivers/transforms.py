@@ -1,8 +1,8 @@
-"""The clients of a server of transforms as devices.
+"""Clients of a transform server as devices.
 
-``frameTransformClient`` is made of others by a file that ``config_name`` (``filexml_option`` before 4.0) names; those
-that come with YARP are known here by their names. ``transformClient``, which was there before 3.9, spoke to a
-``transformServer`` with words of its own: here it is a client of today's servers.
+``frameTransformClient`` combines other devices as a file says, which ``config_name`` (``filexml_option`` before 4.0)
+names; the files that come with YARP are recognized by their names. ``transformClient`` of releases before 3.9 used its
+own protocol with a ``transformServer``: here it is a client of today's servers.
 """
 
 from __future__ import annotations
@@ -24,51 +24,51 @@ _REFUSED = ReturnValue(ReturnCode.NOT_IMPLEMENTED)
 
 
 class _Listener(TransformClient):
-    """Sets and deletes nothing, as ``ftc_sub_yarp_only.xml``."""
+    """A client that cannot set or delete transforms, as with ``ftc_sub_yarp_only.xml``."""
 
     def send(self, transforms: list[FrameTransform]) -> ReturnValue:  # noqa: ARG002
         return _REFUSED
 
-    def forget(self, one: str, other: str) -> ReturnValue:  # noqa: ARG002
+    def remove(self, first: str, second: str) -> ReturnValue:  # noqa: ARG002
         return _REFUSED
 
-    def forget_all(self) -> ReturnValue:
+    def remove_all(self) -> ReturnValue:
         return _REFUSED
 
 
 def frame_transform_client(options: DeviceOptions) -> OpenDevice:
-    """What ``config_name`` says: by default transforms of this program alone; see `frame_transform` for the rest.
+    """Open the variant of ``config_name``, by default this program's own transforms; otherwise as `frame_transform`.
 
-    ``ftc_storage_timeout``: seconds after which they expire.
+    ``ftc_storage_timeout``: seconds after which this program's own transforms expire.
     """
     for key in ("custom_config_from", "testxml_from", "testxml_option"):
         if options.has(key):
-            raise DeviceError(f"{key}: a file of devices cannot be read here; say config_name {_BOTH[0]}")
-    asked = options.text("config_name", options.text("filexml_option", _LOCAL))
-    if asked == _LOCAL:
-        kept = LocalTransforms(options.number("ftc_storage_timeout", LIFETIME))
-        return OpenDevice(kept.forget_all, {"IFrameTransform": kept})
-    if asked == _LISTENING:
+            raise DeviceError(f"{key}: a file of devices cannot be read here; set config_name to {_BOTH[0]}")
+    config = options.text("config_name", options.text("filexml_option", _LOCAL))
+    if config == _LOCAL:
+        local = LocalTransforms(options.number("ftc_storage_timeout", LIFETIME))
+        return OpenDevice(local.remove_all, {"IFrameTransform": local})
+    if config == _LISTENING:
         return _opened(_Listener, options)
-    if asked in _BOTH:
+    if config in _BOTH:
         return frame_transform(options)
-    raise DeviceError(f"config_name {asked} is not known here; there are {', '.join((_LOCAL, *_BOTH, _LISTENING))}")
+    raise DeviceError(f"unknown config_name {config}; supported are {', '.join((_LOCAL, *_BOTH, _LISTENING))}")
 
 
 def frame_transform(options: DeviceOptions) -> OpenDevice:
-    """A client of a server: ``ft_server_prefix`` begins the names of its ports, ``ft_client_prefix`` the own ones.
+    """Open a client of a server; its ports have the prefix ``ft_server_prefix``, the client's ``ft_client_prefix``.
 
-    Without the latter the name server chooses the own ports' names. ``ftGet_client_enable_stream``: hear the server's
-    stream, instead of asking for each question.
+    Without the latter, the name server chooses the client's ports. ``ftGet_client_enable_stream``: subscribe to the
+    server's stream instead of sending a request for each query.
     """
     return _opened(TransformClient, options)
 
 
 def transform_client(options: DeviceOptions) -> OpenDevice:
-    """``local`` begins the own ports' names; ``remote`` is looked at by nobody, see the module."""
+    """Open with ``local``, the prefix of the client's ports; ``remote`` is ignored, see the module's docstring."""
     local = options.port("local")
     log.warning(
-        "transformClient: %s is not asked, but the ports of /frameTransformServer, which came after it",
+        "transformClient: ignoring %s; using its successor, the ports of /frameTransformServer",
         options.port("remote"),
     )
     client = TransformClient("", local, naming=options.naming).open()
@@ -76,7 +76,7 @@ def transform_client(options: DeviceOptions) -> OpenDevice:
 
 
 def _opened(kind: type[TransformClient], options: DeviceOptions) -> OpenDevice:
-    server, own = (options.text(key, "") and options.port(key) for key in ("ft_server_prefix", "ft_client_prefix"))
+    server, prefix = (options.text(key, "") and options.port(key) for key in ("ft_server_prefix", "ft_client_prefix"))
     streaming = options.flag("ftGet_client_enable_stream", default=True)
-    client = kind(server, own, streaming=streaming, naming=options.naming).open()
+    client = kind(server, prefix, streaming=streaming, naming=options.naming).open()
     return OpenDevice(client.close, {"IFrameTransform": client})

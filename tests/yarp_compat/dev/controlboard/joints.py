@@ -1,4 +1,4 @@
-"""A board of joints that are where they are told to be."""
+"""A board of joints that reach every commanded position at once."""
 
 # ruff: noqa: ARG002 - names and arguments are those of the interface
 
@@ -26,11 +26,11 @@ AXES = 3
 
 
 class Joints(JointBoard):
-    """Every quantity of a joint is kept; a move in position mode is over at once, as far as the limits allow."""
+    """A board that stores every quantity of its joints; a move in position mode ends at once."""
 
     def __init__(self, axes: int = AXES) -> None:
         super().__init__(axes)
-        self.kept: dict[str, list[float]] = {}
+        self.quantities: dict[str, list[float]] = {}
         self.modes = [VOCAB_CM_POSITION] * axes
         self.interaction = [VOCAB_IM_STIFF] * axes
         self.variables: dict[str, Bottle] = {}
@@ -38,21 +38,21 @@ class Joints(JointBoard):
         self._lock = threading.RLock()
 
     def run(self, call: Callable[[], Any]) -> Any:
-        """See `JointBoard.run`."""
+        """Run a call under the board's lock."""
         with self._lock:
             return call()
 
     def of(self, quantity: str) -> list[float]:
         """The values of all joints."""
-        return self.kept.setdefault(quantity, [0.0] * self.axes)
+        return self.quantities.setdefault(quantity, [0.0] * self.axes)
 
     def control_mode(self, joint: int) -> int:
-        """See `JointBoard.control_mode`."""
+        """Return the mode of a joint."""
         return self.modes[joint]
 
     def state(self) -> JointData:
-        """See `JointBoard.state`."""
-        values = {name: np.array(self.of(what)) for name, what in STREAMED.items()}
+        """Return the stored quantities that are streamed."""
+        values = {name: np.array(self.of(quantity)) for name, quantity in STREAMED.items()}
         values |= {"controlMode": np.array(self.modes), "interactionMode": np.array(self.interaction)}
         return JointData(self.axes, values)
 
@@ -128,7 +128,7 @@ STREAMED = {
 }  # fmt: skip
 
 
-def _kept(name: str, quantity: str) -> None:
+def _define(name: str, quantity: str) -> None:
     def set_one(self: Joints, j: int, value: float) -> ReturnValue:
         self.of(quantity)[j] = value
         return OK
@@ -150,4 +150,4 @@ for _name, _quantity in {
     "setRefCurrentOneRPC": "current", "getRefCurrentOneRPC": "current", "getCurrentOneRPC": "current",
     "setEncoderOneRPC": "position", "getEncoderOneRPC": "position", "getEncoderSpeedOneRPC": "velocity",
 }.items():  # fmt: skip
-    _kept(_name, _quantity)
+    _define(_name, _quantity)

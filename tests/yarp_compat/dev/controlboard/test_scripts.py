@@ -1,7 +1,7 @@
-"""Control boards as scripts use them, over the wire of YARP 3 and of 4: a board of ours, driven by `PolyDriver`.
+"""Control boards as scripts use them, in the protocols of YARP 3 and 4: our board, driven through `PolyDriver`.
 
-The patterns are those of public scripts: moves by position until they are done, loops of velocities, encoders in a
-loop, modes of one joint, of some, and of all.
+The patterns are those of public scripts: position moves until they are done, loops of velocities, encoders in a loop,
+modes of one joint, of some, and of all.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ __all__ = ["name_server"]
 
 
 def wait_until(condition: Callable[[], object]) -> None:
-    until(condition, "what the board was told is so", 10.0, 0.005)
+    until(condition, "the board has executed the command", 10.0, 0.005)
 
 
 @pytest.fixture
 def joints(name_server: object) -> Iterator[Joints]:
-    """A board at /robot/arm."""
+    """Serve a board at /robot/arm."""
     board = Joints()
     with ControlBoardServer("/robot/arm", board, period=0.005):
         yield board
@@ -35,7 +35,7 @@ def joints(name_server: object) -> Iterator[Joints]:
 
 @pytest.fixture(params=["4.0", "3.x"])
 def driver(request: pytest.FixtureRequest, joints: Joints) -> Iterator[yarp.PolyDriver]:
-    """A device at it, by the wire of a release."""
+    """Open a device for the board, in the protocol of a release."""
     if request.param == "3.x":
         NameClient().unregister("/robot/arm/nws/rpc:i")
     yarp.Network.init()
@@ -43,13 +43,13 @@ def driver(request: pytest.FixtureRequest, joints: Joints) -> Iterator[yarp.Poly
     options.put("device", "remote_controlboard")
     options.put("remote", "/robot/arm")
     options.put("local", "/script/arm")
-    made = yarp.PolyDriver(options)
-    assert made.isValid()
-    yield made
+    device = yarp.PolyDriver(options)
+    assert device.isValid()
+    yield device
     yarp.Network.fini()
 
 
-def test_moves_until_they_are_done(driver: yarp.PolyDriver, joints: Joints) -> None:
+def test_position_moves_run_until_done(driver: yarp.PolyDriver, joints: Joints) -> None:
     encoders, position = driver.viewIEncoders(), driver.viewIPositionControl()
     axes = position.getAxes()
     assert axes == encoders.getAxes() == AXES
@@ -60,10 +60,10 @@ def test_moves_until_they_are_done(driver: yarp.PolyDriver, joints: Joints) -> N
     wait_until(position.checkMotionDone)
     assert position.isMotionDone(1)
     assert position.relativeMove(2, yarp.IVector([0, 2]), yarp.DVector([10.0, 10.0]))
-    target, found = yarp.DVector(1), yarp.DVector(axes)
+    target, positions = yarp.DVector(1), yarp.DVector(axes)
     assert position.getTargetPosition(2, target)
     assert list(target) == [13.0]
-    wait_until(lambda: encoders.getEncoders(found) and list(found) == [11.0, 2.0, 13.0])
+    wait_until(lambda: encoders.getEncoders(positions) and list(positions) == [11.0, 2.0, 13.0])
     assert encoders.getEncoder(2) == 13.0
     done = yarp.BVector(1)
     assert position.checkMotionDone(2, yarp.IVector([0, 1]), done)
@@ -78,7 +78,7 @@ def test_moves_until_they_are_done(driver: yarp.PolyDriver, joints: Joints) -> N
     assert list(speeds)[:2] == [30.0, 10.0]
 
 
-def test_a_loop_of_velocities(driver: yarp.PolyDriver, joints: Joints) -> None:
+def test_streamed_velocities_reach_the_joints(driver: yarp.PolyDriver, joints: Joints) -> None:
     modes, velocity, encoders = driver.viewIControlMode(), driver.viewIVelocityControl(), driver.viewIEncoders()
     assert modes.setControlModes(yarp.IVector(AXES, yarp.VOCAB_CM_VELOCITY))
     for speed in (5.0, 10.0, 15.0):
@@ -89,15 +89,15 @@ def test_a_loop_of_velocities(driver: yarp.PolyDriver, joints: Joints) -> None:
     wait_until(lambda: joints.of("velocity") == [1.0, 2.0, 3.0])
     assert velocity.velocityMove(2, yarp.IVector([2, 0]), yarp.DVector([7.0, 8.0]))
     wait_until(lambda: joints.of("velocity") == [8.0, 2.0, 7.0])
-    found = yarp.DVector(AXES)
-    assert velocity.getRefVelocities(found)
-    assert list(found) == [8.0, 2.0, 7.0]
-    wait_until(lambda: encoders.getEncoderSpeeds(found) and found[2] == 7.0)
+    velocities = yarp.DVector(AXES)
+    assert velocity.getRefVelocities(velocities)
+    assert list(velocities) == [8.0, 2.0, 7.0]
+    wait_until(lambda: encoders.getEncoderSpeeds(velocities) and velocities[2] == 7.0)
     assert velocity.stop()
     assert joints.of("velocity") == [0.0] * AXES
 
 
-def test_encoders_with_times_into_vectors_of_each_kind(driver: yarp.PolyDriver, joints: Joints) -> None:
+def test_timed_encoders_fill_every_kind_of_vector(driver: yarp.PolyDriver, joints: Joints) -> None:
     joints.of("position")[:] = [1.0, 2.0, 3.0]
     timed = driver.viewIEncodersTimed()
     values, times = yarp.DVector(AXES), yarp.DVector(AXES)
@@ -108,30 +108,30 @@ def test_encoders_with_times_into_vectors_of_each_kind(driver: yarp.PolyDriver, 
     assert timed.getEncoders(vector.data())
     assert timed.getEncoders(array)
     assert list(vector) == list(array) == [1.0, 2.0, 3.0]
-    one, time = yarp.DVector(1), yarp.DVector(1)
-    assert timed.getEncoderTimed(2, one, time)
-    assert one[0] == 3.0
+    value, time = yarp.DVector(1), yarp.DVector(1)
+    assert timed.getEncoderTimed(2, value, time)
+    assert value[0] == 3.0
     assert timed.resetEncoders()
     wait_until(lambda: timed.getEncoder(2) == 0.0)
     assert timed.setEncoder(1, 4.0)
     wait_until(lambda: timed.getEncoder(1) == 4.0)
 
 
-def test_modes_of_one_some_and_all(driver: yarp.PolyDriver, joints: Joints) -> None:
+def test_modes_are_set_for_one_joint_some_and_all(driver: yarp.PolyDriver, joints: Joints) -> None:
     modes, interaction = driver.viewIControlMode(), driver.viewIInteractionMode()
     assert modes.setControlMode(1, yarp.VOCAB_CM_TORQUE)
     wait_until(lambda: modes.getControlMode(1) == yarp.VOCAB_CM_TORQUE)
     assert modes.setControlModes(2, yarp.IVector([0, 2]), yarp.IVector(2, yarp.VOCAB_CM_POSITION_DIRECT))
-    found = yarp.IVector(AXES)
+    values = yarp.IVector(AXES)
     direct = yarp.VOCAB_CM_POSITION_DIRECT
-    wait_until(lambda: modes.getControlModes(found) and list(found) == [direct, yarp.VOCAB_CM_TORQUE, direct])
+    wait_until(lambda: modes.getControlModes(values) and list(values) == [direct, yarp.VOCAB_CM_TORQUE, direct])
     assert interaction.setInteractionMode(0, yarp.VOCAB_IM_COMPLIANT)
     wait_until(lambda: interaction.getInteractionMode(0) == yarp.VOCAB_IM_COMPLIANT)
     assert interaction.setInteractionModes(yarp.IVector(AXES, yarp.VOCAB_IM_STIFF))
-    wait_until(lambda: interaction.getInteractionModes(found) and list(found) == [yarp.VOCAB_IM_STIFF] * AXES)
+    wait_until(lambda: interaction.getInteractionModes(values) and list(values) == [yarp.VOCAB_IM_STIFF] * AXES)
 
 
-def test_references_of_each_kind(driver: yarp.PolyDriver, joints: Joints) -> None:
+def test_references_are_set_and_read_back(driver: yarp.PolyDriver, joints: Joints) -> None:
     direct, torque = driver.viewIPositionDirect(), driver.viewITorqueControl()
     pwm, current = driver.viewIPWMControl(), driver.viewICurrentControl()
     assert direct.setPositions(yarp.DVector([1.0, 2.0, 3.0]))
@@ -143,16 +143,16 @@ def test_references_of_each_kind(driver: yarp.PolyDriver, joints: Joints) -> Non
     wait_until(
         lambda: joints.of("torque")[1] == 0.25 and joints.of("pwm")[2] == 30.0 and joints.of("current")[2] == 1.5
     )
-    found, least, greatest = yarp.DVector(AXES), yarp.DVector(1), yarp.DVector(1)
-    assert torque.getRefTorques(found)
-    assert list(found) == [0.5, 0.25, 0.0]
+    torques, least, greatest = yarp.DVector(AXES), yarp.DVector(1), yarp.DVector(1)
+    assert torque.getRefTorques(torques)
+    assert list(torques) == [0.5, 0.25, 0.0]
     assert torque.getTorqueRange(0, least, greatest)
     assert (least[0], greatest[0]) == (-1.0, 1.0)
-    wait_until(lambda: pwm.getDutyCycles(found) and list(found) == [10.0, 20.0, 30.0])
+    wait_until(lambda: pwm.getDutyCycles(torques) and list(torques) == [10.0, 20.0, 30.0])
     wait_until(lambda: current.getCurrent(2, greatest) and greatest[0] == 1.5)
 
 
-def test_limits_names_and_variables(driver: yarp.PolyDriver, joints: Joints) -> None:
+def test_limits_names_and_variables_are_read_back(driver: yarp.PolyDriver, joints: Joints) -> None:
     limits, info, variables = driver.viewIControlLimits(), driver.viewIAxisInfo(), driver.viewIRemoteVariables()
     least, greatest = yarp.DVector(1), yarp.DVector(1)
     assert limits.setLimits(1, -30.0, 45.5)
@@ -165,15 +165,15 @@ def test_limits_names_and_variables(driver: yarp.PolyDriver, joints: Joints) -> 
     assert info.getAxisName(7) == "unknown"
     value = yarp.Bottle('12 (1.5 2.5) "two words"')
     assert variables.setRemoteVariable("gains", value)
-    found = yarp.Bottle()
-    assert variables.getRemoteVariable("gains", found)
-    assert found.toString() == value.toString()
-    assert variables.getRemoteVariablesList(found)
-    assert found.toString() == "gains"
-    assert not variables.getRemoteVariable("nothing", found)
+    bottle = yarp.Bottle()
+    assert variables.getRemoteVariable("gains", bottle)
+    assert bottle.toString() == value.toString()
+    assert variables.getRemoteVariablesList(bottle)
+    assert bottle.toString() == "gains"
+    assert not variables.getRemoteVariable("nothing", bottle)
 
 
-def test_what_fails_says_so(driver: yarp.PolyDriver, joints: Joints) -> None:
+def test_invalid_commands_return_false(driver: yarp.PolyDriver, joints: Joints) -> None:
     position = driver.viewIPositionControl()
     assert not position.positionMove(AXES, 1.0)
     assert not position.positionMove(yarp.DVector(AXES - 1))
@@ -186,21 +186,23 @@ def test_what_fails_says_so(driver: yarp.PolyDriver, joints: Joints) -> None:
         driver.viewIEncoders().getEncoders(1.0)
 
 
-def test_a_state_holds_for_so_long(name_server: object) -> None:
+def test_a_state_expires_after_its_timeout(name_server: object) -> None:
     yarp.Network.init()
     board = Joints()
     server = ControlBoardServer("/robot/leg", board, period=0.005).open()
     options = {"device": "controlBoard_nwc_yarp", "remote": "/robot/leg", "local": "/script/leg", "timeout": 0.05}
     driver = yarp.PolyDriver(yarp.Property(options))
     encoders = driver.viewIEncoders()
-    found = yarp.DVector(AXES)
-    wait_until(lambda: encoders.getEncoders(found))
+    positions = yarp.DVector(AXES)
+    wait_until(lambda: encoders.getEncoders(positions))
     server.close()
-    wait_until(lambda: not encoders.getEncoders(found))
+    wait_until(lambda: not encoders.getEncoders(positions))
     yarp.Network.fini()
 
 
-def test_a_board_that_is_not_there(name_server: object, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_missing_board_is_reported_with_both_port_names(
+    name_server: object, caplog: pytest.LogCaptureFixture
+) -> None:
     yarp.Network.init()
     options = yarp.Property("(device remote_controlboard) (remote /robot/wing) (local /script/wing)")
     assert not yarp.PolyDriver(options).isValid()

@@ -1,4 +1,4 @@
-"""What YARP 3.12.3's and 4.0's client and server said of a ``fakeMotionControl``, read and written to the same bytes.
+"""Transcripts of YARP 3.12.3's and 4.0's client and server with a ``fakeMotionControl``, reproduced byte for byte.
 
 Recorded by a program that calls most methods of a board, see `docs/yarp/boards.md`.
 """
@@ -12,10 +12,10 @@ import pytest
 
 from tests.yarp_compat.dev.test_transcripts import ACK, INDEX
 from tests.yarp_compat.transcripts import read
-from yarp_compat.dev.controlboard import words
+from yarp_compat.dev.controlboard import vocab_rpc
 from yarp_compat.dev.controlboard.board import JointBoard
 from yarp_compat.dev.controlboard.messages import ControlBoardMsgs
-from yarp_compat.dev.controlboard.server import BoardAnswers
+from yarp_compat.dev.controlboard.server import BoardHandler
 from yarp_compat.dev.controlboard.streams import CommandMessage, JointData, called, command
 from yarp_compat.dev.returnvalue import OK
 from yarp_compat.dev.server import Server
@@ -31,17 +31,17 @@ LINK = ("127.0.0.1", 40000)
 
 
 def exchanges(profile: Profile) -> Iterator[tuple[bytes, bytes]]:
-    """Requests with their replies."""
+    """Yield requests with their replies."""
     for talk in read(FILES[profile]):
-        for asked, told in zip(talk.steps, talk.steps[1:], strict=False):
-            if asked.by == "C" and told.by == "S" and asked.data.startswith(INDEX):
-                command, payload = parse(asked.data)
+        for request, reply in zip(talk.steps, talk.steps[1:], strict=False):
+            if request.by == "C" and reply.by == "S" and request.data.startswith(INDEX):
+                command, payload = parse(request.data)
                 if command.key == "d":
-                    yield bytes(payload), told.data.removesuffix(ACK)
+                    yield bytes(payload), reply.data.removesuffix(ACK)
 
 
 def streamed(profile: Profile) -> Iterator[bytes]:
-    """Messages that nobody answers; the last one of a connection may not be whole."""
+    """Yield messages without a reply; the last one of a connection may be incomplete."""
     for talk in read(FILES[profile]):
         data = talk.said("C")
         data = data[12 + int.from_bytes(data[8:12], "little") :]
@@ -49,14 +49,14 @@ def streamed(profile: Profile) -> Iterator[bytes]:
             size += body_size(data, 0, DEFAULT_LIMIT)
             if len(data) < size:
                 break
-            word, payload = parse(data[:size])
+            command, payload = parse(data[:size])
             data = data[size:]
-            if word.key == "D":
+            if command.key == "D":
                 yield bytes(payload)
 
 
 def board_of(method: str, arguments: list[Any], results: tuple[Any, ...]) -> JointBoard:
-    """A board of three joints that was asked what the real one was asked, and does as that did."""
+    """Make a board of three joints that expects the recorded call and returns the recorded results."""
 
     def call(_self: object, *given: Any) -> Any:
         assert [str(value) for value in given] == [str(value) for value in arguments]
@@ -66,46 +66,53 @@ def board_of(method: str, arguments: list[Any], results: tuple[Any, ...]) -> Joi
     return kind(3)
 
 
-def test_each_exchange_with_a_board_of_3_12() -> None:
+def test_every_recorded_exchange_of_3_12_is_reproduced() -> None:
     seen = set()
     for request, reply in exchanges(Profile.YARP3):
-        asked, said = decode(request, Profile.YARP3), decode(reply, Profile.YARP3)
-        if asked[:2] == ["get", "prot"]:
-            assert BoardAnswers(JointBoard(3)).respond(asked) == said
+        bottle, answer = decode(request, Profile.YARP3), decode(reply, Profile.YARP3)
+        if bottle[:2] == ["get", "prot"]:
+            assert BoardHandler(JointBoard(3)).respond(bottle) == answer
             continue
-        call, pattern = words.known().get(tuple(map(str, asked[:3]))) or words.known()[tuple(map(str, asked[:2]))]
-        arguments = asked[len(pattern.request) + ("Group" in call.name) :]
-        given = [words.read_value(field, value) for (_, field), value in zip(call.arguments, arguments, strict=False)]
-        if "setRemoteVariable" not in call.name:  # whose value goes on to the end
-            assert encode(words.request(call.name, given), Profile.YARP3) == request
-        outcome, *found = words.results(call.name, said)
-        stamp = (said[said.index("tsta") + 1], said[said.index("tsta") + 2]) if "tsta" in said else (0, 0.0)
+        methods, vocabs = vocab_rpc.methods_by_vocabs(), tuple(map(str, bottle[:3]))
+        call, form = methods.get(vocabs) or methods[vocabs[:2]]
+        arguments = bottle[len(form.request) + ("Group" in call.name) :]
+        given = [
+            vocab_rpc.read_value(field, value) for (_, field), value in zip(call.arguments, arguments, strict=False)
+        ]
+        if "setRemoteVariable" not in call.name:  # whose value extends to the end
+            assert encode(vocab_rpc.request(call.name, given), Profile.YARP3) == request
+        outcome, *results = vocab_rpc.results(call.name, answer)
+        stamp = (0, 0.0)
+        if "tsta" in answer:
+            stamp = (answer[answer.index("tsta") + 1], answer[answer.index("tsta") + 2])
         if outcome:
-            board = board_of(call.name, given, (OK, *found))
-            assert encode(words.respond(board, asked, stamp), Profile.YARP3) == reply, call.name
+            board = board_of(call.name, given, (OK, *results))
+            assert encode(vocab_rpc.respond(board, bottle, stamp), Profile.YARP3) == reply, call.name
         else:
-            assert encode(words.respond(JointBoard(3), asked, stamp), Profile.YARP3) == reply
+            assert encode(vocab_rpc.respond(JointBoard(3), bottle, stamp), Profile.YARP3) == reply
         seen.add(call.name)
     assert len(seen) >= 55
 
 
-def test_each_exchange_with_a_board_of_4_0() -> None:
+def test_every_recorded_exchange_of_4_0_is_reproduced() -> None:
     seen = set()
     for request, reply in exchanges(Profile.YARP4):
-        name, call, arguments, found = Server(BoardAnswers(JointBoard(3)).service).taken(request, Profile.YARP4)
+        name, call, arguments, dialect = Server(BoardHandler(JointBoard(3)).service).parse_request(
+            request, Profile.YARP4
+        )
         if name == INTRODUCTION:
             continue
         assert call is not None
-        assert found is Profile.YARP4
+        assert dialect is Profile.YARP4
         assert call.request(arguments, Profile.YARP4) == request
-        told = call.read_reply(reply, Generation.YARP_4)
-        assert (told.size, told.generation) == (len(reply), Generation.YARP_4)
+        parsed = call.read_reply(reply, Generation.YARP_4)
+        assert (parsed.size, parsed.generation) == (len(reply), Generation.YARP_4)
         if name == "getDeviceInterfacesRPC":
-            assert told.results[1]["iPositionControl"] is True
-            assert told.results[1]["iRemoteVariables"] is False
-            assert call.reply(told.results, Generation.YARP_4) != b""
-        elif told.results[0]:
-            service = BoardAnswers(board_of(name, arguments, tuple(told.results))).service
+            assert parsed.results[1]["iPositionControl"] is True
+            assert parsed.results[1]["iRemoteVariables"] is False
+            assert call.reply(parsed.results, Generation.YARP_4) != b""
+        elif parsed.results[0]:
+            service = BoardHandler(board_of(name, arguments, tuple(parsed.results))).service
             server = Server(service, Generations(Generation.YARP_4))
             assert server.answer(request, "/client", Profile.YARP4, LINK) == reply
         seen.add(name)
@@ -113,7 +120,7 @@ def test_each_exchange_with_a_board_of_4_0() -> None:
 
 
 @pytest.mark.parametrize("profile", FILES)
-def test_each_command_and_state(profile: Profile) -> None:
+def test_every_recorded_command_and_state_is_reproduced(profile: Profile) -> None:
     methods, states = set(), 0
     for payload in streamed(profile):
         try:

@@ -1,4 +1,4 @@
-"""A name server, and what devices connect to."""
+"""A name server, and servers for devices."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Serve = Callable[..., ServiceServer]
 
 @pytest.fixture
 def serve(name_server: object) -> Iterator[Serve]:
-    """Serve interfaces under ports' names, as a release of YARP does."""
+    """Serve interfaces at ports, as a release of YARP does."""
     with ExitStack() as servers:
 
         def start(name: str, service: Service, generation: Generation = Generation.YARP_4) -> ServiceServer:

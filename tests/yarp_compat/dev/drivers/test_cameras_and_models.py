@@ -1,4 +1,4 @@
-"""The clients of cameras and language models as devices, with servers of several releases."""
+"""Clients of cameras and language models as devices, with servers of several releases."""
 
 # ruff: noqa: ARG002 - names and arguments are YARP's
 
@@ -72,20 +72,20 @@ class Camera(FrameGrabberMsgs):
         return OK
 
 
-def in_words(camera: Camera, words: list[Any]) -> list[Any]:
-    """What a camera before 4.0 answers (``FrameGrabberControls_Responder``)."""
+def vocab_reply(camera: Camera, words: list[Any]) -> list[Any]:
+    """Return the reply of a camera before 4.0 (``FrameGrabberControls_Responder``)."""
     match words:
         case ["fgc", "get", "camd"]:
             return [Vocab("fgc"), Vocab("camd"), Vocab("is"), int(BusType.BUS_USB), NAME]
-        case ["fgc", "has", what, int(feature)]:
+        case ["fgc", "has", _, int(feature)]:
             return [Vocab("fgc"), Vocab("has"), Vocab("feat"), 0, int(camera.hasFeatureRPC(feature)[1])]
-        case ["fgc", "get", "feat" | "fea2" | "actv" | "mode" as what, int()]:
+        case ["fgc", "get", "feat" | "fea2" | "actv" | "mode" as subject, int()]:
             values = {"feat": camera.values[:1], "fea2": camera.values, "actv": [int(camera.active)]}
-            return [Vocab("fgc"), Vocab(what), Vocab("is"), *values.get(what, [int(camera.mode)])]
+            return [Vocab("fgc"), Vocab(subject), Vocab("is"), *values.get(subject, [int(camera.mode)])]
         case ["fgc", "set", "feat", int(), float(value)]:
             camera.values[0] = value
-        case ["fgc", "set", "fea2", int(), float(one), float(two)]:
-            camera.values = [one, two]
+        case ["fgc", "set", "fea2", int(), float(first), float(second)]:
+            camera.values = [first, second]
         case ["fgc", "set", "actv", int(), int(on)]:
             camera.active = bool(on)
         case ["fgc", "set", "mode", int(), int(mode)]:
@@ -106,26 +106,32 @@ def in_words(camera: Camera, words: list[Any]) -> list[Any]:
         ("3.9", "remote_grabber", "/camera"),
     ],
 )
-def test_a_camera_is_set(serve: Serve, version: str, device: str, port: str) -> None:
+def test_camera_controls_are_read_and_set(serve: Serve, version: str, device: str, port: str) -> None:
     camera = Camera()
     with ExitStack() as ports:
         if version == "4.0":
             serve(port, camera)
         else:
-            ports.enter_context(Server(port, lambda words: in_words(camera, words)))
+            ports.enter_context(Server(port, lambda words: vocab_reply(camera, words)))
         options = f"(device {device}) (local /me) (remote /camera) (no_stream true)"
         driver = yarp.PolyDriver(yarp.Property(options))
         controls = driver.viewIFrameGrabberControls()
         zoom, gain = yarp.YARP_FEATURE_ZOOM, yarp.cameraFeature_id_t_YARP_FEATURE_GAIN
         assert (zoom, gain, yarp.YARP_FEATURE_INVALID) == (16, 8, -1)
-        for asks in (controls.hasFeature, controls.hasOnOff, controls.hasAuto, controls.hasManual, controls.hasOnePush):
-            assert (asks(zoom), asks(gain)) == (True, False)
+        for query in (
+            controls.hasFeature,
+            controls.hasOnOff,
+            controls.hasAuto,
+            controls.hasManual,
+            controls.hasOnePush,
+        ):
+            assert (query(zoom), query(gain)) == (True, False)
         assert controls.setFeature(zoom, 2)
         assert controls.getFeature(zoom) == 2.0
-        one, two = yarp.DVector(1), yarp.DVector(1)
+        first, second = yarp.DVector(1), yarp.DVector(1)
         assert controls.setFeature(zoom, 3.0, 0.5)
-        assert controls.getFeature(zoom, one, two)
-        assert (one, two) == ([3.0], [0.5])
+        assert controls.getFeature(zoom, first, second)
+        assert (first, second) == ([3.0], [0.5])
         assert controls.getActive(zoom)
         assert controls.setActive(zoom, False)
         assert not controls.getActive(zoom)
@@ -139,14 +145,14 @@ def test_a_camera_is_set(serve: Serve, version: str, device: str, port: str) -> 
         assert (about.busType, about.deviceDescription) == (yarp.BUS_USB, NAME)
         assert controls.busType2String(about.busType) == "USB"
         assert controls.toFeatureMode(True) == yarp.MODE_AUTO
-        assert driver.viewIFrameGrabberImage() is None, "it was asked for no pictures"
+        assert driver.viewIFrameGrabberImage() is None, "the option no_stream is set"
         driver.close()
         assert not controls.setFeature(zoom, 1.0)
         assert controls.getFeature(zoom) == 0.0
         assert controls.getMode(zoom) == yarp.MODE_UNKNOWN
 
 
-def test_a_camera_is_seen_by(serve: Serve) -> None:
+def test_a_camera_receives_images_until_it_is_closed(serve: Serve) -> None:
     serve("/camera/rpc", Camera())
     with Writer("/camera") as out:
         driver = yarp.PolyDriver(yarp.Property("(device frameGrabber_nwc_yarp) (local /me) (remote /camera)"))
@@ -163,40 +169,40 @@ def test_a_camera_is_seen_by(serve: Serve) -> None:
         waiting = threading.Thread(target=lambda: ended.append(view.getImage(seen)))
         waiting.start()
         driver.close()
-        until(lambda: ended, "who waits hears of the end")
+        until(lambda: ended, "the pending getImage ends")
         waiting.join()
         assert not ended[0]
 
 
 class Model(ILLMMsgs):
-    """Says what it was asked."""
+    """A model that repeats each question in capitals."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.said = list[LLM_Message]()
+        self.messages = list[LLM_Message]()
 
     def setPrompt(self, prompt: str) -> ReturnValue:
-        self.said = [LLM_Message("system", prompt)]
+        self.messages = [LLM_Message("system", prompt)]
         return OK
 
     def readPrompt(self) -> tuple[ReturnValue, str]:
-        return OK, self.said[0].content
+        return OK, self.messages[0].content
 
     def ask(self, question: str) -> tuple[ReturnValue, LLM_Message]:
         answer = LLM_Message("function", question.upper(), ["place"], ["kitchen"])
-        self.said += [LLM_Message("user", question), answer]
+        self.messages += [LLM_Message("user", question), answer]
         return OK, answer
 
     def getConversation(self) -> tuple[ReturnValue, list[LLM_Message]]:
-        return OK, self.said
+        return OK, self.messages
 
     def deleteConversation(self) -> ReturnValue:
-        self.said = []
+        self.messages = []
         return OK
 
 
 @pytest.mark.parametrize("version", ["3.12", "4.0"])
-def test_a_model_is_asked(serve: Serve, version: str) -> None:
+def test_a_model_answers_and_keeps_the_conversation(serve: Serve, version: str) -> None:
     serve("/llm/rpc", Model(), Generation.of(version))
     driver = yarp.PolyDriver(yarp.Property("(device LLM_nwc_yarp) (local /me/rpc) (remote /llm/rpc)"))
     model, prompt = driver.viewILLM(), yarp.SVector(1)
@@ -209,7 +215,7 @@ def test_a_model_is_asked(serve: Serve, version: str) -> None:
     assert answer == LLM_Message("function", "WHERE", ["place"], ["kitchen"])
     assert answer.toString_c() == "function WHERE (place) (kitchen)"
     assert model.getConversation(conversation)
-    assert [one.content for one in conversation] == ["be short", "where", "WHERE"]
+    assert [message.content for message in conversation] == ["be short", "where", "WHERE"]
     assert model.deleteConversation()
-    assert not model.refreshConversation(), "which this one does not know"
+    assert not model.refreshConversation(), "the model does not implement it"
     driver.close()

@@ -1,4 +1,4 @@
-"""`PolyDriver`: how devices begin and end, and what is said where they cannot begin."""
+"""`PolyDriver`: devices open and close, and failures are logged with their reason."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ MAPS = "(device map2D_nwc_yarp) (local /mine) (remote /maps)"
 
 @pytest.fixture
 def maps(serve: Serve) -> KeptMaps:
-    kept = KeptMaps()
-    serve("/maps/rpc", kept)
-    return kept
+    server = KeptMaps()
+    serve("/maps/rpc", server)
+    return server
 
 
-def test_a_device_is_open_until_it_is_closed(maps: KeptMaps) -> None:
+def test_a_device_stays_open_until_closed(maps: KeptMaps) -> None:
     driver = yarp.PolyDriver()
     assert not driver.isValid()
     assert not driver.close(), "nothing was opened"
     assert driver.viewIMap2D() is None
     assert driver.open(yarp.Property(MAPS))
     assert driver.isValid()
-    assert not driver.open(yarp.Property(MAPS)), "it is open already"
+    assert not driver.open(yarp.Property(MAPS)), "it is already open"
     assert driver.isValid()
     assert driver.viewIMap2D().storeLocation("here", yarp.Map2DLocation("m1", 1.0, 2.0, 3.0))
     assert maps.kept["location"]["here"].x == 1.0
-    assert driver.viewINavigation2D() is None, "a map server is no planner"
+    assert driver.viewINavigation2D() is None, "a map server is not a planner"
     assert driver.viewIGazeControl() is None  # type: ignore[attr-defined] # all views of the bindings are there
     assert driver.close()
     assert not driver.isValid()
@@ -41,16 +41,16 @@ def test_a_device_is_open_until_it_is_closed(maps: KeptMaps) -> None:
 
 
 @pytest.mark.usefixtures("maps")
-def test_a_device_ends_with_who_holds_it_and_with_the_network(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_device_closes_with_its_driver_and_with_the_network(caplog: pytest.LogCaptureFixture) -> None:
     driver = yarp.PolyDriver(yarp.Property(MAPS))
     assert driver.isValid()
     assert yarp.Network.exists("/mine/mapClient_rpc")
     view = driver.viewIMap2D()
     with caplog.at_level(logging.INFO):
         del driver
-    assert "the device <map2D_nwc_yarp> is closed: nobody holds its PolyDriver any more" in caplog.text
+    assert "the device <map2D_nwc_yarp> is closed: its PolyDriver was garbage collected" in caplog.text
     assert not yarp.Network.exists("/mine/mapClient_rpc")
-    assert not view.clearAllMaps(), "the view has ended with it"
+    assert not view.clearAllMaps(), "the view ends with the driver"
     again = yarp.PolyDriver(yarp.Property(MAPS))
     yarp.Network.fini()
     yarp.Network.init()
@@ -61,29 +61,29 @@ def test_a_device_ends_with_who_holds_it_and_with_the_network(caplog: pytest.Log
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        ("(device map2D_nwc_yarp) (remote /maps)", "the option 'local' of map2D_nwc_yarp is not given"),
+        ("(device map2D_nwc_yarp) (remote /maps)", "the option 'local' of map2D_nwc_yarp is missing"),
         ('(device map2D_nwc_yarp) (local "") (remote /maps)', "the option 'local' of map2D_nwc_yarp is empty"),
-        ('(device map2D_nwc_yarp) (local "my name") (remote /maps)', "names a port, as /robot/battery does"),
-        ("(device map2D_nwc_yarp) (local /mine) (remote /nobody)", "/nobody/rpc"),
+        ('(device map2D_nwc_yarp) (local "my name") (remote /maps)', "must be a port like /robot/battery"),
+        ("(device map2D_nwc_yarp) (local /mine) (remote /missing)", "/missing/rpc"),
         ("(device map2D_nwc_yarp) (local /mine) (remote /maps) (carrier pigeon)", "pigeon"),
-        ("(device grabber)", "read the camera's port by BufferedPortImageRgb"),
-        ("(device fakeBattery)", "made for YARP's own tests"),
-        ("(device coffee_machine)", "there is no device 'coffee_machine' here; there are navigation2D_nwc_yarp"),
-        ("(local /mine)", "there is no device '(local \"/mine\")' here"),
+        ("(device grabber)", "read the camera's port with BufferedPortImageRgb"),
+        ("(device fakeBattery)", "only serves YARP's own tests"),
+        ("(device coffee_machine)", "unknown device 'coffee_machine'; supported are navigation2D_nwc_yarp"),
+        ("(local /mine)", "unknown device '(local \"/mine\")'"),
     ],
 )
 @pytest.mark.usefixtures("maps")
-def test_what_cannot_be_opened_is_said(caplog: pytest.LogCaptureFixture, options: str, reason: str) -> None:
+def test_a_failed_open_logs_the_reason(caplog: pytest.LogCaptureFixture, options: str, reason: str) -> None:
     with caplog.at_level(logging.ERROR):
         driver = yarp.PolyDriver(yarp.Property(options))
     assert not driver.isValid()
     assert reason in caplog.text
-    assert not yarp.Network.exists("/mine/mapClient_rpc"), "what was opened by then is closed"
-    assert driver.close(), "as in YARP, whose open has begun"
+    assert not yarp.Network.exists("/mine/mapClient_rpc"), "the ports opened before the failure are closed"
+    assert driver.close(), "as in YARP, after any call of open"
     assert not yarp.PolyDriver().open_str("map2D_nwc_yarp")
 
 
-def test_without_a_network_there_are_no_devices(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_device_needs_an_initialized_network(caplog: pytest.LogCaptureFixture) -> None:
     assert not yarp.PolyDriver(yarp.Property(MAPS)).isValid()
     assert "Network.init()" in caplog.text
 
@@ -92,20 +92,20 @@ WITHOUT = {"frameTransformClient", "frameTransform_nwc_yarp"}  # these need no o
 
 
 @pytest.mark.parametrize("device", sorted({*registry.names()} - WITHOUT))
-def test_every_device_can_be_made_and_misses_its_options(device: str) -> None:
+def test_every_device_requires_its_options(device: str) -> None:
     make = registry.factory(device)
-    with pytest.raises(registry.DeviceError, match=f"of {device} is not given"):
+    with pytest.raises(registry.DeviceError, match=f"of {device} is missing"):
         make(registry.DeviceOptions(device, yarp.Property()))
 
 
-def test_options_are_read_and_wrong_ones_said() -> None:
+def test_options_are_converted_and_invalid_ones_rejected() -> None:
     options = registry.DeviceOptions("x", yarp.Property("(n 1.5) (i 3) (on true) (off 0) (word fast) (list (1 2))"))
     assert (options.number("n", 0.0), options.number("i", 0.0), options.number("none", 7.0)) == (1.5, 3.0, 7.0)
     assert (options.flag("on", default=False), options.flag("off", default=True)) == (True, False)
     assert options.flag("none", default=True)
     assert options.text("word") == "fast"
     assert options.text("none", "") == ""
-    assert options.port("word") == "/fast", "as YARP names ports"
+    assert options.port("word") == "/fast", "YARP's port names start with a slash"
     for read in (options.number, lambda key, _: options.flag(key, default=False)):
-        with pytest.raises(registry.DeviceError, match=r"the option 'word' of x is .*, not fast"):
+        with pytest.raises(registry.DeviceError, match=r"the option 'word' of x must be .*, not fast"):
             read("word", 0.0)

@@ -1,4 +1,4 @@
-"""The clients of lasers, odometry, batteries and bases as devices, with servers of several releases."""
+"""Clients of lasers, odometry, batteries and bases as devices, with servers of several releases."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Laser(Rangefinder2D):
 
 
 class OldLaser:
-    """What a laser before 3.10 answers, in words (`IRangefinder2D.h`); all else is refused, the introduction too."""
+    """The replies of a laser before 3.10 in vocabs (`IRangefinder2D.h`); it rejects the introduction, like all else."""
 
     def __init__(self) -> None:
         self.values: dict[str, tuple[float | str, ...]] = {
@@ -67,17 +67,17 @@ class OldLaser:
 
     def __call__(self, words: list[Any]) -> list[Any]:
         match words:
-            case ["get", "ilas", what] if what in self.values:
-                return [Vocab("is"), Vocab(what), *self.values[what]]
-            case ["set", "ilas", "lsar" | "lssr" as what, *values]:
-                self.values[what] = tuple(values)
+            case ["get", "ilas", quantity] if quantity in self.values:
+                return [Vocab("is"), Vocab(quantity), *self.values[quantity]]
+            case ["set", "ilas", "lsar" | "lssr" as quantity, *values]:
+                self.values[quantity] = tuple(values)
                 return [Vocab("ok")]
         return [Vocab("fail")]
 
 
 @pytest.fixture(params=["3.6", "3.12", "4.0"])
 def laser(request: pytest.FixtureRequest, serve: Serve) -> Iterator[yarp.PolyDriver]:
-    """A laser's device, connected to a server of a release."""
+    """Open a laser's device that is connected to a server of a release."""
     generation = Generation.of(request.param)
     device = "rangefinder2D_nwc_yarp"
     with ExitStack() as old, Writer("/laser:o", profile=generation.profile) as stream:
@@ -86,17 +86,17 @@ def laser(request: pytest.FixtureRequest, serve: Serve) -> Iterator[yarp.PolyDri
             old.enter_context(Server("/laser:o/rpc:i", OldLaser()))
         else:
             serve("/laser:o/rpc:i", Laser(), generation)
-        made = yarp.PolyDriver(yarp.Property(f"(device {device}) (local /me) (remote /laser:o)"))
-        assert made.isValid()
-        assert not made.viewIRangefinder2D().getRawData(Vector()), "nothing has come"
-        assert made.viewIRangefinder2D().getDeviceStatus() is DeviceStatus.DEVICE_TIMEOUT
+        driver = yarp.PolyDriver(yarp.Property(f"(device {device}) (local /me) (remote /laser:o)"))
+        assert driver.isValid()
+        assert not driver.viewIRangefinder2D().getRawData(Vector()), "no scan has arrived"
+        assert driver.viewIRangefinder2D().getDeviceStatus() is DeviceStatus.DEVICE_TIMEOUT
         stream.write(SCAN, "7 1795143618.5")
-        until(lambda: made.viewIRangefinder2D().newest(), "the scan has come")
-        yield made
-        made.close()
+        until(lambda: driver.viewIRangefinder2D().newest(), "the scan has arrived")
+        yield driver
+        driver.close()
 
 
-def test_a_laser_is_heard_and_asked(laser: yarp.PolyDriver) -> None:
+def test_a_laser_streams_scans_and_accepts_settings(laser: yarp.PolyDriver) -> None:
     view = laser.viewIRangefinder2D()
     distances, stamp = Vector(), yarp.DVector()
     assert view.getRawData(distances, stamp)
@@ -117,21 +117,21 @@ def test_a_laser_is_heard_and_asked(laser: yarp.PolyDriver) -> None:
     assert view.setScanRate(20.0)
     assert view.getScanRate(rate)
     assert rate == [20.0]
-    assert not view.setHorizontalResolution(1.0), "which this one does not have"
+    assert not view.setHorizontalResolution(1.0), "the laser does not implement it"
     assert not view.setDistanceRange(1.0, 2.0)
 
 
-def test_a_laser_that_does_not_answer_is_none(serve: Serve, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_laser_without_scan_limits_is_rejected(serve: Serve, caplog: pytest.LogCaptureFixture) -> None:
     serve("/laser:o/rpc:i", IOdometry2DMsgs())
     with Writer("/laser:o"), caplog.at_level(logging.ERROR):
         driver = yarp.PolyDriver(yarp.Property("(device rangefinder2D_nwc_yarp) (local /me) (remote /laser:o)"))
         assert not driver.isValid()
-    assert "does not say in which directions it measures" in caplog.text
+    assert "does not report its scan limits" in caplog.text
     assert not yarp.Network.exists("/me")
 
 
 class Odometry(IOdometry2DMsgs):
-    """Counts how often it began anew."""
+    """An odometry that counts its resets."""
 
     resets = 0
 
@@ -140,38 +140,38 @@ class Odometry(IOdometry2DMsgs):
         return OK
 
 
-def test_odometry_is_heard_and_begun_anew(serve: Serve) -> None:
+def test_odometry_is_received_and_reset(serve: Serve) -> None:
     base = Odometry()
     serve("/base/rpc", base)
     with Writer("/base/odometry:o") as stream:
         driver = yarp.PolyDriver(yarp.Property("(device odometry2D_nwc_yarp) (local /me) (remote /base)"))
         view = driver.viewIOdometry2D()
-        here, stamp = OdometryData(), yarp.DVector()
-        assert not view.getOdometry(here, stamp)
+        odometry, stamp = OdometryData(), yarp.DVector()
+        assert not view.getOdometry(odometry, stamp)
         stream.write(OdometryData(odom_x=1.5), "3 12.25")
-        until(lambda: view.getOdometry(here, stamp), "the odometry has come")
-        assert (here.odom_x, stamp) == (1.5, [12.25])
-        assert view.getOdometry() == (OK, here, 12.25)
+        until(lambda: view.getOdometry(odometry, stamp), "the odometry has arrived")
+        assert (odometry.odom_x, stamp) == (1.5, [12.25])
+        assert view.getOdometry() == (OK, odometry, 12.25)
         assert view.resetOdometry()
         assert base.resets == 1
         driver.close()
 
 
 class Battery(IBatteryMsgs):
-    """A battery's port from 3.12 on."""
+    """The RPC port of a battery from 3.12 on."""
 
     def getBatteryInfoRPC(self) -> tuple[ReturnValue, str]:
         return OK, "lead"
 
 
 def old_battery(words: list[Any]) -> list[Any]:
-    """What a battery's port answers before 3.12 (`IBattery.h`)."""
+    """Return the reply of a battery's RPC port before 3.12 (`IBattery.h`)."""
     return [Vocab("is"), Vocab("btnf"), "lead"] if words == ["ibat", "btnf"] else [Vocab("fail")]
 
 
 @pytest.mark.parametrize("device", ["battery_nwc_yarp", "batteryClient"])
 @pytest.mark.parametrize("version", ["3.9", "3.12", "4.0"])
-def test_a_battery_of_any_release(serve: Serve, version: str, device: str) -> None:
+def test_batteries_of_all_releases_are_read(serve: Serve, version: str, device: str) -> None:
     generation = Generation.of(version)
     old = generation is Generation.YARP_3_6
     with ExitStack() as ports, Writer("/battery/data:o", profile=generation.profile) as stream:
@@ -184,9 +184,9 @@ def test_a_battery_of_any_release(serve: Serve, version: str, device: str) -> No
         assert view.getBatteryCharge() == 0.0
         assert view.getBatteryStatus() is yarp.IBattery.BATTERY_GENERAL_ERROR
         assert not view.getBatteryVoltage(yarp.DVector(1))
-        # the older ones: voltage, current, charge
+        # before 3.12 the order is voltage, current, charge
         stream.write([48.0, -2.5, 80.0, 31.0, 2] if old else BatteryData(80.0, 48.0, -2.5, 31.0, 2))
-        until(lambda: view.newest(), "the state has come")
+        until(lambda: view.newest(), "the state has arrived")
         assert (view.getBatteryVoltage(), view.getBatteryCurrent()) == (48.0, -2.5)
         assert (view.getBatteryCharge(), view.getBatteryTemperature()) == (80.0, 31.0)
         assert view.getBatteryStatus() is yarp.IBattery_BATTERY_OK_IN_USE
@@ -199,16 +199,16 @@ def test_a_battery_of_any_release(serve: Serve, version: str, device: str) -> No
 
 
 class Base(INavigation2DVelocityActionsMsgs):
-    """Keeps what it was told."""
+    """A base that records its last command."""
 
-    told: tuple[float, ...] = ()
+    command: tuple[float, ...] = ()
 
     def applyVelocityCommandRPC(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> ReturnValue:
-        self.told = (x_vel, y_vel, theta_vel, timeout)
+        self.command = (x_vel, y_vel, theta_vel, timeout)
         return OK
 
     def getLastVelocityCommandRPC(self) -> tuple[ReturnValue, float, float, float]:
-        return (OK, *self.told[:3]) if self.told else (ReturnValue(ReturnCode.METHOD_FAILED), 0.0, 0.0, 0.0)
+        return (OK, *self.command[:3]) if self.command else (ReturnValue(ReturnCode.METHOD_FAILED), 0.0, 0.0, 0.0)
 
 
 def test_a_base_is_driven(serve: Serve) -> None:
@@ -219,6 +219,6 @@ def test_a_base_is_driven(serve: Serve) -> None:
     view = driver.viewINavigation2DVelocityActions()
     assert not view.getLastVelocityCommand()[0]
     assert view.applyVelocityCommand(*DRIVE)
-    assert base.told == (*DRIVE, 0.1)
+    assert base.command == (*DRIVE, 0.1)
     assert view.getLastVelocityCommand() == (OK, *DRIVE)
     driver.close()

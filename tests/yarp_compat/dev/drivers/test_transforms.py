@@ -1,4 +1,4 @@
-"""The devices for transforms: those that a program keeps for itself, and what cannot be opened."""
+"""The devices for transforms: local ones of a program, and failures to open."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ def frames(local: None) -> Iterator[LocalTransforms]:
 
 
 def at(x: float) -> yarp.Matrix:
-    made = yarp.Matrix(4, 4)
-    made.eye()
-    made[0, 3] = x
-    return made
+    matrix = yarp.Matrix(4, 4)
+    matrix.eye()
+    matrix[0, 3] = x
+    return matrix
 
 
-def test_a_program_keeps_frames_for_itself(frames: LocalTransforms) -> None:
-    found = yarp.Matrix()
+def test_local_transforms_are_stored_and_expire(frames: LocalTransforms) -> None:
+    matrix = yarp.Matrix()
     assert frames.setTransformStatic("base", "map", at(1.0))
     assert frames.setTransformStatic("laser", "base", at(0.5))
-    assert frames.getTransform("laser", "map", found)
-    assert found[0, 3] == 1.5
+    assert frames.getTransform("laser", "map", matrix)
+    assert matrix[0, 3] == 1.5
     assert frames.setTransform("arm", "base", at(0.25))
     assert frames.setTransform("arm", "base", at(0.75)), "the newest counts"
-    assert frames.getTransform("arm", "base", found)
-    assert found[0, 3] == 0.75
+    assert frames.getTransform("arm", "base", matrix)
+    assert matrix[0, 3] == 0.75
     until(lambda: not frames.frameExists("arm"), "it expires")
-    assert frames.frameExists("laser"), "what is static stays"
+    assert frames.frameExists("laser"), "static transforms do not expire"
     assert not frames.waitForTransform("arm", "map", 0.02)
     assert frames.waitForTransform("laser", "map", 0.02)
     assert frames.deleteTransform("base", "laser"), "whichever is the parent"
@@ -57,15 +57,18 @@ def test_a_program_keeps_frames_for_itself(frames: LocalTransforms) -> None:
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        ("(config_name ftc_full_ros.xml)", "config_name ftc_full_ros.xml is not known here"),
-        ("(custom_config_from my.xml)", "cannot be read here; say config_name ftc_yarp_only.xml"),
+        ("(config_name ftc_full_ros.xml)", "unknown config_name ftc_full_ros.xml"),
+        ("(custom_config_from my.xml)", "cannot be read here; set config_name to ftc_yarp_only.xml"),
         ("(config_name ftc_yarp_only.xml)", "/frameTransformServer"),
-        ("(ftc_storage_timeout long)", "'ftc_storage_timeout' of frameTransformClient is a number, not long"),
-        ("(config_name ftc_yarp_only.xml) (ftGet_client_enable_stream sometimes)", "is true or false, not sometimes"),
+        ("(ftc_storage_timeout long)", "'ftc_storage_timeout' of frameTransformClient must be a number, not long"),
+        (
+            "(config_name ftc_yarp_only.xml) (ftGet_client_enable_stream sometimes)",
+            "must be true or false, not sometimes",
+        ),
     ],
 )
 @pytest.mark.usefixtures("local")
-def test_what_cannot_be_opened_is_said(caplog: pytest.LogCaptureFixture, options: str, reason: str) -> None:
+def test_a_failed_open_logs_the_reason(caplog: pytest.LogCaptureFixture, options: str, reason: str) -> None:
     with caplog.at_level(logging.ERROR):
         driver = yarp.PolyDriver(yarp.Property(f"(device frameTransformClient) {options}"))
     assert not driver.isValid()
