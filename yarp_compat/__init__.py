@@ -1,7 +1,7 @@
-"""YARP in pure Python: ports, names and data that real YARP programs take for their own.
+"""YARP in pure Python: ports, names and data that are compatible with real YARP programs.
 
-``import yarp_compat as yarp`` runs scripts written for the official Python bindings. A name is loaded when it is used
-first, so that importing is quick and what needs no arrays needs no numpy.
+``import yarp_compat as yarp`` runs scripts written for the official Python bindings. Names are loaded on first use, so
+that the import is fast, and numpy is required only for arrays.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from yarp_compat import catalogue
 
 
 def __getattr__(name: str) -> Any:
-    found = catalogue.everything() if name == "__all__" else catalogue.find(name)
-    globals()[name] = found
-    return found
+    value = catalogue.everything() if name == "__all__" else catalogue.find(name)
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

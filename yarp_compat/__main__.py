@@ -1,7 +1,7 @@
 """``python -m yarp_compat script.py ...`` runs a script that imports ``yarp``, unchanged.
 
-``python -m yarp_compat --check script.py ...`` lists the names of YARP that it uses and that are missing here, and runs
-nothing.
+``python -m yarp_compat --check script.py ...`` lists the names of YARP in a script that are missing here, without
+running it.
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ USAGE = """usage: python -m yarp_compat script.py [arguments ...]
 
 HELP = f"""{USAGE}
 
-Runs a script for YARP's Python bindings (`import yarp`) without YARP. The script gets all arguments that follow it.
+Runs a script for YARP's Python bindings (`import yarp`) without YARP, with all arguments that follow it.
 
-  --check     list the names of YARP that scripts use and that are missing here; runs nothing
+  --check     list the names of YARP in scripts that are missing here, without running them
   -h, --help  show this help"""
 
 
 def main() -> None:
     """Run the script that the command line names, or check scripts."""
-    words = sys.argv[1:]
-    if not words:
+    arguments = sys.argv[1:]
+    if not arguments:
         sys.exit(USAGE)
-    if words[0] in ("-h", "--help") or (words[0] == "--check" and {"-h", "--help"}.intersection(words)):
+    if arguments[0] in ("-h", "--help") or (arguments[0] == "--check" and {"-h", "--help"}.intersection(arguments)):
         sys.stdout.write(f"{HELP}\n")
         return
-    if words[0] == "--check":
-        sys.exit(check.main(words[1:]))
-    script = Path(words[0])
-    if words[0].startswith("-") and not script.exists():
-        sys.exit(f"yarp_compat: unknown option {words[0]!r}\n{USAGE}")
+    if arguments[0] == "--check":
+        sys.exit(check.main(arguments[1:]))
+    script = Path(arguments[0])
+    if arguments[0].startswith("-") and not script.exists():
+        sys.exit(f"yarp_compat: unknown option {arguments[0]!r}\n{USAGE}")
     if not script.exists():
-        sys.exit(f"yarp_compat: script {words[0]!r} not found\n{USAGE}")
+        sys.exit(f"yarp_compat: script {arguments[0]!r} not found\n{USAGE}")
     if script.is_dir() and not (script / "__main__.py").is_file():
-        sys.exit(f"yarp_compat: {words[0]!r} is a folder without __main__.py\n{USAGE}")
+        sys.exit(f"yarp_compat: {arguments[0]!r} is a folder without __main__.py\n{USAGE}")
     sys.modules["yarp"] = yarp_compat
-    sys.argv = words
-    # the second is for processes that multiprocessing starts by "spawn": they inherit the path and import again
+    sys.argv = arguments
+    # the second folder is for processes that multiprocessing spawns: they inherit the path and import again
     sys.path[:1] = [str(script.resolve().parent), str(Path(as_yarp.__file__).parent)]
     runpy.run_path(sys.argv[0], run_name="__main__")
 

@@ -6,24 +6,24 @@ import re
 
 _NAMES = {
     r"I\w+Raw|Deprecated\w+|Device(Driver|Responder)|(Stub)?DriverCreator|Drivers|IConfig|IWrapper|IMultipleWrapper": (
-        "custom devices are C++ plugins: serve an interface by yarp.ServiceServer; clients are in yarp.PolyDriver"
+        "custom devices are C++ plugins: serve an interface with yarp.ServiceServer; clients are in yarp.PolyDriver"
     ),
     r"I(FrameGrabber|FrameWriter|RGBDSensor|VisualParams|Rgb|Depth)\w*|(cameraFeature|cameraDescriptor)\w*"
-    r"|(YARP_FEATURE|MODE|BUS)_\w+": "no camera devices here: read a camera's port by BufferedPortImageRgb",
-    r"IAnalogSensor|VOCAB_IANALOG": "no such devices here: read the sensor's port by BufferedPortVector",
+    r"|(YARP_FEATURE|MODE|BUS)_\w+": "no camera devices here: read a camera's port with BufferedPortImageRgb",
+    r"IAnalogSensor|VOCAB_IANALOG": "no such devices here: read the sensor's port with BufferedPortVector",
     r"I(Three|Six|Orientation|Temperature|Position|Contact|Encoder|Skin|Linear)\w+(Sensors|s|Arrays|Patches)"
     r"|\w+_EXTENDED_INTERFACE|MAS_\w+": "no such devices here: read the sensors' port, <name>/measures:o",
     r"I(Cartesian|Gaze)\w*|(Cartesian|Gaze)Event\w*": (
-        "no such devices here: use the controller's rpc port by RpcClient"
+        "no such devices here: use the controller's rpc port with RpcClient"
     ),
     r"I(Speech|ChatBot|Audio|SimulatedWorld)\w*|Pose6D|ColorRGB": (
-        "no such devices here: use the server's rpc port by RpcClient"
+        "no such devices here: use the server's rpc port with RpcClient"
     ),
     r"I(Pid|Impedance|JointFault|JointCoupling|ControlDebug|Torque|Motor|Amplifier|Current|PWM)\w*|Pid\w*|MotorTorque\w*"
     r"|I(Control|Position|Velocity|Encoders|AxisInfo|Interaction|Remote)\w*": (
-        "not implemented by the devices here: use the board's rpc port by RpcClient"
+        "not implemented by the devices here: use the board's rpc port with RpcClient"
     ),
-    r"VOCAB_\w+": "create the number of a vocab by yarp.createVocab32('a', 'b')",
+    r"VOCAB_\w+": "create the number of a vocab with yarp.createVocab32('a', 'b')",
     r"\w*Clock": "programs run on system time: use yarp.now() and yarp.delay()",
     r"Semaphore|Mutex|RecursiveLock|Event": "use Python's threading",
     r"Random": "use Python's random or numpy",
@@ -51,9 +51,9 @@ _METHODS = {
     r"(Unbuffered)?Contactable\.\w+": "use a Port, which has it",
     r"SoundMarker\.isEqual": "use ==",
     r"QosStyle\.get\w+ByVocab": "set the level or the number of the DSCP",
-    r"Type\.\w+": "a type is only its name here",
-    r"I[A-Z]\w+\.\w+": "not requested from servers here: use the server's rpc port by RpcClient",
-    r"PolyDriver\.(link|give|take|getImplementation)": "a device has one PolyDriver: pass that on",
+    r"Type\.\w+": "a type consists only of its name here",
+    r"I[A-Z]\w+\.\w+": "not requested from servers here: use the server's rpc port with RpcClient",
+    r"PolyDriver\.(link|give|take|getImplementation)": "a device has one PolyDriver: pass on that object",
     r"PolyDriver\.\w+": "pass all options to open()",
     r"RFModule\.getThreadKey|Value\.create": "specific to C++",
     r"(Network|NetworkBase)\.\w+": "configures the C++ library",

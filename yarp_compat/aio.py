@@ -6,7 +6,7 @@ Example::
         async for message in reader:
             x, y = message.values
 
-What may take time (the name server, making connections, waiting for an answer) runs in a thread beside the event loop.
+Blocking operations (requests to the name server, connecting, waiting for a reply) run in a thread.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from yarp_compat.pythonic import Content, OpenPort, Received
 
 
 class _Port:
-    """A port of `pythonic`, opened and closed beside the event loop."""
+    """A port of `pythonic` that is opened and closed in a thread."""
 
     _port: OpenPort
 
     @property
     def name(self) -> str:
-        """The port's name, as the name server took it."""
+        """The port's name, as registered."""
         return self._port.name
 
     async def open(self) -> Self:
@@ -52,8 +52,8 @@ class _Port:
         return self
 
 
-class _Waking(pythonic.Reader):
-    """Tells somebody when a message came or the port was closed."""
+class _NotifyingReader(pythonic.Reader):
+    """A reader that calls ``wake`` when a message arrives or the port is closed."""
 
     def __init__(self, wake: Callable[[], None], name: str, **options: Any) -> None:
         super().__init__(name, **options)
@@ -69,19 +69,19 @@ class _Waking(pythonic.Reader):
 
     @property
     def is_closed(self) -> bool:
-        """Whether nothing will come any more."""
+        """Whether no more messages can arrive."""
         return self._inbox.is_closed
 
 
 class Reader(_Port):
-    """Reads: ``async for`` gives each message as a `Received`. Arguments as of `pythonic.Reader`."""
+    """An input port: ``async for`` yields each message as a `Received`. Arguments as for `pythonic.Reader`."""
 
-    _port: _Waking
+    _port: _NotifyingReader
 
     def __init__(self, name: str = "", **options: Any) -> None:
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._came = asyncio.Event()
-        self._port = _Waking(self._wake, name, **options)
+        self._arrival = asyncio.Event()
+        self._port = _NotifyingReader(self._wake, name, **options)
 
     async def open(self) -> Self:
         """Open the port."""
@@ -91,11 +91,11 @@ class Reader(_Port):
     async def read(self) -> Received | None:
         """Wait for the next message; None once the port is closed."""
         while True:
-            self._came.clear()
+            self._arrival.clear()
             message = self._port.read_now()
             if message is not None or self._port.is_closed:
                 return message
-            await self._came.wait()
+            await self._arrival.wait()
 
     def __aiter__(self) -> Self:
         return self
@@ -108,11 +108,11 @@ class Reader(_Port):
 
     def _wake(self) -> None:
         if self._loop is not None and not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self._came.set)
+            self._loop.call_soon_threadsafe(self._arrival.set)
 
 
 class Writer(_Port):
-    """Writes; arguments as of `pythonic.Writer`."""
+    """An output port; arguments as for `pythonic.Writer`."""
 
     _port: pythonic.Writer
 
@@ -120,12 +120,12 @@ class Writer(_Port):
         self._port = pythonic.Writer(name, **options)
 
     def write(self, content: Content, envelope: str = "", *, strict: bool = False) -> int:
-        """Send a message, and wait for nobody, as `pythonic.Writer.write`."""
+        """Send a message without blocking, as `pythonic.Writer.write`."""
         return self._port.write(content, envelope, strict=strict)
 
 
 class Client(_Port):
-    """Asks one server; arguments as of `pythonic.Client`."""
+    """A client of one server; arguments as for `pythonic.Client`."""
 
     _port: pythonic.Client
 
@@ -133,12 +133,12 @@ class Client(_Port):
         self._port = pythonic.Client(server, name, **options)
 
     async def ask(self, content: Content, *, timeout: float | None = None) -> list[Any]:  # noqa: ASYNC109 (a socket's)
-        """The values of the server's answer, as `pythonic.Client.ask`."""
+        """Send a request and return the values of the reply, as `pythonic.Client.ask`."""
         return await asyncio.to_thread(self._port.ask, content, timeout=timeout)
 
 
 class Server(_Port):
-    """Answers: ``respond(values)``, a function or coroutine on the event loop, returns an answer's values."""
+    """A server: ``respond(values)``, a function or coroutine on the event loop, returns a reply's values."""
 
     def __init__(self, name: str, respond: Callable[[list[Any]], Content | Awaitable[Content]], **options: Any) -> None:
         self._reader = Reader(name, strict=True, patient=True, rpc=True, **options)
@@ -147,20 +147,20 @@ class Server(_Port):
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def open(self) -> Self:
-        """Open the port and begin to answer."""
+        """Open the port and start serving."""
         await self._reader.open()
         self._start(self._serve())
         return self
 
     async def close(self) -> None:
-        """Close the port and stop answering."""
+        """Close the port and cancel pending replies."""
         await super().close()
         for task in list(self._tasks):
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
     async def _serve(self) -> None:
-        # Each connection has at most one question open, so clients do not wait for each other.
+        # Each connection has at most one pending request, so clients do not wait for each other.
         async for message in self._reader:
             self._start(self._answer(message))
 

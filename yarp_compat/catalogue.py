@@ -11,7 +11,7 @@ from typing import Any
 
 from yarp_compat import absences
 
-_PLACES = {
+_NAMES = {
     "dev.drivers.polydriver": "PolyDriver",
     "dev.controlboard.modes": (
         "VOCAB_CM_IDLE VOCAB_CM_TORQUE VOCAB_CM_POSITION VOCAB_CM_POSITION_DIRECT VOCAB_CM_VELOCITY "
@@ -104,20 +104,20 @@ _PLACES = {
     ),
 }
 
-_WHERE = {name: module for module, names in _PLACES.items() for name in names.split()}
+_MODULE_OF = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 _MODULES = ("aio", "rosmsg")
 
 _FAMILIES = ("BufferedPort", "TypedReader")
-"""``BufferedPortBottle`` is a ``BufferedPort`` of ``Bottle``; to who reads, that is a ``TypedReaderBottle``."""
+"""``BufferedPortBottle`` is a ``BufferedPort`` of ``Bottle``, and for its readers a ``TypedReaderBottle``."""
 
 _CALLBACK = "TypedReaderCallback"
-"""Before 4.0 the bindings named ``SoundCallback`` ``TypedReaderCallbackSound``."""
+"""Before 4.0, the bindings' name of ``SoundCallback`` was ``TypedReaderCallbackSound``."""
 
 _ENUMERATOR = re.compile(
     r"(?:(?:Selectable)?ControlModeEnum|InteractionModeEnum|JointTypeEnum|cameraFeature_id_t|BusType|FeatureMode)_"
 )
-"""What 4.0 puts before the members of its enumerations, and 3.x did not."""
+"""The prefixes of enumeration members in 4.0, which 3.x lacks."""
 
 _ENUMERATORS = {
     "FORMAT_": "ImageFileFormat",
@@ -128,56 +128,56 @@ _ENUMERATORS = {
     "global_trajectory": "TrajectoryTypeEnum",
     "local_trajectory": "TrajectoryTypeEnum",
 }
-"""Enumerations whose members the bindings give by themselves: what they begin with."""
+"""Enumerations whose members are names of the bindings' module, by the members' prefixes."""
 
 
 def find(name: str) -> Any:
-    """The object of a name of the package; raises `AttributeError`, which names the substitute of an absent one."""
-    if name in _WHERE:
-        return getattr(importlib.import_module(f"yarp_compat.{_WHERE[name]}"), name)
+    """Return the object of a name; raises `AttributeError`, with the replacement of a missing name."""
+    if name in _MODULE_OF:
+        return getattr(importlib.import_module(f"yarp_compat.{_MODULE_OF[name]}"), name)
     if name in _MODULES:
         return importlib.import_module(f"yarp_compat.{name}")
     if name in _constants():
         return _constants()[name]
     if not name.startswith("_"):
-        made = _of_family(name)
-        if made is not None:
-            return made
+        value = _of_family(name)
+        if value is not None:
+            return value
     raise AttributeError(_absence(name))
 
 
 def names() -> list[str]:
-    """Every name, except the families' members and constants."""
-    return [*_WHERE, *_MODULES]
+    """Return all names, except members of families and constants."""
+    return [*_MODULE_OF, *_MODULES]
 
 
 def everything() -> list[str]:
-    """What ``from yarp import *`` gives: every name, members of families and constants too, that this machine can load.
+    """Return the names for ``from yarp import *``, including members of families and constants.
 
-    Without numpy there are no names of what needs it.
+    Without numpy, names that need it are left out.
     """
     if importlib.util.find_spec("numpy") is None:
-        return [name for name, module in _WHERE.items() if not module.startswith(("sig.", "dev."))]
-    data = [name for name in _WHERE if name[0].isupper() and _is_data(name)]
+        return [name for name, module in _MODULE_OF.items() if not module.startswith(("sig.", "dev."))]
+    data = [name for name in _MODULE_OF if name[0].isupper() and _is_data(name)]
     members = [f"{family}{name}" for family in (*_FAMILIES, _CALLBACK) for name in data]
     members += [f"{name}Callback" for name in data]
     for start, kind in _ENUMERATORS.items():
         members += [member for member in find(kind).__members__ if member.startswith(start)]
     members += [f"VOCAB_PIXEL_{code}" for code in find("PixelCode").__members__]
-    return sorted({*_WHERE, *members, *_constants()})
+    return sorted({*_MODULE_OF, *members, *_constants()})
 
 
 def _constants() -> Mapping[str, int | str]:
     constants = importlib.import_module("yarp_compat.constants")
-    found: Mapping[str, int | str] = constants.table()
-    return found
+    table: Mapping[str, int | str] = constants.table()
+    return table
 
 
 def _of_family(name: str) -> Any:
-    """``BufferedPortBottle``, ``TypedReaderBottle``, ``BottleCallback``; ``Network_connect`` as in old bindings."""
-    made = _made(name)
-    if made is not None:
-        return made
+    """Return ``BufferedPortBottle``, ``TypedReaderBottle``, ``BottleCallback``, or old ``Network_connect``."""
+    family_class = _family_class(name)
+    if family_class is not None:
+        return family_class
     if (member := _ENUMERATOR.match(name)) is not None:
         return find(name[member.end() :])
     if name.startswith("VOCAB_PIXEL_"):
@@ -186,37 +186,39 @@ def _of_family(name: str) -> Any:
         if name.startswith(start):
             return getattr(find(kind), name, None)
     owner, _, method = name.partition("_")
-    if method and owner in _WHERE:
+    if method and owner in _MODULE_OF:
         return getattr(find(owner), method, None)
     return None
 
 
 @cache
-def _made(name: str) -> Any:
-    """The class of a family, for one kind of data, which is made once; None for another name."""
-    here = {"__module__": "yarp_compat"}  # where pickle finds it
+def _family_class(name: str) -> Any:
+    """Return the class of a family for one kind of data, made once; None for another name."""
+    common = {"__module__": "yarp_compat"}  # the module for pickle
     for family in _FAMILIES:
         if name.startswith(family) and _is_data(data := name.removeprefix(family)):
-            base = find("BufferedPort") if family == "TypedReader" else _made(f"TypedReader{data}")
-            return type(name, (base,), {"CONTENT": find(data), "__doc__": f"A BufferedPort of {data}.", **here})
+            base = find("BufferedPort") if family == "TypedReader" else _family_class(f"TypedReader{data}")
+            return type(name, (base,), {"CONTENT": find(data), "__doc__": f"A BufferedPort of {data}.", **common})
     if name.startswith(_CALLBACK) and _is_data(name.removeprefix(_CALLBACK)):
-        return _made(name.removeprefix(_CALLBACK) + "Callback")
+        return _family_class(name.removeprefix(_CALLBACK) + "Callback")
     data = name.removesuffix("Callback")
     if data != name and _is_data(data):
-        return type(name, (find("TypedReaderCallback"),), {"__doc__": f"A callback for a BufferedPort{data}.", **here})
+        return type(
+            name, (find("TypedReaderCallback"),), {"__doc__": f"A callback for a BufferedPort{data}.", **common}
+        )
     return None
 
 
 def _is_data(name: str) -> bool:
-    return name in _WHERE and hasattr(find(name), "from_wire")
+    return name in _MODULE_OF and hasattr(find(name), "from_wire")
 
 
 def _absence(name: str) -> str:
-    said = f"yarp_compat has no {name!r}"
-    other = absences.instead(name)
-    if other:
-        return f"{said}: {other}"
+    error = f"yarp_compat has no {name!r}"
+    replacement = absences.instead(name)
+    if replacement:
+        return f"{error}: {replacement}"
     import difflib
 
     close = difflib.get_close_matches(name, names(), 1)
-    return f"{said}: did you mean {close[0]!r}?" if close else f"{said}, {absences.DOCUMENTED}"
+    return f"{error}: did you mean {close[0]!r}?" if close else f"{error}, {absences.DOCUMENTED}"

@@ -128,7 +128,7 @@ def _device(name: str) -> tuple[str, str]:
     try:
         registry.factory(name)
     except registry.DeviceError as error:
-        return f"device {name}", re.sub(r"^.* no device '\w+' here; ", "", str(error))
+        return f"device {name}", re.sub(r"^unknown device '\w+'; ", "", str(error))
     return "", ""
 
 
@@ -146,7 +146,7 @@ def _missing(kind: type, name: str, method: str) -> str:
     typo, close = difflib.get_close_matches(method, methods, 1, 0.85), difflib.get_close_matches(method, methods, 3)
     if typo:
         return f"did you mean {typo[0]!r}?"
-    return absences.instead(name) or (f"there is {', '.join(close)}" if close else absences.DOCUMENTED)
+    return absences.instead(name) or (f"similar names are {', '.join(close)}" if close else absences.DOCUMENTED)
 
 
 def _counted(number: int, noun: str) -> str:

@@ -1,4 +1,4 @@
-"""Constants that YARP's bindings have beside their classes: vocabs of old protocols, tags, cameras' features.
+"""Constants of YARP's bindings: vocabs of old protocols, tags, features of cameras.
 
 The values are those of the headers of 3.9.1, 3.12.3 and 4.0.0 (`yarp/dev/*.h`, `yarp/os/Bottle.h`), which agree.
 """
@@ -47,7 +47,7 @@ _VOCABS = """
     VARIABLE=mvar VELOCITY=vel VELOCITYCONTROL_INTERFACE=ivel VELOCITY_MOVE=vmo VELOCITY_MOVES=vmos
     VELOCITY_MOVE_GROUP=vmog VEL_LIMITS=vlim VEL_PID=vpd VEL_PIDS=vpds
 """
-"""``VOCAB_`` names and their words; those of control modes are in `yarp_compat.dev.controlboard`."""
+"""``VOCAB_`` names and their vocabs; those of control modes are in `yarp_compat.dev.controlboard`."""
 
 _FEATURES = (
     "BRIGHTNESS EXPOSURE SHARPNESS WHITE_BALANCE HUE SATURATION GAMMA SHUTTER GAIN IRIS FOCUS TEMPERATURE TRIGGER "
@@ -64,31 +64,35 @@ _COUNTED = {
     "PeriodicThreadClock_": "Relative Absolute",
     "ShouldUseSystemClock_": "No Yes",
 }
-"""Enumerations whose members count from 0."""
+"""Enumerations whose members are numbered from 0."""
 
 _TAGS = "INT8 INT16 INT32 INT64 VOCAB32 VOCAB64 FLOAT32 FLOAT64 STRING BLOB LIST DICT"
 
 VERSION = "4.0.0"
-"""The release whose names are here, beside those of 3.9; scripts ask for it by ``YARP_VERSION``."""
+"""The release whose names are supported, in addition to those of 3.9; scripts read it as ``YARP_VERSION``."""
 
 
 @cache
 def table() -> dict[str, int | str]:
-    """All constants by their names."""
-    found: dict[str, int | str] = {"YARP_VERSION": VERSION, "YARP_VERSION_SHORT": VERSION, "YARP_FEATURE_INVALID": -1}
+    """Return all constants by name."""
+    constants: dict[str, int | str] = {
+        "YARP_VERSION": VERSION,
+        "YARP_VERSION_SHORT": VERSION,
+        "YARP_FEATURE_INVALID": -1,
+    }
     for name, value in zip(("MAJOR", "MINOR", "PATCH"), VERSION.split("."), strict=True):
-        found[f"YARP_VERSION_{name}"] = int(value)
+        constants[f"YARP_VERSION_{name}"] = int(value)
     for entry in _VOCABS.split():
-        name, word = entry.split("=")
-        found[f"VOCAB_{name}"] = int.from_bytes(word.encode().ljust(4, b"\0"), "little")
+        name, vocab = entry.split("=")
+        constants[f"VOCAB_{name}"] = int.from_bytes(vocab.encode().ljust(4, b"\0"), "little")
     for start, members in _COUNTED.items():
-        found.update({start + member: number for number, member in enumerate(members.split())})
-    found.update({f"BOTTLE_TAG_{name}": value for name, value in _bottle_tags().items()})
-    return found
+        constants.update({start + member: number for number, member in enumerate(members.split())})
+    constants.update({f"BOTTLE_TAG_{name}": value for name, value in _bottle_tags().items()})
+    return constants
 
 
 def _bottle_tags() -> dict[str, int]:
-    """Those of YARP 3, in which `Value.getCode` and `Bottle.getSpecialization` answer; VOCAB64 came with 4.0."""
+    """Return the tags of YARP 3, which `Value.getCode` and `Bottle.getSpecialization` return; VOCAB64 is from 4.0."""
     profile = Profile.YARP3
     numbers = {"FLOAT32": profile.float32_tag, "FLOAT64": profile.float64_tag}
     return {name: numbers.get(name) or int(getattr(tags, name)) for name in _TAGS.split()}

@@ -1,4 +1,4 @@
-"""YARP ports the Python way: context managers, iteration, plain values. `yarp_compat.aio` is the same for asyncio.
+"""A Python interface to YARP ports: context managers, iteration, plain values. `yarp_compat.aio` is for asyncio.
 
 Example::
 
@@ -6,8 +6,8 @@ Example::
         for message in reader:
             x, y = message.values
 
-Errors are exceptions here: `NamingError` where the name server is not there, `PortError` where a connection cannot be
-made, `WireError` where bytes are not what they should be, `TimeoutError`, `ConnectionError`.
+Errors are exceptions: `NamingError` for the name server, `PortError` if a connection cannot be made, `WireError` for
+invalid bytes, `TimeoutError`, `ConnectionError`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Content = Sequence[Any] | Portable
 
 
 class Received:
-    """A message that came; ``raw`` is the message of the port's engine."""
+    """A received message; ``raw`` is the message of the port itself."""
 
     def __init__(self, raw: PortMessage, profile: Profile) -> None:
         self.raw = raw
@@ -42,11 +42,11 @@ class Received:
 
     @property
     def values(self) -> list[Any]:
-        """The values of the Bottle that came; raises `WireError` where it is none."""
+        """The values of the received Bottle; raises `WireError` if it is not one."""
         return binary.decode(self.raw.payload, self._profile)
 
     def to(self, kind: type[T]) -> T:
-        """The message as one of YARP's data: ``message.to(yarp.Vector)``; raises `WireError` for something else."""
+        """Decode the message as a YARP type: ``message.to(yarp.Vector)``; raises `WireError` for another type."""
         content = kind()
         content.from_wire(self.raw.payload, self._profile)
         return content
@@ -58,7 +58,7 @@ class Received:
 
     @property
     def source(self) -> str:
-        """The name of the port that sent it."""
+        """The name of the sending port."""
         return self.raw.peer.route.source
 
     @property
@@ -67,14 +67,14 @@ class Received:
         return self.raw.wants_reply
 
     def reply(self, content: Content) -> None:
-        """Answer, once."""
+        """Reply; at most once."""
         self.raw.reply(payload_of(content)(self._reply_profile))
 
 
 class OpenPort(Openable):
     """A port that is open between ``with`` and its end. See `Reader`, `Writer`, `Client` and `Server`.
 
-    An empty name lets the name server choose one, by default that of ``yarp.conf``; more options as of `PortCore`.
+    With an empty name, the name server (by default that of ``yarp.conf``) chooses one. For other options: `PortCore`.
     """
 
     def __init__(self, name: str = "", *, naming: Naming | None = None, **options: Any) -> None:
@@ -82,11 +82,11 @@ class OpenPort(Openable):
 
     @property
     def name(self) -> str:
-        """The port's name, as the name server took it."""
+        """The port's name, as registered."""
         return self.core.name
 
     def open(self) -> Self:
-        """Open the port, unless it is."""
+        """Open the port, unless it is open."""
         if not self.core.is_open:
             self.core.open()
         return self
@@ -96,21 +96,21 @@ class OpenPort(Openable):
         self.core.close()
 
     def connect(self, target: str) -> Self:
-        """Connect the output to another port; ``udp://r`` says the carrier too. Raises `PortError` where it cannot."""
-        done, said = self.core.add_output(target)
+        """Connect the output to another port, or with a carrier, ``udp://r``. Raises `PortError` on failure."""
+        done, reply = self.core.add_output(target)
         if not done:
-            raise PortError(said)
+            raise PortError(reply)
         return self
 
     def _on_message(self, message: PortMessage) -> None:
-        """A message came, on its connection's thread."""
+        """Handle a message, on its connection's thread."""
 
 
 class Reader(OpenPort):
-    """Reads: iteration gives each message as a `Received`, and ends when the port is closed; more as of `OpenPort`.
+    """An input port: iteration yields each message as a `Received`, until the port is closed; see also `OpenPort`.
 
-    ``strict``: every message, not the newest only. ``patient``: a reply that is wanted may come after the next messages
-    were read; by default it is an empty one when the next is read.
+    ``strict``: every message instead of only the newest. ``patient``: a reply may be sent after later messages are
+    read; by default, reading the next message sends an empty reply.
     """
 
     def __init__(self, name: str = "", *, strict: bool = False, patient: bool = False, **options: Any) -> None:
@@ -122,11 +122,11 @@ class Reader(OpenPort):
 
     def read(self) -> Received | None:
         """Wait for the next message; None once the port is closed."""
-        return self._given(self._inbox.pop(wait=True))
+        return self._deliver(self._inbox.pop(wait=True))
 
     def read_now(self) -> Received | None:
-        """The next message, if there is one."""
-        return self._given(self._inbox.pop(wait=False))
+        """Return the next message without waiting, or None."""
+        return self._deliver(self._inbox.pop(wait=False))
 
     def __iter__(self) -> Iterator[Received]:
         while (message := self.read()) is not None:
@@ -136,14 +136,14 @@ class Reader(OpenPort):
         return len(self._inbox)
 
     def close(self) -> None:
-        """Close the port; whoever iterates comes to the end."""
+        """Close the port, which ends iterations."""
         self._inbox.close()
         due, self._due = self._due, None
         if due is not None:
             due.retire()
         super().close()
 
-    def _given(self, message: PortMessage | None) -> Received | None:
+    def _deliver(self, message: PortMessage | None) -> Received | None:
         if self._due is not None:
             self._due.give_up()
         self._due = None if self._patient else message
@@ -156,21 +156,21 @@ class Reader(OpenPort):
 
 
 class Writer(OpenPort):
-    """Writes plain values or any of YARP's data to all ports that are connected; arguments as of `OpenPort`."""
+    """An output port that writes plain values or YARP types to all connected ports; arguments as for `OpenPort`."""
 
     def __init__(self, name: str = "", **options: Any) -> None:
         super().__init__(name, is_input=False, **options)
 
     def write(self, content: Content, envelope: str = "", *, strict: bool = False) -> int:
-        """Send a message with an envelope (``stamp.to_text()``), waiting for nobody; returns how many took it.
+        """Send a message with an envelope (``stamp.to_text()``) without blocking; return the number of receivers.
 
-        ``strict``: after what is still on its way to a slow peer, instead of in its place.
+        ``strict``: queue it after messages that a slow peer has not received yet, instead of replacing them.
         """
         return self.core.write(payload_of(content), envelope, strict=strict)
 
 
 class Client(OpenPort):
-    """Asks one server, by its port's name; more as of `OpenPort`."""
+    """A client of one server, given by its port's name; see also `OpenPort`."""
 
     def __init__(self, server: str, name: str = "", **options: Any) -> None:
         super().__init__(name, is_input=False, rpc=True, **options)
@@ -183,12 +183,12 @@ class Client(OpenPort):
             return self.connect(self.server)
 
     def ask(self, content: Content, *, timeout: float | None = None) -> list[Any]:
-        """The answer's values; raises `TimeoutError` after so many seconds, `ConnectionError` without the server."""
+        """Send a request and return the reply's values; raises `TimeoutError` (seconds), `ConnectionError`."""
         return binary.decode(self.core.request(payload_of(content), timeout=timeout))
 
 
 class Server(OpenPort):
-    """Answers: ``respond(values)`` returns an answer, on the client's connection's thread; more as of `OpenPort`."""
+    """A server: ``respond(values)`` returns a reply, on the thread of the client's connection; see also `OpenPort`."""
 
     def __init__(self, name: str, respond: Callable[[list[Any]], Content], **options: Any) -> None:
         super().__init__(name, is_output=False, rpc=True, **options)
@@ -200,7 +200,7 @@ class Server(OpenPort):
 
 
 def payload_of(content: Content) -> Callable[[Profile], Payload]:
-    """Makes the bytes of a message's content, in a peer's dialect."""
+    """Return a function that encodes a message's content in a peer's dialect."""
     if isinstance(content, Portable):
         return content.to_wire
     return lambda profile: binary.encode_parts(content, profile)

@@ -42,7 +42,7 @@ class NameUse:
 
 @dataclass(frozen=True)
 class ScriptNames:
-    """The names that a script uses, and whether it uses YARP at all."""
+    """The names that a script uses, and whether it imports YARP."""
 
     imports_yarp: bool
     uses: tuple[NameUse, ...]
@@ -54,13 +54,15 @@ def read(path: Path) -> ScriptNames:
         content = path.read_bytes()
         text = content.decode(tokenize.detect_encoding(io.BytesIO(content).readline)[0])
     except (OSError, SyntaxError, LookupError, UnicodeDecodeError) as error:
-        raise ScriptError(f"{path}: it cannot be read as Python: {error}") from None
+        raise ScriptError(f"{path}: cannot read it as Python: {error}") from None
     try:
         tree = ast.parse(text)
     except SyntaxError as error:
         line = (text.splitlines()[(error.lineno or 1) - 1 :] or [""])[0]
         reason = (
-            "it is Python 2: convert it first, by 2to3 or by hand" if _PYTHON_2.search(line) else _invalid(error.msg)
+            "this is Python 2: convert it first, with 2to3 or by hand"
+            if _PYTHON_2.search(line)
+            else _invalid(error.msg)
         )
         raise ScriptError(f"{path}:{error.lineno or 1}: {reason}") from None
     except (ValueError, RecursionError, MemoryError) as error:  # a zero byte, or too many brackets

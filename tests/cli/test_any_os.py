@@ -88,5 +88,5 @@ def test_verbs_do_what_they_do_elsewhere(hub: QuickHub, tmp_path: Path) -> None:
     assert code == 1
     assert "midspan worker NAME" in text
     code, text = said["record --all --output aux.mcap --config FILE"]
-    assert (code, "aux.mcap is no file's name on Windows" in text) == (1, True), said
+    assert (code, "aux.mcap is not a file name on Windows" in text) == (1, True), said
     assert "systemd services are Linux's" in said["install"][1]

@@ -17,7 +17,9 @@ PAGE = (Path(__file__).parents[2] / "docs" / "yarp" / "names.md").read_text(enco
 def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     exec(code.replace("10100", str(min(free_port(), 60000))), {})
-    assert capsys.readouterr().out == ("['/root'] True\nthere is no source port /robot/camera at the name server\n")
+    assert capsys.readouterr().out == (
+        "['/root'] True\nsource port /robot/camera is not registered at the name server\n"
+    )
 
 
 def test_the_limits_match_the_code() -> None:

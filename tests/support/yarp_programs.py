@@ -173,7 +173,7 @@ class Forgetful:
 
     def unregister(self, name: str) -> None:
         """Leave the port registered."""
-        KEEPER.forget(self._naming, name)
+        KEEPER.remove(self._naming, name)
 
 
 def fill(message: Message, fields: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""yarp_compat runs on any OS: here with all hidden that Windows does not have, in a process of its own."""
+"""yarp_compat runs on any OS: tested in a process that hides everything that Windows lacks."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def run(code: str, *arguments: str) -> str:
     return done.stdout
 
 
-def test_what_is_hidden_is_gone() -> None:
+def test_hidden_functions_are_missing() -> None:
     assert run("print(hasattr(os, 'fork'), hasattr(socket, 'AF_UNIX'), hasattr(socket.socket(), 'sendmsg'))") == (
         "False False False\n"
     )
 
 
-def test_every_module_is_imported() -> None:
+def test_every_module_can_be_imported() -> None:
     modules = sorted(
         ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
         for file in (ROOT / "yarp_compat").rglob("*.py")
@@ -54,13 +54,15 @@ sys.exit(f"not imported: {failed}" if failed else 0)
 
 QUICK = "wire", "naming", "sig", "rosmsg", "dev", "ports"
 POSIX_THEMSELVES = "dev/test_mapfiles.py", "ports/test_hostile.py::test_a_thousand_silent_connections"
-"""A test that bounds memory by `resource`, and one with more sockets than Windows' select takes (512)."""
+"""A test that measures memory with `resource`, and one with more sockets than Windows' select supports (512)."""
 
 
 @pytest.mark.long
-def test_its_own_tests_pass() -> None:
+def test_the_tests_of_yarp_compat_pass() -> None:
     folder = Path(__file__).parent.relative_to(ROOT)
-    plugins = [word for name in ("pytest_timeout", "xdist.plugin", "tests.support.any_os") for word in ("-p", name)]
+    plugins = [
+        argument for name in ("pytest_timeout", "xdist.plugin", "tests.support.any_os") for argument in ("-p", name)
+    ]
     done = subprocess.run(
         [
             sys.executable, "-m", "pytest", *plugins, "-p", "no:cacheprovider", "-q", "--fast",
@@ -91,21 +93,21 @@ with NameServer(port=number), open(os.path.join(folder, "yarp.conf"), "w") as fi
 
     class Answer(yarp.PortReader):
         def read(self, connection):
-            asked = yarp.Bottle()
-            if not asked.read(connection):
+            request = yarp.Bottle()
+            if not request.read(connection):
                 return False
-            told = yarp.Bottle()
-            told.addString("told")
-            told.append(asked)
-            return told.write(connection.getWriter())
+            reply = yarp.Bottle()
+            reply.addString("reply")
+            reply.append(request)
+            return reply.write(connection.getWriter())
 
     reader, server, client = Answer(), yarp.Port(), yarp.RpcClient()
     server.setReader(reader)
     assert server.open("/server") and client.open("/client")
     assert yarp.Network.connect("/client", "/server")
-    asked, told = yarp.Bottle("ask 1 2.5"), yarp.Bottle()
-    assert client.write(asked, told)
-    print(told.toString())
+    request, reply = yarp.Bottle("ask 1 2.5"), yarp.Bottle()
+    assert client.write(request, reply)
+    print(reply.toString())
 
     source, sink = yarp.BufferedPortVector(), yarp.BufferedPortVector()
     assert source.open("/out") and sink.open("/in")
@@ -123,9 +125,9 @@ with NameServer(port=number), open(os.path.join(folder, "yarp.conf"), "w") as fi
 """
 
 
-def test_ports_and_the_name_server_talk(tmp_path: Path) -> None:
+def test_ports_exchange_messages_through_the_name_server(tmp_path: Path) -> None:
     printed = run(TALK, str(tmp_path), str(free_port()))
-    said = [line for line in printed.splitlines() if not line.startswith("[")]
-    assert said[0] == "told ask 1 2.5"
-    assert [line.split()[0] for line in said[1:]] == ["tcp", "fast_tcp", "udp"]
-    assert all("5.0" in line for line in said[1:])
+    lines = [line for line in printed.splitlines() if not line.startswith("[")]
+    assert lines[0] == "reply ask 1 2.5"
+    assert [line.split()[0] for line in lines[1:]] == ["tcp", "fast_tcp", "udp"]
+    assert all("5.0" in line for line in lines[1:])

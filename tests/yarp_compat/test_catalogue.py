@@ -1,4 +1,4 @@
-"""What `import yarp_compat as yarp` gives, and what it says of the rest."""
+"""The names of `import yarp_compat as yarp`, and the errors for missing ones."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from yarp_compat import catalogue
 
 
 @pytest.mark.parametrize("name", catalogue.names())
-def test_every_name_is_there(name: str) -> None:
+def test_every_name_exists(name: str) -> None:
     assert getattr(yarp, name) is not None
     assert name in dir(yarp)
 
 
-def test_names_are_loaded_when_used_and_need_no_numpy() -> None:
+def test_names_are_loaded_on_first_use_without_numpy() -> None:
     code = (
         "import sys, yarp_compat as yarp\n"
         "first = ('yarp_compat.catalogue', 'yarp_compat.absences')\n"
@@ -46,12 +46,12 @@ def test_names_are_loaded_when_used_and_need_no_numpy() -> None:
         ("zzz", "docs/yarp/python.md"),
     ],
 )
-def test_what_is_missing_is_said(name: str, instead: str) -> None:
+def test_a_missing_name_has_a_replacement_in_its_error(name: str, instead: str) -> None:
     with pytest.raises(AttributeError, match=instead):
         getattr(yarp, name)
 
 
-def test_enumerators_stand_by_themselves() -> None:
+def test_enumerators_are_names_of_the_module() -> None:
     assert yarp.navigation_status_moving is yarp.NavigationStatusEnum.navigation_status_moving
     assert yarp.localization_status_localized_ok is yarp.LocalizationStatusEnum.localization_status_localized_ok
     assert yarp.local_map is yarp.NavigationMapTypeEnum.local_map
@@ -60,7 +60,7 @@ def test_enumerators_stand_by_themselves() -> None:
         _ = yarp.navigation_status_nonsense
 
 
-def test_families() -> None:
+def test_families_of_classes_are_made_on_first_use() -> None:
     assert issubclass(yarp.BufferedPortImageRgb, yarp.BufferedPort)
     assert yarp.BufferedPortImageRgb is yarp.BufferedPortImageRgb
     assert yarp.BufferedPortBottle().prepare().size() == 0
@@ -69,7 +69,7 @@ def test_families() -> None:
         yarp.BufferedPort()
 
 
-def test_families_are_classes_of_each_other() -> None:
+def test_classes_of_families_inherit_as_in_the_bindings() -> None:
     assert issubclass(yarp.BufferedPortImageRgb, yarp.TypedReaderImageRgb)
     assert yarp.TypedReaderCallbackSound is yarp.SoundCallback
     assert issubclass(yarp.TypedReaderCallbackVectorInt, yarp.TypedReaderCallback)
@@ -92,18 +92,18 @@ def test_families_are_classes_of_each_other() -> None:
         ("YARP_VERSION_MAJOR", 4),
     ],
 )
-def test_constants(name: str, value: int) -> None:
-    """As the headers of 3.9.1 and 4.0.0 have them."""
+def test_constants_have_the_values_of_yarp(name: str, value: int) -> None:
+    """The values are those of the headers of 3.9.1 and 4.0.0."""
     assert getattr(yarp, name) == value
 
 
-def test_words_made_of_characters() -> None:
+def test_vocabs_are_made_of_characters() -> None:
     assert yarp.createVocab("p", "o", "s") == yarp.createVocab32("p", "o", "s") == yarp.encode("pos")
     assert yarp.createVocab64(*"position") == yarp.encode64("position")
     assert yarp.decode64(yarp.encode64("position")) == "position"
 
 
-def test_everything_by_a_star() -> None:
+def test_a_star_import_imports_every_name() -> None:
     names: dict[str, object] = {}
     exec("from yarp_compat import *", names)
     wanted = "Bottle BufferedPortBottle SoundCallback TypedReaderCallbackSound delay VOCAB_PIXEL_RGB local_map"
@@ -111,14 +111,14 @@ def test_everything_by_a_star() -> None:
     assert not [name for name in names if name.startswith("_") and name != "__builtins__"]
 
 
-def test_a_star_without_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_star_import_without_numpy_leaves_out_names_that_need_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    found = catalogue.everything()
-    assert "Bottle" in found
-    assert "Vector" not in found
+    names = catalogue.everything()
+    assert "Bottle" in names
+    assert "Vector" not in names
 
 
-def test_bases_as_the_bindings_have_them() -> None:
+def test_classes_have_the_bases_of_the_bindings() -> None:
     bottle = yarp.Bottle("1 2")
     for base in (yarp.Portable, yarp.Searchable, yarp.PortReader, yarp.PortWriter):
         assert isinstance(bottle, base)
@@ -135,8 +135,8 @@ def test_bases_as_the_bindings_have_them() -> None:
 @pytest.mark.parametrize(
     "name", ["Bottle", "Property", "RFModule", "PortReader", "BottleCallback", "BufferedPortBottle", "Vector", "Thread"]
 )
-def test_a_mix_in_may_have_a_metaclass_of_its_own(name: str) -> None:
-    """As classes of Qt's bindings have."""
+def test_a_mix_in_may_have_its_own_metaclass(name: str) -> None:
+    """Classes of Qt's bindings have one."""
 
     class Meta(type):
         pass
@@ -144,11 +144,11 @@ def test_a_mix_in_may_have_a_metaclass_of_its_own(name: str) -> None:
     class MixIn(metaclass=Meta):
         pass
 
-    made = Meta("Made", (getattr(yarp, name), MixIn), {})
-    assert issubclass(made, getattr(yarp, name))
+    combined = Meta("Combined", (getattr(yarp, name), MixIn), {})
+    assert issubclass(combined, getattr(yarp, name))
 
 
-def test_std_vectors() -> None:
+def test_std_vectors_grow_and_shrink() -> None:
     vector = yarp.DVector(3)
     vector.push_back(1.5)
     vector.resize(5)
@@ -162,7 +162,7 @@ def test_std_vectors() -> None:
     )
 
 
-def test_std_vectors_as_in_cpp() -> None:
+def test_std_vectors_have_the_methods_of_cpp() -> None:
     vector = yarp.DVector([1.0, 2.0, 3.0])
     assert (vector.front(), vector.back(), vector.capacity() >= 3, list(vector.iterator())) == (1.0, 3.0, True, vector)
     vector.pop_back()

@@ -93,7 +93,7 @@ def test_missing_names_are_listed_with_their_lines(tmp_path: Path) -> None:
         "Botle": [26],
     }
     text = str(checked)
-    assert "  IGazeControl (lines 2, 8): no such devices here: use the controller's rpc port by RpcClient" in text
+    assert "  IGazeControl (lines 2, 8): no such devices here: use the controller's rpc port with RpcClient" in text
     assert "  Botle (line 26): did you mean 'Bottle'?" in text
     assert "  BufferedPortBottle.getEnvelopes (line 23): did you mean 'getEnvelope'?" in text
     assert "  Network.conect (line 25): did you mean 'connect'?" in text
@@ -110,15 +110,15 @@ def test_no_name_is_missing_in_the_scripts_that_run() -> None:
 @pytest.mark.parametrize(
     ("content", "error"),
     [
-        (b"import yarp\nprint 'hello'\n", "bad.py:2: it is Python 2"),
-        (b"import yarp\ntry:\n    pass\nexcept Exception, e:\n    pass\n", "bad.py:4: it is Python 2"),
-        (b"import yarp\nraise ValueError, 'no'\n", "bad.py:2: it is Python 2"),
-        (b"import yarp\nx = 0777\n", "bad.py:2: it is Python 2"),
+        (b"import yarp\nprint 'hello'\n", "bad.py:2: this is Python 2"),
+        (b"import yarp\ntry:\n    pass\nexcept Exception, e:\n    pass\n", "bad.py:4: this is Python 2"),
+        (b"import yarp\nraise ValueError, 'no'\n", "bad.py:2: this is Python 2"),
+        (b"import yarp\nx = 0777\n", "bad.py:2: this is Python 2"),
         (b'import yarp\n""" print \'x\' """\nx = = 3\n', "bad.py:3: not valid Python: invalid syntax"),
         (b"# YARP\n\nYARP is a library\n", "bad.py:3: not valid Python"),
-        (b"\x7fELF\x02\x01\x01\x00\xff\xfe", "bad.py: it cannot be read as Python"),
+        (b"\x7fELF\x02\x01\x01\x00\xff\xfe", "bad.py: cannot read it as Python"),
         (b"x = 1\x00\n", "bad.py"),
-        (b"# -*- coding: latin-99 -*-\n", "bad.py: it cannot be read as Python"),
+        (b"# -*- coding: latin-99 -*-\n", "bad.py: cannot read it as Python"),
         (b"(" * 100_000, "not valid Python"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Scripts that open devices, unchanged (`import yarp`), each a program of its own, on servers over real ports."""
+"""Unchanged scripts (`import yarp`) that open devices, as separate programs, with servers at real ports."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ KITCHEN = Map2DLocation("flat", 3.0, 1.0, 90.0)
 
 
 class Network:
-    """A name server, its folder, and what is served on it."""
+    """A name server, its folder, and its servers."""
 
     def __init__(self, folder: Path, server: NameServer, open_ports: ExitStack) -> None:
         self.folder, self._open = folder, open_ports
         self._naming = NameClient(Address(server.address.host, server.address.port))
 
     def serve(self, name: str, service: Service, generation: Generation) -> None:
-        """Serve an interface as a release does."""
-        made = ServiceServer(
+        """Serve an interface as a release of YARP does."""
+        server = ServiceServer(
             name, service, generations=Generations(generation), profile=generation.profile, naming=self._naming
         )
-        self._open.enter_context(made)
+        self._open.enter_context(server)
 
-    def say(self, name: str, content: Any) -> None:
-        """Write the same again and again, until the test ends."""
+    def publish(self, name: str, content: Any) -> None:
+        """Publish the same message repeatedly until the test ends."""
         out, ended = self._open.enter_context(Writer(name, naming=self._naming)), threading.Event()
 
         def write() -> None:
@@ -67,7 +67,7 @@ def network(tmp_path: Path) -> Iterator[Network]:
 
 
 class Robot:
-    """Is on its way for three questions."""
+    """A robot that drives for three requests of its status."""
 
     def __init__(self) -> None:
         self.goals = list[Map2DLocation]()
@@ -80,7 +80,7 @@ class Robot:
         return self.steps.pop() if self.steps else "goal_reached"
 
     def stopNavigation(self) -> None:
-        """Nothing drives."""
+        """Do nothing."""
 
     def getCurrentPosition(self) -> tuple[Map2DLocation, None]:
         return Map2DLocation("flat", 1.0, 2.0, 0.0), None
@@ -104,21 +104,21 @@ def test_a_script_drives_a_robot_of_any_release(network: Network, version: str, 
     assert robot.goals == [KITCHEN]
 
 
-def test_a_script_without_its_robot_says_so_and_ends(network: Network) -> None:
+def test_a_script_without_its_robot_reports_an_error_and_exits(network: Network) -> None:
     assert output_lines(start("navigate", network.folder, "navigation2D_nwc_yarp")) == ["Cannot open the device!"]
 
 
 @pytest.mark.parametrize("version", ["3.12", "4"])
-def test_a_robot_of_devices_some_of_which_are_missing(network: Network, version: str) -> None:
+def test_a_script_uses_the_available_devices_of_a_robot(network: Network, version: str) -> None:
     generation, camera = Generation.of(version), Camera()
     image = ImageRgb()
     image.resize(8, 6)
     network.serve("/robot/battery/rpc:i", Battery(), generation)
     network.serve("/robot/laser:o/rpc:i", Laser(), generation)
     network.serve("/robot/camera/rpc", camera, Generation.YARP_4)
-    network.say("/robot/battery/data:o", BatteryData(80.0, 48.0, -2.5, 31.0, 2))
-    network.say("/robot/laser:o", SCAN)
-    network.say("/robot/camera", image)
+    network.publish("/robot/battery/data:o", BatteryData(80.0, 48.0, -2.5, 31.0, 2))
+    network.publish("/robot/laser:o", SCAN)
+    network.publish("/robot/camera", image)
     assert output_lines(start("robot_parts", network.folder)) == [
         "gaze is missing: gazecontrollerclient",
         "arm is missing: batteryClient",

@@ -1,4 +1,4 @@
-"""Names of files on Windows: what its rules forbid, judged by Python's own words for them."""
+"""Names of files on Windows: our rules agree with Python's."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ FORBIDDEN = [
 
 
 @pytest.mark.parametrize("name", FORBIDDEN)
-def test_what_windows_forbids_is_forbidden_there_alone(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_forbidden_by_windows_are_forbidden_only_there(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (forbidden(name), escaped(name)) == ("", name)
     monkeypatch.setattr(sys, "platform", "win32")
     assert not is_windows_name(name)
     assert "on Windows" in forbidden(name)
     assert is_windows_name(escaped(name))
-    assert unquote(escaped(name)) == name, "no two have one file"
+    assert unquote(escaped(name)) == name, "different names have different files"
 
 
 @pytest.mark.parametrize(
     "name", ["floor 2", "console", "COM", "COM10", "lpt", "nullable", "a.con", ".con", "1.5", "K\u00fcche"]
 )
-def test_what_windows_allows_is_allowed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_allowed_by_windows_are_allowed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "win32")
     assert is_windows_name(name)
     assert (forbidden(name), escaped(name)) == ("", name)

@@ -1,4 +1,4 @@
-"""``python -m yarp_compat`` as a person calls it: help, and command lines that are wrong."""
+"""The command ``python -m yarp_compat``: help, invalid command lines, and a script's own options."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_help_shows_the_usage(tmp_path: Path, words: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "why"),
+    ("words", "error"),
     [
         ((), "usage:"),
         (("--chek", "script.py"), "unknown option '--chek'"),
@@ -39,11 +39,11 @@ def test_help_shows_the_usage(tmp_path: Path, words: tuple[str, ...]) -> None:
         (("--check",), "usage:"),
     ],
 )
-def test_a_wrong_command_line_is_no_traceback(tmp_path: Path, words: tuple[str, ...], why: str) -> None:
+def test_an_invalid_command_line_prints_the_usage(tmp_path: Path, words: tuple[str, ...], error: str) -> None:
     (tmp_path / "folder").mkdir()
     ended = run(tmp_path, *words)
     assert ended.returncode == 1
-    assert why in ended.stderr
+    assert error in ended.stderr
     assert "usage: python -m yarp_compat" in ended.stderr
     assert "Traceback" not in ended.stderr
 

@@ -1,4 +1,4 @@
-"""Octomaps in files, against OctoMap's own programs, and on YARP's wire."""
+"""Octomaps in files, compared with OctoMap's own programs, and at YARP ports."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from yarp_compat.wire.profile import Profile
 
 
 def converted(source: Path, target: Path) -> bytes:
-    """What OctoMap's own reader and writer make of a file."""
+    """Convert a file with OctoMap's own reader and writer."""
     ended = subprocess.run(["convert_octree", source, target], capture_output=True, text=True, timeout=60)
     assert ended.returncode == 0, ended.stderr
     assert "ERROR" not in ended.stderr
@@ -27,7 +27,7 @@ def converted(source: Path, target: Path) -> bytes:
 
 @needs(OCTOMAP)
 @pytest.mark.parametrize("seed", range(4))
-def test_octomaps_own_programs_read_ours_and_we_theirs(tmp_path: Path, seed: int) -> None:
+def test_files_are_compatible_with_the_programs_of_octomap(tmp_path: Path, seed: int) -> None:
     ours = Octomap.of(a_tree(seed, count=50 * 8**seed).pruned())
     ours.save(tmp_path / "ours.ot")
     ours.save(tmp_path / "ours.bt")
@@ -41,19 +41,19 @@ def test_octomaps_own_programs_read_ours_and_we_theirs(tmp_path: Path, seed: int
 
 @pytest.mark.parametrize("profile", Profile)
 @pytest.mark.parametrize("binary", [True, False])
-def test_there_and_back_over_yarp(profile: Profile, binary: bool) -> None:
+def test_an_octomap_survives_a_yarp_port(profile: Profile, binary: bool) -> None:
     octomap = Octomap.of(a_tree(1), binary=binary, frame="map")
     data = octomap.to_bytes(profile)
-    again = Octomap.from_bytes(data)
-    assert again == octomap
+    decoded = Octomap.from_bytes(data)
+    assert decoded == octomap
     x, y, z = octomap.voxels().centers[3]
-    assert again.search(x, y, z) == octomap.voxels().log_odds[3]
+    assert decoded.search(x, y, z) == octomap.voxels().log_odds[3]
     bottle = Bottle.from_bytes(data)  # a program without the class
     assert (bottle.get(0).asString(), bottle.get(2).asFloat64(), bottle.get(3).asString()) == ("OcTree", 0.1, "map")
     assert bottle.get(4).asBlob() == octomap.data
 
 
-def test_a_tree_is_read_once_and_anew_after_a_change() -> None:
+def test_a_tree_is_cached_until_a_field_changes() -> None:
     octomap = Octomap.of(OcTree.of([[MIDDLE] * 3], 1.0, resolution=0.5))
     assert octomap.tree() is octomap.tree()
     octomap.resolution = 2.0
@@ -66,34 +66,34 @@ FILE = Octomap.of(OcTree.of([[MIDDLE] * 3], 1.0, resolution=0.5)).ot()
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("old", "new", "error"),
     [
-        (b"# Octomap OcTree file", b"# Octomop", "it is no octomap: it begins with '# Octomop"),
-        (b"size 17", b"size 18", "size: the head says 18 nodes, and the tree has 17"),
+        (b"# Octomap OcTree file", b"# Octomop", "not an octomap: it begins with '# Octomop"),
+        (b"size 17", b"size 18", "size: 18 nodes in the header, but 17 in the tree"),
         (b"size 17", b"size much", "size, res: much, 0.5"),
-        (b"res 0.5", b"res -1", "resolution is -1"),
-        (b"res 0.5", b"res nan", "resolution is nan"),
-        (b"\ndata\n", b"\n", "data: the head of the file"),
-        (b"id OcTree", b"id Other", "id: full trees are"),
-        (b"id OcTree\n", b"", "id: full trees are"),
-        (FILE[-5:], b"", "data: cut off"),
+        (b"res 0.5", b"res -1", "resolution must be above 0 m, not -1"),
+        (b"res 0.5", b"res nan", "resolution must be above 0 m, not nan"),
+        (b"\ndata\n", b"\n", "data: no such line"),
+        (b"id OcTree", b"id Other", "id: full trees must be"),
+        (b"id OcTree\n", b"", "id: full trees must be"),
+        (FILE[-5:], b"", "data: incomplete"),
     ],
 )
-def test_bad_files(tmp_path: Path, old: bytes, new: bytes, words: str) -> None:
+def test_invalid_files_are_rejected(tmp_path: Path, old: bytes, new: bytes, error: str) -> None:
     assert old in FILE
     (tmp_path / "bad.ot").write_bytes(FILE.replace(old, new))
-    with pytest.raises(OctreeError, match=words):
+    with pytest.raises(OctreeError, match=error):
         Octomap.load(tmp_path / "bad.ot")
 
 
-def test_heads_as_octomap_takes_them() -> None:
+def test_headers_are_accepted_as_by_octomap() -> None:
     changed = FILE.replace(b"id OcTree\n", b"# by hand\nunknown word\nid 1\n")
     assert Octomap.from_file(changed).ot() == FILE
     assert Octomap.from_file(Octomap().bt()) == Octomap()
 
 
-def test_a_file_of_another_ending_and_a_message_of_another_type(tmp_path: Path) -> None:
-    with pytest.raises(OctreeError, match=r"is to end in \.bt or \.ot"):
+def test_another_suffix_and_another_type_are_rejected(tmp_path: Path) -> None:
+    with pytest.raises(OctreeError, match=r"must be \.bt or \.ot"):
         Octomap().save(tmp_path / "map.pcd")
     with pytest.raises(WireError, match="Octomap has 5 fields"):
         Octomap.from_bytes(Bottle("a b").to_bytes())

@@ -1,4 +1,4 @@
-"""Octrees: leaves as arrays, OctoMap's streams in and out, and what is refused."""
+"""Octrees: leaves as arrays, OctoMap's streams, and invalid input."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ MIDDLE = 32_768
 
 
 def a_tree(seed: int, count: int = 400, spread: int = 12) -> OcTree:
-    """Leaves at the finest level around the origin."""
+    """Make leaves at the finest level around the origin."""
     random = np.random.default_rng(seed)
     keys = np.unique(random.integers(MIDDLE - spread, MIDDLE + spread, (count, 3)), axis=0)
     return OcTree.of(keys, random.choice([-2.0, 0.4, 3.5], len(keys)), resolution=0.1)
 
 
-def same(one: OcTree, other: OcTree) -> bool:
+def same(first: OcTree, second: OcTree) -> bool:
     """Whether two trees have the same leaves."""
     parts = ("codes", "depths", "log_odds")
-    return all(np.array_equal(getattr(one, part), getattr(other, part)) for part in parts)
+    return all(np.array_equal(getattr(first, part), getattr(second, part)) for part in parts)
 
 
-def test_codes_are_three_bits_a_level_x_lowest() -> None:
+def test_codes_have_three_bits_per_level_with_x_lowest() -> None:
     keys = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 0, 0], [65535, 65535, 65535]])
     assert codes_of(keys).tolist() == [1, 2, 4, 8, (1 << 48) - 1]
     many = np.random.default_rng(0).integers(0, 65536, (500, 3))
     np.testing.assert_array_equal(keys_of(codes_of(many)), many)
 
 
-def test_a_small_tree_byte_by_byte() -> None:
-    """The cube of positive coordinates is one occupied leaf, and the one beside it along -x is free."""
+def test_a_small_tree_has_the_expected_bytes() -> None:
+    """The cube of positive coordinates is one occupied leaf, and its neighbor along -x is free."""
     tree = OcTree.of([[MIDDLE, MIDDLE, MIDDLE], [0, MIDDLE, MIDDLE]], [3.5, -2.0], depths=1, resolution=0.5)
     # the children's numbers: x 1, y 2, z 4
     assert tree.binary() == struct.pack("<H", 2 << 14 | 1 << 12)
@@ -45,21 +45,21 @@ def test_a_small_tree_byte_by_byte() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_streams_there_and_back(seed: int) -> None:
+def test_streams_survive_a_round_trip(seed: int) -> None:
     tree = a_tree(seed, count=20 * 4**seed)
     assert same(OcTree.from_full(tree.full(), 0.1), tree)
     pruned = tree.pruned()
     assert same(OcTree.from_full(pruned.full(), 0.1), pruned)
-    again = OcTree.from_binary(tree.binary(), 0.1)
-    assert again.binary() == tree.binary()
+    decoded = OcTree.from_binary(tree.binary(), 0.1)
+    assert decoded.binary() == tree.binary()
     points = tree.voxels().centers.T
     np.testing.assert_array_equal(pruned.search(*points), tree.log_odds)
-    np.testing.assert_array_equal(again.search(*points), np.where(tree.log_odds > 0, OCCUPIED, FREE).astype("f4"))
+    np.testing.assert_array_equal(decoded.search(*points), np.where(tree.log_odds > 0, OCCUPIED, FREE).astype("f4"))
     for binary, data in ((False, tree.full()), (True, tree.binary())):
-        assert count_nodes(data + b"behind", "OcTree", binary=binary) >= len(again)
+        assert count_nodes(data + b"surplus", "OcTree", binary=binary) >= len(decoded)
 
 
-def test_eight_leaves_of_one_value_become_one() -> None:
+def test_eight_leaves_of_equal_value_are_merged() -> None:
     keys = MIDDLE + np.stack(np.meshgrid(*[range(4)] * 3), axis=-1).reshape(-1, 3)
     tree = OcTree.of(keys, 1.5, resolution=0.1).pruned()
     assert (len(tree), tree.depths.tolist(), tree.keys().tolist()) == (1, [14], [[MIDDLE] * 3])
@@ -67,7 +67,7 @@ def test_eight_leaves_of_one_value_become_one() -> None:
     assert sorted(OcTree.of(keys, 1.5, resolution=0.1).pruned().depths.tolist()) == [*[15] * 7, *[16] * 8]
 
 
-def test_the_whole_cube_and_nothing() -> None:
+def test_the_whole_cube_and_an_empty_tree_are_encoded() -> None:
     whole = OcTree.of([[5, 5, 5]], [2.0], depths=0, resolution=1.0)
     assert OcTree.from_full(whole.full(), 1.0).depths.tolist() == [0]
     assert len(OcTree.from_binary(whole.binary(), 1.0)) == 8
@@ -79,17 +79,17 @@ def test_the_whole_cube_and_nothing() -> None:
     assert nothing.voxels().centers.shape == (0, 3)
 
 
-def test_search_by_numbers_and_arrays() -> None:
+def test_search_accepts_numbers_and_arrays() -> None:
     tree = OcTree.of([[MIDDLE, MIDDLE, MIDDLE - 2]], [1.5], depths=15, resolution=0.5)
     assert tree.search(0.99, 0.0, -1.0) == 1.5
     assert np.isnan([tree.search(1.0, 0, -1), tree.search(np.nan, 0, 0), tree.search(1e30, 0, 0)]).all()
-    found = tree.search(np.array([[0.1, 2.0]]), 0.2, [[-0.1], [-0.9]])
-    assert found.shape == (2, 2)
-    assert found[:, 0].tolist() == [1.5, 1.5]
-    assert np.isnan(found[:, 1]).all()
+    values = tree.search(np.array([[0.1, 2.0]]), 0.2, [[-0.1], [-0.9]])
+    assert values.shape == (2, 2)
+    assert values[:, 0].tolist() == [1.5, 1.5]
+    assert np.isnan(values[:, 1]).all()
 
 
-def test_colours_of_a_colour_tree() -> None:
+def test_colors_of_a_color_tree_are_read() -> None:
     data = struct.pack("<f3BB", 1.0, 0, 0, 0, 0b11) + struct.pack("<f3BBf3BB", 1.0, 10, 20, 30, 0, -1.0, 1, 2, 3, 0)
     voxels = OcTree.from_full(data, 0.1, "ColorOcTree").voxels()
     assert voxels.colors is not None
@@ -97,37 +97,37 @@ def test_colours_of_a_colour_tree() -> None:
 
 
 @pytest.mark.parametrize(
-    ("data", "words"),
+    ("data", "error"),
     [
-        (b"\x03", "cut off after 1 bytes: 1 more nodes"),
-        (b"\x03\x00", "cut off after 2 bytes: 1 more nodes"),
+        (b"\x03", "incomplete after 1 bytes: 1 more nodes"),
+        (b"\x03\x00", "incomplete after 2 bytes: 1 more nodes"),
         (b"\xff\xff" + b"\x01\x00" * 7, "1 more nodes"),
         (b"\x03\x00\x00\x00", "inner node 1 of 2 has no children"),
         (b"\x03\x00" * 16 + b"\x01\x00", "deeper than 16"),
         (b"\xff\xff" * 40 + b"\x01\x00" * 281, "deeper than 16"),
     ],
 )
-def test_bad_binary_streams(data: bytes, words: str) -> None:
-    with pytest.raises(OctreeError, match=f"data: .*{words}"):
+def test_invalid_binary_streams_are_rejected(data: bytes, error: str) -> None:
+    with pytest.raises(OctreeError, match=f"data: .*{error}"):
         OcTree.from_binary(data, 0.1)
 
 
 @pytest.mark.parametrize(
-    ("data", "kind", "words"),
+    ("data", "kind", "error"),
     [
-        (b"\0\0\0\0", "OcTree", "data: cut off"),
-        (b"\0\0\0\0\1", "OcTree", "data: cut off"),
+        (b"\0\0\0\0", "OcTree", "data: incomplete"),
+        (b"\0\0\0\0\1", "OcTree", "data: incomplete"),
         (b"\0\0\0\0\1" * 17 + bytes(5), "OcTree", "data: .* deeper than 16"),
         (b"\0\0\xc0\x7f\0", "OcTree", "data: the log-odds of leaf 0 are not finite"),
-        (b"", "CountingOcTree", "id: full trees are OcTree, .* not 'CountingOcTree'"),
+        (b"", "CountingOcTree", "id: full trees must be OcTree, .* not 'CountingOcTree'"),
     ],
 )
-def test_bad_full_streams(data: bytes, kind: str, words: str) -> None:
-    with pytest.raises(OctreeError, match=words):
+def test_invalid_full_streams_are_rejected(data: bytes, kind: str, error: str) -> None:
+    with pytest.raises(OctreeError, match=error):
         OcTree.from_full(data, 0.1, kind)
 
 
-def test_a_tree_of_too_many_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tree_with_too_many_nodes_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     keys = [[32768, 32768, 32768 + step] for step in range(3)]
     tree = OcTree.of(keys, [1.0, -1.0, 1.0], resolution=0.1)
     nodes = len(tree.full()) // 5
@@ -141,23 +141,25 @@ def test_a_tree_of_too_many_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
             read(data, 0.1)
 
 
-def test_a_chain_of_sixteen_is_the_deepest() -> None:
+def test_a_tree_may_have_sixteen_levels() -> None:
     assert OcTree.from_full(b"\0\0\0\0\1" * 16 + bytes(5), 0.1).depths.tolist() == [16]
     assert OcTree.from_binary(b"\x03\x00" * 15 + b"\x01\x00", 0.1).depths.tolist() == [16]
 
 
 @pytest.mark.parametrize(
-    ("keys", "log_odds", "depths", "resolution", "words"),
+    ("keys", "log_odds", "depths", "resolution", "error"),
     [
-        ([[0, 0, 0], [1, 1, 1]], 1, [16, 15], 0.1, "keys has leaves that overlap"),
-        ([[0, 0, 70000]], 1, 16, 0.1, "keys are"),
-        ([0, 0, 0], 1, 16, 0.1, "keys are"),
-        ([[0, 0, 0]], 1, 17, 0.1, "depths are"),
+        ([[0, 0, 0], [1, 1, 1]], 1, [16, 15], 0.1, "keys of overlapping leaves"),
+        ([[0, 0, 70000]], 1, 16, 0.1, "keys must be"),
+        ([0, 0, 0], 1, 16, 0.1, "keys must be"),
+        ([[0, 0, 0]], 1, 17, 0.1, "depths must be"),
         ([[0, 0, 0]], np.nan, 16, 0.1, "log_odds"),
-        ([[0, 0, 0]], 1, 16, 0.0, "resolution is 0.0"),
-        ([[0, 0, 0]], 1, 16, np.inf, "resolution is inf"),
+        ([[0, 0, 0]], 1, 16, 0.0, "resolution must be above 0 m, not 0.0"),
+        ([[0, 0, 0]], 1, 16, np.inf, "resolution must be above 0 m, not inf"),
     ],
 )
-def test_bad_leaves(keys: object, log_odds: object, depths: object, resolution: float, words: str) -> None:
-    with pytest.raises(OctreeError, match=words):
+def test_invalid_leaves_are_rejected(
+    keys: object, log_odds: object, depths: object, resolution: float, error: str
+) -> None:
+    with pytest.raises(OctreeError, match=error):
         OcTree.of(keys, log_odds, depths, resolution=resolution)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Ports the Python way, with and without asyncio."""
+"""The Python interface to ports, with and without asyncio."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ def test_iteration_ends_with_the_port(naming: LocalNaming) -> None:
     assert seen == []
 
 
-def test_questions_and_answers(naming: LocalNaming) -> None:
+def test_a_server_replies_to_a_client(naming: LocalNaming) -> None:
     with Server("/s", lambda values: [len(values), *values], naming=naming), Client("/s", naming=naming) as client:
         assert client.ask(["a", 1]) == [2, "a", 1]
         assert client.name.startswith("/tmp/port/")
 
 
-def test_answers_are_in_the_askers_dialect(naming: LocalNaming) -> None:
+def test_replies_are_in_the_dialect_of_the_client(naming: LocalNaming) -> None:
     with Server("/s", lambda values: [values[0] / 2], naming=naming):
         for profile in Profile:
             with Client("/s", naming=naming, profile=profile) as client:
@@ -64,7 +64,7 @@ def test_answers_are_in_the_askers_dialect(naming: LocalNaming) -> None:
                 assert recognise(answer) is profile
 
 
-def test_a_reader_may_answer(naming: LocalNaming) -> None:
+def test_a_reader_may_reply(naming: LocalNaming) -> None:
     with Reader("/r", strict=True, naming=naming) as reader, Client("/r", naming=naming) as client:
         answers = []
         thread = threading.Thread(target=lambda: answers.extend(client.ask([n]) for n in range(2)))
@@ -72,14 +72,14 @@ def test_a_reader_may_answer(naming: LocalNaming) -> None:
         first = reader.read()
         assert first.wants_reply
         second = None
-        while second is None:  # reading on without an answer gives an empty one
+        while second is None:  # reading the next message without a reply sends an empty one
             second = reader.read_now()
         second.reply(["two"])
         thread.join(20)
         assert answers == [[], ["two"]]
 
 
-def test_a_reader_that_closes_gives_no_empty_answer(naming: LocalNaming) -> None:
+def test_a_closed_reader_sends_no_empty_reply(naming: LocalNaming) -> None:
     reader, failed = Reader("/r", naming=naming).open(), list[Exception]()
     with Client("/r", naming=naming) as client:
 
@@ -97,7 +97,7 @@ def test_a_reader_that_closes_gives_no_empty_answer(naming: LocalNaming) -> None
     assert failed
 
 
-def test_what_fails_is_raised(naming: LocalNaming) -> None:
+def test_failures_raise_exceptions(naming: LocalNaming) -> None:
     with Writer("/w", naming=naming) as writer, pytest.raises(PortError, match="/nowhere"):
         writer.connect("/nowhere")
     with pytest.raises(PortError, match="/nowhere"):
@@ -110,7 +110,7 @@ def test_what_fails_is_raised(naming: LocalNaming) -> None:
         waiting.set()
 
 
-def test_asyncio(naming: LocalNaming) -> None:
+def test_asyncio_ports_exchange_messages(naming: LocalNaming) -> None:
     async def slowly(values: list[object]) -> list[object]:
         await asyncio.sleep(0.01)
         return [len(values)]
@@ -137,7 +137,7 @@ def test_asyncio(naming: LocalNaming) -> None:
     asyncio.run(run())
 
 
-def test_a_server_answers_although_one_question_fails(naming: LocalNaming, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_server_replies_after_a_failed_request(naming: LocalNaming, caplog: pytest.LogCaptureFixture) -> None:
     def divide(values: list[float]) -> list[float]:
         return [values[0] / values[1]]
 
@@ -152,4 +152,4 @@ def test_a_server_answers_although_one_question_fails(naming: LocalNaming, caplo
             assert await client.ask([1.0, 2.0]) == [0.5]
 
     asyncio.run(run())
-    until(lambda: caplog.text.count("ZeroDivisionError") >= 2, "the second failure to be told")
+    until(lambda: caplog.text.count("ZeroDivisionError") >= 2, "the second failure is logged")

@@ -1,4 +1,4 @@
-"""Scripts for the official Python bindings, unchanged (`import yarp`), on ours: each a program with its own output."""
+"""Unchanged scripts for the official Python bindings (`import yarp`) run on ours, as separate programs."""
 
 from __future__ import annotations
 
@@ -85,11 +85,11 @@ OUTPUTS = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A name server, and the folder in which programs find where it is."""
-    made = tmp_path_factory.mktemp("yarp")
+    """Serve a name server, and return the folder with its address."""
+    config = tmp_path_factory.mktemp("yarp")
     with NameServer(port=free_port()) as server:
-        (made / "yarp.conf").write_text(f"{server.address.host} {server.address.port} yarp\n")
-        yield made
+        (config / "yarp.conf").write_text(f"{server.address.host} {server.address.port} yarp\n")
+        yield config
 
 
 def lines(text: str) -> list[str]:
@@ -97,18 +97,18 @@ def lines(text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("script", OUTPUTS)
-def test_a_script_does_what_it_does_on_yarp(folder: Path, script: str) -> None:
+def test_a_script_prints_the_same_as_on_yarp(folder: Path, script: str) -> None:
     assert output_lines(start(script, folder)) == lines(OUTPUTS[script])
 
 
-def test_a_program_sends_and_another_prints(folder: Path) -> None:
+def test_one_program_prints_the_messages_of_another(folder: Path) -> None:
     sender = start("send_bottles", folder, "/send/bottles:o", "20")
     printer = start("print_bottles", folder, "/send/bottles:o", "20")
     assert output_lines(printer) == [f"/print/bottles:i: number {i}" for i in range(20)]
     assert output_lines(sender) == []
 
 
-def test_a_program_asks_and_another_answers(folder: Path) -> None:
+def test_one_program_replies_to_another(folder: Path) -> None:
     server = start("rpc_server", folder, "/rpc/server")
     client = start("rpc_client", folder, "/rpc/server")
     assert output_lines(client) == [
@@ -125,10 +125,10 @@ def test_resources_are_found(folder: Path, tmp_path: Path) -> None:
     context.mkdir(parents=True)
     (context / "robot.ini").write_text("robot cer\nspeed 0.5\nmap plan.txt\n[LASER]\nport /laser\nrange (0.1 30.0)\n")
     (context / "plan.txt").touch()
-    found = start(
+    program = start(
         "resources", folder, "--speed", "0.75", YARP_DATA_DIRS=str(tmp_path), YARP_DATA_HOME=str(tmp_path / "own")
     )
-    assert output_lines(found) == [
+    assert output_lines(program) == [
         "robot cer",
         "period 0.1",
         "speed 0.75",
@@ -159,7 +159,7 @@ def test_a_module_runs_and_stops(folder: Path, monkeypatch: pytest.MonkeyPatch, 
     assert output_lines(module) == ["configured", "interrupted", "closed"]
 
 
-def test_every_script_is_run() -> None:
+def test_every_script_is_tested() -> None:
     others = {"send_bottles", "print_bottles", "rpc_server", "rpc_client", "resources", "module"}
     with_a_daemon = {"ros_topics"}  # tests/adapters/yarp/test_script.py
     with_devices = {"navigate", "robot_parts"}  # tests/yarp_compat/test_device_scripts.py

@@ -1,4 +1,4 @@
-"""The names that public scripts use, by the number of scripts that use them, and the names of the real bindings."""
+"""The names that public scripts use, with the number of scripts, and the names of the real bindings."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ USED = {
 SCRIPTS = 164
 
 
-def test_nearly_all_that_scripts_use_is_there() -> None:
+def test_nearly_all_names_used_by_scripts_exist() -> None:
     missing = {name: count for name, count in USED.items() if check.lacking(name)[0]}
     share = 1 - sum(missing.values()) / sum(USED.values())
     assert share >= 0.99, missing
-    # each use that is missing may be in a script of its own
+    # each missing use may be in a different script
     assert SCRIPTS - sum(missing.values()) >= 155, missing
 
 
@@ -33,12 +33,12 @@ def bindings() -> Bindings:
     return Bindings.read()
 
 
-def test_the_page_says_what_of_the_bindings_is_there(bindings: Bindings) -> None:
+def test_the_page_lists_the_names_of_the_bindings(bindings: Bindings) -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert section(bindings) in text[text.index(BEGIN) :], "run scripts/yarp_classes.py"
 
 
-def test_of_all_that_is_missing_is_said_why(bindings: Bindings) -> None:
-    silent = absent(bindings.classes).get("", []) + absent(bindings.functions | bindings.constants).get("", [])
-    silent += [f"{name}.{method}" for name, said in methods(bindings).items() for method in said.get("", [])]
-    assert silent == []
+def test_every_missing_name_has_a_reason(bindings: Bindings) -> None:
+    unexplained = absent(bindings.classes).get("", []) + absent(bindings.functions | bindings.constants).get("", [])
+    unexplained += [f"{name}.{method}" for name, reasons in methods(bindings).items() for method in reasons.get("", [])]
+    assert unexplained == []

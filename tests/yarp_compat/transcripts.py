@@ -1,7 +1,7 @@
-"""Reads the transcripts of real YARP programs in ``tests/yarp_compat/data``: who said which bytes on which connection.
+"""Reads the transcripts of real YARP programs in ``tests/yarp_compat/data``: the bytes in each direction by connection.
 
 A transcript's line ``[time] connN C>S from->to (size B)`` is followed by its bytes in hexadecimal; C opened the
-connection. They were recorded on loopback from YARP 3.12.3 and 4.0, each file says which.
+connection. They were recorded on loopback from YARP 3.12.3 and 4.0; each file states its release.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _BYTES = re.compile(r" +[0-9a-f]{4}  ((?:[0-9a-f]{2} ?)+)")
 
 @dataclass(frozen=True)
 class Step:
-    """Bytes in one direction: said by ``C``, who opened the connection, or ``S``, or sent as a datagram, ``U``."""
+    """Bytes in one direction: from ``C``, which opened the connection, from ``S``, or in a datagram, ``U``."""
 
     by: str
     data: bytes
@@ -31,8 +31,8 @@ class Talk:
 
     Attributes:
         number: as in the file.
-        port: the TCP port that was called.
-        steps: what was said, in order; pieces in one direction are joined.
+        port: the TCP port of the server.
+        steps: the sent bytes in order; consecutive pieces in one direction are joined.
     """
 
     number: int
@@ -40,22 +40,22 @@ class Talk:
     steps: list[Step] = field(default_factory=list)
 
     def said(self, by: str) -> bytes:
-        """All that one side said."""
+        """Return all bytes that one side sent."""
         return b"".join(step.data for step in self.steps if step.by == by)
 
 
 def read(name: str, *, joined: bool = True) -> list[Talk]:
-    """All connections of a transcript, in the order in which they were opened; pieces joined, or as they were sent."""
+    """Return all connections of a transcript in the order of opening; ``joined``: merge pieces in one direction."""
     talks: dict[int, Talk] = {}
     by, moment, talk = "", 0.0, None
     for line in (_DATA / name).read_text().splitlines():
-        if found := _HEAD.match(line):
-            ends = _ENDS.search(found["rest"])
+        if match := _HEAD.match(line):
+            ends = _ENDS.search(match["rest"])
             port = int(ends[2]) if ends else 0
-            talk = talks.setdefault(int(found["number"]), Talk(int(found["number"]), port))
-            by, moment = {"C>S": "C", "S>C": "S", "UDP": "U"}.get(found["what"], ""), float(found["time"])
-        elif talk is not None and by and (found := _BYTES.match(line)):
-            data = bytes.fromhex(found[1])
+            talk = talks.setdefault(int(match["number"]), Talk(int(match["number"]), port))
+            by, moment = {"C>S": "C", "S>C": "S", "UDP": "U"}.get(match["what"], ""), float(match["time"])
+        elif talk is not None and by and (match := _BYTES.match(line)):
+            data = bytes.fromhex(match[1])
             last = talk.steps[-1] if talk.steps else None
             if last is not None and last.by == by and (last.time == moment or (joined and by != "U")):
                 talk.steps[-1] = Step(by, last.data + data, moment)

@@ -1,1 +1,1 @@
-"""A folder for ``sys.path``, in which ``import yarp`` finds this package."""
+"""A folder for ``sys.path`` that makes ``import yarp`` import `yarp_compat`."""

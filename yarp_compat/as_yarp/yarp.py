@@ -1,4 +1,4 @@
-"""``import yarp`` is ``import yarp_compat`` where this folder is on the path, as in child processes of a script."""
+"""Makes ``import yarp`` import `yarp_compat` if this folder is on the path, as in child processes of a script."""
 
 import sys
 

@@ -1,1 +1,1 @@
-"""Names of ports: where the name server is, a client of it, and a server of our own."""
+"""Names of ports: the address of the name server, a client, and our own server."""

@@ -1,8 +1,8 @@
-"""Gives out port numbers (the same again for the same name), names and multicast addresses.
+"""Allocates port numbers (always the same for a name), port names and multicast addresses.
 
-Numbers start two above the name server's own and go up to 9999 above it, and only then are freed ones given to other
-names, as in yarpserver 3.12 (``AllocatorOnTriples.cpp``). Unlike there, a number that some port registered for itself
-is skipped, and running out refuses a registration instead of ending the server.
+Numbers range from 2 to 9999 above the name server's own; only after the last one are freed numbers reused for other
+names, as in yarpserver 3.12 (``AllocatorOnTriples.cpp``). Unlike there, numbers that a port registered explicitly are
+skipped, and if none is left a registration is refused instead of ending the server.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ _MAX_NAMES = 100_000
 _MAX_GROUPS = 254 * 254
 
 
-def beside(base: int) -> range:
-    """Port numbers that no name server at ``base`` gives out: as many, next above its own, or where none are, below it.
+def numbers_outside(base: int) -> range:
+    """Return the port numbers above the range of a name server at ``base``, or below it if there are too few.
 
-    A yarpserver that forgot everything gives out its numbers from the first on and tries none of them. A port that kept
-    one of those makes the program that gets it fail ("address conflict"), and as names keep their numbers, again each
-    time.
+    A yarpserver that lost its state allocates its numbers from the first on without testing them. If an open port
+    still uses such a number, the program that gets it fails ("address conflict"), every time, as names keep their
+    numbers.
     """
     size = LAST_OFFSET + 1
     return range(base + size, base + 2 * size) if base + 2 * size <= 0x10000 else range(base - size, base)
 
 
 class Allocator:
-    """Gives out numbers (from ``base``, the name server's own), names and multicast addresses, and remembers them."""
+    """Allocates numbers (above ``base``, the name server's own), names and multicast addresses, and stores them."""
 
     def __init__(self, base: int) -> None:
         self._first = base + FIRST_OFFSET
@@ -41,7 +41,7 @@ class Allocator:
         self._groups = _Pool(_MAX_GROUPS)
 
     def number(self, name: str, taken: Container[int] = ()) -> int | None:
-        """A port number for a name, best its former one, not ``taken`` by a port; None where all are in use."""
+        """Allocate a number for a name, preferably its former one, that is not ``taken``; None if all are in use."""
         number = self._number.get(name)
         if number is None or number in taken:
             number = self._fresh(taken)
@@ -67,30 +67,30 @@ class Allocator:
         return next(freed, None)
 
     def name(self) -> str | None:
-        """A name for an anonymous port: ``/tmp/port/1`` and on; None where too many are in use."""
-        index = self._names.take()
+        """Allocate a name for an anonymous port: ``/tmp/port/1`` etc.; None if too many are in use."""
+        index = self._names.acquire()
         return None if index is None else f"/tmp/port/{index}"  # noqa: S108 - a port's name
 
     def group(self) -> str | None:
-        """A multicast address: ``224.1.1.3`` and on; None where all are in use."""
-        index = self._groups.take()
+        """Allocate a multicast address: ``224.1.1.3`` etc.; None if all are in use."""
+        index = self._groups.acquire()
         if index is None:
             return None
         return f"224.1.{(index + 1) // 255 + 1}.{(index + 1) % 255 + 1}"
 
     def free(self, name: str, host: str, number: int) -> None:
-        """Take back what a port had."""
+        """Free the name, number and address of a port."""
         if self._owner.get(number) == name:
             self._used.discard(number)
         stem, _, index = name.rpartition("/")
         if stem == "/tmp/port" and index.isdecimal():  # noqa: S108 - a port's name
-            self._names.give(int(index))
+            self._names.release(int(index))
         parts = host.split(".")
         if parts[:2] == ["224", "1"] and len(parts) == 4 and all(p.isdecimal() for p in parts):
-            self._groups.give((int(parts[2]) - 1) * 255 + int(parts[3]) - 2)
+            self._groups.release((int(parts[2]) - 1) * 255 + int(parts[3]) - 2)
 
     def state(self) -> dict[str, Any]:
-        """All that it remembers, for a file."""
+        """Return the state as JSON data."""
         return {
             "next": self._next,
             "numbers": dict(self._number),
@@ -100,7 +100,7 @@ class Allocator:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Remember what `state` gave, in range; raises `KeyError`, `TypeError` or `ValueError` for anything else."""
+        """Restore what `state` returned, if in range; raises `KeyError`, `TypeError` or `ValueError` if invalid."""
         numbers = {str(name): int(n) for name, n in state["numbers"].items() if self._first <= int(n) <= self._last}
         self._owner = {number: name for name, number in numbers.items()}
         self._number = {name: number for number, name in self._owner.items()}
@@ -118,7 +118,7 @@ class _Pool:
         self._next = 1
         self._free: set[int] = set()
 
-    def take(self) -> int | None:
+    def acquire(self) -> int | None:
         if self._free:
             index = min(self._free)
             self._free.discard(index)
@@ -128,7 +128,7 @@ class _Pool:
         self._next += 1
         return self._next - 1
 
-    def give(self, index: int) -> None:
+    def release(self, index: int) -> None:
         if 0 < index < self._next:
             self._free.add(index)
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from yarp_compat.naming import config
-from yarp_compat.naming.allocation import beside
+from yarp_compat.naming.allocation import numbers_outside
 from yarp_compat.naming.config import Address
 from yarp_compat.ports import text_client
 from yarp_compat.ports.naming import NameRefusedError, NamingError, NoNameServerError
@@ -27,7 +27,7 @@ from yarp_compat.wire.contact import PortContact, is_name
 from yarp_compat.wire.text import from_text, plain_text, value_text
 
 Lines = list[str]
-Words = list[Any]  # under other names than that of the method below
+Words = list[Any]  # aliases, as a method below is named `list`
 
 TIMEOUT = 5.0
 MAX_ANSWER = 32 << 20  # bytes of the largest accepted answer: a list of ten thousand ports is 1 MB
@@ -57,14 +57,14 @@ class NameClient:
         self._last_address: Address | None = None
         self._timeout = timeout
         self._registered: dict[str, _Registered] = {}
-        self._taken_over: set[str] = set()  # names that another port has registered meanwhile
+        self._taken_over: set[str] = set()  # names that another port has registered since
         self._pending: weakref.WeakSet[LineSocket] = weakref.WeakSet()
         self._pending_lock = threading.Lock()
         self._hurried = self._timed_out = False
 
     @property
     def address(self) -> Address:
-        """The address; raises `NoNameServerError` if no file has it, `NamingConfigError` if the file is invalid."""
+        """The address; raises `NoNameServerError` if no file contains it, `NamingConfigError` if a file is invalid."""
         address = self._configured_address or self._last_address or config.read(self._namespace)
         if address is None:
             raise NoNameServerError(
@@ -77,11 +77,11 @@ class NameClient:
     @property
     def numbers(self) -> range:
         """The range of TCP port numbers for ports; see `Naming.numbers`."""
-        return beside(self.address.port) if self._numbers is None else self._numbers
+        return numbers_outside(self.address.port) if self._numbers is None else self._numbers
 
     @property
     def contact(self) -> PortContact:
-        """The name server's own port."""
+        """The contact of the name server itself."""
         return self.address.contact(self._namespace or config.namespace())
 
     def use(self, address: Address) -> None:
@@ -115,7 +115,7 @@ class NameClient:
         contact = PortContact.from_registration(self.line(command))
         if contact is None:
             raise NameRefusedError(
-                f"the name server at {self._endpoint()} refused {command[1]}: it may be full, or that is its own name"
+                f"the name server at {self._endpoint()} refused {command[1]}: it may be full, or have this name"
             )
         for key, values in self._own_properties().items():
             self.line(["set", contact.name, key, *values])
@@ -134,11 +134,11 @@ class NameClient:
             if current is restored:
                 return
         if restored is not None:
-            self.lines(["unregister", name])  # it was closed meanwhile
+            self.lines(["unregister", name])  # the port has been closed since
 
     def unregister(self, name: str) -> None:
         """Remove a port's registration; see `Naming.unregister`."""
-        KEEPER.forget(self, name)
+        KEEPER.remove(self, name)
         self._registered.pop(name, None)
         if name in self._taken_over:
             self._taken_over.discard(name)
@@ -146,18 +146,18 @@ class NameClient:
         self.lines(["unregister", name])
 
     def is_taken(self, name: str) -> bool:
-        """Whether another port now holds a name that this client has registered."""
+        """Whether another port has taken over a name that this client registered."""
         registered, current = self._registered.get(name), self.query(name)
         if registered is None or current is None:
             return False
         return (current.host, current.port) != (registered.contact.host, registered.contact.port)
 
     def leave(self, name: str) -> None:
-        """Keep the registration on `unregister`, since another port holds this name now."""
+        """Make `unregister` keep the registration, as another port has taken over the name."""
         self._taken_over.add(name)
 
     def query(self, name: str) -> PortContact | None:
-        """Return the address of a port; see `Naming.query`. A contact such as ``tcp://host:10002/`` needs no lookup."""
+        """Return the address of a port; see `Naming.query`. A contact such as ``tcp://host:10002/`` is only parsed."""
         contact = PortContact.parse(name)
         if contact.is_valid:
             return contact
@@ -194,7 +194,7 @@ class NameClient:
     def announce(self, name: str, alive: bool = True) -> None:
         """Announce that a port listens, or no longer does; see `Naming.announce`.
 
-        `KEEPER` keeps the ports registered that this client registered.
+        From then on, `KEEPER` keeps the port registered if this client registered it.
         """
         self.lines(["announce", name] if alive else ["announce", name, 0])
         if alive and name in self._registered:
@@ -247,10 +247,10 @@ class NameClient:
 
     def _unreachable(self, err: OSError) -> NamingError:
         self._timed_out = self._hurried and isinstance(err, TimeoutError)
-        why = f"no answer within {self._timeout:g} s" if isinstance(err, TimeoutError) else (err.strerror or str(err))
+        reason = f"no reply within {self._timeout:g} s" if isinstance(err, TimeoutError) else err.strerror or str(err)
         msg = (
-            f"YARP's name server does not answer at {self._endpoint()}: {why}."
-            " Start it ('yarpserver' or 'midspan yarp server'), or correct that address in yarp.conf."
+            f"YARP's name server does not answer at {self._endpoint()}: {reason}."
+            " Start it ('yarpserver' or 'midspan yarp server'), or correct the address in yarp.conf."
         )
         return NoNameServerError(msg)
 
@@ -267,7 +267,7 @@ class NameClient:
         """Return loopback and this machine's address on the name server's network."""
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
-                probe.connect((self.address.host, self.address.port))  # sends nothing
+                probe.connect((self.address.host, self.address.port))  # sends no packet
                 local = str(probe.getsockname()[0])
             except OSError:
                 return ["127.0.0.1"]
@@ -295,8 +295,8 @@ def _is_quoted(value: Any) -> bool:
 
 def _text(command: Sequence[Any]) -> bytes:
     """Encode a command without quotes, as old name servers do not parse them."""
-    words = [plain_text(w) if isinstance(w, str) else value_text(w) for w in command]
-    text = " ".join(["NAME_SERVER", *words]).replace('"', "")
+    parts = [plain_text(w) if isinstance(w, str) else value_text(w) for w in command]
+    text = " ".join(["NAME_SERVER", *parts]).replace('"', "")
     if "\n" in text or "\r" in text:
         raise NamingError("a name server command is one line: names and properties cannot contain line breaks")
     return text.encode("utf-8", "surrogateescape")
@@ -330,8 +330,8 @@ class Keeper:
                 self._thread = threading.Thread(target=self._run, name="yarp names", daemon=True)
                 self._thread.start()
 
-    def forget(self, names: NameClient, name: str) -> None:
-        """Stop keeping a port registered; after the last port, wait until the thread has ended."""
+    def remove(self, names: NameClient, name: str) -> None:
+        """Stop keeping a port registered; after the last port, wait for the thread to end."""
         with self._lock:
             ports = self._ports.get(names, {})
             ports.pop(name, None)
@@ -343,19 +343,19 @@ class Keeper:
                 self._thread = None
                 self._wake.set()
         if thread is not None and thread is not threading.current_thread():
-            thread.join(1.0)  # it can end later if a name server does not answer
+            thread.join(1.0)  # it may end later if a name server does not reply
 
     def _run(self) -> None:
         this_thread = threading.current_thread()
-        while not self._wake.wait(PERIOD * random.uniform(0.75, 1.25)):  # noqa: S311 - no secret
+        while not self._wake.wait(PERIOD * random.uniform(0.75, 1.25)):  # noqa: S311 - not a secret
             with self._lock:
                 if self._thread is not this_thread:
                     return
                 open_ports = [(names, contact) for names, ports in self._ports.items() for contact in ports.values()]
-            self.ask(open_ports)
+            self.check(open_ports)
 
-    def ask(self, open_ports: list[_OpenPort]) -> None:
-        """Query a few ports at each name server, for all its clients together, as each query is a connection."""
+    def check(self, open_ports: list[_OpenPort]) -> None:
+        """Query a few ports at each name server, together for all its clients, as each query is a connection."""
         self._round += 1
         servers: dict[Hashable, list[_OpenPort]] = {}
         for names, contact in open_ports:
@@ -363,7 +363,7 @@ class Keeper:
         self._unreachable &= servers.keys()
         for server, ports in servers.items():
             try:
-                self._check(server, ports)
+                self._check_server(server, ports)
             except NamingError as err:
                 if server not in self._unreachable:
                     _log.info("%s", err)
@@ -371,7 +371,7 @@ class Keeper:
             except Exception:
                 _log.exception("cannot keep the ports registered")
 
-    def _check(self, server: Hashable, ports: list[_OpenPort]) -> None:
+    def _check_server(self, server: Hashable, ports: list[_OpenPort]) -> None:
         first = self._round * AT_ONCE % len(ports)
         sample = (ports[first:] + ports[:first])[:AT_ONCE]
         missing = self._missing(sample)
@@ -380,7 +380,7 @@ class Keeper:
         for names, contact in missing:
             names.restore(contact.name)
         if missing or server in self._unreachable:
-            _log.info("the name server is back: registered %d of %d ports again", len(missing), len(ports))
+            _log.info("the name server is reachable again: registered %d of %d ports again", len(missing), len(ports))
         self._unreachable.discard(server)
 
     def _missing(self, ports: list[_OpenPort]) -> list[_OpenPort]:
@@ -391,7 +391,7 @@ class Keeper:
                 missing.append((names, contact))
             elif (current.host, current.port) != (contact.host, contact.port):
                 if (names, contact.name) not in self._taken_over:
-                    _log.warning("the name %s was taken by a port at %s", contact.name, current.uri)
+                    _log.warning("the name %s was taken over by a port at %s", contact.name, current.uri)
                 self._taken_over.add((names, contact.name))
         return missing
 

@@ -1,8 +1,8 @@
-"""Reads and writes YARP's own small files, which say where the name server is.
+"""Reads and writes YARP's configuration files with the address of the name server.
 
-``yarp.conf`` in YARP's configuration folder holds one line, ``<address> <port> yarp``; the older form ``[name]``,
+``yarp.conf`` in YARP's configuration folder has one line, ``<address> <port> yarp``; the older form ``[name]``,
 ``host X``, ``port N`` is read too. A network other than ``/root`` (its name server's port name, the namespace) has its
-own file: ``_robot.conf`` for ``/robot``. The namespace comes from ``YARP_NAMESPACE`` or ``yarp_namespace.conf``.
+own file: ``_robot.conf`` for ``/robot``. The namespace is set by ``YARP_NAMESPACE`` or ``yarp_namespace.conf``.
 The folders are those of YARP 3 and 4 (``yarp/conf/dirs.h`` and ``NameConfig.cpp`` of robotology/yarp).
 """
 
@@ -29,26 +29,29 @@ _MAX_BYTES = 64 * 1024
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """The address of a name server; ``mode`` is what serves there, ``yarp`` except in old files."""
+    """The address of a name server; ``mode`` is the kind of server, ``yarp`` except in old files."""
 
     host: str
     port: int
     mode: str = "yarp"
 
     def contact(self, namespace: str) -> PortContact:
-        """The name server's own port."""
+        """Return the contact of the name server itself."""
         return PortContact(namespace, self.host, self.port)
 
 
 def folder(environment: Mapping[str, str] | None = None, platform: str = sys.platform) -> str:
-    """YARP's configuration folder for this user on this operating system. An empty variable counts as not set."""
+    """Return YARP's configuration folder for this user and operating system. An empty variable counts as unset."""
     env = {name: value for name, value in (os.environ if environment is None else environment).items() if value}
     home = "USERPROFILE" if platform == "win32" else "HOME"
     return Directories({home: str(Path.home()), **env} if home not in env else env, platform).config_home()
 
 
 def namespaces(environment: Mapping[str, str] | None = None) -> list[str]:
-    """The networks, the own first: of ``YARP_NAMESPACE``, the file, or ``/root``; raises `NamingConfigError`."""
+    """Return the networks, this program's first: from ``YARP_NAMESPACE``, the file, or ``/root``.
+
+    Raises `NamingConfigError`.
+    """
     env = os.environ if environment is None else environment
     text = env.get("YARP_NAMESPACE") or _read(Path(folder(env)) / NAMESPACE_FILE)
     names = [name.strip('"') for name in re.split(r"[\s,]+", text) if name.strip('"')]
@@ -56,26 +59,28 @@ def namespaces(environment: Mapping[str, str] | None = None) -> list[str]:
 
 
 def namespace(environment: Mapping[str, str] | None = None) -> str:
-    """The own network's name, which is the port name of its name server."""
+    """Return the name of this program's network, which is the port name of its name server."""
     return namespaces(environment)[0]
 
 
 def write_namespace(name: str, environment: Mapping[str, str] | None = None) -> Path:
-    """Make a network the own one, for programs without ``YARP_NAMESPACE``; returns the file written."""
+    """Select a network for programs without ``YARP_NAMESPACE``; return the written file."""
     if not is_name(name):
-        raise NamingConfigError(f"{name!r} is not a name for a YARP network: write it as /robot, without spaces")
+        raise NamingConfigError(
+            f"{name!r} is not a valid name of a YARP network: names are like /robot, without spaces"
+        )
     return _write(Path(folder(environment)) / NAMESPACE_FILE, f"{name}\n")
 
 
 def file(name: str | None = None, environment: Mapping[str, str] | None = None) -> Path:
-    """The file that says where the name server of a network is; without a name, that of the own one."""
+    """Return the file with the address of a network's name server, by default of this program's network."""
     space = namespace(environment) if name is None else name
     base = "yarp" if space == DEFAULT_NAMESPACE else re.sub(r"[^0-9A-Za-z]", "_", space)
     return Path(folder(environment)) / f"{base}.conf"
 
 
 def read(name: str | None = None, environment: Mapping[str, str] | None = None) -> Address | None:
-    """The address of a network's name server; None where no file says it. Raises `NamingConfigError` for a bad file."""
+    """Read the address of a network's name server; None without a file. Raises `NamingConfigError` if it is invalid."""
     path = file(name, environment)
     text = _read(path)
     if not text.strip():
@@ -87,14 +92,14 @@ def read(name: str | None = None, environment: Mapping[str, str] | None = None) 
 
 
 def write(address: Address, name: str | None = None, environment: Mapping[str, str] | None = None) -> Path:
-    """Write the address of a network's name server; returns the file written (whole or not at all)."""
+    """Write the address of a network's name server atomically; return the written file."""
     return _write(file(name, environment), f"{address.host} {address.port} {address.mode}\n")
 
 
 def parse(text: str) -> Address:
-    """Read either form of the file; raises `NamingConfigError` where it is neither."""
-    words = re.split(r'["\s]+', text.strip().strip('"'))
-    fields = _old_form(text) if words[0].startswith("[") else words
+    """Parse either form of the file; raises `NamingConfigError` for another one."""
+    parts = re.split(r'["\s]+', text.strip().strip('"'))
+    fields = _old_form(text) if parts[0].startswith("[") else parts
     if len(fields) < 2 or not fields[0]:
         raise NamingConfigError(
             f"expected '<address> <port> yarp', for example '127.0.0.1 10000 yarp', not {text.strip()[:80]!r}"
@@ -108,11 +113,11 @@ def _old_form(text: str) -> list[str]:
     values: dict[str, str] = {}
     section = ""
     for line in text.splitlines():
-        words = line.split("//")[0].replace('"', " ").split()
-        if words and words[0].startswith("["):
-            section = words[0].strip("[]")
-        elif len(words) >= 2 and section == "name":
-            values[words[0]] = words[1]
+        parts = line.split("//")[0].replace('"', " ").split()
+        if parts and parts[0].startswith("["):
+            section = parts[0].strip("[]")
+        elif len(parts) >= 2 and section == "name":
+            values[parts[0]] = parts[1]
     if "host" not in values or "port" not in values:
         return []
     return [values["host"], values["port"], values.get("mode", "yarp")]
@@ -125,9 +130,9 @@ def _read(path: Path) -> str:
     except (FileNotFoundError, NotADirectoryError):
         return ""
     except OSError as err:
-        raise NamingConfigError(f"{path} cannot be read: {err.strerror or err}") from None
+        raise NamingConfigError(f"cannot read {path}: {err.strerror or err}") from None
     if len(data) > _MAX_BYTES:
-        raise NamingConfigError(f"{path} is larger than {_MAX_BYTES} bytes: it is not a file that YARP wrote")
+        raise NamingConfigError(f"{path} is larger than {_MAX_BYTES} bytes: YARP did not write it")
     return data.decode("utf-8", "replace")
 
 
@@ -136,19 +141,19 @@ def _write(path: Path, text: str) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(path, text.encode())
     except OSError as err:
-        raise NamingConfigError(f"{path} cannot be written: {err.strerror or err}") from None
+        raise NamingConfigError(f"cannot write {path}: {err.strerror or err}") from None
     return path
 
 
 def replace_file(path: Path, data: bytes) -> None:
-    """Write a file so that a crash leaves the old one or the new one; raises `OSError` where the folder refuses."""
+    """Write a file atomically: a crash leaves the old or the new content; raises `OSError`."""
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(data)
             stream.flush()
             os.fsync(stream.fileno())
-        Path(temporary).chmod(0o644)  # others read it too, as what YARP itself writes
+        Path(temporary).chmod(0o644)  # readable by others, like YARP's own files
         Path(temporary).replace(path)
     except BaseException:
         with contextlib.suppress(OSError):

@@ -1,8 +1,8 @@
-"""Makes, ends and inspects connections between any two ports from outside, as ``yarp connect`` does.
+"""Makes, ends and inspects connections between any two ports from a third program, as ``yarp connect`` does.
 
-They are administrative commands to the port that writes: ``[list] [out] /r`` asks whether it is connected,
-``[add] tcp://r`` connects, ``[del] /r`` ends it. All of it blocks, for a bounded time. `Connector` makes the persistent
-connections of a name server, a few at a time, and tries again what did not work at once.
+It sends administrative commands to the writing port: ``[list] [out] /r`` queries the connection, ``[add] tcp://r``
+connects, ``[del] /r`` disconnects. All functions block, for a bounded time. `Connector` makes the persistent
+connections of a name server, a few at a time, and retries failed ones.
 """
 
 from __future__ import annotations
@@ -22,33 +22,33 @@ from yarp_compat.ports.naming import Naming, NamingError, PortError
 from yarp_compat.wire.contact import PortContact, is_port_name
 from yarp_compat.wire.values import Vocab
 
-_LIST, _OUT, _ADD, _DEL, _VER = (Vocab(word) for word in ("list", "out", "add", "del", "ver"))
+_LIST, _OUT, _ADD, _DEL, _VER = (Vocab(name) for name in ("list", "out", "add", "del", "ver"))
 
 
 def connect(
     naming: Naming, source: str, target: str, carrier: str = "", *, timeout: float = text_client.TIMEOUT
 ) -> str:
-    """Connect two ports by a carrier: this, that in a name (``udp://r``), or that of the reading port's registration.
+    """Connect two ports by ``carrier``, that in a name (``udp://r``), or that of the reading port's registration.
 
-    Returns what the writing port says. Raises `PortError` where one does not exist or answer within ``timeout`` seconds
-    a step, or the connection cannot be made, `NoNameServerError` where no name server answers.
+    Return the writing port's reply. Raises `PortError` if a port is missing or does not reply within ``timeout``
+    seconds per step, or if they cannot connect, and `NoNameServerError`.
     """
     writer, reader = _find(naming, source, "source port"), _find(naming, target, "destination port")
     wanted = carrier or _carrier(target) or _carrier(source) or reader.carrier or "tcp"
-    answer = _asked(naming, writer, target, timeout, [_ADD, _target(target, wanted)])
+    answer = _command(naming, writer, target, timeout, [_ADD, _target(target, wanted)])
     return _success(answer, f"{writer.name} could not connect to {target}")
 
 
 def disconnect(naming: Naming, source: str, target: str, *, timeout: float = text_client.TIMEOUT) -> str:
-    """End the connection between two ports; returns what the writing one says. Errors as `connect`."""
+    """End the connection between two ports and return the writing port's reply. Errors as `connect`."""
     writer = _find(naming, source, "source port")
-    answer = _asked(naming, writer, target, timeout, [_DEL, _name(target)])
-    return _success(answer, f"there is no connection from {writer.name} to {target}")
+    answer = _command(naming, writer, target, timeout, [_DEL, _name(target)])
+    return _success(answer, f"no connection from {writer.name} to {target}")
 
 
 def carrier_between(naming: Naming, source: str, target: str, *, timeout: float = text_client.TIMEOUT) -> str:
-    """By which carrier two ports are connected; empty where they are not. Errors as `connect`."""
-    answer = _asked(naming, _find(naming, source, "source port"), target, timeout)
+    """Return the carrier that connects two ports; empty if they are not connected. Errors as `connect`."""
+    answer = _command(naming, _find(naming, source, "source port"), target, timeout)
     return next((str(v[1]) for v in answer if isinstance(v, list) and len(v) == 2 and v[0] == "carrier"), "")
 
 
@@ -58,7 +58,7 @@ def is_connected(naming: Naming, source: str, target: str, *, timeout: float = t
 
 
 def exists(naming: Naming, name: str, *, timeout: float = text_client.TIMEOUT) -> bool:
-    """Whether a port is registered and answers as a port does; raises NoNameServerError."""
+    """Whether a port is registered and replies as a port; raises `NoNameServerError`."""
     contact = naming.query(name)
     if contact is None:
         return False
@@ -71,7 +71,7 @@ def exists(naming: Naming, name: str, *, timeout: float = text_client.TIMEOUT) -
 
 
 def responds(contact: PortContact, *, timeout: float = text_client.TIMEOUT) -> bool:
-    """Whether anything takes a connection at a port's address."""
+    """Whether a port's address accepts connections."""
     try:
         socket.create_connection((contact.host, contact.port), timeout).close()
     except OSError:
@@ -80,22 +80,24 @@ def responds(contact: PortContact, *, timeout: float = text_client.TIMEOUT) -> b
 
 
 def ping(naming: Naming, name: str, *, timeout: float = text_client.TIMEOUT) -> list[str]:
-    """A port's description of itself and its connections, as lines; errors as `connect`."""
+    """Return a port's description of itself and its connections, as lines; errors as `connect`."""
     return text_client.raw(_find(naming, name, "port"), "<ping>", "*\r\n", timeout)
 
 
 def _find(naming: Naming, name: str, role: str) -> PortContact:
-    asked = PortContact.parse(name)
-    if not asked.is_valid and not is_port_name(asked.name):
-        raise PortError(f"{name!r} is no port name: YARP's are like /robot/camera, without spaces")
-    contact = naming.query(name if asked.is_valid else asked.name)
+    parsed = PortContact.parse(name)
+    if not parsed.is_valid and not is_port_name(parsed.name):
+        raise PortError(f"{name!r} is not a valid port name: YARP's names are like /robot/camera, without spaces")
+    contact = naming.query(name if parsed.is_valid else parsed.name)
     if contact is None:
-        raise PortError(f"there is no {role} {asked.name} at the name server")
+        raise PortError(f"{role} {parsed.name} is not registered at the name server")
     return contact
 
 
-def _asked(naming: Naming, writer: PortContact, target: str, timeout: float, command: Sequence[Any] = ()) -> list[Any]:
-    """Ask a port whether it is connected, and have it obey; the name server hears of one that does not answer."""
+def _command(
+    naming: Naming, writer: PortContact, target: str, timeout: float, command: Sequence[Any] = ()
+) -> list[Any]:
+    """Query a port's connection and send it a command; report one that does not reply to the name server."""
     try:
         answer = text_client.admin(writer, [_LIST, _OUT, _name(target)], timeout)
         return text_client.admin(writer, command, timeout) if command else answer
@@ -121,11 +123,11 @@ def _target(target: str, carrier: str) -> str:
 
 
 def _success(answer: list[Any], problem: str) -> str:
-    """The text of an answer ``0 "Added connection ..."``; older ports answer with the text alone."""
+    """Return the text of a reply ``0 "Added connection ..."``; older ports send only the text."""
     text = str(answer[-1]).strip() if answer else ""
     done = answer[0] == 0 if answer and isinstance(answer[0], int) else text[:1] in ("A", "R")
     if not done:
-        raise PortError(f"{problem}: it says {text!r}" if text else problem)
+        raise PortError(f"{problem}: its reply is {text!r}" if text else problem)
     return text
 
 
@@ -135,11 +137,11 @@ WORKERS = 4
 MAX_WAITING = 10_000
 STEP_TIMEOUT = 3.0  # seconds for each step of making a connection
 PAUSES = (0.0, 0.5, 2.0, 8.0)
-"""Seconds before each try. A port that is gone by then is not tried again: it announces itself when it returns."""
+"""Seconds before each attempt. After the last one, a missing port is connected when it announces itself again."""
 
 
 class Connector:
-    """Makes connections between other programs' ports."""
+    """Makes connections between the ports of other programs, on its own threads."""
 
     def __init__(self, naming: Naming) -> None:
         self._naming = naming
@@ -151,13 +153,13 @@ class Connector:
         self._closed = False
         self._threads: list[threading.Thread] = []
 
-    def want(self, wish: WantedConnection) -> None:
-        """Have a connection made, unless it is there; returns at once."""
+    def request(self, wanted: WantedConnection) -> None:
+        """Make a connection in the background, unless it exists."""
         with self._changed:
-            if self._closed or wish in self._waiting or len(self._waiting) >= MAX_WAITING:
+            if self._closed or wanted in self._waiting or len(self._waiting) >= MAX_WAITING:
                 return
-            self._waiting.add(wish)
-            self._put(wish, 0)
+            self._waiting.add(wanted)
+            self._schedule(wanted, 0)
             if len(self._due) > self._idle and len(self._threads) < WORKERS:
                 name = f"yarp connector {len(self._threads)}"
                 thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -165,53 +167,53 @@ class Connector:
                 thread.start()
 
     def close(self) -> None:
-        """Make no more connections; returns when the one in work is given up."""
+        """Make no more connections; wait until attempts in progress have ended."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
         for thread in self._threads:
             thread.join()
 
-    def _put(self, wish: WantedConnection, attempt: int) -> None:
+    def _schedule(self, wanted: WantedConnection, attempt: int) -> None:
         self._order += 1
-        heapq.heappush(self._due, (time.monotonic() + PAUSES[attempt], self._order, wish, attempt))
+        heapq.heappush(self._due, (time.monotonic() + PAUSES[attempt], self._order, wanted, attempt))
         self._changed.notify()
 
     def _run(self) -> None:
-        while (taken := self._take()) is not None:
-            wish, attempt = taken
-            error = self._make(wish)
+        while (entry := self._next()) is not None:
+            wanted, attempt = entry
+            error = self._make(wanted)
             last = error is None or attempt + 1 >= len(PAUSES)
             if error is not None:
                 _log.log(
                     logging.WARNING if last else logging.DEBUG,
-                    "persistent connection from %s to %s not made: %s", wish.source, wish.target, error,
+                    "persistent connection from %s to %s failed: %s", wanted.source, wanted.target, error,
                 )  # fmt: skip
             with self._changed:
                 if last or self._closed:
-                    self._waiting.discard(wish)
+                    self._waiting.discard(wanted)
                 else:
-                    self._put(wish, attempt + 1)
+                    self._schedule(wanted, attempt + 1)
 
-    def _take(self) -> tuple[WantedConnection, int] | None:
+    def _next(self) -> tuple[WantedConnection, int] | None:
         with self._changed:
             self._idle += 1
             try:
                 while not self._closed:
                     left = self._due[0][0] - time.monotonic() if self._due else None
                     if left is not None and left <= 0:
-                        _, _, wish, attempt = heapq.heappop(self._due)
-                        return wish, attempt
+                        _, _, wanted, attempt = heapq.heappop(self._due)
+                        return wanted, attempt
                     self._changed.wait(left)
                 return None
             finally:
                 self._idle -= 1
 
-    def _make(self, wish: WantedConnection) -> NamingError | None:
+    def _make(self, wanted: WantedConnection) -> NamingError | None:
         try:
-            if wish.anew or not is_connected(self._naming, wish.source, wish.target, timeout=STEP_TIMEOUT):
-                connect(self._naming, wish.source, wish.target, timeout=STEP_TIMEOUT)
-                _log.info("persistent connection from %s to %s made", wish.source, wish.target)
+            if wanted.force or not is_connected(self._naming, wanted.source, wanted.target, timeout=STEP_TIMEOUT):
+                connect(self._naming, wanted.source, wanted.target, timeout=STEP_TIMEOUT)
+                _log.info("persistent connection from %s to %s established", wanted.source, wanted.target)
         except NamingError as err:
             return err
         return None

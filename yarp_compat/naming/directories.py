@@ -1,7 +1,7 @@
-"""YARP's directories on each system (`yarp/conf/dirs.h`).
+"""YARP's directories on each operating system (`yarp/conf/dirs.h`).
 
-``YARP_DATA_HOME`` and its kin, as YARP has them since 3.5, name a directory itself, also where they are empty. The XDG
-variables (APPDATA, LOCALAPPDATA and ALLUSERSPROFILE on Windows) name one in which ``yarp`` is looked for; macOS has no
+``YARP_DATA_HOME`` and similar variables (since 3.5) name YARP's own directory, even if they are empty. The XDG
+variables (APPDATA, LOCALAPPDATA and ALLUSERSPROFILE on Windows) name the parent of a directory ``yarp``; macOS has no
 such variables.
 """
 
@@ -15,23 +15,23 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Directories:
-    """The directories, by the variables of an environment on a platform as `sys.platform` names it."""
+    """The directories for the variables of an environment and a `sys.platform`."""
 
     environment: Mapping[str, str] = field(default_factory=lambda: os.environ)
     platform: str = sys.platform
 
     def home(self) -> str:
-        """The user's home."""
+        """The user's home directory."""
         return self.environment.get("USERPROFILE" if self._windows else "HOME", "")
 
     def temporary(self) -> str:
-        """Where temporary files go."""
+        """The directory for temporary files."""
         if self._windows:
             return self.environment.get("TEMP", f"{self.home()}\\AppData\\Local\\Temp")
         return self.environment.get("TMPDIR", "/tmp")  # noqa: S108 - YARP's default
 
     def data(self) -> str:
-        """The user's own data, of all programs."""
+        """The user's data of all programs."""
         if self._windows:
             return self.environment.get("APPDATA", f"{self.home()}\\AppData\\Roaming")
         if self._mac:
@@ -39,7 +39,7 @@ class Directories:
         return self.environment.get("XDG_DATA_HOME", f"{self.home()}/.local/share")
 
     def config(self) -> str:
-        """The user's own settings, of all programs."""
+        """The user's settings of all programs."""
         if self._windows:
             return self.environment.get("APPDATA", f"{self.home()}\\AppData\\Roaming")
         if self._mac:
@@ -47,7 +47,7 @@ class Directories:
         return self.environment.get("XDG_CONFIG_HOME", f"{self.home()}/.config")
 
     def cache(self) -> str:
-        """What the user's programs may make again."""
+        """The user's caches of all programs."""
         if self._windows:
             return self.environment.get("LOCALAPPDATA", f"{self.home()}\\AppData\\Local")
         if self._mac:
@@ -55,47 +55,47 @@ class Directories:
         return self.environment.get("XDG_CACHE_HOME", f"{self.home()}/.cache")
 
     def runtime(self) -> str:
-        """What lives as long as the user's session."""
+        """Files that last as long as the user's session."""
         if self._windows:
             return f"{self.temporary()}\\runtime"
         default = f"{self.temporary()}/runtime-{self.environment.get('USER', '')}"
         return default if self._mac else self.environment.get("XDG_RUNTIME_DIR", default)
 
     def shared_data(self) -> list[str]:
-        """What is installed for everybody, of all programs."""
+        """The system-wide data of all programs."""
         return self._shared("XDG_DATA_DIRS", "/usr/local/share:/usr/share", "/usr/local/share:/usr/share")
 
     def shared_config(self) -> list[str]:
-        """What the administrator set, of all programs."""
+        """The system-wide settings of all programs."""
         return self._shared("XDG_CONFIG_DIRS", "/etc/xdg", "/etc:/Library/Preferences")
 
     def data_home(self) -> str:
-        """YARP's data of the user: contexts and robots that were edited."""
+        """The user's data of YARP: edited contexts and robots."""
         return self.environment.get("YARP_DATA_HOME", self._in(self.data(), "yarp"))
 
     def config_home(self) -> str:
-        """YARP's settings of the user: ``yarp.conf`` and its kin."""
+        """The user's settings of YARP, such as ``yarp.conf``."""
         return self.environment.get("YARP_CONFIG_HOME", self._in(self.config(), *self._config_suffix))
 
     def cache_home(self) -> str:
-        """What YARP may make again."""
+        """The user's caches of YARP."""
         return self.environment.get("YARP_CACHE_HOME", self._in(self.cache(), "yarp"))
 
     def runtime_home(self) -> str:
-        """What lives as long as YARP's programs."""
+        """Files that last as long as YARP's programs."""
         return self.environment.get("YARP_RUNTIME_DIR", self._in(self.runtime(), "yarp"))
 
     def data_dirs(self) -> list[str]:
-        """YARP's data that are installed for everybody."""
+        """The system-wide data of YARP."""
         if "YARP_DATA_DIRS" in self.environment:
             return self._split(self.environment["YARP_DATA_DIRS"])
-        return [self._in(one, "yarp") for one in self.shared_data()]
+        return [self._in(folder, "yarp") for folder in self.shared_data()]
 
     def config_dirs(self) -> list[str]:
-        """YARP's settings that the administrator made."""
+        """The system-wide settings of YARP."""
         if "YARP_CONFIG_DIRS" in self.environment:
             return self._split(self.environment["YARP_CONFIG_DIRS"])
-        return [self._in(one, *self._config_suffix) for one in self.shared_config()]
+        return [self._in(folder, *self._config_suffix) for folder in self.shared_config()]
 
     def robot(self) -> str:
         """The robot's name: ``YARP_ROBOT_NAME``, or ``default``."""
@@ -117,7 +117,7 @@ class Directories:
         return ("\\" if self._windows else "/").join((folder, *names))
 
     def _split(self, text: str) -> list[str]:
-        return [one for one in text.split(";" if self._windows else ":") if one]
+        return [folder for folder in text.split(";" if self._windows else ":") if folder]
 
     def _shared(self, variable: str, default: str, mac: str) -> list[str]:
         if self._windows:

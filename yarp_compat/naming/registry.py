@@ -1,8 +1,8 @@
-"""The name server's logic: commands in, answers out, no sockets.
+"""The name server's logic, without sockets: commands and their replies.
 
-Commands and answers as those of yarpserver 3.12.3 and 4.0 (``NameServiceOnTriples.cpp``, ``Subscriber.cpp``, and what
-was captured from them). Beyond that: names are checked, everything is bounded, and a port that registers again
-exactly what is known of it (as ours do when the name server was away) changes nothing.
+They are those of yarpserver 3.12.3 and 4.0 (``NameServiceOnTriples.cpp``, ``Subscriber.cpp``, and captures). In
+addition, names are validated, everything is bounded, and a port that repeats its registration unchanged (as ours do
+after an outage of the name server) keeps its state.
 """
 
 from __future__ import annotations
@@ -22,35 +22,35 @@ from yarp_compat.wire.values import Vocab
 
 @dataclass(slots=True)
 class Command:
-    """A command, and what comes of it."""
+    """A command, its reply and its effects."""
 
     words: Sequence[Any] = ()  # the command's values
-    bot: bool = False  # it is answered as a Bottle
-    remote: str = ""  # the address that it comes from
-    # the answer as a Bottle's values; beginning with `OLD` it is sent as lines
+    bot: bool = False  # the reply is a Bottle
+    remote: str = ""  # the sender's address
+    # the reply as a Bottle's values; it is sent as lines if it begins with `OLD`
     values: list[Any] = field(default_factory=lambda: [OLD])
-    # what the listeners at the name server's port get: ``[add] /p`` and ``[del] /p``
+    # messages to the subscribers of the name server's port: ``[add] /p`` and ``[del] /p``
     events: list[list[Any]] = field(default_factory=list)
-    wishes: list[WantedConnection] = field(default_factory=list)  # connections to be made
-    changed: bool = False  # it leaves something to remember that was not there before
+    connections: list[WantedConnection] = field(default_factory=list)  # connections to make
+    changed: bool = False  # the state to save has changed
 
     def word(self, index: int) -> str:
-        """A word of it as text; empty where there are fewer."""
+        """Return a word as text; empty if there are fewer."""
         return plain_text(self.words[index]) if index < len(self.words) else ""
 
     def name(self, index: int) -> str:
-        """A word of it that is a string; empty where it is anything else (a browser's request has lists behind)."""
+        """Return a word that is a string; empty if it is not (a browser's request ends with lists)."""
         value = self.words[index] if index < len(self.words) else ""
         return str(value) if isinstance(value, str) else ""
 
     @property
     def head(self) -> list[Any]:
-        """The beginning of an empty answer."""
+        """The start of an empty reply."""
         return [] if self.bot else [OLD]
 
 
 def plain_name(name: str) -> str:
-    """A name without carrier and without the network that was asked for (``/net=eth0/p``)."""
+    """Return a name without its carrier and without a requested network (``/net=eth0/p``)."""
     name = PortContact.parse(name).name if ":/" in name else name
     if name[:5].lower() == "/net=" and "/" in name[5:]:
         return name[name.index("/", 5) :]
@@ -58,11 +58,11 @@ def plain_name(name: str) -> str:
 
 
 def wants_json(words: Sequence[Any]) -> bool:
-    """Whether a browser's request asks for json, which needs values instead of lines."""
+    """Whether a browser requests JSON, which needs values instead of lines."""
     return ["format", "json"] in words or ("format", "json") in itertools.pairwise(words)
 
 
-OLD = "old"  # the first word of an answer that is sent as lines of text, as YARP's oldest programs expect it
+OLD = "old"  # the first word of a reply that is sent as lines of text, the protocol of YARP's oldest programs
 
 STYLE = (
     "body {\n  background: white;\n  color: black;\n  font-family: sans-serif;\n}\nh1 {\n  color: #336;\n}\n"
@@ -87,23 +87,23 @@ HELP = (
 
 
 def lines(values: Sequence[Any]) -> list[str]:
-    """An answer that begins with `OLD`, as the lines that are sent, without their ends."""
+    """Return the lines of a reply that begins with `OLD`, without line ends."""
     shown = [to_text(v).replace('"', "") if isinstance(v, list | tuple) else plain_text(v) for v in values[1:]]
     return [*filter(None, shown), "*** end of message"]
 
 
 def as_words(c: PortContact) -> list[Any]:
-    """The description of a port in lines."""
+    """Return the description of a port for a reply in lines."""
     return ["registration", "name", c.name, "ip", c.host, "port", c.port, "type", c.carrier]
 
 
 def as_bottle(c: PortContact) -> list[Any]:
-    """The description of a port as a Bottle."""
+    """Return the description of a port as a Bottle."""
     return ["port", ["name", c.name], ["ip", c.host], ["port_number", c.port], ["carrier", c.carrier]]
 
 
 def as_value(text: str) -> Any:
-    """A property's word as the value that it was set to."""
+    """Return the value of a property's text."""
     try:
         values = from_text(text)
     except ValueError:
@@ -112,7 +112,7 @@ def as_value(text: str) -> Any:
 
 
 def code(done: bool) -> list[Any]:
-    """``[ok]`` or ``[fail]``."""
+    """Return ``[ok]`` or ``[fail]``."""
     return [Vocab("ok" if done else "fail")]
 
 
@@ -124,7 +124,7 @@ MAX_OWNED_DEPTH = 16
 
 @dataclass(slots=True)
 class PortEntry:
-    """One registered port; ``since`` is in seconds of the registry's clock; ``announced``: it said that it listens."""
+    """A registered port; ``since``: seconds of the registry's clock; ``announced``: it has announced itself."""
 
     contact: PortContact
     since: float
@@ -133,7 +133,7 @@ class PortEntry:
 
 
 class PortRegistry:
-    """The state of a name server, whose own port is registered from the start; ``clock`` never goes back."""
+    """The state of a name server, whose own port is registered from the start; ``clock`` is monotonic."""
 
     def __init__(self, server: PortContact, *, clock: Callable[[], float] = time.monotonic) -> None:
         self.server = server
@@ -146,51 +146,51 @@ class PortRegistry:
         self._ports[server.name].properties["nameserver"] = ["true"]
 
     def add(self, contact: PortContact) -> None:
-        """Register a port of which everything is known, such as the name server's own."""
+        """Register a port with a complete contact, such as the name server's own."""
         self._ports[contact.name] = PortEntry(contact, self._clock(), announced=True)
-        self._subscriptions.welcome(contact.name)
+        self._subscriptions.on_announced(contact.name)
 
-    def apply(self, words: Sequence[Any], remote: str = "") -> Command:
-        """Answer a command that comes from ``remote``; ``NAME_SERVER`` and ``bot`` may stand before its words."""
-        words = list(words)
-        bot = wants_json(words)
-        if words and words[0] == "NAME_SERVER":
-            words = words[1:]
-        if words and words[0] == "bot":
-            bot, words = True, words[1:]
-        command = Command(words, bot, remote)
+    def apply(self, request: Sequence[Any], remote: str = "") -> Command:
+        """Execute a command from ``remote``; ``NAME_SERVER`` and ``bot`` may precede its words."""
+        request = list(request)
+        bot = wants_json(request)
+        if request and request[0] == "NAME_SERVER":
+            request = request[1:]
+        if request and request[0] == "bot":
+            bot, request = True, request[1:]
+        command = Command(request, bot, remote)
         perform = getattr(self, f"_do_{command.word(0)}", None)
         if perform:
             command.values = perform(command)
         return command
 
     def remove(self, names: Iterable[str]) -> Command:
-        """Forget ports that are dead; returns what comes of that."""
+        """Remove dead ports; return the effects."""
         command = Command()
         for name in names:
             if name != self.server.name:
-                self._forget(command, name)
+                self._remove(command, name)
         return command
 
     def entries(self) -> list[PortEntry]:
-        """All registered ports, in order of their names."""
+        """Return all registered ports, sorted by name."""
         return [self._ports[name] for name in sorted(self._ports, key=_in_bytes)]
 
     def find(self, name: str) -> PortContact | None:
-        """The address of a port; None where it is not known."""
+        """Return the address of a port; None if it is unknown."""
         entry = self._ports.get(name)
         return entry.contact if entry else None
 
     def wanted(self) -> list[WantedConnection]:
-        """Every persistent connection that is wanted now."""
+        """Return the persistent connections to make now."""
         return self._subscriptions.wanted()
 
     def age(self, entry: PortEntry) -> float:
-        """Seconds since a port was registered."""
+        """Return the seconds since a port was registered."""
         return self._clock() - entry.since
 
     def state(self) -> dict[str, Any]:
-        """All that it remembers, for a file."""
+        """Return the state as JSON data."""
         return {
             "own": self._ports[self.server.name].properties,
             "ports": [
@@ -204,7 +204,7 @@ class PortRegistry:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Remember what `state` gave; raises `KeyError`, `TypeError` or `ValueError` for anything else."""
+        """Restore what `state` returned; raises `KeyError`, `TypeError` or `ValueError` if it is invalid."""
         self._ports[self.server.name].properties.update(_properties(state.get("own", {})))
         for name, carrier, host, port, properties in state["ports"]:
             sane = is_name(name) and is_name(carrier) and is_name(host) and 0 <= int(port) <= 0xFFFF
@@ -218,16 +218,16 @@ class PortRegistry:
     # -- registering ---------------------------------------------------------------------------------------------
 
     def _do_register(self, command: Command) -> list[Any]:
-        asked = self._asked(command)
-        if asked is None:
+        requested = self._parse_contact(command)
+        if requested is None:
             return [OLD]
-        known = self._ports.get(asked.name)
-        if known and known.contact == asked:
-            known.since = self._clock()  # it came back to a restarted name server: nothing else changes
-            return self._described(command, asked.name)
+        known = self._ports.get(requested.name)
+        if known and known.contact == requested:
+            known.since = self._clock()  # it registers again at a restarted name server: nothing else changes
+            return self._described(command, requested.name)
         if known:
-            self._forget(command, asked.name)
-        contact = self._completed(asked)
+            self._remove(command, requested.name)
+        contact = self._completed(requested)
         if contact is None or len(self._ports) >= MAX_PORTS:
             return [OLD]
         self._ports[contact.name] = PortEntry(contact, self._clock())
@@ -239,8 +239,8 @@ class PortRegistry:
             command.events.append([Vocab("add"), contact.name])
         return self._described(command, contact.name)
 
-    def _asked(self, command: Command) -> PortContact | None:
-        """The contact as far as the command says it; None where it cannot be registered."""
+    def _parse_contact(self, command: Command) -> PortContact | None:
+        """Return the requested contact, possibly incomplete; None if it cannot be registered."""
         name, carrier, host = (command.name(i) for i in (1, 2, 3))
         number = command.word(4)
         carrier = "tcp" if carrier in ("", "...") else carrier
@@ -255,35 +255,35 @@ class PortRegistry:
             return None
         return PortContact(name, host, port, carrier)
 
-    def _completed(self, asked: PortContact) -> PortContact | None:
-        """Fill in the name, the address and the number that were not said."""
-        name: str | None = asked.name
-        if asked.name == "..." or asked.name.startswith("="):
-            given = self._allocator.name()
-            while given in self._ports:
-                given = self._allocator.name()
-            name = given if asked.name == "..." or given is None else given + asked.name
+    def _completed(self, requested: PortContact) -> PortContact | None:
+        """Allocate a missing name, address and number."""
+        name: str | None = requested.name
+        if requested.name == "..." or requested.name.startswith("="):
+            allocated = self._allocator.name()
+            while allocated in self._ports:
+                allocated = self._allocator.name()
+            name = allocated if requested.name == "..." or allocated is None else allocated + requested.name
         if name is None or not is_name(name):
             return None
-        host: str | None = asked.host
-        if asked.carrier == "mcast" and host == "...":
+        host: str | None = requested.host
+        if requested.carrier == "mcast" and host == "...":
             host = self._allocator.group()
-        number: int | None = asked.port
+        number: int | None = requested.port
         if not number:
             number = self._allocator.number(name, {e.contact.port for e in self._ports.values()})
         if host is None or number is None:
             return None
-        return PortContact(name, host, number, asked.carrier)
+        return PortContact(name, host, number, requested.carrier)
 
     def _do_unregister(self, command: Command) -> list[Any]:
         name = command.name(1)
         if name != self.server.name:
-            self._forget(command, name)
+            self._remove(command, name)
         return self._described(command, name)
 
-    def _forget(self, command: Command, name: str, depth: int = 0) -> None:
-        """Forget a port, and what it owns (a port that writes by mcast owns its group's entry)."""
-        self._subscriptions.gone(name)
+    def _remove(self, command: Command, name: str, depth: int = 0) -> None:
+        """Remove a port and the entries that it owns (a port that writes by mcast owns its group's entry)."""
+        self._subscriptions.on_removed(name)
         entry = self._ports.pop(name, None)
         if entry is None:
             return
@@ -294,19 +294,19 @@ class PortRegistry:
             command.events.append([Vocab("del"), name])
         for owned in entry.properties.get("owns", ()):
             if depth < MAX_OWNED_DEPTH and owned != self.server.name:
-                self._forget(command, owned, depth + 1)
+                self._remove(command, owned, depth + 1)
 
-    # -- asking --------------------------------------------------------------------------------------------------
+    # -- queries -------------------------------------------------------------------------------------------------
 
     def _do_query(self, command: Command) -> list[Any]:
         return self._described(command, plain_name(command.name(1)))
 
     def _described(self, command: Command, name: str) -> list[Any]:
-        """The answer about one port."""
+        """Return the reply about one port."""
         entry = self._ports.get(name)
         if command.bot:
             line = as_bottle(entry.contact) if entry else ["port", ["error", -2, "port not known"]]
-            # what was registered as a Bottle is still answered in lines, as yarpserver does
+            # a registration by a Bottle also gets its reply in lines, as from yarpserver
             return [OLD, *line] if command.word(0) in ("register", "unregister") else line
         return [OLD, as_words(entry.contact)] if entry else [OLD]
 
@@ -345,11 +345,11 @@ class PortRegistry:
         if entry is None:
             return command.head
         values = [plain_text(v) for v in command.words[3:]]
-        kept = entry.properties
-        others = sum(len(k) + sum(map(len, v)) for k, v in kept.items() if k != key)
+        properties = entry.properties
+        others = sum(len(k) + sum(map(len, v)) for k, v in properties.items() if k != key)
         if others + len(key) + sum(map(len, values)) <= MAX_PROPERTY_CHARACTERS:
-            command.changed = kept.get(key) != values
-            kept[key] = values
+            command.changed = properties.get(key) != values
+            properties[key] = values
         return self._do_get(command)
 
     def _do_get(self, command: Command) -> list[Any]:
@@ -376,10 +376,10 @@ class PortRegistry:
         source, target, mode = (command.name(i) for i in (1, 2, 3))
         if not target:
             return self._subscriptions.listing(PortContact.parse(source).name)
-        wishes = self._subscriptions.add(source, target, mode)
-        command.changed = wishes is not None
-        command.wishes += wishes or ()
-        return code(wishes is not None)
+        connections = self._subscriptions.add(source, target, mode)
+        command.changed = connections is not None
+        command.connections += connections or ()
+        return code(connections is not None)
 
     def _do_unsubscribe(self, command: Command) -> list[Any]:
         self._subscriptions.remove(command.name(1), command.name(2))
@@ -389,20 +389,20 @@ class PortRegistry:
     def _do_announce(self, command: Command) -> list[Any]:
         name = command.name(1)
         alive = len(command.words) < 3 or command.words[2] != 0
-        # one that does not respond is not forgotten for that: who could not reach it may be at fault
+        # a port that a client cannot reach is not removed, as the fault may be on the client's side
         if alive and self._is_port(name):
             entry = self._ports[name]
-            command.wishes += self._subscriptions.welcome(name, anew=not entry.announced)
+            command.connections += self._subscriptions.on_announced(name, force=not entry.announced)
             command.changed = entry.announced = True
         return code(True)
 
     def _do_topic(self, command: Command) -> list[Any]:
         if len(command.words) < 2:
             return list(self._subscriptions.topics())
-        wishes = self._subscriptions.set_topic(command.name(1), command.name(2))
-        command.changed = wishes is not None
-        command.wishes += wishes or ()
-        return code(wishes is not None)
+        connections = self._subscriptions.set_topic(command.name(1), command.name(2))
+        command.changed = connections is not None
+        command.connections += connections or ()
+        return code(connections is not None)
 
     def _do_untopic(self, command: Command) -> list[Any]:
         self._subscriptions.remove_topic(command.name(1))

@@ -1,8 +1,8 @@
-"""A name server of our own, which YARP programs use without knowing.
+"""Our name server, a replacement for yarpserver.
 
-It is a port like any other (``/root``): what name clients say in lines, what anybody sends it as a Bottle over any
-carrier, and what a browser asks all reach the same registry. It remembers ports, properties and persistent connections
-in a file, so that its restart disturbs nobody, and forgets ports at whose address nobody listens any more.
+It is a port like any other (``/root``): commands in lines from name clients, Bottles over any carrier, and requests of
+browsers all reach the same registry. It saves ports, properties and persistent connections in a file, so that a restart
+has no effect on running programs, and removes ports whose address refuses connections.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _REFUSED = (errno.ECONNREFUSED, getattr(errno, "WSAECONNREFUSED", errno.ECONNREF
 
 
 def refused(contacts: Iterable[PortContact], seconds: float) -> set[str]:
-    """The names of ports whose address refuses connections in so many seconds; no answer says nothing."""
+    """Return the names of ports whose address refuses connections within a time; silent ones may be alive."""
     dead: set[str] = set()
     todo = [c for c in contacts if _is_address(c.host)]
     end = time.monotonic() + seconds
@@ -51,30 +51,30 @@ def refused(contacts: Iterable[PortContact], seconds: float) -> set[str]:
 
 def _refused(batch: list[PortContact], end: float) -> set[str]:
     dead: set[str] = set()
-    with selectors.DefaultSelector() as waiting:
+    with selectors.DefaultSelector() as selector:
         for contact in batch:
-            _begin(contact, waiting, dead)
+            _begin(contact, selector, dead)
         try:
-            while waiting.get_map() and (left := end - time.monotonic()) > 0:
-                for key, _ in waiting.select(left):
+            while selector.get_map() and (left := end - time.monotonic()) > 0:
+                for key, _ in selector.select(left):
                     probe = key.fileobj
                     assert isinstance(probe, socket.socket)
                     if probe.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) in _REFUSED:
                         dead.add(key.data)
-                    waiting.unregister(probe)
+                    selector.unregister(probe)
                     probe.close()
         finally:
-            for key in list(waiting.get_map().values()):
+            for key in list(selector.get_map().values()):
                 assert isinstance(key.fileobj, socket.socket)
                 key.fileobj.close()
     return dead
 
 
-def _begin(contact: PortContact, waiting: selectors.BaseSelector, dead: set[str]) -> None:
+def _begin(contact: PortContact, selector: selectors.BaseSelector, dead: set[str]) -> None:
     try:
         probe = socket.socket(socket.AF_INET6 if ":" in contact.host else socket.AF_INET, socket.SOCK_STREAM)
     except OSError:
-        return  # no descriptors are left: no reason to think a port dead
+        return  # no descriptors are left, which says nothing about the port
     probe.setblocking(False)
     host = "127.0.0.1" if contact.host == "localhost" else contact.host
     try:
@@ -82,7 +82,7 @@ def _begin(contact: PortContact, waiting: selectors.BaseSelector, dead: set[str]
     except (OSError, OverflowError):
         result = errno.EINVAL
     if result in _UNDER_WAY:
-        waiting.register(probe, selectors.EVENT_WRITE, contact.name)
+        selector.register(probe, selectors.EVENT_WRITE, contact.name)
         return
     if result in _REFUSED:
         dead.add(contact.name)
@@ -98,33 +98,33 @@ def _is_address(host: str) -> bool:
 
 _log = logging.getLogger("yarp.names")
 
-LIMIT = 64 * 1024  # bytes of the longest command that is taken
+LIMIT = 64 * 1024  # bytes of the longest accepted command
 GC_SECONDS = 60.0
-YOUNG = 5.0  # seconds for which a port is not looked for: it is registered before it listens
-PROBE_SECONDS = 1.0  # seconds for one look at all ports; a port that takes longer to answer is not dead
+YOUNG = 5.0  # seconds without probes after the registration, which precedes listening
+PROBE_SECONDS = 1.0  # seconds to probe all ports; a slower port does not count as dead
 
 
 class NameServer(Openable):
     """A name server; a context manager.
 
     Attributes:
-        address: where it listens.
+        address: the address that it listens on.
         contact: its own port.
-        registry: what is registered.
-        changes: how often its ports, their properties or wished connections changed since it was opened.
-        port: at which it is asked, and which tells of what happens.
+        registry: the registered ports.
+        changes: the number of changes of ports, properties or persistent connections since it was opened.
+        port: the port that receives requests and publishes changes.
     """
 
     def __init__(
         self,
-        host: str = "127.0.0.1",  # the address at which it listens, and that it tells others
-        port: int = DEFAULT_PORT,  # its TCP port number; ports get numbers from two above it
+        host: str = "127.0.0.1",  # the address that it listens on and registers
+        port: int = DEFAULT_PORT,  # its TCP port number; ports get numbers from two above it on
         *,
         namespace: str = DEFAULT_NAMESPACE,  # its port's name, which is the network's name
-        # the file in which it remembers; None: a restart knows nothing, and ports must register again
+        # the file of its state; None: after a restart, ports must register again
         state: Path | None = None,
-        gc_seconds: float = GC_SECONDS,  # how often it looks for dead ports; 0: only on the command ``gc``
-        profile: Profile = Profile.YARP3,  # how it writes Bottles to those who did not send any
+        gc_seconds: float = GC_SECONDS,  # the period of probes for dead ports; 0: only on the command ``gc``
+        profile: Profile = Profile.YARP3,  # the dialect for clients that have not sent any Bottle
     ) -> None:
         self.address = Address(host, port)
         self.contact = self.address.contact(namespace)
@@ -139,7 +139,7 @@ class NameServer(Openable):
         self.changes = 0
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        self._naming = _Own(self)
+        self._naming = _OwnNaming(self)
         self._connector = Connector(self._naming)
         self.port = PortCore(
             namespace,
@@ -153,24 +153,24 @@ class NameServer(Openable):
         )
 
     def open(self) -> Self:
-        """Remember what the last one knew, and serve; raises `NamingError` where it cannot listen at its address."""
-        self._recall()
+        """Load the saved state and serve; raises `NamingError` if the address is not available."""
+        self._load()
         try:
             self.port.open()
         except OSError as err:
             a = self.address
             raise NamingError(
-                f"no name server can be opened at {a.host} port {a.port}: {err.strerror or err}."
-                " Is another one running there? ('midspan yarp where' asks it)"
+                f"cannot open a name server at {a.host} port {a.port}: {err.strerror or err}."
+                " Another one may be running there: check with 'midspan yarp where'"
             ) from None
-        self._thread = threading.Thread(target=self._keep_house, name="yarp name server", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="yarp name server", daemon=True)
         self._thread.start()
-        for wish in self.registry.wanted():
-            self._connector.want(wish)
+        for connection in self.registry.wanted():
+            self._connector.request(connection)
         return self
 
     def close(self) -> None:
-        """Serve no more; ports and their connections are not touched, and what is known stays in the file."""
+        """Stop serving; open ports and their connections persist, and the state stays in the file."""
         self._connector.close()
         self.port.close()
         self._stop.set()
@@ -180,18 +180,18 @@ class NameServer(Openable):
             self._thread = None
 
     def apply(self, words: Sequence[Any], remote: str) -> Command:
-        """Answer one command and do what follows from it."""
+        """Execute a command with its effects."""
         if words and words[-1] == "gc" and len(words) < 3:
             self.collect(patience=1)
         with self._lock:
             answer = self.registry.apply(words, remote)
             self._count(answer)
-            self._tell(answer)
+            self._publish(answer)
         self._follow(answer)
         return answer
 
     def collect(self, patience: int = 2) -> list[str]:
-        """Forget ports at whose address nobody listens (``patience`` 2: the last time too); returns their names."""
+        """Remove ports that refuse connections (``patience`` 2: for the second time); return their names."""
         with self._lock:
             entries = [
                 e.contact
@@ -201,57 +201,57 @@ class NameServer(Openable):
                 and self.registry.age(e) > YOUNG
             ]
         dead = refused(entries, PROBE_SECONDS)
-        gone = sorted(dead if patience == 1 else dead & self._suspects)
-        self._suspects = dead - set(gone)
-        if gone:
-            _log.info("nobody listens any more at the ports %s: forgotten", ", ".join(gone[:20]))
+        removed = sorted(dead if patience == 1 else dead & self._suspects)
+        self._suspects = dead - set(removed)
+        if removed:
+            _log.info("removed ports that refuse connections: %s", ", ".join(removed[:20]))
             with self._lock:
-                answer = self.registry.remove(gone)
+                answer = self.registry.remove(removed)
                 self._count(answer)
-                self._tell(answer)
+                self._publish(answer)
             self._follow(answer)
-        return gone
+        return removed
 
-    def _tell(self, answer: Command) -> None:
-        """Tell listeners what changed; with the lock held, as that waits for nobody, so that all hear it in order."""
+    def _publish(self, answer: Command) -> None:
+        """Publish changes; with the lock held for their order, as writing never blocks."""
         for event in answer.events:
             self.port.write(encode(event, self._profile), strict=True)
 
     def _follow(self, answer: Command) -> None:
-        for wish in answer.wishes:
-            self._connector.want(wish)
+        for connection in answer.connections:
+            self._connector.request(connection)
         if answer.changed:
             self._dirty = True
             self._wake.set()
 
     def _count(self, answer: Command) -> None:
-        """Count what changed; with the lock held, so that who saw a number has not seen less than it stands for."""
+        """Count a change; with the lock held, so that a reader of the count also sees the change."""
         self.changes += answer.changed
 
     def _line(self, line: str, address: tuple[str, int]) -> bytes:
-        """A command of a name client, as a line; the answer's bytes."""
+        """Execute a command in a line; return the bytes of the reply."""
         try:
-            words = from_text(line)
+            command = from_text(line)
         except WireError as err:
-            _log.info("a command of %s cannot be read: %s", address[0], err)
-            words = []
-        values = self.apply(words, address[0]).values
-        return _in_lines(values) if values[:1] == [OLD] else _encoded(to_text(values) + "\r\n")
+            _log.info("invalid command from %s: %s", address[0], err)
+            command = []
+        values = self.apply(command, address[0]).values
+        return _encode_lines(values) if values[:1] == [OLD] else _encoded(to_text(values) + "\r\n")
 
     def _bottle(self, message: PortMessage) -> None:
-        """A command as a Bottle, over any carrier."""
+        """Execute a command in a Bottle, over any carrier."""
         try:
-            words = decode(message.payload, message.peer.profile)
+            command = decode(message.payload, message.peer.profile)
         except WireError as err:
-            _log.info("a command of %s cannot be read: %s", message.peer.route.source, err)
-            words = []
-        values = self.apply(words, message.peer.address[0]).values
+            _log.info("invalid command from %s: %s", message.peer.route.source, err)
+            command = []
+        values = self.apply(command, message.peer.address[0]).values
         if values[:1] == [OLD]:
-            message.reply(_in_lines(values), plain=True)
+            message.reply(_encode_lines(values), plain=True)
         else:
             message.reply(encode(values, message.peer.profile or self._profile))
 
-    def _recall(self) -> None:
+    def _load(self) -> None:
         if self._state is None:
             return
         try:
@@ -259,15 +259,15 @@ class NameServer(Openable):
         except FileNotFoundError:
             return
         except OSError as err:
-            _log.warning("%s cannot be read (%s): the name server begins empty", self._state, err.strerror)
+            _log.warning("cannot read %s (%s): the name server starts empty", self._state, err.strerror)
             return
         try:
             loads(self.registry, data)
         except ValueError as err:
-            spoilt = self._state.with_suffix(self._state.suffix + ".spoilt")
+            invalid = self._state.with_suffix(self._state.suffix + ".spoilt")
             with contextlib.suppress(OSError):
-                self._state.replace(spoilt)
-            _log.warning("%s: %s; it is kept as %s, and the name server begins empty", self._state, err, spoilt.name)
+                self._state.replace(invalid)
+            _log.warning("%s: %s; renamed to %s, and the name server starts empty", self._state, err, invalid.name)
             self.registry = PortRegistry(self.contact)
 
     def _save(self) -> None:
@@ -279,13 +279,13 @@ class NameServer(Openable):
             self._state.parent.mkdir(parents=True, exist_ok=True)
             replace_file(self._state, data)
         except OSError as err:
-            _log.warning("%s cannot be written (%s): a restart will not know the ports", self._state, err.strerror)
+            _log.warning("cannot write %s (%s): ports will be missing after a restart", self._state, err.strerror)
 
-    def _keep_house(self) -> None:
-        """Write down what changes, at most a tenth of the time; look for dead ports now and then."""
-        looked = time.monotonic()
+    def _run(self) -> None:
+        """Save changes, for at most a tenth of the time, and probe for dead ports periodically."""
+        probed_at = time.monotonic()
         while not self._stop.is_set() or self._dirty:
-            left = looked + self._gc_seconds - time.monotonic() if self._gc_seconds else threading.TIMEOUT_MAX
+            left = probed_at + self._gc_seconds - time.monotonic() if self._gc_seconds else threading.TIMEOUT_MAX
             self._wake.wait(max(0.0, left))
             self._wake.clear()
             if self._dirty:
@@ -293,13 +293,13 @@ class NameServer(Openable):
                 began = time.monotonic()
                 self._save()
                 self._stop.wait(9 * (time.monotonic() - began))
-            if self._gc_seconds and not self._stop.is_set() and time.monotonic() - looked >= self._gc_seconds:
+            if self._gc_seconds and not self._stop.is_set() and time.monotonic() - probed_at >= self._gc_seconds:
                 self.collect()
-                looked = time.monotonic()
+                probed_at = time.monotonic()
 
 
-class _Own(SilentNaming):
-    """The naming of the name server's own port: it knows everything, and needs no connection for that."""
+class _OwnNaming(SilentNaming):
+    """The naming of the name server's own port, which uses the registry directly."""
 
     def __init__(self, server: NameServer) -> None:
         self._server = server
@@ -311,7 +311,7 @@ class _Own(SilentNaming):
         return self._server.registry.find(name)
 
 
-def _in_lines(values: Sequence[Any]) -> bytes:
+def _encode_lines(values: Sequence[Any]) -> bytes:
     return _encoded("".join(f"{line}\r\n" for line in lines(values)))
 
 
@@ -320,16 +320,16 @@ def _encoded(text: str) -> bytes:
 
 
 def dumps(registry: PortRegistry) -> bytes:
-    """A registry's state as a file holds it."""
+    """Return the content of a registry's state file."""
     return json.dumps({"version": 1, **registry.state()}, indent=1).encode()
 
 
 def loads(registry: PortRegistry, data: bytes) -> None:
-    """Restore a registry from what `dumps` gave; raises `ValueError` where it is something else."""
+    """Restore a registry from the output of `dumps`; raises `ValueError` if it is invalid."""
     try:
         state = json.loads(data)
         if state["version"] != 1:
-            raise ValueError(f"it is of version {state['version']!r}, not 1")
+            raise ValueError(f"the version is {state['version']!r}, not 1")
         registry.restore(state)
     except (AttributeError, KeyError, OverflowError, TypeError, RecursionError) as err:
-        raise ValueError(f"it is not a name server's state ({type(err).__name__}: {err})") from None
+        raise ValueError(f"not the state of a name server ({type(err).__name__}: {err})") from None

@@ -1,7 +1,7 @@
-"""Persistent connections: which ports are to be connected whenever both are there, directly or through a YARP topic.
+"""Persistent connections: pairs of ports to connect whenever both are open, directly or through a YARP topic.
 
-Meaning and listing as in yarpserver 3.12 (``SubscriberOnSql.cpp``): a connection is wanted when one of its ports says
-that it listens (``announce``) and the other did so before. Mode ``from`` ends with its source, ``to`` with its target.
+They work as in yarpserver 3.12 (``SubscriberOnSql.cpp``): a connection is made when one of its ports announces that it
+listens (``announce``) after the other. With mode ``from`` it ends with its source, with ``to`` with its target.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from yarp_compat.wire.contact import PortContact, is_name
 
 MAX_SUBSCRIPTIONS = 10_000
 MAX_TOPICS = 10_000
-MAX_WISHES = 10_000
-"""Connections that one command may ask for: through a topic they are all its sources times all its targets."""
+MAX_CONNECTIONS = 10_000
+"""Connections per command: a topic connects all its sources to all its targets."""
 MODES = ("", "from", "to")
 
 
 @dataclass(frozen=True, slots=True)
 class WantedConnection:
-    """A connection to be made, in the subscription's spelling: ``target`` has the carrier (``udp://r``).
+    """A connection to make, in the subscription's spelling: ``target`` has the carrier (``udp://r``).
 
-    ``anew``: even if the writing port believes that it is connected: that was to a former program of this name, of
-    whose end it need not know before it writes.
+    ``force``: even if the writing port reports it as connected, as it may not have noticed yet that a former program
+    of this name has ended.
     """
 
     source: str
     target: str
-    anew: bool = False
+    force: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class PersistentConnection:
-    """One persistent connection, both ends as they were spelled, and when it ends by itself."""
+    """A persistent connection, with both ends as spelled by the user; ``mode``: when it ends by itself."""
 
     source: PortContact
     target: PortContact
@@ -43,7 +43,7 @@ class PersistentConnection:
 
 
 class Subscriptions:
-    """All persistent connections of a name server; ``known`` says whether a name is a port's (a ``topic`` is none)."""
+    """All persistent connections of a name server; ``known`` returns whether a name is a port's, not a topic's."""
 
     def __init__(self, known: Callable[[str], bool]) -> None:
         self._known = known
@@ -52,17 +52,17 @@ class Subscriptions:
         self._topics: dict[str, str] = {}
 
     def add(self, source: str, target: str, mode: str) -> list[WantedConnection] | None:
-        """Take a persistent connection; None where it cannot be, else the connections that this wants now."""
-        one, two = PortContact.parse(source), PortContact.parse(target)
-        if not (is_name(one.name) and is_name(two.name)) or mode not in MODES:
+        """Add a persistent connection; return the connections to make now, or None if it is invalid."""
+        start, end = PortContact.parse(source), PortContact.parse(target)
+        if not (is_name(start.name) and is_name(end.name)) or mode not in MODES:
             return None
-        key = one.name, two.name
+        key = start.name, end.name
         if key not in self._all and len(self._all) >= MAX_SUBSCRIPTIONS:
             return None
-        topics = [end.name for end in (one, two) if end.carrier == "topic"]
+        topics = [contact.name for contact in (start, end) if contact.carrier == "topic"]
         if len({*self._topics, *topics}) > MAX_TOPICS:
             return None
-        subscription = PersistentConnection(one, two, mode)
+        subscription = PersistentConnection(start, end, mode)
         self._all[key] = subscription
         for topic in topics:
             self._topics.setdefault(topic, "")
@@ -70,19 +70,19 @@ class Subscriptions:
             return self._wanted(subscription)
         if len(topics) == 2:
             return []
-        return self._hookup(one.name if two.carrier == "topic" else two.name)
+        return self._connections_of(start.name if end.carrier == "topic" else end.name)
 
     def remove(self, source: str, target: str) -> None:
-        """Forget a persistent connection; the connection itself stays."""
+        """Remove a persistent connection; the connection itself stays."""
         self._all.pop((PortContact.parse(source).name, PortContact.parse(target).name), None)
 
-    def welcome(self, port: str, anew: bool = False) -> list[WantedConnection]:
-        """A port says that it listens (``anew``: for the first time); returns the connections that are wanted now."""
+    def on_announced(self, port: str, force: bool = False) -> list[WantedConnection]:
+        """Handle that a port listens (``force``: for the first time); return the connections to make now."""
         self._live.add(port)
-        return [replace(wish, anew=anew) for wish in self._hookup(port)]
+        return [replace(connection, force=force) for connection in self._connections_of(port)]
 
-    def gone(self, port: str) -> None:
-        """A port was unregistered, or is dead."""
+    def on_removed(self, port: str) -> None:
+        """Handle that a port was unregistered or is dead."""
         self._live.discard(port)
         ended = [
             key
@@ -93,23 +93,23 @@ class Subscriptions:
             del self._all[key]
 
     def set_topic(self, topic: str, structure: str) -> list[WantedConnection] | None:
-        """Make a name a YARP topic; None where it cannot be, else the connections that this wants now."""
+        """Make a name a YARP topic; return the connections to make now, or None if it is invalid."""
         if not is_name(topic) or (topic not in self._topics and len(self._topics) >= MAX_TOPICS):
             return None
         if structure or topic not in self._topics:
             self._topics[topic] = structure
-        return [wish for joined in self._joined(topic) for wish in self._wanted(joined)]
+        return [connection for joined in self._joined(topic) for connection in self._wanted(joined)]
 
     def remove_topic(self, topic: str) -> None:
-        """A name is no YARP topic any more."""
+        """Make a name no longer a YARP topic."""
         self._topics.pop(topic, None)
 
     def topics(self) -> list[str]:
-        """The names of all YARP topics, oldest first."""
+        """Return the names of all YARP topics, oldest first."""
         return list(self._topics)
 
     def listing(self, port: str = "") -> list[Any]:
-        """The answer to ``subscribe`` without a target: all persistent connections, or those of one port."""
+        """Return the reply to ``subscribe`` without a target: all persistent connections, or those of one port."""
         shown: list[Any] = ["subscriptions"]
         for (source, target), s in sorted(self._all.items()):
             if port and port not in (source, target):
@@ -123,12 +123,12 @@ class Subscriptions:
         return shown
 
     def wanted(self) -> list[WantedConnection]:
-        """Every connection that is wanted between ports that listen, as after a restart of the name server."""
+        """Return all connections between listening ports, to make after a restart of the name server."""
         both = [*self._all.values(), *(j for topic in self._topics for j in self._joined(topic))]
         return [w for s in both if self._is_live(s) for w in self._wanted(s)]
 
     def state(self) -> dict[str, Any]:
-        """All that it remembers, for a file."""
+        """Return the state as JSON data."""
         return {
             "subscriptions": [[s.source.target, s.target.target, s.mode] for s in self._all.values()],
             "topics": dict(self._topics),
@@ -136,16 +136,16 @@ class Subscriptions:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Remember what `state` gave; raises `KeyError`, `TypeError` or `ValueError` for anything else."""
+        """Restore what `state` returned; raises `KeyError`, `TypeError` or `ValueError` if it is invalid."""
         for source, target, mode in state["subscriptions"]:
-            one, two = PortContact.parse(str(source)), PortContact.parse(str(target))
-            self._all[one.name, two.name] = PersistentConnection(one, two, str(mode))
+            start, end = PortContact.parse(str(source)), PortContact.parse(str(target))
+            self._all[start.name, end.name] = PersistentConnection(start, end, str(mode))
         self._topics = {str(topic): str(structure) for topic, structure in state["topics"].items()}
         self._live = {str(name) for name in state["live"] if self._known(str(name))}
 
-    def _hookup(self, port: str) -> list[WantedConnection]:
+    def _connections_of(self, port: str) -> list[WantedConnection]:
         direct = [s for s in self._all.values() if port in (s.source.name, s.target.name)]
-        # what goes through a topic: every source of it to every target of it
+        # through a topic: from each of its sources to each of its targets
         touched = {end.name for s in direct for end in (s.source, s.target)} & self._topics.keys()
         through = [j for topic in touched for j in self._joined(topic) if port in (j.source.name, j.target.name)]
         return [w for s in [*direct, *through] if self._is_live(s) for w in self._wanted(s)]
@@ -157,7 +157,7 @@ class Subscriptions:
         sources = [s.source for s in self._all.values() if s.target.name == topic]
         targets = [s.target for s in self._all.values() if s.source.name == topic]
         every = (PersistentConnection(source, target) for source in sources for target in targets)
-        return itertools.islice(every, MAX_WISHES)
+        return itertools.islice(every, MAX_CONNECTIONS)
 
     def _wanted(self, s: PersistentConnection) -> list[WantedConnection]:
         source, target = self._known(s.source.name), self._known(s.target.name)

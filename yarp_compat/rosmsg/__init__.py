@@ -1,7 +1,7 @@
-"""ROS messages for YARP scripts: classes made from ``.msg`` files when they are asked for, without any ROS library.
+"""ROS messages for YARP scripts: classes made from ``.msg`` files on first use, without any ROS library.
 
-As in C++'s ``yarp::rosmsg``, a class is ``yarp.rosmsg.geometry_msgs.Twist``; ``get("geometry_msgs/Twist")`` is the
-same. `add` gives a definition that no file has, `folders` is a list of more folders to look in.
+As in C++'s ``yarp::rosmsg``, a class is ``yarp.rosmsg.geometry_msgs.Twist``, or ``get("geometry_msgs/Twist")``. `add`
+adds a definition without a file; `folders` is a list of additional folders to search.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ get = LIBRARY.get
 
 
 class _Package:
-    """A ROS package: its messages' classes are its attributes."""
+    """A ROS package, with the classes of its messages as attributes."""
 
     def __init__(self, name: str) -> None:
         self._name = name

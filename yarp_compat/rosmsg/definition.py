@@ -1,7 +1,7 @@
-"""Reads ``.msg`` text: what fields a ROS message has, in which order.
+"""Parses ``.msg`` texts: the fields of a ROS message in their order.
 
-The grammar is ROS 1's (http://wiki.ros.org/msg), and of ROS 2's what names the same things otherwise: bounds
-(``string<=10``, ``int32[<=5]``), default values, ``builtin_interfaces/Time``, names with ``/msg/`` between.
+The grammar is ROS 1's (http://wiki.ros.org/msg) with ROS 2's equivalents: bounds (``string<=10``, ``int32[<=5]``),
+default values, ``builtin_interfaces/Time``, and ``/msg/`` in names.
 """
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-MAX_TEXT = 1 << 20  # longest definition that is read, in characters
+MAX_TEXT = 1 << 20  # characters of the longest accepted definition
 MAX_ARRAY = 1 << 24  # longest array of a fixed length
 
 PRIMITIVES = {
     "bool": 1, "int8": 1, "uint8": 1, "byte": 1, "char": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4,
     "int64": 8, "uint64": 8, "float32": 4, "float64": 8,
 }  # fmt: skip
-"""Bytes of each number type."""
+"""The bytes of each numeric type."""
 
 STRINGS = ("string", "wstring")
 TIMES = ("time", "duration")
@@ -28,7 +28,7 @@ _BUILTIN_TIMES = {"builtin_interfaces/Time": "time", "builtin_interfaces/Duratio
 
 
 class DefinitionError(ValueError):
-    """A ``.msg`` text that cannot be read, or a type of which none is known."""
+    """A ``.msg`` text is invalid, or a type is unknown."""
 
 
 Constants = dict[str, int | float | str | bool]
@@ -36,16 +36,16 @@ Constants = dict[str, int | float | str | bool]
 
 @dataclass(frozen=True, slots=True)
 class MessageField:
-    """One field."""
+    """A field of a message."""
 
-    name: str  # its name
-    type: str  # a number type, ``string``, ``time``, ``duration``, or another message's ``package/Name``
-    is_array: bool = False  # whether it holds any number of these
+    name: str
+    type: str  # a numeric type, ``string``, ``time``, ``duration``, or a message's ``package/Name``
+    is_array: bool = False
     length: int = 0  # of an array of a fixed length; else 0
 
     @property
     def is_message(self) -> bool:
-        """Whether its type is another message's."""
+        """Whether the type is another message."""
         return "/" in self.type
 
 
@@ -59,7 +59,7 @@ class MessageDefinition:
 
 
 def full_name(name: str, package: str = "") -> str:
-    """A type's name as ``package/Name``: ``Header``, ``std_msgs/msg/String`` and names within a package become that."""
+    """Return a type's name as ``package/Name``: from ``Header``, ``std_msgs/msg/String``, or a name in ``package``."""
     parts = [part for part in name.split("/") if part]
     if name == "Header" or name == "roslib/Header":
         return "std_msgs/Header"
@@ -73,23 +73,23 @@ def full_name(name: str, package: str = "") -> str:
 
 
 def parse(text: str, name: str) -> dict[str, MessageDefinition]:
-    """The definitions of a text by name: ``name``'s own, then those behind lines of ``=`` and ``MSG: package/Name``.
+    """Parse the definitions of a text by name: that of ``name``, then those after ``===`` and ``MSG: package/Name``.
 
-    Raises `DefinitionError`, which names the type and the line that cannot be read.
+    Raises `DefinitionError` with the type and the invalid line.
     """
     if len(text) > MAX_TEXT:
         raise DefinitionError(f"the definition of {name} is longer than {MAX_TEXT} characters")
-    own, *rest = _SEPARATOR.split(text.replace("\r\n", "\n"))
-    found = {full_name(name): _definition(own, full_name(name))}
-    for part in rest:
+    first, *sections = _SEPARATOR.split(text.replace("\r\n", "\n"))
+    definitions = {full_name(name): _definition(first, full_name(name))}
+    for part in sections:
         head, _, body = part.lstrip("\n").partition("\n")
         if not head.startswith("MSG:"):
             raise DefinitionError(
                 f"the definition of {name} has a section that does not begin with 'MSG: package/Name' but {head[:60]!r}"
             )
         nested = full_name(head.removeprefix("MSG:").strip())
-        found.setdefault(nested, _definition(body, nested))
-    return found
+        definitions.setdefault(nested, _definition(body, nested))
+    return definitions
 
 
 def _definition(text: str, name: str) -> MessageDefinition:
@@ -100,14 +100,14 @@ def _definition(text: str, name: str) -> MessageDefinition:
         try:
             _read_line(line.strip(), package, fields, constants)
         except (ValueError, KeyError) as err:
-            where = f"line {number}, {line.strip()[:80]!r}"
-            raise DefinitionError(f"the definition of {name} cannot be read: {where}: {err}") from None
+            place = f"line {number}, {line.strip()[:80]!r}"
+            raise DefinitionError(f"invalid definition of {name}: {place}: {err}") from None
     return MessageDefinition(name, tuple(fields.values()), constants)
 
 
 def _read_line(line: str, package: str, fields: dict[str, MessageField], constants: Constants) -> None:
     bare = line.partition("#")[0].strip()
-    # A constant string takes the rest of its line, comments and all.
+    # A constant string extends to the end of its line, including comments.
     is_text = line.startswith(STRINGS) and "=" in bare.replace("<=", "")
     bare = line if is_text else bare
     if not bare:
@@ -120,7 +120,7 @@ def _read_line(line: str, package: str, fields: dict[str, MessageField], constan
         constants[name] = _constant(type_text, value.strip())
         return
     if name in fields:
-        raise ValueError(f"there are two fields named {name!r}")
+        raise ValueError(f"two fields are named {name!r}")
     fields[name] = _field(type_text, name, package)
 
 
@@ -148,4 +148,4 @@ def _constant(type_text: str, value: str) -> int | float | str | bool:
         return float(value)
     if base in PRIMITIVES:
         return int(value, 0)
-    raise ValueError(f"no constant of type {base!r} exists")
+    raise ValueError(f"constants cannot have the type {base!r}")

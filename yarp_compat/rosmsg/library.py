@@ -1,8 +1,8 @@
-"""Finds the definitions of ROS message types and makes their classes, each once.
+"""Finds the definitions of ROS message types and makes one class for each.
 
-Where it looks, in this order: what was given (``add``), folders (``folders``, then ``YARP_ROSMSG_PATH``), what is
-installed of either ROS (``ROS_PACKAGE_PATH``, ``AMENT_PREFIX_PATH``, ``CMAKE_PREFIX_PATH``), and last a Midspan daemon
-on the YARP network (``ask``). Nothing is fetched from anywhere else.
+It searches added definitions (``add``), folders (``folders``, then ``YARP_ROSMSG_PATH``), installed packages of ROS 1
+and ROS 2 (``ROS_PACKAGE_PATH``, ``AMENT_PREFIX_PATH``, ``CMAKE_PREFIX_PATH``), and finally a Midspan daemon on the YARP
+network (``ask``), but no other source.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ MAX_DEPTH = 32  # the deepest nesting of messages
 
 _NAME = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*")
 
-# What needs no file: every ROS has it, and it is in nearly every message.
+# These need no file: every ROS has them, and nearly every message contains a header.
 _KNOWN = {"std_msgs/Header": "uint32 seq\ntime stamp\nstring frame_id\n", "std_msgs/String": "string data\n"}
 
 
 class MessageLibrary:
     """Message classes by type name.
 
-    ``folders`` to look in have ``package/msg/Name.msg``, ``package/Name.msg``, or are a package's own; ``ask`` is
-    called with a type's name when no file has it, and returns its full definition, or None.
+    ``folders`` contain ``package/msg/Name.msg`` or ``package/Name.msg``, or are a package's folder; ``ask`` is called
+    with a type's name if no file defines it, and returns its full definition, or None.
     """
 
     def __init__(self, environment: Mapping[str, str] | None = None) -> None:
@@ -40,12 +40,12 @@ class MessageLibrary:
         self._lock = threading.RLock()
 
     def add(self, name: str, text: str) -> None:
-        """Give a type's definition, alone or with those that it needs appended; raises `DefinitionError`."""
+        """Add a type's definition, optionally with its nested types appended; raises `DefinitionError`."""
         with self._lock:
             self._definitions |= parse(text, name)
 
     def get(self, name: str) -> type[Message]:
-        """The class of a type, ``std_msgs/String`` or ``std_msgs/msg/String``; raises `DefinitionError`."""
+        """Return the class of a type, ``std_msgs/String`` or ``std_msgs/msg/String``; raises `DefinitionError`."""
         with self._lock:
             return self._class(full_name(name), ())
 
@@ -57,7 +57,7 @@ class MessageLibrary:
         if name not in self._classes:
             definition = self._definition(name, path)
             needed = [field.type for field in definition.fields if field.is_message]
-            nested = {each: self._class(each, (*path, name)) for each in needed}
+            nested = {type_name: self._class(type_name, (*path, name)) for type_name in needed}
             self._classes[name] = make_class(definition, nested)
         return self._classes[name]
 
@@ -69,23 +69,22 @@ class MessageLibrary:
             if text is None:
                 wanted = f", which {path[-1]} contains," if path else ""
                 raise DefinitionError(
-                    f"no definition of {name}{wanted} is known: give a folder with its .msg file in YARP_ROSMSG_PATH "
+                    f"no definition of {name}{wanted} is known: add a folder with its .msg file to YARP_ROSMSG_PATH "
                     "or yarp.rosmsg.folders, install the package, or start a Midspan daemon on this YARP network"
                 )
-            found = parse(text, name)
-            self._definitions = found | self._definitions
+            self._definitions = parse(text, name) | self._definitions
         return self._definitions[name]
 
     def _find(self, name: str) -> str | None:
-        package, _, own = name.partition("/")
+        package, _, base = name.partition("/")
         for folder in self._places():
-            for path in (folder / package / "msg" / f"{own}.msg", folder / package / f"{own}.msg"):
+            for path in (folder / package / "msg" / f"{base}.msg", folder / package / f"{base}.msg"):
                 if path.is_file():
                     return _read(path, name)
-            if folder.name == package and (folder / "msg" / f"{own}.msg").is_file():
-                return _read(folder / "msg" / f"{own}.msg", name)
-        told = self.ask(name) if self.ask is not None else None
-        return told if told is not None else _KNOWN.get(name)
+            if folder.name == package and (folder / "msg" / f"{base}.msg").is_file():
+                return _read(folder / "msg" / f"{base}.msg", name)
+        text = self.ask(name) if self.ask is not None else None
+        return text if text is not None else _KNOWN.get(name)
 
     def _places(self) -> Iterator[Path]:
         yield from self.folders
@@ -105,7 +104,7 @@ def _read(path: Path, name: str) -> str:
             data = file.read(MAX_TEXT + 1)
         return data.decode()
     except (OSError, UnicodeDecodeError) as err:
-        raise DefinitionError(f"the definition of {name} in {path} cannot be read: {err}") from None
+        raise DefinitionError(f"cannot read the definition of {name} in {path}: {err}") from None
 
 
-LIBRARY = MessageLibrary()  # the program's own, behind ``yarp.rosmsg``
+LIBRARY = MessageLibrary()  # of the program, used by ``yarp.rosmsg``

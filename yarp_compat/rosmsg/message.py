@@ -1,8 +1,8 @@
-"""A ROS message as a Python object that crosses YARP ports.
+"""ROS messages as Python objects for YARP ports.
 
-On the wire it is what YARP 3.5's own generated classes write (yarpidl_rosmsg, RosTypeCodeGenYarp.cpp): a list of the
-fields in their order, each with its tag, nested messages as lists, arrays of numbers and strings specialised. Its
-readers refuse other layouts, ours take any numbers where numbers belong.
+The encoding is that of YARP 3.5's generated classes (yarpidl_rosmsg, RosTypeCodeGenYarp.cpp): a list of the fields in
+their order, each with its tag, nested messages as lists, and arrays of numbers and strings as typed lists. YARP's
+readers reject other layouts; ours accept any numeric type for a number.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class TickTime:
         self.sec, self.nsec = divmod(whole * 1_000_000_000 + round((sec - whole) * 1e9) + nsec, 1_000_000_000)
 
     def to_seconds(self) -> float:
-        """The time in seconds."""
+        """Return the time in seconds."""
         return self.sec + self.nsec * 1e-9
 
     __float__ = to_seconds
@@ -55,7 +55,7 @@ class TickTime:
 
 
 class Message(Portable):
-    """The base of the classes that are made from definitions: their fields are attributes, the rest is this.
+    """The base of the classes made from definitions, with fields as attributes.
 
     Example::
 
@@ -73,13 +73,13 @@ class Message(Portable):
             setattr(self, name, value)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name not in self._names:  # a field misspelt would be published empty
+        if name not in self._names:  # a misspelled field would be published empty
             raise AttributeError(f"{self.TYPE} has no field {name!r}, only {', '.join(sorted(self._names)) or 'none'}")
         self.__dict__[name] = value
 
     @classmethod
     def typeName(cls) -> str:
-        """The type's name, ``std_msgs/String``."""
+        """Return the type's name, ``std_msgs/String``."""
         return cls.TYPE
 
     def clear(self) -> None:
@@ -94,7 +94,7 @@ class Message(Portable):
         return f"{self.TYPE.replace('/', '.')}({fields})"
 
     def toString(self) -> str:
-        """The message as the text of a Bottle."""
+        """Return the message as the text of a Bottle."""
         return self.to_text()
 
     toString_c = toString
@@ -107,14 +107,14 @@ class Message(Portable):
                 _write_array(out, field, value) if field.is_array else _write_single(out, field, value)
             except _WRONG_VALUE as err:
                 if field.is_message and isinstance(err, WireError):
-                    raise  # the nested message said which of its fields it is
+                    raise  # the nested message's error names its field
                 kind = f"{field.type}{'[]' * field.is_array}"
-                raise WireError(f"{self.TYPE}.{field.name} is {kind}, not {value!r:.80}: {err}") from None
+                raise WireError(f"{self.TYPE}.{field.name} must be {kind}, not {value!r:.80}: {err}") from None
 
     def _read(self, source: ElementReader) -> None:
         count = source.begin()
         if count != len(self._definition.fields):
-            raise WireError(f"a {self.TYPE} has {len(self._definition.fields)} fields, and {count} came")
+            raise WireError(f"a {self.TYPE} has {len(self._definition.fields)} fields, but {count} were received")
         values = {}
         for field in self._definition.fields:
             try:
@@ -123,7 +123,9 @@ class Message(Portable):
             except WireError as err:
                 if field.is_message:
                     raise
-                raise type(err)(f"{self.TYPE}.{field.name} is {field.type}{'[]' * field.is_array}: {err}") from None
+                raise type(err)(
+                    f"{self.TYPE}.{field.name} must be {field.type}{'[]' * field.is_array}: {err}"
+                ) from None
         source.end()
         self.__dict__.update(values)
 
@@ -144,35 +146,35 @@ class Message(Portable):
     @classmethod
     def _read_array(cls, source: ElementReader, field: MessageField) -> Any:
         if source.next_tag() == BLOB and PRIMITIVES.get(field.type) == 1:
-            found = list(struct.unpack(f"<{len(data := source.blob())}{_LETTERS[field.type]}", data))
+            values = list(struct.unpack(f"<{len(data := source.blob())}{_LETTERS[field.type]}", data))
         elif field.type in PRIMITIVES:
-            found = cls._read_numbers(source, field)
+            values = cls._read_numbers(source, field)
         else:
-            found = [cls._read_single(source, field) for _ in range(source.begin())]
+            values = [cls._read_single(source, field) for _ in range(source.begin())]
             source.end()
-        if field.length and len(found) != field.length:
-            raise WireError(f"{len(found)} elements, not {field.length}")
-        return found
+        if field.length and len(values) != field.length:
+            raise WireError(f"{len(values)} elements, not {field.length}")
+        return values
 
     @classmethod
     def _read_numbers(cls, source: ElementReader, field: MessageField) -> list[Any]:
         tag, count, data = source.numbers()
         if data is None:
-            found = [cls._read_single(source, field) for _ in range(count)]
+            values = [cls._read_single(source, field) for _ in range(count)]
             source.end()
-            return found
+            return values
         if tag == _tag(source.profile, field.type):
-            found = list(struct.unpack(f"<{count}{_LETTERS[field.type]}", data))
+            values = list(struct.unpack(f"<{count}{_LETTERS[field.type]}", data))
         else:
             letters = {INT8: "b", INT16: "h", INT32: "i", INT64: "q"}
             letters |= {source.profile.float32_tag: "f", source.profile.float64_tag: "d"}
-            found = list(struct.unpack(f"<{count}{letters.get(tag, 'i')}", data))
+            values = list(struct.unpack(f"<{count}{letters.get(tag, 'i')}", data))
             if field.type in _FLOATS:
-                return [float(number) for number in found]
+                return [float(number) for number in values]
             if letters.get(tag, "i") in "fd":
-                raise WireError(f"numbers with a fraction, of tag {tag}")
-            found = [_integer(field.type, number) for number in found]
-        return [bool(number) for number in found] if field.type == "bool" else found
+                raise WireError(f"floating-point numbers, tag {tag}")
+            values = [_integer(field.type, number) for number in values]
+        return [bool(number) for number in values] if field.type == "bool" else values
 
     @classmethod
     def _read_single(cls, source: ElementReader, field: MessageField) -> Any:
@@ -191,7 +193,7 @@ class Message(Portable):
 
 
 def make_class(definition: MessageDefinition, nested: Mapping[str, type[Message]]) -> type[Message]:
-    """The class of a message type whose nested types' classes are known."""
+    """Make the class of a message type from the classes of its nested types."""
     fields = ", ".join(f"{field.type}{'[]' * field.is_array} {field.name}" for field in definition.fields)
     body: dict[str, Any] = {name: value for name, value in definition.constants.items() if not hasattr(Message, name)}
     body |= {
@@ -225,7 +227,7 @@ def _packed(type_name: str, value: Any) -> Buffer:
     letter = _LETTERS[type_name]
     if isinstance(value, (bytes, bytearray)) and PRIMITIVES[type_name] == 1:
         return value
-    if hasattr(value, "astype"):  # a numpy array, without importing numpy for those who have none
+    if hasattr(value, "astype"):  # a numpy array, without a dependency on numpy
         kind = ("f" if type_name in _FLOATS else "u" if letter.isupper() else "i") + str(PRIMITIVES[type_name])
         array = value.astype(f"<{kind}", order="C", copy=False).reshape(-1)
         return memoryview(array).cast("B")
@@ -266,7 +268,7 @@ def _tag(profile: Profile, type_name: str) -> int:
 
 
 def _integer(type_name: str, value: int) -> int:
-    """A number within its type: an unsigned one comes as the signed one of the same bits."""
+    """Return a number in the range of its type; an unsigned one is received as the signed one of the same bits."""
     bits = 8 * PRIMITIVES[type_name]
     unsigned = _LETTERS[type_name].isupper()
     least = 0 if unsigned else -(1 << bits - 1)

@@ -43,7 +43,7 @@ def _checked(registry: PortRegistry, answer: Command) -> None:
         encode(answer.values, Profile.YARP4)
     for event in answer.events:
         encode(event, Profile.YARP3)
-    assert len(answer.wishes) < 1000
+    assert len(answer.connections) < 1000
 
 
 def _remembered(registry: PortRegistry) -> None:

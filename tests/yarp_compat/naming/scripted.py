@@ -1,4 +1,4 @@
-"""A peer that says what it was told to, and remembers what was said to it."""
+"""A scripted peer that records what it receives."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from typing import Self
 
 
 class Scripted:
-    """Listens on loopback; each connection gets the next script.
+    """A peer on loopback that plays the next script for each connection.
 
     Args:
-        scripts: for each connection, pairs of how many lines to take and what to answer then. None for an answer keeps
-            silent, b"" closes.
+        scripts: for each connection, pairs of the number of lines to read and the reply. It stays silent for None, and
+            closes the connection for b"".
     """
 
     def __init__(self, *scripts: list[tuple[int, bytes | None]]) -> None:
         self._scripts = list(scripts)
-        self.heard: list[bytes] = []
+        self.received: list[bytes] = []
         self._sock = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._sock.getsockname()[1]
         self._stop = threading.Event()
@@ -48,11 +48,11 @@ class Scripted:
                 self._talk(peer, script)
 
     def _talk(self, peer: socket.socket, script: list[tuple[int, bytes | None]]) -> None:
-        self.heard.append(b"")
+        self.received.append(b"")
         with peer.makefile("rb") as lines:
             for count, answer in script:
                 for _ in range(count):
-                    self.heard[-1] += lines.readline()
+                    self.received[-1] += lines.readline()
                 if answer is None:
                     self._stop.wait(20.0)
                 elif answer:

@@ -1,4 +1,4 @@
-"""What the name server gives out."""
+"""The name server's allocation of numbers, names and groups."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import json
 from yarp_compat.naming.allocation import Allocator
 
 
-def test_numbers_begin_two_above_and_stick() -> None:
-    """Two above the name server's, one after another; a name gets the one that it had, others do not get that."""
+def test_a_name_keeps_its_number() -> None:
+    """Numbers ascend from two above the name server's; a freed number is reserved for its name."""
     allocator = Allocator(10000)
     assert [allocator.number(name) for name in ("/a", "/b")] == [10002, 10003]
     allocator.free("/a", "127.0.0.1", 10002)
@@ -16,22 +16,22 @@ def test_numbers_begin_two_above_and_stick() -> None:
     assert allocator.number("/a") == 10002
 
 
-def test_numbers_that_ports_chose_are_left_out() -> None:
-    """A number that a port registered for itself is given to nobody."""
+def test_numbers_chosen_by_ports_are_skipped() -> None:
+    """A number that a port registered explicitly is not allocated."""
     allocator = Allocator(10000)
     assert allocator.number("/a", taken={10002, 10003}) == 10004
 
 
-def test_nobody_gives_back_what_is_not_his() -> None:
-    """A port that chose a number which another one has, and ends."""
+def test_a_port_cannot_free_the_number_of_another() -> None:
+    """A port that chose another port's number ends."""
     allocator = Allocator(10000)
     allocator.number("/a")
     allocator.free("/b", "127.0.0.1", 10002)
     assert allocator.state()["used"] == [10002]
 
 
-def test_freed_numbers_are_given_again_only_when_all_are_gone() -> None:
-    """9,998 numbers, then the freed ones; then none."""
+def test_freed_numbers_are_reused_only_after_the_last_one() -> None:
+    """There are 9,998 numbers, then the freed ones, then none."""
     allocator = Allocator(10000)
     numbers = [allocator.number(f"/p{i}") for i in range(9998)]
     assert numbers[0], numbers[-1] == (10002, 19999)
@@ -44,13 +44,13 @@ def test_freed_numbers_are_given_again_only_when_all_are_gone() -> None:
 
 
 def test_high_name_servers_have_fewer_numbers() -> None:
-    """No number is above what TCP has."""
+    """No number exceeds 65535."""
     allocator = Allocator(65530)
     assert [allocator.number(f"/p{i}") for i in range(5)] == [65532, 65533, 65534, 65535, None]
 
 
-def test_anonymous_names_and_groups() -> None:
-    """As yarpserver names them; what is given back is given again."""
+def test_anonymous_names_and_groups_are_reused() -> None:
+    """The names are those of yarpserver."""
     allocator = Allocator(10000)
     assert [allocator.name(), allocator.name(), allocator.group(), allocator.group()] == [
         "/tmp/port/1",
@@ -67,8 +67,8 @@ def test_anonymous_names_and_groups() -> None:
     assert many[-1].startswith("224.1.2.")
 
 
-def test_memory() -> None:
-    """All of it survives a file."""
+def test_the_state_survives_a_file() -> None:
+    """A restored allocator continues as the original."""
     allocator = Allocator(10000)
     for name in ("/a", "/b"):
         allocator.number(name)
@@ -76,10 +76,10 @@ def test_memory() -> None:
     allocator.group()
     allocator.free("/a", "h", 10002)
     state = json.loads(json.dumps(allocator.state()))
-    again = Allocator(10000)
-    again.restore(state)
-    assert again.state() == allocator.state()
-    assert [again.number("/c"), again.number("/a"), again.name(), again.group()] == [
+    restored = Allocator(10000)
+    restored.restore(state)
+    assert restored.state() == allocator.state()
+    assert [restored.number("/c"), restored.number("/a"), restored.name(), restored.group()] == [
         10004,
         10002,
         "/tmp/port/2",

@@ -1,4 +1,4 @@
-"""The name server client: its commands, byte for byte as YARP's programs send them, and its errors."""
+"""The name server client: its commands equal those of YARP's programs byte for byte; its errors."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ from yarp_compat.wire.contact import PortContact
 
 TALKS = {talk.number: talk for talk in read("connect.txt")}
 CONNECT = (15, 16, 17, 18)
-"""The connections of ``yarp connect /writer /reader``: two questions to the name server, two to the port."""
+"""The connections of ``yarp connect /writer /reader``: two queries to the name server, two to the port."""
 
 
 def script(talk: Talk, port: int | None = None) -> list[tuple[int, bytes | None]]:
     """Return the recorded answers of a real peer, with its port number replaced by ``port``."""
     steps = [(step.by, step.data) for step in talk.steps]
-    asked = [data for by, data in steps if by == "C"]
+    requests = [data for by, data in steps if by == "C"]
     answers = [data for by, data in steps if by == "S"]
     if port is not None:
         answers = [data.replace(b"port 10003", b"port %d" % port) for data in answers]
-    return [(data.count(b"\n"), answer) for data, answer in zip(asked, answers, strict=True)]
+    return [(data.count(b"\n"), answer) for data, answer in zip(requests, answers, strict=True)]
 
 
 def client(port: int, timeout: float = 5.0) -> NameClient:
-    """A client of whatever listens at a port."""
+    """Return a client of the server at a port."""
     return NameClient(Address("127.0.0.1", port), timeout=timeout)
 
 
-def test_opening_a_port_as_a_real_program_does() -> None:
-    """Register, four properties, announce, unregister: the same commands in the same form; the properties are ours."""
+def test_a_port_is_opened_with_the_commands_of_a_real_program() -> None:
+    """Register, four properties, announce, unregister: the commands are equal, except for the values of properties."""
     with Scripted(*(script(TALKS[n]) for n in (1, 2, 3, 4, 5, 6, 7, 25))) as server:
         names = client(server.port)
         assert names.query("/reader") is None
@@ -52,7 +52,7 @@ def test_opening_a_port_as_a_real_program_does() -> None:
         names.announce("/reader")
         names.unregister("/reader")
     real = [TALKS[n].said("C") for n in (1, 2, 3, 4, 5, 6, 7, 25)]
-    ours = server.heard
+    ours = server.received
     assert [ours[i] for i in (0, 1, 6, 7)] == [real[i] for i in (0, 1, 6, 7)]
     offers = " ".join(CARRIERS).encode()
     assert ours[2:6] == [
@@ -64,15 +64,15 @@ def test_opening_a_port_as_a_real_program_does() -> None:
     assert set(offers.split()) < set(real[2].split())
 
 
-def test_connecting_two_ports_as_yarp_connect_does() -> None:
-    """The four exchanges that ``yarp connect /writer /reader`` had, byte for byte."""
+def test_two_ports_are_connected_with_the_commands_of_yarp_connect() -> None:
+    """The four exchanges equal those of ``yarp connect /writer /reader`` byte for byte."""
     with (
         Scripted(*(script(TALKS[n]) for n in (17, 18))) as port,
         Scripted(*(script(TALKS[n], port.port) for n in (15, 16))) as server,
     ):
-        said = connections.connect(client(server.port), "/writer", "/reader")
-    assert said == "Added connection from /writer to tcp://reader"
-    assert [*server.heard, *port.heard] == [TALKS[n].said("C") for n in CONNECT]
+        reply = connections.connect(client(server.port), "/writer", "/reader")
+    assert reply == "Added connection from /writer to tcp://reader"
+    assert [*server.received, *port.received] == [TALKS[n].said("C") for n in CONNECT]
 
 
 @pytest.mark.parametrize(
@@ -86,24 +86,24 @@ def test_connecting_two_ports_as_yarp_connect_does() -> None:
         (lambda n: n.register("/m", carrier="mcast"), b"NAME_SERVER register /m mcast ... ...\r\n"),
     ],
 )
-def test_what_is_not_said_is_left_to_the_server(register: Callable[[NameClient], Any], command: bytes) -> None:
-    """Each of name, address and number may be left out."""
+def test_the_server_completes_a_registration(register: Callable[[NameClient], Any], command: bytes) -> None:
+    """Name, address and number may each be omitted."""
     with Scripted([(1, b"*** end of message\r\n")]) as server, pytest.raises(NameRefusedError, match="refused"):
         register(client(server.port))
-    assert server.heard == [command]
+    assert server.received == [command]
 
 
-def test_yarp_ip(monkeypatch: pytest.MonkeyPatch) -> None:
-    """``YARP_IP`` is an address of ours or its beginning."""
-    for said, host in (("127", b"127.0.0.1"), ("10.9.9.9", b"10.9.9.9")):
-        monkeypatch.setenv("YARP_IP", said)
+def test_yarp_ip_selects_the_registered_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    """``YARP_IP`` is an address of this machine or its prefix."""
+    for variable, host in (("127", b"127.0.0.1"), ("10.9.9.9", b"10.9.9.9")):
+        monkeypatch.setenv("YARP_IP", variable)
         command = b"NAME_SERVER register /p tcp %s ...\r\n" % host
         with Scripted([(1, b"*** end of message\r\n")]) as server, pytest.raises(NameRefusedError):
             client(server.port).register("/p")
-        assert server.heard == [command]
+        assert server.received == [command]
 
 
-def test_nobody_there() -> None:
+def test_a_closed_port_is_reported_with_address_and_cure() -> None:
     """If the port is closed, the client reports the address and the cure at once."""
     port = free_port()
     with pytest.raises(NoNameServerError) as caught:
@@ -115,14 +115,14 @@ def test_nobody_there() -> None:
 
 
 @pytest.mark.parametrize("answer", [b"registration name /p ip 127", b"registration name /p\r\nmore\r\n"])
-def test_closed_early(answer: bytes) -> None:
-    """A truncated answer is an error."""
+def test_a_truncated_reply_is_an_error(answer: bytes) -> None:
+    """The connection closes within a reply."""
     with Scripted([(1, answer), (0, b"")]) as server, pytest.raises(NoNameServerError, match="closed before"):
         client(server.port).list()
 
 
-def test_a_connection_that_breaks_at_once_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
-    broken: list[LineSocket] = []  # kept: else it would be closed as it is forgotten
+def test_a_connection_that_fails_at_once_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    broken: list[LineSocket] = []  # a reference, as garbage collection would close it
 
     def send(peer: LineSocket, _data: bytes) -> None:
         broken.append(peer)
@@ -133,30 +133,30 @@ def test_a_connection_that_breaks_at_once_is_closed(monkeypatch: pytest.MonkeyPa
         with pytest.raises(NoNameServerError):
             client(server.getsockname()[1]).query("/a")
         assert len(broken) == 1
-        there, _ = server.accept()
-        with there:
-            there.settimeout(20)
-            assert there.recv(1) == b""
+        peer, _ = server.accept()
+        with peer:
+            peer.settimeout(20)
+            assert peer.recv(1) == b""
 
 
-def test_silence_has_an_end() -> None:
+def test_a_silent_name_server_causes_a_timeout() -> None:
     """A call to a silent name server ends after the timeout."""
     with Scripted([(0, None)]) as server:
         began = time.monotonic()
-        with pytest.raises(NoNameServerError, match=r"no answer within 0\.2 s"):
+        with pytest.raises(NoNameServerError, match=r"no reply within 0\.2 s"):
             client(server.port, 0.2).query("/p")
         assert time.monotonic() - began < 5.0
 
 
-def test_endless_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What never ends is cut."""
+def test_an_endless_reply_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reply may have up to MAX_ANSWER bytes."""
     monkeypatch.setattr("yarp_compat.naming.client.MAX_ANSWER", 1000)
     with Scripted([(1, b"x" * 5000)]) as server, pytest.raises(NoNameServerError, match="longer than 1000 bytes"):
         client(server.port).list()
 
 
-def test_without_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Without yarp.conf the error names the file; with it, it is used; a new address is found without a new client."""
+def test_the_address_is_read_from_yarp_conf(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Without yarp.conf, the error names the file; a changed address is used without a new client."""
     monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
     monkeypatch.delenv("YARP_NAMESPACE", raising=False)
     names = NameClient()
@@ -173,8 +173,8 @@ def test_without_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None
         NameClient().query("/p")
 
 
-def test_names_that_cannot_be() -> None:
-    """Invalid names are rejected without a query, and addresses need none."""
+def test_invalid_names_are_rejected_locally() -> None:
+    """Addresses need no query either."""
     names = client(free_port())
     for name in ("two words", "/a\nb", '/a"b', "/" + "x" * 2000):
         with pytest.raises(NameRefusedError, match="without spaces"):
@@ -183,19 +183,19 @@ def test_names_that_cannot_be() -> None:
     with pytest.raises(NamingError, match="one line"):
         names.set_property("/p", "key", "a\nb")
     assert names.query("tcp://127.0.0.1:10002/p") == PortContact("/p", "127.0.0.1", 10002, "tcp")
-    with pytest.raises(PortError, match="no port name"):
+    with pytest.raises(PortError, match="not a valid port name"):
         connections.connect(names, "reader", "/b")
 
 
 @pytest.mark.parametrize("greeting", [b"HTTP/1.1 400 Bad Request\r\n", b""])
-def test_what_is_no_port(greeting: bytes) -> None:
+def test_another_kind_of_server_is_recognized(greeting: bytes) -> None:
     """The address of a port belongs to another kind of server."""
     problem = "not a YARP port: it answers 'HTTP" if greeting else "closed before"
     with Scripted([(2, greeting)]) as other, pytest.raises(PortError, match=problem):
         connections.ping(client(1), f"tcp://127.0.0.1:{other.port}/p")
 
 
-def test_a_port_that_answers_what_is_no_bottle() -> None:
+def test_a_reply_that_is_not_a_bottle_is_an_error() -> None:
     with (
         Scripted([(3, b"Welcome admin\r\n" + b"(" * 200 + b"\r\n<ACK>\r\n")]) as peer,
         pytest.raises(PortError, match="not a Bottle"),

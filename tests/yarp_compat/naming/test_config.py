@@ -1,4 +1,4 @@
-"""Finding, reading and writing the files that say where the name server is."""
+"""The files with the address of the name server are found, read and written."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from yarp_compat.ports.naming import NamingConfigError
         ("win32", {"APPDATA": r"C:\a", "YARP_CONFIG_HOME": r"D:\y"}, r"D:\y"),
     ],
 )
-def test_folders(platform: str, environment: dict[str, str], folder: str) -> None:
-    """YARP's configuration folder on each operating system."""
+def test_the_folder_depends_on_the_operating_system(platform: str, environment: dict[str, str], folder: str) -> None:
+    """The folder is YARP's configuration folder."""
     assert config.folder(environment, platform) == folder
 
 
 def test_a_written_file_is_read(tmp_path: Path) -> None:
-    """What is written is the line that YARP writes, and is found again; another network has its own file."""
+    """The file equals YARP's; another network has its own file."""
     env = {"YARP_CONFIG_HOME": str(tmp_path / "made")}
     assert config.read(environment=env) is None
     path = config.write(Address("127.0.0.1", 10000), environment=env)
@@ -44,15 +44,15 @@ def test_a_written_file_is_read(tmp_path: Path) -> None:
     assert sorted(p.name for p in path.parent.iterdir()) == ["_my_robot.conf", "yarp.conf"]
 
 
-def test_namespaces(tmp_path: Path) -> None:
-    """The environment comes before the file, and that before /root."""
+def test_the_namespace_comes_from_environment_file_or_default(tmp_path: Path) -> None:
+    """The environment overrides the file, and the file ``/root``."""
     env = {"YARP_CONFIG_HOME": str(tmp_path)}
     assert config.namespace(env) == "/root"
     config.write_namespace("/lab", env)
     assert config.namespaces(env) == ["/lab"]
     assert config.file(environment=env).name == "_lab.conf"
     assert config.namespaces({**env, "YARP_NAMESPACE": "/a /b"}) == ["/a", "/b"]
-    with pytest.raises(NamingConfigError, match="not a name for a YARP network"):
+    with pytest.raises(NamingConfigError, match="not a valid name of a YARP network"):
         config.write_namespace("two words", env)
 
 
@@ -67,8 +67,8 @@ def test_namespaces(tmp_path: Path) -> None:
         ("[name]\nport 10006 // old\nhost 10.1.1.1\nmode yarp\n[other]\nhost x\n", Address("10.1.1.1", 10006)),
     ],
 )
-def test_both_forms(text: str, address: Address) -> None:
-    """The one-line form and the old one with a group."""
+def test_both_forms_of_the_file_are_parsed(text: str, address: Address) -> None:
+    """One form is a line, the older one a group."""
     assert config.parse(text) == address
 
 
@@ -83,8 +83,8 @@ def test_both_forms(text: str, address: Address) -> None:
         ("[nome]\nhost x\nport 1", "expected"),
     ],
 )
-def test_bad_files(tmp_path: Path, text: str, problem: str) -> None:
-    """A file that cannot be used is named, with what is wrong and how it should look."""
+def test_an_invalid_file_is_reported_with_its_path(tmp_path: Path, text: str, problem: str) -> None:
+    """The error names the file, the problem and the expected format."""
     (tmp_path / "yarp.conf").write_text(text)
     with pytest.raises(NamingConfigError) as caught:
         config.read(environment={"YARP_CONFIG_HOME": str(tmp_path)})
@@ -92,13 +92,13 @@ def test_bad_files(tmp_path: Path, text: str, problem: str) -> None:
     assert problem in str(caught.value)
 
 
-def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
-    """A folder in the file's place, a file in the folder's place, a file without end."""
+def test_unreadable_and_unwritable_files_are_reported(tmp_path: Path) -> None:
+    """A folder instead of the file, a file instead of the folder, a file that is too large."""
     (tmp_path / "yarp.conf").mkdir()
-    with pytest.raises(NamingConfigError, match="cannot be read"):
+    with pytest.raises(NamingConfigError, match="cannot read"):
         config.read(environment={"YARP_CONFIG_HOME": str(tmp_path)})
     (tmp_path / "plain").write_text("")
-    with pytest.raises(NamingConfigError, match="cannot be written"):
+    with pytest.raises(NamingConfigError, match="cannot write"):
         config.write(Address("h", 1), environment={"YARP_CONFIG_HOME": str(tmp_path / "plain" / "yarp")})
     (tmp_path / "_big.conf").write_bytes(b"x" * 100_000)
     with pytest.raises(NamingConfigError, match="larger than"):

@@ -1,4 +1,4 @@
-"""Making persistent connections: several at a time, again where it did not work, and an end."""
+"""The connector makes persistent connections in parallel, retries failed ones, and closes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from yarp_compat.ports.naming import LocalNaming, PortError
 
 
 class Ports:
-    """In place of other programs' ports: some are slow, some fail at first."""
+    """A stand-in for the ports of other programs: some are slow, some fail at first."""
 
     def __init__(self) -> None:
         self.made: list[str] = []
@@ -23,12 +23,12 @@ class Ports:
         self.go_on = threading.Event()
 
     def is_connected(self, _naming: object, source: str, _target: str, *, timeout: float) -> bool:
-        """Those that are called so are."""
+        """Return whether the source has the name of a connected port."""
         assert timeout
         return source == "/connected"
 
     def connect(self, _naming: object, source: str, _target: str, *, timeout: float) -> None:
-        """Slow ones wait to be told; others may fail."""
+        """Connect; slow ports wait for ``go_on``, others may fail."""
         assert timeout
         self.tries.append(source)
         if source == "/slow":
@@ -41,7 +41,7 @@ class Ports:
 
 @pytest.fixture(name="ports")
 def fixture_ports(monkeypatch: pytest.MonkeyPatch) -> Ports:
-    """The ports, and quick tries."""
+    """Replace the connections module's functions, and shorten the pauses."""
     ports = Ports()
     monkeypatch.setattr(module, "is_connected", ports.is_connected)
     monkeypatch.setattr(module, "connect", ports.connect)
@@ -49,45 +49,45 @@ def fixture_ports(monkeypatch: pytest.MonkeyPatch) -> Ports:
     return ports
 
 
-def test_one_slow_port_holds_up_no_other(ports: Ports) -> None:
-    """Also when all are wanted at once, by a connector that was idle."""
+def test_a_slow_port_does_not_delay_others(ports: Ports) -> None:
+    """Not even if all are requested at once from an idle connector."""
     connector = Connector(LocalNaming())
-    connector.want(WantedConnection("/first", "/r"))
-    until(lambda: ports.made == ["/first"], "it works")
+    connector.request(WantedConnection("/first", "/r"))
+    until(lambda: ports.made == ["/first"], "the first connection is made")
     for source in ("/slow", "/a", "/b", "/slow", "/connected"):
-        connector.want(WantedConnection(source, "/r"))
-    until(lambda: set(ports.made) >= {"/a", "/b"}, "the others are made")
+        connector.request(WantedConnection(source, "/r"))
+    until(lambda: set(ports.made) >= {"/a", "/b"}, "the other connections are made")
     ports.go_on.set()
-    until(lambda: "/slow" in ports.made, "so is the slow one")
+    until(lambda: "/slow" in ports.made, "the slow connection is made")
     connector.close()
     assert ports.tries.count("/slow") == 1
     assert "/connected" not in ports.tries
 
 
-def test_again_where_it_did_not_work(ports: Ports, caplog: pytest.LogCaptureFixture) -> None:
-    """A few times; then it is said, and wanted anew it is tried anew."""
+def test_failed_connections_are_retried(ports: Ports, caplog: pytest.LogCaptureFixture) -> None:
+    """After the last attempt, the failure is logged; a new request starts new attempts."""
     ports.failures = {"/late": 2, "/never": 99}
     connector = Connector(LocalNaming())
-    connector.want(WantedConnection("/late", "/r"))
-    connector.want(WantedConnection("/never", "/r"))
-    until(lambda: ports.made == ["/late"], "the third try worked")
-    until(lambda: "persistent connection from /never to /r not made" in caplog.text, "it is said")
+    connector.request(WantedConnection("/late", "/r"))
+    connector.request(WantedConnection("/never", "/r"))
+    until(lambda: ports.made == ["/late"], "the third attempt succeeds")
+    until(lambda: "persistent connection from /never to /r failed" in caplog.text, "the failure is logged")
     assert ports.tries.count("/never") == 3
     ports.failures.clear()
-    until(lambda: _wanted(connector, ports), "it is made")
+    until(lambda: _request_again(connector, ports), "the connection is made")
     connector.close()
-    connector.want(WantedConnection("/after", "/r"))
+    connector.request(WantedConnection("/after", "/r"))
     assert "/after" not in ports.tries
 
 
-def _wanted(connector: Connector, ports: Ports) -> bool:
-    connector.want(WantedConnection("/never", "/r"))
+def _request_again(connector: Connector, ports: Ports) -> bool:
+    connector.request(WantedConnection("/never", "/r"))
     return "/never" in ports.made
 
 
-def test_connected_but_to_a_former_port(ports: Ports) -> None:
-    """A writer that believes itself connected is told to connect to the new one."""
+def test_a_forced_connection_replaces_one_to_a_former_port(ports: Ports) -> None:
+    """A writer that reports itself as connected must connect to the new port."""
     connector = Connector(LocalNaming())
-    connector.want(WantedConnection("/connected", "/r", anew=True))
-    until(lambda: ports.made == ["/connected"], "connected anew")
+    connector.request(WantedConnection("/connected", "/r", force=True))
+    until(lambda: ports.made == ["/connected"], "connected again")
     connector.close()

@@ -20,14 +20,14 @@ from yarp_compat.wire.contact import PortContact, is_name, is_port_name
         ("tcp://host:99999/", PortContact("", "host", -1, "tcp"), None),
     ],
 )
-def test_spellings(text: str, contact: PortContact, target: str | None) -> None:
-    """Each of YARP's ways to name a port, and the way back to an admin command's."""
+def test_every_spelling_of_a_port_is_parsed(text: str, contact: PortContact, target: str | None) -> None:
+    """The parsed contact is converted back to the spelling of admin commands."""
     assert PortContact.parse(text) == contact
     assert target is None or contact.target == target
 
 
-def test_addresses() -> None:
-    """An address with its carrier, as YARP prints it, can be read again."""
+def test_a_printed_address_is_parsed_again() -> None:
+    """YARP prints addresses with their carrier."""
     contact = PortContact("", "10.0.0.7", 10005, "udp")
     assert contact.uri == "udp://10.0.0.7:10005/"
     assert PortContact.parse(contact.uri) == contact
@@ -35,8 +35,8 @@ def test_addresses() -> None:
     assert not PortContact("/p").is_valid
 
 
-def test_registration_lines() -> None:
-    """The name server's line, both ways; what is none is None."""
+def test_registration_lines_are_parsed_and_formatted() -> None:
+    """Other lines are parsed to None."""
     line = "registration name /reader ip 127.0.0.1 port 10002 type tcp"
     contact = PortContact("/reader", "127.0.0.1", 10002, "tcp")
     assert PortContact.from_registration(line) == contact
@@ -46,13 +46,13 @@ def test_registration_lines() -> None:
 
 
 @pytest.mark.parametrize("name", ["/a", "/a/b:o", "/tmp/port/1", "/topic+@/node", "/ü"])
-def test_port_names(name: str) -> None:
-    """What YARP takes as a port's name."""
+def test_valid_port_names_are_accepted(name: str) -> None:
+    """YARP accepts them too."""
     assert is_port_name(name)
 
 
 @pytest.mark.parametrize("name", ["", "/", "a", "/a/", "/a b", '/a"b', "/a\nb", "/" + "x" * 1024])
-def test_no_port_names(name: str) -> None:
-    """What it does not; names of other registrations, such as the discovery group's, need no slash."""
+def test_invalid_port_names_are_rejected(name: str) -> None:
+    """Names of other registrations, such as the discovery group's, need no slash."""
     assert not is_port_name(name)
     assert is_name("fallback")

@@ -1,4 +1,4 @@
-"""A name server's client whose pending commands are limited in time while other threads begin more of them."""
+"""A name server client limits pending commands in time while other threads start more of them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def eager_threads() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("eager_threads")
-def test_hurry_while_other_threads_ask() -> None:
+def test_hurry_works_while_other_threads_send_queries() -> None:
     address = Address("127.0.0.1", free_port(room=20))
     server = NameServer(address.host, address.port, gc_seconds=0).open()
     client = NameClient(address)

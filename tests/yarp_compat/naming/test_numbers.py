@@ -10,9 +10,9 @@ import pytest
 from tests.support.ports import free_port
 from tests.support.wait import until
 from tests.support.yarp_name_server import RealNameServer
-from tests.yarp_compat.naming.test_restart import where
+from tests.yarp_compat.naming.test_restart import are_registered
 from yarp_compat.naming import client as client_module
-from yarp_compat.naming.allocation import LAST_OFFSET, beside
+from yarp_compat.naming.allocation import LAST_OFFSET, numbers_outside
 from yarp_compat.naming.client import NameClient
 from yarp_compat.ports.port import PortCore
 
@@ -48,7 +48,7 @@ def test_open_ports_do_not_block_the_numbers_of_new_programs(
         server.clear()
         for i in range(5):
             native_open(native, f"/at_once/{i}")  # before ours are registered again
-        until(where(names, *ours), "ours are registered again")
+        until(are_registered(names, *ours), "ours are registered again")
         for i in range(5):
             native_open(native, f"/later/{i}")
     finally:
@@ -57,7 +57,7 @@ def test_open_ports_do_not_block_the_numbers_of_new_programs(
     assert not server.ports
 
 
-def test_a_name_gets_its_number_again(server: RealNameServer) -> None:
+def test_a_reopened_port_keeps_its_number(server: RealNameServer) -> None:
     """Also after a restart of the name server; if another program listens on the number, the port gets the next one."""
     names = NameClient(server.address)
     port = PortCore("/ours", naming=names)
@@ -77,9 +77,9 @@ def test_a_name_gets_its_number_again(server: RealNameServer) -> None:
 
 
 @pytest.mark.parametrize("base", [1024, 10000, 45536, 45537, 60000, 65000])
-def test_beside(base: int) -> None:
+def test_numbers_of_our_ports_are_outside_the_range_of_the_name_server(base: int) -> None:
     """The range is as long as the name server's, and disjoint from it."""
-    numbers = beside(base)
+    numbers = numbers_outside(base)
     assert len(numbers) == LAST_OFFSET + 1
     assert numbers[0] > 1024
     assert numbers[-1] <= 0xFFFF

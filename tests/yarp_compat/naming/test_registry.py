@@ -1,4 +1,4 @@
-"""Commands of a name server and their answers, as real ones gave them (the fact sheet's lines)."""
+"""Commands of a name server and their replies, as recorded from real ones."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ END = "*** end of message"
 ROOT = "registration name /root ip 127.0.0.1 port 10000 type tcp"
 
 
-class Asked:
-    """A registry, asked in text."""
+class TextRegistry:
+    """A registry with commands and replies as text."""
 
     def __init__(self, port: int = 10000) -> None:
         self.now = 0.0
         self.registry = PortRegistry(PortContact("/root", "127.0.0.1", port), clock=lambda: self.now)
         self.events: list[Any] = []
-        self.wishes: list[WantedConnection] = []
+        self.connections: list[WantedConnection] = []
 
     def __call__(self, text: str, remote: str = "127.0.0.1") -> list[str]:
-        """The lines of the answer; a Bottle is one."""
+        """Return the lines of the reply; a Bottle is one line."""
         answer = self.registry.apply(from_text(text), remote)
         self.events += answer.events
-        self.wishes += answer.wishes
+        self.connections += answer.connections
         return lines(answer.values) if answer.values[:1] == [OLD] else [to_text(answer.values)]
 
 
 @pytest.fixture(name="ask")
-def fixture_ask() -> Asked:
-    """A registry with nothing in it."""
-    return Asked()
+def fixture_ask() -> TextRegistry:
+    """Return an empty registry."""
+    return TextRegistry()
 
 
-def test_registering(ask: Asked) -> None:
-    """What is left out is filled in: the number, the address of who asks, the name."""
+def test_a_registration_is_completed(ask: TextRegistry) -> None:
+    """The server fills in the number, the client's address and the name."""
     assert ask("query /foo/auto") == [END]
     assert ask("register /foo/auto") == ["registration name /foo/auto ip 127.0.0.1 port 10002 type tcp", END]
     assert ask("query /foo/auto") == ["registration name /foo/auto ip 127.0.0.1 port 10002 type tcp", END]
@@ -63,8 +63,8 @@ def test_registering(ask: Asked) -> None:
     assert ask("register /foo/auto")[0].split()[6] == "10002"
 
 
-def test_listing(ask: Asked) -> None:
-    """Sorted by the bytes of the names; below a prefix; as a Bottle."""
+def test_ports_are_listed_by_name_and_prefix(ask: TextRegistry) -> None:
+    """The list is sorted by the bytes of the names, also as a Bottle."""
     for name in ("/b", "/a", "/a/x", "/ab"):
         ask(f"register {name} tcp h 1")
     assert [line.split()[2] for line in ask("list")[:-1]] == ["/a", "/a/x", "/ab", "/b", "/root"]
@@ -76,8 +76,8 @@ def test_listing(ask: Asked) -> None:
     assert ask("bot query /c") == ['port (error -2 "port not known")']
 
 
-def test_what_a_browser_sends_behind_a_command(ask: Asked) -> None:
-    """``/?req=list&format=json`` comes with the request's fields, and is answered with values."""
+def test_a_browser_receives_values(ask: TextRegistry) -> None:
+    """``/?req=list&format=json`` contains the fields of the HTTP request."""
     ask("register /p")
     answer = ask('list (REQUEST_URI "?req=list&format=json") (format json) (req list)')
     assert answer[0].startswith('ports (port (name "/p") (ip "127.0.0.1")')
@@ -85,8 +85,8 @@ def test_what_a_browser_sends_behind_a_command(ask: Asked) -> None:
     assert ask("register 5") == [END]
 
 
-def test_properties(ask: Asked) -> None:
-    """Words under a key, answered in order of their bytes; each set replaces what was there."""
+def test_properties_are_set_read_and_checked(ask: TextRegistry) -> None:
+    """A key has several words, returned in the order of their bytes; setting replaces all of them."""
     ask("register /p")
     assert ask("set /p key v2 v1 (a b)") == ["port /p property key = a b v1 v2", END]
     assert ask("get /p key") == ["port /p property key = a b v1 v2", END]
@@ -96,8 +96,8 @@ def test_properties(ask: Asked) -> None:
     assert ask("check /p key v3") == ["port /p property key value v3 present false", END]
     assert ask("set /p key 5") == ["port /p property key = 5", END]
     assert ask("bot get /p key") == ["5"]
-    assert ask("set /nobody key 5") == [END]
-    assert ask("bot get /nobody key") == [""]
+    assert ask("set /missing key 5") == [END]
+    assert ask("bot get /missing key") == [""]
     ask("set /p yarprun true")
     assert ask("runners") == ["registration name /p ip 127.0.0.1 port 10002 type tcp", END]
     ask("unregister /p")
@@ -105,8 +105,8 @@ def test_properties(ask: Asked) -> None:
     assert ask("get /p key") == ["port /p property key =", END]
 
 
-def test_the_rest(ask: Asked) -> None:
-    """Route, gc, help, what nobody knows, and the name server itself."""
+def test_other_commands_reply_like_yarpserver(ask: TextRegistry) -> None:
+    """Route, gc, help, unknown commands, and commands about the name server itself."""
     assert ask("route /a /b") == ["port /a route /b = tcp://b", END]
     assert ask("gc") == ["garbage collection done.", END]
     assert ask("help")[:2] == ["Here are some ways to use the name server:", "+ help"]
@@ -123,8 +123,8 @@ def test_the_rest(ask: Asked) -> None:
     assert ask("type yarp other") == ["[fail]"]
 
 
-def test_what_a_port_owns_goes_with_it(ask: Asked) -> None:
-    """A port that writes by mcast owns its group's entry; entries that own each other end too."""
+def test_owned_entries_are_removed_with_their_port(ask: TextRegistry) -> None:
+    """A port that writes by mcast owns its group's entry; entries that own each other are removed too."""
     ask("register /w")
     ask("register /group mcast ... 0")
     ask("set /w owns /group")
@@ -134,8 +134,8 @@ def test_what_a_port_owns_goes_with_it(ask: Asked) -> None:
     assert [(str(e[0]), e[1]) for e in ask.events] == [("add", "/w"), ("del", "/w")]
 
 
-def test_ports_that_own_each_other_in_a_long_row(ask: Asked) -> None:
-    """Somebody's joke, not a reason to fail."""
+def test_a_long_chain_of_owners_does_no_harm(ask: TextRegistry) -> None:
+    """Removal stops at a depth."""
     for number in range(3000):
         ask(f"register /p{number} tcp h 1")
         ask(f"set /p{number} owns /p{number + 1}")
@@ -143,8 +143,8 @@ def test_ports_that_own_each_other_in_a_long_row(ask: Asked) -> None:
     assert ask("query /p0") == [END]
 
 
-def test_the_same_registration_again_changes_nothing(ask: Asked) -> None:
-    """Ports that come back to a restarted name server keep their properties, and nobody is told of a change."""
+def test_a_repeated_registration_changes_nothing(ask: TextRegistry) -> None:
+    """Ports that register again at a restarted name server keep their properties, and no event is published."""
     ask("register /p tcp 127.0.0.1 10002")
     ask("set /p key value")
     ask.events.clear()
@@ -167,14 +167,14 @@ def test_the_same_registration_again_changes_nothing(ask: Asked) -> None:
         'register /p "a b" host 5',
     ],
 )
-def test_what_is_not_taken(ask: Asked, command: str) -> None:
-    """Names and addresses that would break lines, or are no addresses."""
+def test_invalid_registrations_are_rejected(ask: TextRegistry, command: str) -> None:
+    """Names and addresses must be valid, and must not break lines."""
     assert ask(command) == [END]
     assert [e.contact.name for e in ask.registry.entries()] == ["/root"]
 
 
-def test_bounds(ask: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ports, properties, persistent connections and types are counted."""
+def test_the_registry_is_bounded(ask: TextRegistry, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ports, properties and types have limits."""
     monkeypatch.setattr(registry_module, "MAX_PORTS", 3)
     assert [len(ask(f"register /p{i}")) for i in range(3)] == [2, 2, 1]
     assert len(ask("register /p1")) == 2
@@ -185,8 +185,8 @@ def test_bounds(ask: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
     assert [ask(f"type yarp t{i} x") for i in range(4)] == [["[ok]"], ["[ok]"], ["[ok]"], ["[fail]"]]
 
 
-def test_every_name_server_exchange_of_the_transcript(ask: Asked) -> None:
-    """What a real name server answered two real ports and the tool that connected them, byte for byte."""
+def test_every_recorded_exchange_of_two_ports_is_reproduced(ask: TextRegistry) -> None:
+    """The replies to two real ports and ``yarp connect`` equal those of a real name server byte for byte."""
     talks = [t for t in read("connect.txt") if t.port == 10000]
     assert len(talks) >= 19
     for talk in talks:
@@ -196,19 +196,19 @@ def test_every_name_server_exchange_of_the_transcript(ask: Asked) -> None:
 
 
 def recorded() -> list[tuple[str, list[str]]]:
-    """Commands and the lines of their answers, from a real name server."""
-    found: list[tuple[str, list[str]]] = []
+    """Return commands and the lines of their replies, recorded from a real name server."""
+    exchanges: list[tuple[str, list[str]]] = []
     for line in (Path(__file__).parents[1] / "data" / "name_server.txt").read_text().splitlines():
         if line.startswith(">"):
-            found.append((line[2:], []))
+            exchanges.append((line[2:], []))
         elif line.startswith("<"):
-            found[-1][1].append(line[2:])
-    return found
+            exchanges[-1][1].append(line[2:])
+    return exchanges
 
 
-def test_every_command_as_a_real_name_server_answered() -> None:
-    """Sixty commands to yarpserver 3.12.3, in their order, each line of each answer."""
-    ask = Asked(port=10410)
+def test_every_recorded_command_gets_the_same_reply() -> None:
+    """Sixty commands to yarpserver 3.12.3 in their order."""
+    ask = TextRegistry(port=10410)
     commands = recorded()
     assert len(commands) > 50
     for command, answer in commands:
@@ -225,22 +225,22 @@ WORDS = st.sampled_from(
 
 
 @given(st.lists(st.lists(WORDS, min_size=1, max_size=6), max_size=30))
-def test_memory_is_whole(commands: list[list[str]]) -> None:
-    """Whatever was said: a registry made from another's state answers as that one does."""
-    one, two = Asked(), Asked()
+def test_a_restored_registry_replies_like_the_original(commands: list[list[str]]) -> None:
+    """For any commands."""
+    original, restored = TextRegistry(), TextRegistry()
     for command in commands:
-        one(" ".join(command))
-    data = dumps(one.registry)
-    loads(two.registry, data)
-    assert dumps(two.registry) == data
+        original(" ".join(command))
+    data = dumps(original.registry)
+    loads(restored.registry, data)
+    assert dumps(restored.registry) == data
     for question in ("list", "bot list", "subscribe", "topic", "get /a key", "get /b owns"):
-        assert two(question) == one(question)
+        assert restored(question) == original(question)
     for command in commands:
-        assert two(" ".join(command)) == one(" ".join(command))
+        assert restored(" ".join(command)) == original(" ".join(command))
 
 
 @pytest.mark.parametrize("data", [b"", b"[]", b"{}", b'{"version": 2}', b'{"version": 1, "ports": [1]}', b"\xff"])
-def test_spoilt_memory(data: bytes) -> None:
-    """What is no state is refused with a reason."""
+def test_an_invalid_state_is_rejected(data: bytes) -> None:
+    """The error has a reason."""
     with pytest.raises(ValueError, match=r"."):
         loads(PortRegistry(PortContact("/root", "127.0.0.1", 10000)), data)

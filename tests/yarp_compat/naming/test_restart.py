@@ -1,4 +1,4 @@
-"""A name server that goes away and comes back under live connections."""
+"""A name server stops and restarts while ports are connected."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Pair:
-    """Two connected ports, numbers from one to the other all the time."""
+    """Two connected ports, with a continuous stream of numbers."""
 
     def __init__(self, address: Address) -> None:
         self.names = NameClient(address, timeout=2.0)
-        self.came: list[int] = []
+        self.received: list[int] = []
         self.losses: list[object] = []
-        self.reader = PortCore("/reader", on_message=self._take, naming=self.names)
-        self.writer = PortCore("/writer", naming=self.names, on_event=self._note)
+        self.reader = PortCore("/reader", on_message=self._on_message, naming=self.names)
+        self.writer = PortCore("/writer", naming=self.names, on_event=self._on_event)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._write)
 
@@ -53,7 +53,7 @@ class Pair:
         self.writer.open()
         connections.connect(self.names, "/writer", "/reader")
         self._thread.start()
-        until(lambda: self.came, "messages come")
+        until(lambda: self.received, "messages arrive")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -62,12 +62,12 @@ class Pair:
         self.writer.close()
         self.reader.close()
 
-    def _note(self, event: ConnectionEvent) -> None:
+    def _on_event(self, event: ConnectionEvent) -> None:
         if not event.up and not event.incoming:
             self.losses.append(event)
 
-    def _take(self, message: PortMessage) -> None:
-        self.came += decode(message.payload)
+    def _on_message(self, message: PortMessage) -> None:
+        self.received += decode(message.payload)
 
     def _write(self) -> None:
         number = 0
@@ -76,21 +76,21 @@ class Pair:
             number += 1
 
     def check(self) -> None:
-        """Not one message was lost, and messages still come."""
-        seen = len(self.came)
-        until(lambda: len(self.came) > seen + 3, "messages still come")
-        came = list(self.came)
-        assert came == list(range(len(came)))
+        """Check that no message was lost, and that messages still arrive."""
+        seen = len(self.received)
+        until(lambda: len(self.received) > seen + 3, "messages still arrive")
+        received = list(self.received)
+        assert received == list(range(len(received)))
         assert not self.losses
 
 
 def announced(server: NameServer) -> set[str]:
-    """The ports that said to a name server that they listen: a first word of that has them connected anew."""
+    """Return the ports that have announced themselves; a first announcement connects them again."""
     return {entry.contact.name for entry in server.registry.entries() if entry.announced}
 
 
-def where(names: NameClient, *ports: PortCore) -> Callable[[], bool]:
-    """Whether the name server knows ports where they are."""
+def are_registered(names: NameClient, *ports: PortCore) -> Callable[[], bool]:
+    """Return a condition: the ports are registered with their current addresses."""
 
     def known() -> bool:
         try:
@@ -101,8 +101,8 @@ def where(names: NameClient, *ports: PortCore) -> Callable[[], bool]:
     return known
 
 
-def test_without_memory_ports_register_again() -> None:
-    """With the same numbers, what was set at them, and an announcement; the data connection notices nothing."""
+def test_ports_register_again_at_a_name_server_without_state() -> None:
+    """They keep their numbers and properties and announce themselves; data connections are not affected."""
     port = free_port(room=20)
     first = NameServer(port=port, gc_seconds=0).open()
     with Pair(first.address) as pair:
@@ -111,13 +111,15 @@ def test_without_memory_ports_register_again() -> None:
         pair.check()
         with NameServer(port=port, gc_seconds=0) as second:
             names = NameClient(second.address)
-            until(where(names, pair.reader, pair.writer), "both are registered again")
+            until(are_registered(names, pair.reader, pair.writer), "both are registered again")
             until(
                 lambda: set(names.get_property("/reader", "type")) == {"std_msgs/String", "two words"},
-                "what was set is set again",
+                "the property is set again",
             )
-            until(lambda: "fast_tcp" in names.get_property("/writer", "offers"), "and what a port says of itself")
-            until(lambda: {"/reader", "/writer"} <= announced(second), "and that both listen")
+            until(
+                lambda: "fast_tcp" in names.get_property("/writer", "offers"), "the port's own properties are set again"
+            )
+            until(lambda: {"/reader", "/writer"} <= announced(second), "both are announced")
             names.command(["subscribe", "/writer", "/reader"])
             pair.check()
             assert names.register("/other").port not in (pair.reader.contact.port, pair.writer.contact.port)
@@ -125,12 +127,12 @@ def test_without_memory_ports_register_again() -> None:
             assert names.query("/writer") is None
 
 
-@pytest.mark.parametrize("remembers", [True, False])
-def test_killed(tmp_path: Path, remembers: bool) -> None:
-    """``midspan yarp server`` killed with -9, and started again: nothing is lost, and it knows the ports."""
+@pytest.mark.parametrize("has_state", [True, False])
+def test_a_killed_name_server_loses_nothing(tmp_path: Path, has_state: bool) -> None:
+    """``midspan yarp server`` is killed with -9 and restarted: no message is lost, and the ports are registered."""
     address = Address("127.0.0.1", free_port(room=20))
     args = [sys.executable, "-m", "bridge.cli.main", "yarp", "server", "--port", str(address.port), "--gc", "0"]
-    args += ["--state", str(tmp_path / "names.json")] if remembers else ["--forget"]
+    args += ["--state", str(tmp_path / "names.json")] if has_state else ["--forget"]
     env = {**os.environ, "YARP_CONFIG_HOME": str(tmp_path), "YARP_NAMESPACE": "/root"}
     names = NameClient(address)
     with ExitStack() as stack:
@@ -138,21 +140,21 @@ def test_killed(tmp_path: Path, remembers: bool) -> None:
         def start() -> Process:
             server = Process(args, env)
             stack.callback(server.stop)
-            until(lambda: _answers(names), "it answers", seconds=30.0)
+            until(lambda: _answers(names), "the name server replies", seconds=30.0)
             return server
 
         server = start()
         pair = stack.enter_context(Pair(address))
         names.command(["subscribe", "/writer", "/reader"])
-        if remembers:
-            until(lambda: _written(tmp_path / "names.json"), "it is written down")
+        if has_state:
+            until(lambda: _written(tmp_path / "names.json"), "the state is saved")
         server.signal(signal.SIGKILL)
         server.popen.wait()
         pair.check()
         start()
-        until(where(names, pair.reader, pair.writer), "both are known again")
-        kept = names.command(["subscribe"])[1:]
-        assert kept == ([["subscription", ["src", "/writer"], ["dest", "/reader"]]] if remembers else [])
+        until(are_registered(names, pair.reader, pair.writer), "both are registered again")
+        subscriptions = names.command(["subscribe"])[1:]
+        assert subscriptions == ([["subscription", ["src", "/writer"], ["dest", "/reader"]]] if has_state else [])
         pair.check()
 
 
@@ -169,13 +171,13 @@ def _answers(names: NameClient) -> bool:
 
 @pytest.fixture(name="server")
 def fixture_server() -> Iterator[NameServer]:
-    """A name server."""
+    """Serve a name server without state."""
     with NameServer(port=free_port(room=20), gc_seconds=0) as server:
         yield server
 
 
 def test_a_closed_port_is_not_registered_again(server: NameServer) -> None:
-    """And the thread that looks ends with the last port."""
+    """The keeper's thread ends with the last port."""
     names = NameClient(server.address)
     port = PortCore("/p", naming=names)
     port.open()
@@ -185,50 +187,50 @@ def test_a_closed_port_is_not_registered_again(server: NameServer) -> None:
     assert server.registry.find("/p") is None
 
 
-class Asked(NameClient):
-    """A client that notes what it is asked, and answers by what is known."""
+class RecordingClient(NameClient):
+    """A client that records its queries and replies from ``known``."""
 
     def __init__(self, known: dict[str, PortContact]) -> None:
         super().__init__(Address("127.0.0.1", 10000))
         self.known = known
-        self.asked: list[str] = []
+        self.queries: list[str] = []
         self.restored: list[str] = []
 
     def query(self, name: str) -> PortContact | None:
-        """Note it."""
-        self.asked.append(name)
+        """Record the query."""
+        self.queries.append(name)
         return self.known.get(name)
 
     def restore(self, name: str) -> None:
-        """Note it."""
+        """Record the call."""
         self.restored.append(name)
 
 
 CONTACTS = [PortContact(f"/p{i}", "127.0.0.1", 10002 + i) for i in range(30)]
 
 
-def test_where_one_is_missing_all_are_asked_for() -> None:
-    """Not only those few whose turn it is, and those of other clients too."""
-    clients = Asked({}), Asked({})
-    client_module.Keeper().ask([(clients[i % 2], contact) for i, contact in enumerate(CONTACTS)])
+def test_a_missing_port_causes_a_check_of_all() -> None:
+    """All ports of all clients are checked instead of only the next few."""
+    clients = RecordingClient({}), RecordingClient({})
+    client_module.Keeper().check([(clients[i % 2], contact) for i, contact in enumerate(CONTACTS)])
     for i, client in enumerate(clients):
         assert sorted(client.restored) == sorted(contact.name for contact in CONTACTS[i::2])
 
 
-def test_the_clients_of_one_name_server_take_turns() -> None:
-    """However many they are, it is asked for a few ports at a look, and in time for all."""
+def test_each_check_queries_a_few_ports_of_all_clients() -> None:
+    """Whatever the number of clients, a check queries AT_ONCE ports, and several checks query all."""
     known = {contact.name: contact for contact in CONTACTS}
-    clients = [Asked(known) for _ in CONTACTS]
+    clients = [RecordingClient(known) for _ in CONTACTS]
     keeper, kept = client_module.Keeper(), list(zip(clients, CONTACTS, strict=True))
     for turn in range(1, 7):
-        keeper.ask(kept)
-        assert sum(len(client.asked) for client in clients) == turn * client_module.AT_ONCE
-    assert all(client.asked == [contact.name] for client, contact in kept)
+        keeper.check(kept)
+        assert sum(len(client.queries) for client in clients) == turn * client_module.AT_ONCE
+    assert all(client.queries == [contact.name] for client, contact in kept)
     assert not any(client.restored for client in clients)
 
 
-def test_many_ports(server: NameServer) -> None:
-    """Some are lost, and come back; all that are closed stay away."""
+def test_lost_ports_register_again_and_closed_ones_do_not(server: NameServer) -> None:
+    """With several ports of one program."""
     names = NameClient(server.address)
     ports = [PortCore(f"/p{i}", naming=names) for i in range(12)]
     for port in ports:
@@ -236,7 +238,7 @@ def test_many_ports(server: NameServer) -> None:
     others = NameClient(server.address)
     for port in ports[::2]:
         others.unregister(port.name)
-    until(where(others, *ports), "all are registered")
+    until(are_registered(others, *ports), "all are registered")
     for port in ports[::2]:
         others.unregister(port.name)
     for port in ports:
@@ -244,26 +246,29 @@ def test_many_ports(server: NameServer) -> None:
     assert others.list() == [server.contact]
 
 
-def test_a_name_that_another_took(server: NameServer, caplog: pytest.LogCaptureFixture) -> None:
-    """It is left to him, and said once."""
+def test_a_name_taken_over_by_another_port_is_logged_once(server: NameServer, caplog: pytest.LogCaptureFixture) -> None:
+    """The other port keeps the name."""
     names = NameClient(server.address)
     port = PortCore("/p", naming=names)
     port.open()
     taken = NameClient(server.address).register("/p", "127.0.0.1", 12345)
-    until(lambda: "the name /p was taken by a port at tcp://127.0.0.1:12345/" in caplog.text, "it is said")
+    until(
+        lambda: "the name /p was taken over by a port at tcp://127.0.0.1:12345/" in caplog.text,
+        "the takeover is logged",
+    )
     assert names.query("/p") == taken
     port.close()
 
 
-def test_a_name_that_another_took_may_be_left_to_it(server: NameServer) -> None:
+def test_a_name_taken_over_by_another_port_stays_registered(server: NameServer) -> None:
     names, others = NameClient(server.address), NameClient(server.address)
     port = PortCore("/p", naming=names)
     port.open()
     assert not names.is_taken("/p")
-    assert not others.is_taken("/p"), "it never had it"
+    assert not others.is_taken("/p"), "it never registered the name"
     taken = others.register("/p", "127.0.0.1", 12345)
     assert names.is_taken("/p")
     names.leave("/p")
     port.close()
     assert others.query("/p") == taken
-    assert not names.is_taken("/p"), "it is given up"
+    assert not names.is_taken("/p"), "the name is no longer claimed"

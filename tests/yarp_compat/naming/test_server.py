@@ -1,4 +1,4 @@
-"""The name server as others see it: its bytes, its carriers, its page, its persistent connections, its memory."""
+"""The name server from outside: its bytes, carriers, web page, persistent connections and state."""
 
 from __future__ import annotations
 
@@ -33,49 +33,49 @@ from yarp_compat.wire.text import from_text
 
 @pytest.fixture(name="server")
 def fixture_server() -> Iterator[NameServer]:
-    """A name server that remembers nothing."""
+    """Serve a name server without state."""
     with NameServer(port=free_port(room=20), gc_seconds=0) as server:
         yield server
 
 
 @pytest.fixture(name="names")
 def fixture_names(server: NameServer) -> NameClient:
-    """A client of it."""
+    """Return a client of the name server."""
     return NameClient(server.address)
 
 
 def exchange(port: int, data: bytes, end: bytes) -> bytes:
-    """Say something on a connection of its own, and hear until an end."""
+    """Send data on a new connection, and return the reply up to its end."""
     with socket.create_connection(("127.0.0.1", port), 10.0) as sock:
         sock.sendall(data)
-        heard = b""
-        while not heard.endswith(end):
+        received = b""
+        while not received.endswith(end):
             more = sock.recv(65536)
-            assert more, heard
-            heard += more
-        return heard
+            assert more, received
+            received += more
+        return received
 
 
-def test_every_exchange_of_the_transcript(server: NameServer) -> None:
-    """What two real ports and ``yarp connect`` asked, in their bytes, is answered in a real name server's bytes."""
+def test_every_recorded_exchange_is_reproduced(server: NameServer) -> None:
+    """Requests of two real ports and ``yarp connect`` get the bytes of a real name server."""
     port = server.address.port
-    for spoken in (t for t in read("connect.txt") if t.port == 10000):
-        wanted = spoken.said("S").replace(b"port 10002", b"port %d" % (port + 2))
+    for talk in (t for t in read("connect.txt") if t.port == 10000):
+        wanted = talk.said("S").replace(b"port 10002", b"port %d" % (port + 2))
         wanted = wanted.replace(b"port 10003", b"port %d" % (port + 3))
-        assert exchange(port, spoken.said("C"), wanted[-6:]) == wanted
+        assert exchange(port, talk.said("C"), wanted[-6:]) == wanted
 
 
-def test_many_commands_on_one_connection(server: NameServer) -> None:
-    """A name client of old, or a person with telnet: line ends of either kind, nothing in between."""
+def test_one_connection_may_send_many_commands(server: NameServer) -> None:
+    """As from old name clients or telnet, with both kinds of line ends."""
     with LineSocket("127.0.0.1", server.address.port, 10.0) as peer:
         peer.send(b"NAME_SERVER query /none\nNAME_SERVER register /p\r\n\r\nNAME_SERVER query /p\n")
-        heard = [peer.line() for _ in range(5)]
+        lines = [peer.line() for _ in range(5)]
     line = f"registration name /p ip 127.0.0.1 port {server.address.port + 2} type tcp"
-    assert heard == ["*** end of message", line, "*** end of message", line, "*** end of message"]
+    assert lines == ["*** end of message", line, "*** end of message", line, "*** end of message"]
 
 
-def test_bottles_over_text_ack(names: NameClient) -> None:
-    """What tools such as ``yarp clean`` use: lines as they are, or a Bottle."""
+def test_text_ack_returns_lines_or_a_bottle(names: NameClient) -> None:
+    """Tools such as ``yarp clean`` use this carrier."""
     assert text_client.ask(names.contact, ["query", "/none"]) == ["*** end of message"]
     assert text_client.ask(names.contact, ["gc"]) == ["garbage collection done.", "*** end of message"]
     assert text_client.ask(names.contact, ["subscribe"]) == ["subscriptions"]
@@ -85,25 +85,25 @@ def test_bottles_over_text_ack(names: NameClient) -> None:
 
 
 @pytest.mark.parametrize("profile", list(Profile))
-def test_bottles_over_tcp(server: NameServer, profile: Profile) -> None:
-    """Bottle RPC by tcp to /root: text lines, or a Bottle; then the acknowledgement."""
+def test_tcp_returns_lines_or_a_bottle(server: NameServer, profile: Profile) -> None:
+    """The acknowledgement follows the reply."""
     command = encode(["query", "/root"], profile)
     index = b"YA\n\0\0\0RP\x02\x01" + b"\xff" * 8 + b"\x08\0\0\0" + len(command).to_bytes(4, "little") + bytes(4)
     header = b"YA\xe4\x1e\0\0RP\x05\0\0\0anon\0"
     ack = b"YA\0\0\0\0RP"
     port = server.address.port
-    heard = exchange(port, header + index + b"\0\0\0\0~d\0\x01" + command, ack)
+    reply = exchange(port, header + index + b"\0\0\0\0~d\0\x01" + command, ack)
     lines = b"registration name /root ip 127.0.0.1 port %d type tcp\r\n*** end of message\r\n" % port
-    assert heard == b"YA" + port.to_bytes(4, "little") + b"RP" + lines + ack
+    assert reply == b"YA" + port.to_bytes(4, "little") + b"RP" + lines + ack
     command = encode(["bot", "query", "/root"], profile)
     index = b"YA\n\0\0\0RP\x02\x01" + b"\xff" * 8 + b"\x08\0\0\0" + len(command).to_bytes(4, "little") + bytes(4)
-    heard = exchange(port, header + index + b"\0\0\0\0~d\0\x01" + command, ack)
+    reply = exchange(port, header + index + b"\0\0\0\0~d\0\x01" + command, ack)
     bottle = from_text(f'port (name "/root") (ip "127.0.0.1") (port_number {port}) (carrier tcp)')
-    assert decode(heard[8:-8]) == bottle
+    assert decode(reply[8:-8]) == bottle
 
 
-def test_a_browser(server: NameServer, names: NameClient) -> None:
-    """The list of all ports as a page with links to each, and as JSON in yarpserver's form."""
+def test_a_browser_receives_a_page_or_json(server: NameServer, names: NameClient) -> None:
+    """The page lists all ports with links; the JSON has yarpserver's format."""
     names.register("/robot/camera")
     url = f"http://127.0.0.1:{server.address.port}"
     with urllib.request.urlopen(f"{url}/data=list", timeout=10) as page:
@@ -124,8 +124,8 @@ def test_a_browser(server: NameServer, names: NameClient) -> None:
         assert page.read().startswith(b"body {")
 
 
-def test_another_network() -> None:
-    """Its name server's port has its name; a client is told of it, or finds it in the environment."""
+def test_a_name_server_serves_another_network() -> None:
+    """The name server's port has the network's name, which clients get as an argument or from the environment."""
     with NameServer(port=free_port(room=20), namespace="/lab", gc_seconds=0) as server:
         names = NameClient(server.address, namespace="/lab")
         assert names.contact == server.contact == names.query("/lab")
@@ -134,16 +134,16 @@ def test_another_network() -> None:
         assert names.query("/root") is None
 
 
-def test_a_taken_address(server: NameServer) -> None:
-    """Two name servers at one address: the second says so, and the first goes on."""
+def test_a_second_name_server_at_an_address_is_refused(server: NameServer) -> None:
+    """The first one continues."""
     second = NameServer(port=server.address.port)
-    with pytest.raises(NamingError, match="Is another one running there"):
+    with pytest.raises(NamingError, match="Another one may be running there"):
         second.open()
     assert NameClient(server.address).query("/root") == server.contact
 
 
-def test_long_lines_and_garbage(server: NameServer, names: NameClient) -> None:
-    """Lines without end and what nobody understands end their connection, not the server."""
+def test_invalid_input_only_ends_its_connection(server: NameServer, names: NameClient) -> None:
+    """Endless lines and garbage do not affect the server."""
     for data in (b"NAME_SERVER query " + b"x" * 200_000, b"NAME_SERVER " + b"(" * 60_000 + b"\n", b"GARBAGE!" * 9):
         peer = socket.create_connection(("127.0.0.1", server.address.port), 10.0)
         with peer, contextlib.suppress(OSError):  # it may close at any time
@@ -154,66 +154,66 @@ def test_long_lines_and_garbage(server: NameServer, names: NameClient) -> None:
     assert names.query("/root") == server.contact
 
 
-class Open:
-    """Ports with what came in at them, closed after the test."""
+class OpenPorts:
+    """Ports with their received messages, closed after the test."""
 
     def __init__(self, names: NameClient) -> None:
         self._names = names
         self._ports: list[PortCore] = []
-        self.came: list[list[object]] = []
+        self.received: list[list[object]] = []
 
     def __call__(self, name: str) -> PortCore:
-        def take(message: PortMessage) -> None:
-            self.came.append(decode(message.payload))
+        def on_message(message: PortMessage) -> None:
+            self.received.append(decode(message.payload))
 
-        port = PortCore(name, on_message=take, naming=self._names)
+        port = PortCore(name, on_message=on_message, naming=self._names)
         port.open()
         self._ports.append(port)
         return port
 
     def close(self) -> None:
-        """Close all that are open."""
+        """Close all ports."""
         for port in self._ports:
             port.close()
 
 
 @pytest.fixture(name="open_port")
-def fixture_open_port(names: NameClient) -> Iterator[Open]:
-    """Opens ports."""
-    ports = Open(names)
+def fixture_open_port(names: NameClient) -> Iterator[OpenPorts]:
+    """Yield a function that opens ports."""
+    ports = OpenPorts(names)
     yield ports
     ports.close()
 
 
-def test_events(names: NameClient, open_port: Open) -> None:
-    """Whoever is connected to the name server's port is told which ports come and go."""
+def test_registrations_are_published(names: NameClient, open_port: OpenPorts) -> None:
+    """Subscribers of the name server's port receive an event for each added and removed port."""
     open_port("/watch")
     connections.connect(names, "/root", "/watch")
     names.register("/p")
     names.unregister("/p")
-    until(lambda: open_port.came[-2:] == [["add", "/p"], ["del", "/p"]], "the events came")
+    until(lambda: open_port.received[-2:] == [["add", "/p"], ["del", "/p"]], "the events have arrived")
 
 
-def test_who_listens_slowly_hears_every_event(names: NameClient) -> None:
-    """None takes the place of another."""
-    came, go_on = list[list[object]](), threading.Event()
+def test_a_slow_subscriber_receives_every_event(names: NameClient) -> None:
+    """No event replaces another."""
+    received, go_on = list[list[object]](), threading.Event()
 
-    def take(message: PortMessage) -> None:
+    def on_message(message: PortMessage) -> None:
         assert go_on.wait(20)
-        came.append(decode(message.payload))
+        received.append(decode(message.payload))
 
-    watch = PortCore("/watch", on_message=take, naming=names)
+    watch = PortCore("/watch", on_message=on_message, naming=names)
     watch.open()
     connections.connect(names, "/root", "/watch")
     for number in range(20):
         names.register(f"/p{number}")
     go_on.set()
-    until(lambda: came[-20:] == [["add", f"/p{number}"] for number in range(20)], "the events came")
+    until(lambda: received[-20:] == [["add", f"/p{number}"] for number in range(20)], "the events have arrived")
     watch.close()
 
 
-def test_events_come_in_the_order_of_what_happened(
-    server: NameServer, names: NameClient, open_port: Open, monkeypatch: pytest.MonkeyPatch
+def test_events_arrive_in_the_order_of_registrations(
+    server: NameServer, names: NameClient, open_port: OpenPorts, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     open_port("/watch")
     connections.connect(names, "/root", "/watch")
@@ -229,20 +229,20 @@ def test_events_come_in_the_order_of_what_happened(
     names.register("/first")
     second.join(20)
     events = [["add", "/first"], ["add", "/second"]]
-    until(lambda: all(event in open_port.came for event in events), "the events came")
-    assert [event for event in open_port.came if event in events] == events
+    until(lambda: all(event in open_port.received for event in events), "the events have arrived")
+    assert [event for event in open_port.received if event in events] == events
 
 
-def test_persistent_connections(names: NameClient, open_port: Open) -> None:
-    """Made when the second port comes, and again whenever one returns; by the carrier that was asked for."""
+def test_persistent_connections_are_made_and_restored(names: NameClient, open_port: OpenPorts) -> None:
+    """They are made when the second port opens, and again when a port reopens, with the requested carrier."""
     assert names.command(["subscribe", "/w", "fast_tcp://r"]) == ["ok"]
     ports = {"/w": open_port("/w"), "/r": open_port("/r")}
     for returning in ("/r", "/w", "/r"):
         until(lambda: ports["/r"].inputs(), "connected at the reader")
         until(lambda: [r.carrier for r in ports["/w"].outputs()] == ["fast_tcp"], "connected")
-        seen = len(open_port.came)
+        seen = len(open_port.received)
         ports["/w"].write(encode(["hello"], Profile.YARP3))
-        until(lambda seen=seen: len(open_port.came) > seen, "the message came")
+        until(lambda seen=seen: len(open_port.received) > seen, "the message has arrived")
         ports[returning].close()
         ports[returning] = open_port(returning)
     until(lambda: ports["/r"].inputs(), "connected again")
@@ -250,16 +250,16 @@ def test_persistent_connections(names: NameClient, open_port: Open) -> None:
     assert names.command(["subscribe"]) == ["subscriptions"]
 
 
-def test_topics(names: NameClient, open_port: Open) -> None:
-    """Through a YARP topic too."""
+def test_ports_are_connected_through_a_topic(names: NameClient, open_port: OpenPorts) -> None:
+    """The topic is one of YARP's."""
     writer, _ = open_port("/w"), open_port("/r")
     names.command(["subscribe", "/w", "topic://t"])
     names.command(["subscribe", "topic://t", "/r"])
     until(lambda: [r.target for r in writer.outputs()] == ["/r"], "connected")
 
 
-def test_dead_ports_are_forgotten(server: NameServer, names: NameClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A port at whose address nobody listens: found twice, or once on demand; those that live, and mcast, stay."""
+def test_dead_ports_are_removed(server: NameServer, names: NameClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A port that refuses connections is removed after two probes, or one on demand; live ones and mcast stay."""
     monkeypatch.setattr(server_module, "YOUNG", -1.0)
     monkeypatch.setattr(server_module, "PROBE_SECONDS", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as listening:
@@ -274,24 +274,24 @@ def test_dead_ports_are_forgotten(server: NameServer, names: NameClient, monkeyp
         assert {c.name for c in names.list()} == {"/live", "/group", "/far", "/root"}
 
 
-def test_young_ports_are_not_looked_for(server: NameServer, names: NameClient) -> None:
+def test_new_ports_are_not_probed(server: NameServer, names: NameClient) -> None:
     """A port is registered before it listens."""
     names.register("/young", "127.0.0.1", free_port())
     assert server.collect(patience=1) == []
     assert names.query("/young") is not None
 
 
-def test_it_looks_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Now and then."""
+def test_dead_ports_are_probed_periodically(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The period is ``gc_seconds``."""
     monkeypatch.setattr(server_module, "YOUNG", -1.0)
     with NameServer(port=free_port(room=20), gc_seconds=0.05) as server:
         names = NameClient(server.address)
         names.register("/dead", "127.0.0.1", free_port())
-        until(lambda: names.query("/dead") is None, "it was forgotten")
+        until(lambda: names.query("/dead") is None, "the port is removed")
 
 
-def test_memory(tmp_path: Path) -> None:
-    """Ports, properties, numbers and persistent connections outlive the server."""
+def test_the_state_survives_a_restart(tmp_path: Path) -> None:
+    """It contains ports, properties, numbers and persistent connections."""
     port, state = free_port(room=20), tmp_path / "deep" / "names.json"
     with NameServer(port=port, state=state) as server:
         names = NameClient(server.address)
@@ -310,20 +310,20 @@ def test_memory(tmp_path: Path) -> None:
     assert sorted(p.name for p in state.parent.iterdir()) == ["names.json"]
 
 
-@pytest.mark.parametrize("spoilt", [b"", b"{", b'{"version": 1}', b"\xff\xfe"])
-def test_spoilt_memory(tmp_path: Path, spoilt: bytes, caplog: pytest.LogCaptureFixture) -> None:
-    """A file that is no state is kept aside, and the server begins empty."""
+@pytest.mark.parametrize("content", [b"", b"{", b'{"version": 1}', b"\xff\xfe"])
+def test_an_invalid_state_file_is_renamed(tmp_path: Path, content: bytes, caplog: pytest.LogCaptureFixture) -> None:
+    """The server starts empty."""
     state = tmp_path / "names.json"
-    state.write_bytes(spoilt)
+    state.write_bytes(content)
     with NameServer(port=free_port(room=20), state=state) as server:
         assert NameClient(server.address).list() == [server.contact]
-    assert (tmp_path / "names.json.spoilt").read_bytes() == spoilt
-    assert "begins empty" in caplog.text
+    assert (tmp_path / "names.json.spoilt").read_bytes() == content
+    assert "starts empty" in caplog.text
 
 
-def test_memory_that_cannot_be_written(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The server serves without it, and says so."""
+def test_an_unwritable_state_file_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The server works without the file."""
     (tmp_path / "plain").write_text("")
     with NameServer(port=free_port(room=20), state=tmp_path / "plain" / "names.json") as server:
         assert NameClient(server.address).register("/p") == PortContact("/p", "127.0.0.1", server.address.port + 2)
-    assert "cannot be written" in caplog.text
+    assert "cannot write" in caplog.text

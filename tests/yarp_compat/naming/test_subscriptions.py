@@ -1,67 +1,67 @@
-"""When persistent connections are wanted, and when they end."""
+"""Conditions under which persistent connections are made and end."""
 
 from __future__ import annotations
 
 import pytest
 
-from tests.yarp_compat.naming.test_registry import Asked
+from tests.yarp_compat.naming.test_registry import TextRegistry
 from yarp_compat.naming import subscriptions
 from yarp_compat.naming.subscriptions import WantedConnection
 
 
 @pytest.fixture(name="ask")
-def fixture_ask() -> Asked:
-    """A registry with nothing in it."""
-    return Asked()
+def fixture_ask() -> TextRegistry:
+    """Return an empty registry."""
+    return TextRegistry()
 
 
-def there(ask: Asked, *names: str) -> list[WantedConnection]:
-    """Open ports; the connections that this wants."""
-    ask.wishes.clear()
+def open_ports(ask: TextRegistry, *names: str) -> list[WantedConnection]:
+    """Open ports, and return the connections to make."""
+    ask.connections.clear()
     for name in names:
         ask(f"register {name}")
         ask(f"announce {name}")
-    return list(ask.wishes)
+    return list(ask.connections)
 
 
-def test_wanted_when_both_are_there(ask: Asked) -> None:
-    """With the second of them, in either order; again whenever one returns."""
+def test_a_connection_is_made_when_both_ports_are_open(ask: TextRegistry) -> None:
+    """With the second port, in either order, and again when a port reopens."""
     assert ask("subscribe /a udp://b") == ["[ok]"]
-    assert there(ask, "/b") == []
-    assert there(ask, "/a") == [WantedConnection("/a", "udp://b", anew=True)]
+    assert open_ports(ask, "/b") == []
+    assert open_ports(ask, "/a") == [WantedConnection("/a", "udp://b", force=True)]
     ask("unregister /b")
-    assert there(ask, "/a") == []
-    assert there(ask, "/b") == [WantedConnection("/a", "udp://b", anew=True)]
-    ask.wishes.clear()
+    assert open_ports(ask, "/a") == []
+    assert open_ports(ask, "/b") == [WantedConnection("/a", "udp://b", force=True)]
+    ask.connections.clear()
     ask("announce /b")
-    assert ask.wishes == [WantedConnection("/a", "udp://b")]
+    assert ask.connections == [WantedConnection("/a", "udp://b")]
     assert ask("unsubscribe /a /b") == ["[ok]"]
-    assert there(ask, "/b") == []
+    assert open_ports(ask, "/b") == []
 
 
-def test_wanted_at_once_between_ports_that_are_there(ask: Asked) -> None:
-    """Nobody has to come back for it."""
-    there(ask, "/a", "/b")
+def test_a_connection_between_open_ports_is_made_at_once(ask: TextRegistry) -> None:
+    """No port has to be reopened."""
+    open_ports(ask, "/a", "/b")
     ask("subscribe /a /b")
-    assert ask.wishes == [WantedConnection("/a", "/b")]
+    assert ask.connections == [WantedConnection("/a", "/b")]
 
 
-def test_not_wanted_before_both_listen(ask: Asked) -> None:
-    """A port is registered before it listens; one that was closed has to say again that it does."""
+def test_no_connection_is_made_before_both_ports_listen(ask: TextRegistry) -> None:
+    """A port is registered before it listens; a reopened port must announce itself again."""
     ask("subscribe /a /b")
     ask("register /b")
-    assert there(ask, "/a") == []
+    assert open_ports(ask, "/a") == []
     ask("announce /b")
-    assert ask.wishes == [WantedConnection("/a", "/b", anew=True)]
+    assert ask.connections == [WantedConnection("/a", "/b", force=True)]
     ask("unregister /b")
     ask("register /b")
-    assert there(ask, "/a") == []
-    ask("announce /nobody")
-    assert ask.wishes == []
+    assert open_ports(ask, "/a") == []
+    ask("announce /missing")
+    assert ask.connections == []
 
 
-def test_listing(ask: Asked) -> None:
-    """As yarpserver lists them: all, those of a port, with mode and topic."""
+def test_persistent_connections_are_listed(ask: TextRegistry) -> None:
+    """The format is yarpserver's: all, or those of a port, with mode and topic."""
     assert ask("subscribe") == ["subscriptions"]
     ask("subscribe /c /d from")
     ask("subscribe /a /b")
@@ -72,12 +72,12 @@ def test_listing(ask: Asked) -> None:
     ask("register /c")
     ask("subscribe /c /d from")
     assert ask("subscribe /c") == ['subscriptions (subscription (src "/c") (dest "/d") (mode from))']
-    assert ask("subscribe /nobody") == ["subscriptions"]
+    assert ask("subscribe /missing") == ["subscriptions"]
 
 
-def test_modes_end_with_their_port(ask: Asked) -> None:
+def test_a_mode_ends_a_connection_with_its_port(ask: TextRegistry) -> None:
     """``from`` ends with its source, ``to`` with its target."""
-    there(ask, "/a", "/b", "/c")
+    open_ports(ask, "/a", "/b", "/c")
     ask("subscribe /a /b from")
     ask("subscribe /a /c to")
     ask("unregister /b")
@@ -89,41 +89,41 @@ def test_modes_end_with_their_port(ask: Asked) -> None:
     assert ask("subscribe") == ["subscriptions"]
 
 
-def test_topics(ask: Asked) -> None:
-    """All that write to a topic are connected to all that read from it."""
+def test_a_topic_connects_its_sources_to_its_targets(ask: TextRegistry) -> None:
+    """Each source is connected to each target."""
     assert ask("topic") == [""]
     assert ask("topic /t") == ["[ok]"]
     assert ask("topic") == ['"/t"']
-    there(ask, "/w", "/r1", "/r2")
+    open_ports(ask, "/w", "/r1", "/r2")
     ask("subscribe /w topic://t")
-    assert ask.wishes == []
+    assert ask.connections == []
     ask("subscribe topic://t /r1")
     ask("subscribe topic:/t tcp://r2")
-    assert ask.wishes == [WantedConnection("/w", "/r1"), WantedConnection("/w", "tcp://r2")]
-    assert there(ask, "/w2") == []
+    assert ask.connections == [WantedConnection("/w", "/r1"), WantedConnection("/w", "tcp://r2")]
+    assert open_ports(ask, "/w2") == []
     ask("subscribe /w2 topic://t")
-    assert set(ask.wishes) == {WantedConnection("/w2", "/r1"), WantedConnection("/w2", "tcp://r2")}
-    assert set(there(ask, "/r1")) == {
-        WantedConnection("/w", "/r1", anew=True),
-        WantedConnection("/w2", "/r1", anew=True),
+    assert set(ask.connections) == {WantedConnection("/w2", "/r1"), WantedConnection("/w2", "tcp://r2")}
+    assert set(open_ports(ask, "/r1")) == {
+        WantedConnection("/w", "/r1", force=True),
+        WantedConnection("/w2", "/r1", force=True),
     }
     ask("untopic /t")
     assert ask("topic") == [""]
-    assert there(ask, "/r1") == []
+    assert open_ports(ask, "/r1") == []
 
 
 @pytest.mark.parametrize("command", ["subscribe /a /b sometimes", 'subscribe "" /b', 'subscribe /a "/b c"', 'topic ""'])
-def test_what_is_not_taken(ask: Asked, command: str) -> None:
-    """Bad names and modes."""
+def test_invalid_subscriptions_are_rejected(ask: TextRegistry, command: str) -> None:
+    """Names and modes must be valid."""
     assert ask(command) in (["[fail]"], ["subscriptions"])
     assert ask("subscribe") == ["subscriptions"]
 
 
-def test_bounds(ask: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Persistent connections, topics, and what one command may want are counted."""
+def test_subscriptions_are_bounded(ask: TextRegistry, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Persistent connections, topics, and the connections per command have limits."""
     monkeypatch.setattr(subscriptions, "MAX_SUBSCRIPTIONS", 2)
     monkeypatch.setattr(subscriptions, "MAX_TOPICS", 1)
-    monkeypatch.setattr(subscriptions, "MAX_WISHES", 1)
+    monkeypatch.setattr(subscriptions, "MAX_CONNECTIONS", 1)
     assert [ask(f"subscribe /a /b{i}") for i in range(3)] == [["[ok]"], ["[ok]"], ["[fail]"]]
     assert ask("subscribe /a /b0") == ["[ok]"]
     assert ask("topic /t") == ["[ok]"]
@@ -131,8 +131,8 @@ def test_bounds(ask: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
     ask("unsubscribe /a /b0")
     assert ask("subscribe /a topic://u") == ["[fail]"]
     monkeypatch.setattr(subscriptions, "MAX_SUBSCRIPTIONS", 9)
-    there(ask, "/w1", "/w2", "/r")
+    open_ports(ask, "/w1", "/w2", "/r")
     ask("subscribe /w1 topic://t")
     ask("subscribe /w2 topic://t")
     ask("subscribe topic://t /r")
-    assert len(ask.wishes) == 1
+    assert len(ask.connections) == 1

@@ -1,4 +1,4 @@
-"""ROS messages without ROS: definitions, classes, and the bytes that YARP 3.5's own generated classes write."""
+"""ROS messages without ROS: definitions, classes, and the encoding of YARP 3.5's generated classes."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ int64 id
 
 @pytest.fixture
 def library() -> MessageLibrary:
-    made = MessageLibrary({})
-    made.add("test/Scan", SCAN)
-    return made
+    library_ = MessageLibrary({})
+    library_.add("test/Scan", SCAN)
+    return library_
 
 
-def test_a_definition_is_read() -> None:
-    found = parse(SCAN, "test/msg/Scan")
-    scan = found["test/Scan"]
+def test_a_definition_is_parsed() -> None:
+    definitions = parse(SCAN, "test/msg/Scan")
+    scan = definitions["test/Scan"]
     assert scan.fields[:5] == (
         MessageField("header", "std_msgs/Header"),
         MessageField("angle_min", "float32"),
@@ -60,7 +60,7 @@ def test_a_definition_is_read() -> None:
     )
     assert scan.constants == {"LEFT": -1, "GREETING": "hello # there"}
     assert scan.fields[-1] == MessageField("count", "uint32")
-    assert [field.type for field in found["test/Point"].fields] == ["float64", "int64"]
+    assert [field.type for field in definitions["test/Point"].fields] == ["float64", "int64"]
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_a_definition_is_read() -> None:
         ('string name "with = sign"', MessageField("name", "string")),
     ],
 )
-def test_both_worlds_spellings(line: str, field: MessageField) -> None:
+def test_spellings_of_ros1_and_ros2_are_parsed(line: str, field: MessageField) -> None:
     assert parse(line, "pkg/Name")["pkg/Name"].fields == (field,)
 
 
@@ -92,19 +92,19 @@ def test_both_worlds_spellings(line: str, field: MessageField) -> None:
         "bool B=maybe",
     ],
 )
-def test_what_cannot_be_read_is_named(text: str) -> None:
+def test_an_error_names_the_type(text: str) -> None:
     with pytest.raises(DefinitionError, match="pkg/Name"):
         parse(text, "pkg/Name")
 
 
-def test_names() -> None:
+def test_type_names_are_normalized() -> None:
     assert full_name("std_msgs/msg/String") == full_name("std_msgs/String") == "std_msgs/String"
     with pytest.raises(DefinitionError, match="package/Name"):
         full_name("String")
 
 
 @pytest.mark.parametrize("profile", Profile)
-def test_the_bytes_are_those_of_yarps_own_classes(library: MessageLibrary, profile: Profile) -> None:
+def test_the_encoding_equals_that_of_the_classes_of_yarp(library: MessageLibrary, profile: Profile) -> None:
     message: Any = library.get("test/Scan")(
         angle_min=0.5,
         ranges=[1.0, 2.0],
@@ -130,10 +130,10 @@ def test_the_bytes_are_those_of_yarps_own_classes(library: MessageLibrary, profi
         + struct.pack("<ii", 1, -1)
     )  # fmt: skip
     assert message.to_bytes(profile) == expected
-    again: Any = library.get("test/Scan").from_bytes(expected, profile)
-    assert again == message
-    assert again.count == 2**32 - 1
-    assert again.flags == [1, 255]
+    decoded: Any = library.get("test/Scan").from_bytes(expected, profile)
+    assert decoded == message
+    assert decoded.count == 2**32 - 1
+    assert decoded.flags == [1, 255]
     assert library.get("test/Scan").from_bytes(expected) == message
 
 
@@ -157,25 +157,25 @@ def test_text_and_loose_bottles_are_read(library: MessageLibrary) -> None:
 @pytest.mark.parametrize(
     ("values", "problem"),
     [
-        ([1], "2 fields, and 1 came"),
-        (["x", 1], r"test/Point.x is float64"),
-        ([1.0, [2]], r"test/Point.id is int64"),
+        ([1], "2 fields, but 1 were received"),
+        (["x", 1], r"test/Point.x must be float64"),
+        ([1.0, [2]], r"test/Point.id must be int64"),
     ],
 )
-def test_what_is_something_else_is_refused(library: MessageLibrary, values: list[object], problem: str) -> None:
+def test_messages_of_another_type_are_rejected(library: MessageLibrary, values: list[object], problem: str) -> None:
     with pytest.raises(WireError, match=problem):
         library.get("test/Point").from_bytes(binary.encode(values, Profile.YARP3))
 
 
-def test_wrong_values_are_named(library: MessageLibrary) -> None:
+def test_an_error_names_the_field(library: MessageLibrary) -> None:
     Scan, Point = library.get("test/Scan"), library.get("test/Point")
-    with pytest.raises(WireError, match=r"test/Scan.ranges is float32\[\]"):
+    with pytest.raises(WireError, match=r"test/Scan.ranges must be float32\[\]"):
         Scan(ranges=["a"]).to_bytes()
-    with pytest.raises(WireError, match=r"test/Scan.names is string\[\]"):
+    with pytest.raises(WireError, match=r"test/Scan.names must be string\[\]"):
         Scan(names=["only one"]).to_bytes()
-    with pytest.raises(WireError, match=r"test/Point.x is float64"):
+    with pytest.raises(WireError, match=r"test/Point.x must be float64"):
         Scan(points=[Point(x="far")]).to_bytes()
-    with pytest.raises(WireError, match=r"count is uint32"):
+    with pytest.raises(WireError, match=r"count must be uint32"):
         Scan(count=-(2**40)).to_bytes()
     with pytest.raises(AttributeError, match=r"no field 'rangs'"):
         Scan().rangs = [1.0]
@@ -187,31 +187,31 @@ def test_numpy_arrays_are_written(library: MessageLibrary) -> None:
     assert Scan(flags=np.array([1, 2], np.uint8)).to_bytes() == Scan(flags=[1, 2]).to_bytes()
 
 
-def test_files_are_found_when_they_are_needed(tmp_path: Path) -> None:
+def test_files_are_found_on_first_use(tmp_path: Path) -> None:
     (tmp_path / "a" / "pkg" / "msg").mkdir(parents=True)
     (tmp_path / "a" / "pkg" / "msg" / "One.msg").write_text("Two two\n")
     (tmp_path / "share" / "pkg" / "msg").mkdir(parents=True)
     (tmp_path / "share" / "pkg" / "msg" / "Two.msg").write_text("int32 n\n")
     library = MessageLibrary({"YARP_ROSMSG_PATH": str(tmp_path / "a"), "AMENT_PREFIX_PATH": str(tmp_path)})
-    one: Any = library.get("pkg/One")()
-    assert one.two.n == 0
+    message: Any = library.get("pkg/One")()
+    assert message.two.n == 0
     assert library.get("pkg/One") is library.get("pkg/msg/One")
 
 
-def test_somebody_is_asked_last() -> None:
+def test_ask_is_called_only_without_a_file() -> None:
     library = MessageLibrary({})
-    asked = []
+    calls = []
     library.ask = lambda name: (
-        asked.append(name) or (f"Two two\n{LINE}\nMSG: pkg/Two\nint32 n" if name == "pkg/One" else None)
+        calls.append(name) or (f"Two two\n{LINE}\nMSG: pkg/Two\nint32 n" if name == "pkg/One" else None)
     )
-    one: Any = library.get("pkg/One")()
-    assert one.two.n == 0
-    assert asked == ["pkg/One"]
+    message: Any = library.get("pkg/One")()
+    assert message.two.n == 0
+    assert calls == ["pkg/One"]
     with pytest.raises(DefinitionError, match="YARP_ROSMSG_PATH"):
         library.get("pkg/Three")
 
 
-def test_types_that_hold_themselves_are_refused() -> None:
+def test_recursive_types_are_rejected() -> None:
     library = MessageLibrary({})
     library.add("p/A", "B b")
     library.add("p/B", "A[] a")
@@ -220,7 +220,7 @@ def test_types_that_hold_themselves_are_refused() -> None:
 
 
 @pytest.mark.parametrize("name", ["../etc/passwd", "a/../b", "/x/y", "a/b.c", "a"])
-def test_names_never_become_paths(name: str, tmp_path: Path) -> None:
+def test_invalid_names_are_not_used_as_paths(name: str, tmp_path: Path) -> None:
     with pytest.raises(DefinitionError):
         MessageLibrary({"YARP_ROSMSG_PATH": str(tmp_path)}).get(name)
 
@@ -231,7 +231,7 @@ _SCAN = _LIBRARY.get("test/Scan")(ranges=[1.0, 2.0], names=["a", "b"], points=[_
 
 
 @given(st.binary(max_size=200), st.integers(0, 300), st.sampled_from([None, *Profile]))
-def test_hostile_bytes_are_refused_or_read(junk: bytes, at: int, profile: Profile | None) -> None:
+def test_malicious_bytes_are_rejected_or_decoded(junk: bytes, at: int, profile: Profile | None) -> None:
     data = _SCAN.to_bytes()
     for payload in (junk, data[:at] + junk, data[:at] + junk + data[at + len(junk) :]):
         with contextlib.suppress(WireError):
@@ -242,14 +242,14 @@ def test_hostile_bytes_are_refused_or_read(junk: bytes, at: int, profile: Profil
     st.text(st.sampled_from("ab1 _/[]<=#\n\"'-:."), max_size=60),
     st.sampled_from(["", "int32 a\n", f"{LINE}\nMSG: a/b\n"]),
 )
-def test_hostile_definitions_are_refused_or_read(junk: str, before: str) -> None:
+def test_malicious_definitions_are_rejected_or_parsed(junk: str, before: str) -> None:
     library = MessageLibrary({})
     with contextlib.suppress(DefinitionError):
         library.add("test/Type", before + junk)
-        made = library.get("test/Type")
-        assert made() == made.from_bytes(made().to_bytes())
+        kind = library.get("test/Type")
+        assert kind() == kind.from_bytes(kind().to_bytes())
 
 
 @given(st.text(max_size=40))
-def test_any_name_is_taken_apart(name: str) -> None:
+def test_any_nested_name_is_parsed(name: str) -> None:
     assert NestedName.parse(NestedName.parse(name).port).port == NestedName.parse(name).port
