@@ -25,10 +25,10 @@ def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_limits_match_the_code() -> None:
     for number, text in (
         (registry.MAX_PORTS, "{:,} ports"),
-        (registry.MAX_PROPERTY_CHARACTERS, "{:,}\ncharacters of properties"),
+        (registry.MAX_PROPERTY_CHARACTERS, "{:,} characters of\nproperties per port"),
         (subscriptions.MAX_SUBSCRIPTIONS, "{:,} persistent connections"),
-        (server.LIMIT // 1024, "{} KiB a command"),
+        (server.LIMIT // 1024, "{} KiB per command"),
         (contact.MAX_NAME, "{:,} characters at most"),
-        (round(client.TIMEOUT), "ends after {} seconds"),
+        (round(client.TIMEOUT), "fails after {} seconds"),
     ):
         assert text.format(number) in PAGE

@@ -117,8 +117,8 @@ def test_a_map_is_renamed_with_its_places(page: TestPage, store: Store) -> None:
 @pytest.mark.parametrize(
     ("files", "why"),
     [
-        ({}, "no map is among no files"),
-        ({"notes.txt": b"x"}, "no map is among notes.txt"),
+        ({}, "no map among no files"),
+        ({"notes.txt": b"x"}, "no map among notes.txt"),
         ({"a.map": b"nothing"}, "a.map: the key MapName is missing"),
         ({"a.yaml": b"image: ../../etc/passwd\nresolution: 0.1\norigin: [0, 0, 0]\n"}, "is outside of"),
         ({"a.yaml": b"image: /etc/passwd\nresolution: 0.1\norigin: [0, 0, 0]\n"}, "is outside of"),
