@@ -138,8 +138,8 @@ def test_cells_of_a_rotated_map_keep_their_positions() -> None:
     ("changes", "reason"),
     [
         ({"width": 31623, "height": 31623}, "is too large"),
-        ({"width": 3}, "3 x 2 cells does not have 4"),
-        ({"width": 0, "height": 0}, "0 x 0 cells does not have"),
+        ({"width": 3}, "3 x 2 cells must not have 4"),
+        ({"width": 0, "height": 0}, "0 x 0 cells must not have"),
         ({"resolution": 0.0}, "meters wide"),
         ({"resolution": math.nan}, "meters wide"),
     ],
