@@ -160,7 +160,7 @@ def test_clean(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -
     done = yarp("clean", "--timeout", "1")
     assert "/dead does not respond" in done.out
     assert [line.split()[0] for line in yarp("list").out.splitlines()] == ["/live", "/root"]
-    assert yarp("clean").out == "all registered ports answer\n"
+    assert yarp("clean").out == "all registered ports respond\n"
 
 
 def test_writing(yarp: Yarp, owners: Callable[[str], Owner], monkeypatch: pytest.MonkeyPatch) -> None:
