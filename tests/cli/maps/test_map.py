@@ -151,7 +151,7 @@ def test_a_slice_of_an_octomap_is_drawn_as_a_grid(midspan: Midspan, store: Store
     store.put(MAP3D, "points", PointCloud.of(np.ones(3, LAYOUTS[PointType.XYZ])))
     for words, told in (
         (["room", "--layer", "9"], "'room' has no data at 9 m; its heights in meters: 0.2 to 0.4"),
-        (["room", "--layer", "nan"], "--layer is a height in metres, not nan"),
+        (["room", "--layer", "nan"], "--layer is a height in meters, not nan"),
         (["points", "--layer", "1"], "'points' is a cloud, which knows no free space"),
         (["attic", "--layer", "1"], "no map3d 'attic' is stored; those that are: points, room"),
         (["--layer", "1"], "which one? there are 2 maps in 3D: points, room"),
@@ -162,7 +162,7 @@ def test_a_slice_of_an_octomap_is_drawn_as_a_grid(midspan: Midspan, store: Store
 def test_a_bad_map_in_three_dimensions_is_refused_by_name_and_field(midspan: Midspan, store: Store) -> None:
     Path("bad.bt").write_bytes(Octomap.of(a_tree(1), binary=True).bt()[:-1])
     told = midspan("map", "import", "bad.bt").err
-    assert "bad.bt: data: cut off after" in told
+    assert "bad.bt: data: incomplete after" in told
     assert not store.names(MAP3D)
 
 
