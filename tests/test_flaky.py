@@ -90,7 +90,7 @@ def test_a_run_without_a_failed_test_may_fail(folder: Path) -> None:
     (folder / "make").write_text("#!/bin/sh\necho no rule to make test\nexit 2\n")
     done = run(folder, "1", "--seed", "7")
     assert done.returncode == 1
-    assert f"no test: it ended with exit code 2, see {folder / 'logs' / 'run-7.log'}" in done.stdout
+    assert f"no test: make ended with exit code 2, see {folder / 'logs' / 'run-7.log'}" in done.stdout
 
 
 def test_with_busy_processes_and_on_one_core(folder: Path) -> None:

@@ -382,7 +382,7 @@ def test_invalid_tokens_on_the_hub(siege: Siege) -> None:
     assert "RIHS01_nonsense" in siege.refusal("/hash")["why"]
     assert "nowhere_msgs" in siege.refusal("/undefined")["why"]
     for side in ("ros1", "ros2"):
-        assert any("liveliness tokens on the hub were left out" in w for w in siege.deployment.worker(side)["warnings"])
+        assert any("liveliness tokens on the hub were ignored" in w for w in siege.deployment.worker(side)["warnings"])
     for token in tokens:
         token.undeclare()  # type: ignore[no-untyped-call]
     removed = lambda: not siege.deployment.explain("/undefined")  # noqa: E731

@@ -188,7 +188,7 @@ def test_a_full_disk_from_the_start(deployment: Deployment) -> None:
         until(deployment.joined, "both workers have joined", 60, every=0.2)
         flow = Flow(deployment)
         status = deployment.command("status").stdout
-        assert f": the state folder {disk / 'state'} has 0 kB of room left; make room" in status
+        assert f": the state folder {disk / 'state'} has 0 kB left; free space on that disk" in status
         flow.check()
         assert log.read_text() == ""
         litter.unlink()
@@ -206,7 +206,7 @@ def test_a_disk_that_fills_up_and_turns_read_only(deployment: Deployment) -> Non
         daemon = deployment.daemon
         flow = Flow(deployment)
         litter = fill(disk)
-        until(lambda: "has 0 kB of room left; make room" in daemon.output(), "the log reports the full disk", 20)
+        until(lambda: "has 0 kB left; free space on that disk" in daemon.output(), "the log reports the full disk", 20)
         kill_each_worker(deployment, flow)
         flow.check()
         litter.unlink()
@@ -228,7 +228,7 @@ def test_a_disk_that_fills_up_and_turns_read_only(deployment: Deployment) -> Non
         deployment.hang_up()
         until(lambda: "configuration reloaded" in daemon.output(), "the daemon loads a valid file", 20)
         subprocess.run(["mount", "-o", "remount,bind,rw", str(disk)], check=True)
-        until(lambda: "the state folder can be written again" in daemon.output(), "the log reports the recovery", 20)
+        until(lambda: "the state folder is writable again" in daemon.output(), "the log reports the recovery", 20)
         flow.check()
 
 

@@ -58,6 +58,7 @@ POSIX_THEMSELVES = "dev/test_mapfiles.py", "ports/test_hostile.py::test_a_thousa
 
 
 @pytest.mark.long
+@pytest.mark.timeout(900)
 def test_the_tests_of_yarp_compat_pass() -> None:
     folder = Path(__file__).parent.relative_to(ROOT)
     plugins = [
@@ -70,7 +71,7 @@ def test_the_tests_of_yarp_compat_pass() -> None:
             *(str(folder / name) for name in QUICK), *(f"--deselect={folder / name}" for name in POSIX_THEMSELVES),
             f"--ignore={folder / POSIX_THEMSELVES[0]}",
         ],
-        cwd=ROOT, capture_output=True, text=True, timeout=600, check=False,
+        cwd=ROOT, capture_output=True, text=True, timeout=800, check=False,
         env={**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "HYPOTHESIS_NO_PLUGINS": "1"},
     )  # fmt: skip
     assert done.returncode == 0, done.stdout[-5000:] + done.stderr

@@ -152,9 +152,9 @@ def test_a_slice_of_an_octomap_is_drawn_as_a_grid(midspan: Midspan, store: Store
     for words, told in (
         (["room", "--layer", "9"], "'room' has no data at 9 m; its heights in meters: 0.2 to 0.4"),
         (["room", "--layer", "nan"], "--layer is a height in meters, not nan"),
-        (["points", "--layer", "1"], "'points' is a cloud, which knows no free space"),
+        (["points", "--layer", "1"], "'points' is a cloud, which has no free space"),
         (["attic", "--layer", "1"], "no map3d 'attic' is stored; those that are: points, room"),
-        (["--layer", "1"], "which one? there are 2 maps in 3D: points, room"),
+        (["--layer", "1"], "name one of the 2 3D maps: points, room"),
     ):
         assert told in midspan("map", "show", *words).err
 
