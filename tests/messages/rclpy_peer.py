@@ -50,25 +50,25 @@ def message_class(name: str) -> Any:
     if kind in ([], ["msg"]):
         return getattr(importlib.import_module(f"{package}.msg"), short)
     base, *parts = short.split("_")
-    found = getattr(importlib.import_module(f"{package}.{kind[0]}"), base)
+    interface = getattr(importlib.import_module(f"{package}.{kind[0]}"), base)
     if len(parts) == 2:
-        found, parts = getattr(found.Impl, f"{parts[0]}Service"), parts[1:]
-    return getattr(found.Impl if parts == ["FeedbackMessage"] else found, parts[0])
+        interface, parts = getattr(interface.Impl, f"{parts[0]}Service"), parts[1:]
+    return getattr(interface.Impl if parts == ["FeedbackMessage"] else interface, parts[0])
 
 
 def type_hash(name: str) -> str:
     """Return the hash of the C type support: the address of the function is a word of its structure."""
     package, kind, short = name.split("/")
     base, _, part = short.partition("_")
-    found = getattr(importlib.import_module(f"{package}.{kind}"), base)
+    interface = getattr(importlib.import_module(f"{package}.{kind}"), base)
     if part:
-        found = getattr(found.Impl, f"{part}Service")
-    found.__class__.__import_type_support__()
+        interface = getattr(interface.Impl, f"{part}Service")
+    interface.__class__.__import_type_support__()
     ctypes.pythonapi.PyCapsule_GetPointer.restype = ctypes.c_void_p
     ctypes.pythonapi.PyCapsule_GetPointer.argtypes = [ctypes.py_object, ctypes.c_char_p]
-    support = ctypes.pythonapi.PyCapsule_GetPointer(found._TYPE_SUPPORT, None)
-    words = ctypes.cast(support, ctypes.POINTER(ctypes.c_void_p))
-    get = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(words[5 if kind == "action" and not part else 8] or 0)
+    support = ctypes.pythonapi.PyCapsule_GetPointer(interface._TYPE_SUPPORT, None)
+    members = ctypes.cast(support, ctypes.POINTER(ctypes.c_void_p))
+    get = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(members[5 if kind == "action" and not part else 8] or 0)
     version, *value = ctypes.string_at(get(support) or 0, 33)
     return f"RIHS{version:02}_{bytes(value).hex()}"
 

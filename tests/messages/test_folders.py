@@ -44,84 +44,89 @@ def registry(tmp_path: Path, files: dict[str, str]) -> Registry:
 
 @pytest.mark.parametrize("files", NESTS)
 def test_each_world_has_all_that_it_nests(tmp_path: Path, files: dict[str, str]) -> None:
-    found = registry(tmp_path, files)
-    there, back = found.hub_to_ros1("my_robot/msg/Outer"), found.ros1_to_hub("my_robot/Outer")
-    assert (there.source, there.target) == (back.target, back.source)
-    cdr = from_json(found, "my_robot/msg/Outer", sample(found.schema("my_robot/msg/Outer"), 2))
-    assert there.convert is not None
-    assert back.convert is not None
-    assert back.convert(there.convert(cdr)) == cdr
-    assert to_json(found, "my_robot/msg/Outer", cdr)
+    package_registry = registry(tmp_path, files)
+    to_ros1, to_hub = package_registry.hub_to_ros1("my_robot/msg/Outer"), package_registry.ros1_to_hub("my_robot/Outer")
+    assert (to_ros1.source, to_ros1.target) == (to_hub.target, to_hub.source)
+    cdr = from_json(package_registry, "my_robot/msg/Outer", sample(package_registry.schema("my_robot/msg/Outer"), 2))
+    assert to_ros1.convert is not None
+    assert to_hub.convert is not None
+    assert to_hub.convert(to_ros1.convert(cdr)) == cdr
+    assert to_json(package_registry, "my_robot/msg/Outer", cdr)
 
 
 @pytest.mark.parametrize("first", ["ros1", "ros2", "service", "action"])
 @pytest.mark.parametrize("files", NESTS)
 def test_services_and_actions_nest_them_too(tmp_path: Path, files: dict[str, str], first: str) -> None:
     """The order of the questions does not matter."""
-    found = registry(
+    package_registry = registry(
         tmp_path, {**files, "Ask": "Outer wanted\n---\nOuter[] had\n", "Go": "Outer a\n---\nOuter b\n---\nOuter c\n"}
     )
-    asked = {
-        "ros1": lambda: found.ros1_action("my_robot/Go").goal.name,
-        "ros2": lambda: found.service_hub_to_ros1("my_robot/srv/Ask").side.name,
-        "service": lambda: found.service_ros1_to_hub("my_robot/Ask").hub.name,
-        "action": lambda: found.service_ros1_to_hub("my_robot/action/Go_SendGoal").hub.name,
+    lookups = {
+        "ros1": lambda: package_registry.ros1_action("my_robot/Go").goal.name,
+        "ros2": lambda: package_registry.service_hub_to_ros1("my_robot/srv/Ask").side.name,
+        "service": lambda: package_registry.service_ros1_to_hub("my_robot/Ask").hub.name,
+        "action": lambda: package_registry.service_ros1_to_hub("my_robot/action/Go_SendGoal").hub.name,
     }
-    assert asked.pop(first)()
-    assert [ask() for ask in asked.values()]
-    assert found.service_ros1_to_hub("my_robot/Ask").hub == found.service_hub_to_ros1("my_robot/srv/Ask").hub
-    feedback = found.hub_to_ros1("my_robot/action/Go_FeedbackMessage")
+    assert lookups.pop(first)()
+    assert [lookup() for lookup in lookups.values()]
+    assert (
+        package_registry.service_ros1_to_hub("my_robot/Ask").hub
+        == package_registry.service_hub_to_ros1("my_robot/srv/Ask").hub
+    )
+    feedback = package_registry.hub_to_ros1("my_robot/action/Go_FeedbackMessage")
     assert feedback.target.name == "my_robot/action/Go_FeedbackMessage"
 
 
 @pytest.mark.parametrize("files", NESTS)
 def test_the_package_can_be_built_for_ros2(tmp_path: Path, files: dict[str, str]) -> None:
     """Every file of it is as rosidl takes it, whichever world's spelling its author used."""
-    found = registry(tmp_path, {**files, "Ask": f"{ROS1_FORM}---\nOuter[] had\n"})
-    sources = found.ros2_package_sources("my_robot")
+    package_registry = registry(tmp_path, {**files, "Ask": f"{ROS1_FORM}---\nOuter[] had\n"})
+    sources = package_registry.ros2_package_sources("my_robot")
     assert {file.path for file in read_package("my_robot", sources)} >= {"msg/Outer.msg", "srv/Ask.srv"}
     assert "std_msgs/Header header" in sources["srv/Ask.srv"]
 
 
 @pytest.mark.parametrize("goal", ["Header header\n", "builtin_interfaces/Duration wait\n"])
 def test_an_action_may_be_written_for_either_world(tmp_path: Path, goal: str) -> None:
-    found = registry(tmp_path, {"Go": f"{goal}---\nInner[] seen\n---\nfloat32 left\n", "Inner": ROS1_FORM})
-    there = found.service_ros1_to_hub("my_robot/action/Go_SendGoal")
-    assert there.hub == found.service_hub_to_ros1("my_robot/action/Go_SendGoal").hub
-    assert found.ros1_action("my_robot/Go").result.name == "my_robot/GoActionResult"
-    assert "action/Go.action" in found.ros2_package_sources("my_robot")
-    assert read_package("my_robot", found.ros2_package_sources("my_robot"))
+    package_registry = registry(tmp_path, {"Go": f"{goal}---\nInner[] seen\n---\nfloat32 left\n", "Inner": ROS1_FORM})
+    send_goal = package_registry.service_ros1_to_hub("my_robot/action/Go_SendGoal")
+    assert send_goal.hub == package_registry.service_hub_to_ros1("my_robot/action/Go_SendGoal").hub
+    assert package_registry.ros1_action("my_robot/Go").result.name == "my_robot/GoActionResult"
+    assert "action/Go.action" in package_registry.ros2_package_sources("my_robot")
+    assert read_package("my_robot", package_registry.ros2_package_sources("my_robot"))
 
 
 def test_a_file_that_mixes_both_spellings_is_named(tmp_path: Path) -> None:
     """Neither genmsg nor rosidl reads it."""
-    found = registry(tmp_path, {"Mixed": "Header header\nstring<=8 name\n", "Ask": "time a\n---\nint32 b 5\n"})
-    for ask in (found.ros1_to_hub, found.ros1, found.service_ros1_to_hub):
-        name = "Ask" if ask == found.service_ros1_to_hub else "Mixed"
+    package_registry = registry(
+        tmp_path, {"Mixed": "Header header\nstring<=8 name\n", "Ask": "time a\n---\nint32 b 5\n"}
+    )
+    for ask in (package_registry.ros1_to_hub, package_registry.ros1, package_registry.service_ros1_to_hub):
+        name = "Ask" if ask == package_registry.service_ros1_to_hub else "Mixed"
         with pytest.raises(MessageTypeError, match=rf"{name}\.\w+ mixes what only ROS 1 writes") as caught:
             ask(f"my_robot/{name}")
         assert "std_msgs/Header" in caught.value.cure
 
 
 def test_types_that_nest_each_other_across_the_worlds_are_refused(tmp_path: Path) -> None:
-    found = registry(tmp_path, {"One": "Header header\nTwo two\n", "Two": f"{ROS2_FORM}One one\n"})
+    package_registry = registry(tmp_path, {"One": "Header header\nTwo two\n", "Two": f"{ROS2_FORM}One one\n"})
     for name in ("my_robot/One", "my_robot/Two"):
         with pytest.raises(MessageTypeError, match="nest each other without an end"):
-            found.ros1_to_hub(name)
+            package_registry.ros1_to_hub(name)
 
 
 def test_many_types_that_change_the_world_each_time_are_refused(tmp_path: Path) -> None:
     files = {f"T{n}": ("time" if n % 2 else "string<=3") + f" a\nT{n + 1} b\n" for n in range(300)}
-    found = registry(tmp_path, {**files, "T300": "int32 a\n"})
+    package_registry = registry(tmp_path, {**files, "T300": "int32 a\n"})
     with pytest.raises(MessageTypeError, match=r"nest each other|more than 64 deep"):
-        found.ros1_to_hub("my_robot/T0")
+        package_registry.ros1_to_hub("my_robot/T0")
 
 
 def test_a_type_that_ros1_cannot_have_is_still_named(tmp_path: Path) -> None:
-    found = registry(tmp_path, {"Outer": "Inner a\n", "Inner": "wstring text\n"})
+    package_registry = registry(tmp_path, {"Outer": "Inner a\n", "Inner": "wstring text\n"})
     with pytest.raises(MessageTypeError, match="field text is a wstring"):
-        found.hub_to_ros1("my_robot/msg/Outer")
-    assert found.ros2("my_robot/msg/Outer").definition.startswith("Inner a\n")
+        package_registry.hub_to_ros1("my_robot/msg/Outer")
+    assert package_registry.ros2("my_robot/msg/Outer").definition.startswith("Inner a\n")
 
 
 def test_a_type_of_an_installed_ros1_package_is_nested_in_ros2(tmp_path: Path) -> None:
@@ -131,9 +136,9 @@ def test_a_type_of_an_installed_ros1_package_is_nested_in_ros2(tmp_path: Path) -
     folder = tmp_path / "types" / "my_robot"
     folder.mkdir(parents=True)
     (folder / "Outer.msg").write_text("old_msgs/Mark[] marks\nstring<=4 name\n")
-    found = Registry(folders=[folder.parent], ros1_packages=packages.parents[1])
-    assert "int32 number" in found.ros2("my_robot/msg/Outer").definition
-    assert found.hub_to_ros1("my_robot/msg/Outer").target.definition.startswith("old_msgs/Mark[] marks\n")
+    package_registry = Registry(folders=[folder.parent], ros1_packages=packages.parents[1])
+    assert "int32 number" in package_registry.ros2("my_robot/msg/Outer").definition
+    assert package_registry.hub_to_ros1("my_robot/msg/Outer").target.definition.startswith("old_msgs/Mark[] marks\n")
 
 
 @pytest.mark.parametrize("path", ["checkout-main", "checkout-main/msg", "", "own", "link", "link_msg", "own/msg/.."])
@@ -151,24 +156,24 @@ def test_a_package_has_its_own_name_in_any_folder(tmp_path: Path, path: str) -> 
     (tmp_path / "src" / "link").symlink_to(tmp_path / "src" / "own")
     (tmp_path / "src" / "link_msg").symlink_to(tmp_path / "src" / "own" / "msg")
     package = "own" if "own" in path or "link" in path else "my_robot"
-    found = Registry(folders=[tmp_path / "src" / path], ros1_packages=Path("/nonexistent"))
-    assert found.ros1(f"{package}/Outer").definition == found.ros2(f"{package}/msg/Outer").definition.replace(
-        f"{package}/Inner inner", "Inner inner"
-    )
-    assert found.hub_to_ros1(f"{package}/msg/Outer").target.name == f"{package}/Outer"
+    package_registry = Registry(folders=[tmp_path / "src" / path], ros1_packages=Path("/nonexistent"))
+    assert package_registry.ros1(f"{package}/Outer").definition == package_registry.ros2(
+        f"{package}/msg/Outer"
+    ).definition.replace(f"{package}/Inner inner", "Inner inner")
+    assert package_registry.hub_to_ros1(f"{package}/msg/Outer").target.name == f"{package}/Outer"
     if not path.endswith("msg"):
-        assert found.service_ros2(f"{package}/srv/Ask").name == f"{package}/srv/Ask"
+        assert package_registry.service_ros2(f"{package}/srv/Ask").name == f"{package}/srv/Ask"
 
 
 @pytest.mark.parametrize("text", ["int32 a\n", "# words\r\nint32 a\r\n"])
 def test_a_byte_order_mark_is_no_part_of_a_definition(tmp_path: Path, text: str) -> None:
     files = {"Outer": f"\ufeff{text}", "Ask": f"\ufeff---\n{text}", "Go": f"\ufeff---\n---\n{text}"}
-    found = registry(tmp_path, files)
+    package_registry = registry(tmp_path, files)
     assert (
-        found.ros2("my_robot/msg/Outer").type_id
+        package_registry.ros2("my_robot/msg/Outer").type_id
         == registry(tmp_path / "plain", {"Outer": text}).ros2("my_robot/msg/Outer").type_id
     )
-    assert found.ros1_action("my_robot/Go").feedback.definition
-    assert found.service_ros1_to_hub("my_robot/Ask").hub.name == "my_robot/srv/Ask"
+    assert package_registry.ros1_action("my_robot/Go").feedback.definition
+    assert package_registry.service_ros1_to_hub("my_robot/Ask").hub.name == "my_robot/srv/Ask"
     [package] = read_folders([tmp_path / "my_robot"]).items()
     assert len(read_package(*package)) == len(files)

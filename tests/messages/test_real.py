@@ -29,17 +29,17 @@ def test_ros1_bytes_are_those_of_genpy(registry: Registry):
     """Values in CDR, converted to ROS 1, are byte for byte what genpy writes; its bytes come back as that CDR."""
     items, cdrs = [], []
     for name in sorted({*genpy_types(), *derivable(registry)} - RENAMED):
-        there = registry.hub_to_ros1(registry.ros1_to_hub(name).target.name)
-        assert there.target.name == name
+        to_ros1 = registry.hub_to_ros1(registry.ros1_to_hub(name).target.name)
+        assert to_ros1.target.name == name
         for length in LENGTHS:
-            values = sample(registry.schema(there.source.name), length)
-            cdrs.append(from_json(registry, there.source.name, values))
+            values = sample(registry.schema(to_ros1.source.name), length)
+            cdrs.append(from_json(registry, to_ros1.source.name, values))
             items.append(
                 {
                     "type": name,
-                    "definition": there.target.definition,
+                    "definition": to_ros1.target.definition,
                     "values": values,
-                    "ros1": text(there.convert(cdrs[-1])),
+                    "ros1": text(to_ros1.convert(cdrs[-1])),
                 }
             )
     for item, cdr, answer in zip(items, cdrs, genpy(items), strict=True):
@@ -69,13 +69,13 @@ def one_sided(registry: Registry, ros2_name: str, ros1_name: str) -> bool:
     """Whether ROS 2's type holds fields that ROS 1's does not."""
 
     def fields(schema: Schema, name: str, expand: bool) -> set[str]:
-        found = set()
+        names = set()
         for field in schema.types[name].fields:
-            found.add(field.name.lower())
+            names.add(field.name.lower())
             if expand and field.type.nested and not field.type.base.startswith("builtin_interfaces/"):
                 inner = fields(schema, field.type.base, expand)
-                found |= {f"{field.name.lower()}.{one}" for one in inner}
-        return found
+                names |= {f"{field.name.lower()}.{inner_name}" for inner_name in inner}
+        return names
 
     ros1 = registry.ros1_schema(ros1_name)
     return bool(fields(registry.schema(ros2_name), ros2_name, True) - fields(ros1, ros1_name, True))
@@ -116,14 +116,14 @@ def test_cdr_bytes_are_those_of_rclpy(registry: Registry):
             continue
         assert "error" not in answer, (name, answer)
         assert answer["same"], name
-        own = base64.b64decode(item["cdr"])
+        ours = base64.b64decode(item["cdr"])
         theirs = registry.hub_check(name)(base64.b64decode(answer["bytes"]))
-        assert len(theirs) == len(own), name
-        assert to_json(registry, name, theirs) == to_json(registry, name, own), name
+        assert len(theirs) == len(ours), name
+        assert to_json(registry, name, theirs) == to_json(registry, name, ours), name
         if wide(registry, name):
             continue
         ros1 = registry.hub_to_ros1(name)
-        assert ros1.convert(base64.b64decode(answer["bytes"])) == ros1.convert(own), name
+        assert ros1.convert(base64.b64decode(answer["bytes"])) == ros1.convert(ours), name
         checked += 1
     assert checked > 400
 

@@ -28,11 +28,11 @@ PAIRS = [
 
 @pytest.mark.parametrize(("ros1", "ros2"), PAIRS)
 def test_pairs_hold_both_ways(registry: Registry, ros1: str, ros2: str):
-    there, back = registry.ros1_to_hub(ros1), registry.hub_to_ros1(ros2)
-    assert (there.source.name, there.target.name) == (ros1, ros2)
-    assert (back.source.name, back.target.name) == (ros2, ros1)
-    assert there.source == back.target
-    assert there.target == back.source
+    to_hub, to_ros1 = registry.ros1_to_hub(ros1), registry.hub_to_ros1(ros2)
+    assert (to_hub.source.name, to_hub.target.name) == (ros1, ros2)
+    assert (to_ros1.source.name, to_ros1.target.name) == (ros2, ros1)
+    assert to_hub.source == to_ros1.target
+    assert to_hub.target == to_ros1.source
 
 
 THREE_D = [
@@ -54,20 +54,20 @@ def test_maps_and_clouds_come_back_from_ros1_as_they_were(name: str):
         for added in ("texture_resource", "texture", "uv_coordinates", "mesh_file"):
             del marker[added]
     cdr = from_json(registry, name, message)
-    there = registry.hub_to_ros1(name)
-    assert there.convert is not None
-    back = registry.ros1_to_hub(there.target.name)
-    assert back.convert is not None
-    assert back.convert(there.convert(cdr)) == cdr
+    to_ros1 = registry.hub_to_ros1(name)
+    assert to_ros1.convert is not None
+    to_hub = registry.ros1_to_hub(to_ros1.target.name)
+    assert to_hub.convert is not None
+    assert to_hub.convert(to_ros1.convert(cdr)) == cdr
 
 
 def test_the_header_of_a_grid_map_is_within_its_info_in_ros1():
     registry = Registry(ros1_packages=Path("/nonexistent"))
     name = "grid_map_msgs/msg/GridMap"
     message = {"header": {"stamp": {"sec": 5}, "frame_id": "map"}, "info": {"resolution": 0.5}, "layers": ["height"]}
-    there = registry.hub_to_ros1(name)
-    assert there.convert is not None
-    raw = there.convert(from_json(registry, name, message))
+    to_ros1 = registry.hub_to_ros1(name)
+    assert to_ros1.convert is not None
+    raw = to_ros1.convert(from_json(registry, name, message))
     # seq, the time, the frame, the resolution
     assert raw[:27] == struct.pack("<IIII3sd", 0, 5, 0, 3, b"map", 0.5)
 
@@ -102,8 +102,8 @@ def test_a_configuration_names_folders_and_mapping_rules(tmp_path: Path):
 
 def test_converters_are_made_once(registry: Registry):
     assert registry.ros1_to_hub("std_msgs/String") is registry.ros1_to_hub("std_msgs/String")
-    one = registry.ros1_to_hub("std_msgs/String", registry.ros1("std_msgs/String").type_id)
-    assert one is registry.ros1_to_hub("std_msgs/String", "*")
+    conversion = registry.ros1_to_hub("std_msgs/String", registry.ros1("std_msgs/String").type_id)
+    assert conversion is registry.ros1_to_hub("std_msgs/String", "*")
 
 
 def test_an_unknown_type_says_its_cure(registry: Registry):
@@ -199,8 +199,8 @@ def test_types_of_ros1_alone_are_derived():
     conversion = registry.ros1_to_hub("old_pkg/my_thing")
     target = conversion.target
     assert target.name == "old_pkg/msg/MyThing"
-    own = target.definition.split("=" * 80)[0].splitlines()
-    assert own == [
+    definition_lines = target.definition.split("=" * 80)[0].splitlines()
+    assert definition_lines == [
         "byte BAD=255",
         'string NAME="a b"',
         "std_msgs/Header header",
@@ -300,10 +300,10 @@ def test_fields_on_one_side_get_defaults(
     nested = SEPARATOR + "MSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n" if "geometry" in ros1 else ""
     convert = registry.ros1_to_hub("my_msgs/Thing", definition=ros1 + nested).convert
     assert convert is not None
-    found = to_json(registry, "my_msgs/msg/Thing", convert(message))
-    if "p" in found:
-        found["p"] = [{"w": pose["orientation"]["w"]} for pose in found["p"]]
-    assert found == expected
+    converted = to_json(registry, "my_msgs/msg/Thing", convert(message))
+    if "p" in converted:
+        converted["p"] = [{"w": pose["orientation"]["w"]} for pose in converted["p"]]
+    assert converted == expected
     back = registry.hub_to_ros1("my_msgs/msg/Thing").convert
     assert back is not None
     assert len(back(convert(message))) > 0
@@ -322,13 +322,13 @@ def test_fields_on_one_side_get_defaults(
 def test_fields_that_differ_only_in_case(ros1: str, expected: dict[str, float]):
     registry = Registry()
     message = struct.pack(f"<{len(expected)}f", *expected.values())
-    there = registry.ros1_to_hub("my_msgs/Thing", definition=ros1)
-    assert there.convert is not None
-    assert there.left_out == ()
-    assert to_json(registry, "my_msgs/msg/Thing", there.convert(message)) == expected
+    to_hub = registry.ros1_to_hub("my_msgs/Thing", definition=ros1)
+    assert to_hub.convert is not None
+    assert to_hub.left_out == ()
+    assert to_json(registry, "my_msgs/msg/Thing", to_hub.convert(message)) == expected
     back = registry.hub_to_ros1("my_msgs/msg/Thing").convert
     assert back is not None
-    assert back(there.convert(message)) == message
+    assert back(to_hub.convert(message)) == message
 
 
 @pytest.mark.parametrize(
@@ -388,19 +388,19 @@ def test_prefixes_of_built_packages(tmp_path: Path):
 def test_many_threads_may_ask_at_once():
     registry = Registry()
     names = ["std_msgs/String", "nav_msgs/Odometry", "sensor_msgs/LaserScan", "tf2_msgs/TFMessage"] * 4
-    found: list[str] = []
+    finished: list[str] = []
 
     def ask(name: str) -> None:
         convert = registry.ros1_to_hub(name).convert
         assert convert is not None
-        found.append(name)
+        finished.append(name)
 
     threads = [threading.Thread(target=ask, args=(name,)) for name in names]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert sorted(found) == sorted(names)
+    assert sorted(finished) == sorted(names)
 
 
 def with_ros2(tmp_path: Path, text: str) -> Registry:
@@ -423,9 +423,9 @@ EMPTY_MD5 = "d41d8cd98f00b204e9800998ecf8427e"
 
 
 def test_the_md5_of_an_empty_type_is_its_definition():
-    there = Registry().ros1_to_hub("my_robot/ping_me", EMPTY_MD5)
-    assert there.convert is not None
-    assert (there.target.name, there.convert(b"")) == ("my_robot/msg/PingMe", b"\0\1\0\0\0")
+    to_hub = Registry().ros1_to_hub("my_robot/ping_me", EMPTY_MD5)
+    assert to_hub.convert is not None
+    assert (to_hub.target.name, to_hub.convert(b"")) == ("my_robot/msg/PingMe", b"\0\1\0\0\0")
     with pytest.raises(MessageTypeError, match="no definition of the ROS 1 type my_robot/ping_me"):
         Registry().ros1_to_hub("my_robot/ping_me", "*")
 

@@ -80,20 +80,20 @@ def test_ros2_constants_are_read_as_rosidl_reads_them() -> None:
 def test_constants_keep_their_value_in_the_other_world() -> None:
     """What one world's tools read from its text, the other's read from the text that is made of it."""
     ros1 = [Constant("VALUE", base, text) for base, text in CONSTANTS]
-    made1 = [(one, ros1_constants([one])) for one in ros1 if is_readable(one, World.ROS2)]
-    made1 = [(one, found) for one, found in made1 if one.base != "wstring"]
-    answers = genmsg([{"kind": "msg", "text": f"{c.base} VALUE={c.text}\n"} for _, (c,) in made1])
-    for (one, _), answer in zip(made1, answers, strict=True):
-        value = constant_value(one, World.ROS2)
-        signed = value - 256 if one.base == "byte" and isinstance(value, int) and value > 127 else value
-        assert answer["constants"]["VALUE"] == signed, (one, answer)
-    for one in ros1:
-        if is_readable(one, World.ROS1):
-            (made,) = ros2_constants([one])
-            value = constant_value(one, World.ROS1)
-            unsigned = value & 0xFF if one.base == "byte" and isinstance(value, int) else value
-            line = own_text(Definition("my_msgs/msg/Sample", World.ROS2, (), (made,))).strip()
-            assert rosidl_value(*line.split(" VALUE=")) == unsigned, (one, line)
+    readable = [(constant, ros1_constants([constant])) for constant in ros1 if is_readable(constant, World.ROS2)]
+    readable = [(constant, constants) for constant, constants in readable if constant.base != "wstring"]
+    answers = genmsg([{"kind": "msg", "text": f"{c.base} VALUE={c.text}\n"} for _, (c,) in readable])
+    for (constant, _), answer in zip(readable, answers, strict=True):
+        value = constant_value(constant, World.ROS2)
+        signed = value - 256 if constant.base == "byte" and isinstance(value, int) and value > 127 else value
+        assert answer["constants"]["VALUE"] == signed, (constant, answer)
+    for constant in ros1:
+        if is_readable(constant, World.ROS1):
+            (translated,) = ros2_constants([constant])
+            value = constant_value(constant, World.ROS1)
+            unsigned = value & 0xFF if constant.base == "byte" and isinstance(value, int) else value
+            line = own_text(Definition("my_msgs/msg/Sample", World.ROS2, (), (translated,))).strip()
+            assert rosidl_value(*line.split(" VALUE=")) == unsigned, (constant, line)
 
 
 def test_a_bool_of_ros2_is_a_number_in_ros1(tmp_path: Path) -> None:
@@ -144,8 +144,8 @@ def test_separators_are_those_of_genmsg_and_genaction(separator: str) -> None:
     action = f"# goal\nbool a\n{separator}\n{separator}\r\nbool c # --- no separator\n"
     for item, names in (({"kind": "srv", "text": service}, "ab"), ({"kind": "action", "text": action}, "a c")):
         (answer,) = genmsg([item])
-        own = [parse_definition(part, "my_msgs/Sample", World.ROS1) for part in split_parts(item["text"])]
-        fields = [[field.name for field in part.fields] for part in own]
+        definitions = [parse_definition(part, "my_msgs/Sample", World.ROS1) for part in split_parts(item["text"])]
+        fields = [[field.name for field in part.fields] for part in definitions]
         assert answer["parts"] == fields == [list(name.strip()) for name in names]
 
 

@@ -53,9 +53,9 @@ def test_defaults(line: str, expected: object):
 
 
 def test_constants_keep_their_text():
-    found = parse("float32 PI=3.140  # roughly\nstring NAME=  a # b \nbyte X = 0x10\nint8 y", World.ROS1)
-    assert [(c.name, c.text) for c in found.constants] == [("PI", "3.140"), ("NAME", "a # b"), ("X", "0x10")]
-    assert [f.name for f in found.fields] == ["y"]
+    definition = parse("float32 PI=3.140  # roughly\nstring NAME=  a # b \nbyte X = 0x10\nint8 y", World.ROS1)
+    assert [(c.name, c.text) for c in definition.constants] == [("PI", "3.140"), ("NAME", "a # b"), ("X", "0x10")]
+    assert [f.name for f in definition.fields] == ["y"]
 
 
 BROKEN = [
@@ -86,8 +86,8 @@ def test_a_full_definition_is_read_back_the_same():
         + "\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
     )
     text += "=" * 80 + "\nMSG: my_msgs/Other\nuint8 a\n"
-    found = parse_full(text, "my_msgs/Sample", World.ROS1)
-    schema = closure(found["my_msgs/Sample"], found)
+    definitions = parse_full(text, "my_msgs/Sample", World.ROS1)
+    schema = closure(definitions["my_msgs/Sample"], definitions)
     again = parse_full(full_text(schema), "my_msgs/Sample", World.ROS1)
     assert md5_sum(closure(again["my_msgs/Sample"], again)) == md5_sum(schema)
 
@@ -99,8 +99,8 @@ def test_made_text_means_the_same():
         + "=" * 80
         + "\nMSG: my_msgs/Other\nbool e true\n"
     )
-    found = parse_full(text, "my_msgs/msg/Sample", World.ROS2)
-    bare = {name: Definition(name, World.ROS2, d.fields, d.constants) for name, d in found.items()}
+    definitions = parse_full(text, "my_msgs/msg/Sample", World.ROS2)
+    bare = {name: Definition(name, World.ROS2, d.fields, d.constants) for name, d in definitions.items()}
     schema = Schema(bare["my_msgs/msg/Sample"], bare)
     again = parse_full(full_text(schema), "my_msgs/msg/Sample", World.ROS2)
     assert again["my_msgs/msg/Sample"].fields == schema.root.fields
@@ -108,15 +108,15 @@ def test_made_text_means_the_same():
 
 
 def test_a_type_that_contains_itself_is_refused():
-    found = parse_full("Sample[] more", "my_msgs/Sample", World.ROS1)
+    definitions = parse_full("Sample[] more", "my_msgs/Sample", World.ROS1)
     with pytest.raises(MessageTypeError, match="contains itself"):
-        closure(found["my_msgs/Sample"], found)
+        closure(definitions["my_msgs/Sample"], definitions)
 
 
 def test_a_missing_nested_type_is_named():
-    found = parse_full("other_msgs/Thing thing", "my_msgs/Sample", World.ROS1)
+    definitions = parse_full("other_msgs/Thing thing", "my_msgs/Sample", World.ROS1)
     with pytest.raises(MessageTypeError, match="nests other_msgs/Thing") as caught:
-        closure(found["my_msgs/Sample"], found)
+        closure(definitions["my_msgs/Sample"], definitions)
     assert "other_msgs" in caught.value.cure
 
 

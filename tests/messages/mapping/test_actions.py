@@ -39,22 +39,22 @@ GOAL_MD5 = {  # seen on the wire of a running move_base
 def ros2_actions() -> list[str]:
     """Every action that rclpy has a class of."""
     installed = {f"{p.parts[-3]}/action/{p.stem}" for p in (Path(sys.prefix) / "share").glob("*/action/*.action")}
-    own = {f"{pkg}/{path.removesuffix('.action')}" for pkg in bundled_packages() for path in bundled_files(pkg)}
-    return sorted(installed | {name for name in own if "/action/" in name})
+    bundled = {f"{pkg}/{path.removesuffix('.action')}" for pkg in bundled_packages() for path in bundled_files(pkg)}
+    return sorted(installed | {name for name in bundled if "/action/" in name})
 
 
 def converters(registry: Registry, ros2: str) -> dict[str, tuple[Any, Any, str]]:
     """For each of an action's messages: to ROS 1, to the hub, and its full text in ROS 1."""
-    found: dict[str, tuple[Any, Any, str]] = {}
+    conversions: dict[str, tuple[Any, Any, str]] = {}
     for part in ("SendGoal", "GetResult"):
         calls = registry.service_hub_to_ros1(f"{ros2}_{part}")
         request, response = calls.side.definition.split("---\n")
-        found[f"{part}_Request"] = calls.request_to_side, calls.request_to_hub, request
-        found[f"{part}_Response"] = calls.response_to_side, calls.response_to_hub, response
-    there = registry.hub_to_ros1(f"{ros2}_FeedbackMessage")
-    back = registry.ros1_to_hub(there.target.name)
-    found["FeedbackMessage"] = there.convert, back.convert, there.target.definition
-    return found
+        conversions[f"{part}_Request"] = calls.request_to_side, calls.request_to_hub, request
+        conversions[f"{part}_Response"] = calls.response_to_side, calls.response_to_hub, response
+    to_ros1 = registry.hub_to_ros1(f"{ros2}_FeedbackMessage")
+    to_hub = registry.ros1_to_hub(to_ros1.target.name)
+    conversions["FeedbackMessage"] = to_ros1.convert, to_hub.convert, to_ros1.target.definition
+    return conversions
 
 
 def test_hashes_are_those_of_rclpys_type_support(registry: Registry):
@@ -72,11 +72,11 @@ def test_cdr_bytes_are_those_of_rclpy(registry: Registry):
             values = sample(registry.schema(name), length)
             items.append({"type": name, "values": values, "cdr": text(from_json(registry, name, values))})
     for item, answer in zip(items, rclpy(items), strict=True):
-        name, own = item["type"], base64.b64decode(item["cdr"])
+        name, ours = item["type"], base64.b64decode(item["cdr"])
         assert answer.get("same"), (name, answer)
         theirs = registry.hub_check(name)(base64.b64decode(answer["bytes"]))
-        assert len(theirs) == len(own), name
-        assert to_json(registry, name, theirs) == to_json(registry, name, own), name
+        assert len(theirs) == len(ours), name
+        assert to_json(registry, name, theirs) == to_json(registry, name, ours), name
 
 
 @needs_genpy
@@ -86,11 +86,11 @@ def test_pairs_hold_both_ways(ros1: str, ros2: str, registry: Registry):
     assert registry.action_to_ros1(ros2) == ros1
     base = ros1.replace("/", "/action/")
     for part in ("SendGoal", "GetResult"):
-        there = registry.service_ros1_to_hub(f"{base}_{part}")
-        assert (there.side.name, there.hub.name) == (f"{base}_{part}", f"{ros2}_{part}")
-        back = registry.service_hub_to_ros1(there.hub.name, there.hub.type_id)
-        assert (back.side, back.hub) == (there.side, there.hub)
-        assert registry.service_ros2(there.hub.name, there.hub.type_id) == there.hub
+        from_ros1 = registry.service_ros1_to_hub(f"{base}_{part}")
+        assert (from_ros1.side.name, from_ros1.hub.name) == (f"{base}_{part}", f"{ros2}_{part}")
+        from_hub = registry.service_hub_to_ros1(from_ros1.hub.name, from_ros1.hub.type_id)
+        assert (from_hub.side, from_hub.hub) == (from_ros1.side, from_ros1.hub)
+        assert registry.service_ros2(from_ros1.hub.name, from_ros1.hub.type_id) == from_ros1.hub
     feedback = registry.ros1_to_hub(f"{base}_FeedbackMessage")
     again = registry.hub_to_ros1(f"{ros2}_FeedbackMessage", feedback.target.type_id)
     assert (again.source, again.target) == (feedback.target, feedback.source)
@@ -123,9 +123,9 @@ def test_ros1_bytes_are_those_of_genpy(registry: Registry):
     for item, cdr, to_hub, answer in zip(items, cdrs, backs, genpy(items), strict=True):
         assert answer.get("same"), (item["type"], answer)
         assert answer["bytes"] == item["ros1"], item["type"]
-        said = base64.b64decode(answer["bytes"])
-        told = said[:1] + no_text + said[1:] if str(item["type"]).endswith(RESULT) else said
-        assert to_hub(told) == cdr, item["type"]
+        encoded = base64.b64decode(answer["bytes"])
+        padded = encoded[:1] + no_text + encoded[1:] if str(item["type"]).endswith(RESULT) else encoded
+        assert to_hub(padded) == cdr, item["type"]
 
 
 def pose(seed: int) -> dict[str, Any]:
@@ -171,7 +171,7 @@ def test_feedback_and_result_of_navigate_to_pose_are_move_bases(registry: Regist
     name = "nav2_msgs/action/NavigateToPose"
     feedback = registry.hub_to_ros1(f"{name}_FeedbackMessage")
     assert feedback.target.name == "move_base_msgs/action/MoveBase_FeedbackMessage"
-    told = {
+    message = {
         "goal_id": {"uuid": base64.b64encode(UUID).decode()},
         "feedback": {
             "current_pose": pose(30),
@@ -182,20 +182,20 @@ def test_feedback_and_result_of_navigate_to_pose_are_move_bases(registry: Regist
         },
     }
     assert feedback.convert is not None
-    ros1 = feedback.convert(from_json(registry, f"{name}_FeedbackMessage", told))
+    ros1 = feedback.convert(from_json(registry, f"{name}_FeedbackMessage", message))
     assert ros1 == UUID + wire_pose(30)
     back = registry.ros1_to_hub("move_base_msgs/action/MoveBase_FeedbackMessage")
     assert back.convert is not None
-    heard = to_json(registry, f"{name}_FeedbackMessage", back.convert(ros1))
-    assert heard["feedback"]["current_pose"] == pose(30)
-    assert (heard["feedback"]["number_of_recoveries"], heard["feedback"]["distance_remaining"]) == (0, 0.0)
+    converted = to_json(registry, f"{name}_FeedbackMessage", back.convert(ros1))
+    assert converted["feedback"]["current_pose"] == pose(30)
+    assert (converted["feedback"]["number_of_recoveries"], converted["feedback"]["distance_remaining"]) == (0, 0.0)
     result = registry.service_hub_to_ros1(f"{name}_GetResult")
     assert result.response_to_hub is not None
     assert result.response_to_side is not None
     ended = {"status": 6, "result": {"error_code": 7, "error_msg": "stuck"}}
     assert result.response_to_side(from_json(registry, f"{name}_GetResult_Response", ended)) == b"\6\5\0\0\0stuck"
-    heard = to_json(registry, f"{name}_GetResult_Response", result.response_to_hub(b"\6\6\0\0\0no way"))
-    assert heard == {"status": 6, "result": {"error_code": 0, "error_msg": "no way"}}
+    converted = to_json(registry, f"{name}_GetResult_Response", result.response_to_hub(b"\6\6\0\0\0no way"))
+    assert converted == {"status": 6, "result": {"error_code": 0, "error_msg": "no way"}}
     assert not result.left_out
     with pytest.raises(ConversionError):
         result.response_to_hub(b"")
@@ -223,7 +223,7 @@ def test_the_topics_of_an_action(registry: Registry):
         }
         for topic in (derived.goal, derived.result, derived.feedback)
     ])  # fmt: skip
-    assert [one.get("md5") for one in answer] == [
+    assert [topic_type.get("md5") for topic_type in answer] == [
         derived.goal.type_id,
         derived.result.type_id,
         derived.feedback.type_id,
@@ -235,8 +235,8 @@ def test_move_base_is_known_where_ros1_is_not_installed(registry: Registry):
     topics = bare.ros1_action("move_base_msgs/MoveBase")
     assert {part: getattr(topics, part).type_id for part in GOAL_MD5} == GOAL_MD5
     assert bare.action_to_ros1("nav2_msgs/action/NavigateToPose") == "move_base_msgs/MoveBase"
-    there = bare.service_hub_to_ros1("nav2_msgs/action/NavigateToPose_SendGoal")
-    assert there.hub == registry.service_hub_to_ros1("nav2_msgs/action/NavigateToPose_SendGoal").hub
+    service = bare.service_hub_to_ros1("nav2_msgs/action/NavigateToPose_SendGoal")
+    assert service.hub == registry.service_hub_to_ros1("nav2_msgs/action/NavigateToPose_SendGoal").hub
 
 
 def test_cancelling_and_status_are_those_of_action_msgs(registry: Registry):
@@ -249,13 +249,13 @@ def test_cancelling_and_status_are_those_of_action_msgs(registry: Registry):
     request = cancel.request_to_side(from_json(registry, "action_msgs/srv/CancelGoal_Request", values))
     assert request == UUID + struct.pack("<II", 3, 4)
     response = struct.pack("<bI", 2, 1) + request
-    heard = to_json(registry, "action_msgs/srv/CancelGoal_Response", cancel.response_to_hub(response))
-    assert (heard["return_code"], len(heard["goals_canceling"])) == (2, 1)
+    cancel_response = to_json(registry, "action_msgs/srv/CancelGoal_Response", cancel.response_to_hub(response))
+    assert (cancel_response["return_code"], len(cancel_response["goals_canceling"])) == (2, 1)
     status = registry.hub_to_ros1("action_msgs/msg/GoalStatusArray")
     assert status.target.name == "action_msgs/GoalStatusArray"
     assert status.convert is not None
-    one = {"goal_info": values["goal_info"], "status": 4}
-    ros1 = status.convert(from_json(registry, "action_msgs/msg/GoalStatusArray", {"status_list": [one]}))
+    goal_status = {"goal_info": values["goal_info"], "status": 4}
+    ros1 = status.convert(from_json(registry, "action_msgs/msg/GoalStatusArray", {"status_list": [goal_status]}))
     assert ros1 == struct.pack("<I", 1) + UUID + struct.pack("<IIb", 3, 4, 4)
 
 
@@ -274,9 +274,9 @@ def folders(tmp_path: Path) -> Path:
 def test_an_action_of_ros1_alone_is_derived(folders: Path):
     registry = Registry(folders=[folders])
     assert registry.ros1("my_acts/count_upActionGoal").definition.startswith("Header header\n")
-    there = registry.service_ros1_to_hub("my_acts/action/count_up_SendGoal")
-    assert there.hub.name == "my_acts/action/CountUp_SendGoal"
-    assert registry.service_hub_to_ros1(there.hub.name, there.hub.type_id).side == there.side
+    service = registry.service_ros1_to_hub("my_acts/action/count_up_SendGoal")
+    assert service.hub.name == "my_acts/action/CountUp_SendGoal"
+    assert registry.service_hub_to_ros1(service.hub.name, service.hub.type_id).side == service.side
     assert list(sample(registry.schema("my_acts/action/CountUp_SendGoal_Request"))["goal"]) == ["order", "until"]
     files = registry.ros2_package_sources("my_acts")
     assert files["action/CountUp.action"].startswith("int32 order\nbuiltin_interfaces/Time until\n---\nbool DONE=1\n")
@@ -299,15 +299,15 @@ def test_an_action_known_from_headers_alone_is_derived(folders: Path):
 
 
 def test_an_action_told_on_the_hub_is_known_by_its_parts(folders: Path):
-    there = Registry(folders=[folders])
-    goal, result = (there.service_ros1_to_hub(f"my_acts/action/count_up_{part}").hub for part in PARTS[:2])
-    feedback = there.ros1_to_hub("my_acts/action/count_up_FeedbackMessage").target
+    remote = Registry(folders=[folders])
+    goal, result = (remote.service_ros1_to_hub(f"my_acts/action/count_up_{part}").hub for part in PARTS[:2])
+    feedback = remote.ros1_to_hub("my_acts/action/count_up_FeedbackMessage").target
     registry = Registry()
-    for told in (goal, result, feedback):
-        registry.learn_ros2(told.name, told.definition)
-    for told in (goal, result):
-        assert registry.service_ros2(told.name, told.type_id).type_id == told.type_id
-        assert registry.service_hub_to_ros1(told.name, told.type_id).side.name == told.name
+    for announced in (goal, result, feedback):
+        registry.learn_ros2(announced.name, announced.definition)
+    for announced in (goal, result):
+        assert registry.service_ros2(announced.name, announced.type_id).type_id == announced.type_id
+        assert registry.service_hub_to_ros1(announced.name, announced.type_id).side.name == announced.name
     assert registry.schema(feedback.name, feedback.type_id).name == feedback.name
     assert registry.hub_to_ros1(feedback.name, feedback.type_id).target.name == feedback.name
     assert registry.action_to_ros1("my_acts/action/CountUp") == "my_acts/CountUp"
@@ -334,8 +334,8 @@ def test_actions_with_other_names_and_fields_cross_by_rule(folders: Path, tmp_pa
     assert registry.action_to_ros1("nav2_msgs/action/Wait") == "my_acts/count_up"
     goal = registry.service_ros1_to_hub("my_acts/action/count_up_SendGoal")
     assert goal.request_to_hub is not None
-    heard = to_json(registry, f"{goal.hub.name}_Request", goal.request_to_hub(UUID + struct.pack("<iII", 7, 8, 9)))
-    assert heard["goal"] == {"time": {"sec": 8, "nanosec": 0}}
+    request = to_json(registry, f"{goal.hub.name}_Request", goal.request_to_hub(UUID + struct.pack("<iII", 7, 8, 9)))
+    assert request["goal"] == {"time": {"sec": 8, "nanosec": 0}}
 
 
 @pytest.mark.parametrize(

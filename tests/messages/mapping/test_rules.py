@@ -77,11 +77,11 @@ def test_a_file_is_read_as_it_is(tmp_path: Path):
 def test_reordered_and_nested_fields_cross(tmp_path: Path, new_msgs: Path):
     registry = Registry(folders=[new_msgs], mapping_rules=[write(tmp_path, FILE)])
     registry.learn_ros1("old_msgs/Pose", OLD_POSE)
-    there, back = registry.ros1_to_hub("old_msgs/Pose"), registry.hub_to_ros1("new_msgs/msg/Place")
-    assert there.target.name == "new_msgs/msg/Place"
-    assert back.target.name == "old_msgs/Pose"
-    assert there.convert is not None
-    assert back.convert is not None
+    to_hub, to_ros1 = registry.ros1_to_hub("old_msgs/Pose"), registry.hub_to_ros1("new_msgs/msg/Place")
+    assert to_hub.target.name == "new_msgs/msg/Place"
+    assert to_ros1.target.name == "old_msgs/Pose"
+    assert to_hub.convert is not None
+    assert to_ros1.convert is not None
     values = {
         "label": "door",
         "offset": {"up": 7.0, "north": 2.5},
@@ -90,9 +90,9 @@ def test_reordered_and_nested_fields_cross(tmp_path: Path, new_msgs: Path):
         "when": {"sec": 11, "nanosec": 12},
         "floor": 9,
     }
-    ros1 = back.convert(from_json(registry, "new_msgs/msg/Place", values))
+    ros1 = to_ros1.convert(from_json(registry, "new_msgs/msg/Place", values))
     assert ros1.startswith(b"\0\0\0\0\x0b\0\0\0\x0c\0\0\0")
-    again = to_json(registry, "new_msgs/msg/Place", there.convert(ros1))
+    again = to_json(registry, "new_msgs/msg/Place", to_hub.convert(ros1))
     # What ROS 1 cannot hold is at ROS 2's default.
     assert again == {**values, "offset": {"up": 0.0, "north": 2.5}, "floor": 3}
 
@@ -113,7 +113,7 @@ def test_reordered_fields_within_sequences(tmp_path: Path):
     registry = Registry(folders=[tmp_path / "defs"], mapping_rules=[write(tmp_path, rules)])
     item = SEPARATOR + "MSG: a_msgs/Item\nstring name\nuint8 number\nstring[] words\n"
     registry.learn_ros1("a_msgs/List", "Item[] items\nuint16 end\n" + item)
-    there, back = registry.ros1_to_hub("a_msgs/List"), registry.hub_to_ros1("b_msgs/msg/List")
+    to_hub, to_ros1 = registry.ros1_to_hub("a_msgs/List"), registry.hub_to_ros1("b_msgs/msg/List")
     values = {
         "items": [
             {"words": ["a", "bcde"], "number": 3, "name": "first"},
@@ -122,10 +122,10 @@ def test_reordered_fields_within_sequences(tmp_path: Path):
         ],
         "end": 777,
     }
-    assert there.convert is not None
-    assert back.convert is not None
+    assert to_hub.convert is not None
+    assert to_ros1.convert is not None
     cdr = from_json(registry, "b_msgs/msg/List", values)
-    assert there.convert(back.convert(cdr)) == cdr
+    assert to_hub.convert(to_ros1.convert(cdr)) == cdr
     assert to_json(registry, "b_msgs/msg/List", cdr) == values
 
 

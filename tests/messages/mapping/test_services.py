@@ -32,8 +32,8 @@ ROS1 = sorted(f"{path.parts[-3]}/{path.stem[1:]}" for path in GENPY.glob("*/srv/
 def ros2_services() -> list[str]:
     """Every service that rclpy has a class of."""
     installed = {f"{p.parts[-3]}/srv/{p.stem}" for p in (Path(sys.prefix) / "share").glob("*/srv/*.srv")}
-    own = {f"{pkg}/{path.removesuffix('.srv')}" for pkg in bundled_packages() for path in bundled_files(pkg)}
-    return sorted(installed | {name for name in own if "/srv/" in name})
+    bundled = {f"{pkg}/{path.removesuffix('.srv')}" for pkg in bundled_packages() for path in bundled_files(pkg)}
+    return sorted(installed | {name for name in bundled if "/srv/" in name})
 
 
 def parts(name: str, conversion: ServiceConversion) -> Iterator[tuple[str, Callable[..., bytes], Callable[..., bytes]]]:
@@ -56,10 +56,10 @@ def test_md5_sums_are_those_of_rospy(name: str, registry: Registry):
 @needs_genpy
 @pytest.mark.parametrize("name", ROS1)
 def test_pairs_hold_both_ways(name: str, registry: Registry):
-    there = registry.service_ros1_to_hub(name)
-    back = registry.service_hub_to_ros1(there.hub.name, there.hub.type_id)
-    assert (back.side, back.hub, back.left_out) == (there.side, there.hub, ())
-    assert registry.service_ros2(there.hub.name, there.hub.type_id) == there.hub
+    from_ros1 = registry.service_ros1_to_hub(name)
+    from_hub = registry.service_hub_to_ros1(from_ros1.hub.name, from_ros1.hub.type_id)
+    assert (from_hub.side, from_hub.hub, from_hub.left_out) == (from_ros1.side, from_ros1.hub, ())
+    assert registry.service_ros2(from_ros1.hub.name, from_ros1.hub.type_id) == from_ros1.hub
 
 
 @needs_genpy
@@ -107,12 +107,12 @@ def test_cdr_bytes_are_those_of_rclpy(registry: Registry):
                 cdr = from_json(registry, f"{name}_{part}", values)
                 items.append({"type": f"{name}_{part}", "values": values, "cdr": text(cdr)})
     for item, answer in zip(items, rclpy(items), strict=True):
-        name, own = item["type"], base64.b64decode(item["cdr"])
+        name, ours = item["type"], base64.b64decode(item["cdr"])
         assert answer.get("same"), (name, answer)
         check = registry.hub_service_check(name.rpartition("_")[0])[name.endswith("_Response")]
         theirs = check(base64.b64decode(answer["bytes"]))
-        assert len(theirs) == len(own), name
-        assert to_json(registry, name, theirs) == to_json(registry, name, own), name
+        assert len(theirs) == len(ours), name
+        assert to_json(registry, name, theirs) == to_json(registry, name, ours), name
 
 
 @needs_genpy
@@ -169,16 +169,16 @@ def folders(tmp_path: Path) -> Path:
 
 def test_a_service_of_ros1_alone_is_derived(folders: Path):
     registry = Registry(folders=[folders])
-    there = registry.service_ros1_to_hub("my_srvs/ask_me")
-    assert there.hub.name == "my_srvs/srv/AskMe"
-    back = registry.service_hub_to_ros1(there.hub.name, there.hub.type_id)
-    assert back.side == there.side
+    from_ros1 = registry.service_ros1_to_hub("my_srvs/ask_me")
+    assert from_ros1.hub.name == "my_srvs/srv/AskMe"
+    from_hub = registry.service_hub_to_ros1(from_ros1.hub.name, from_ros1.hub.type_id)
+    assert from_hub.side == from_ros1.side
     values = sample(registry.schema("my_srvs/srv/AskMe_Request"))
     assert list(values) == ["header", "question", "mark"]
     cdr = from_json(registry, "my_srvs/srv/AskMe_Request", values)
-    assert there.request_to_side is not None
-    assert there.request_to_hub is not None
-    assert there.request_to_hub(there.request_to_side(cdr)) == cdr
+    assert from_ros1.request_to_side is not None
+    assert from_ros1.request_to_hub is not None
+    assert from_ros1.request_to_hub(from_ros1.request_to_side(cdr)) == cdr
     files = registry.ros2_package_sources("my_srvs")
     assert files["srv/AskMe.srv"].split("---\n")[1].startswith("uint8 YES=1\nbuiltin_interfaces/Time at")
 
@@ -188,31 +188,31 @@ def test_a_service_of_ros2_alone_is_derived(tmp_path: Path):
     folder.mkdir(parents=True)
     (folder / "Ask.srv").write_text("string<=5 question 'why'\n---\nbuiltin_interfaces/Time at\nint32[<=2] marks\n")
     registry = Registry(folders=[tmp_path])
-    there = registry.service_hub_to_ros1("my_srvs/srv/Ask")
-    assert there.side.name == "my_srvs/Ask"
-    assert there.side.definition == "string question\n---\ntime at\nint32[] marks\n"
-    back = registry.service_ros1_to_hub("my_srvs/Ask", there.side.type_id)
-    assert back.hub == there.hub
-    assert there.request_to_hub is not None
+    from_hub = registry.service_hub_to_ros1("my_srvs/srv/Ask")
+    assert from_hub.side.name == "my_srvs/Ask"
+    assert from_hub.side.definition == "string question\n---\ntime at\nint32[] marks\n"
+    from_ros1 = registry.service_ros1_to_hub("my_srvs/Ask", from_hub.side.type_id)
+    assert from_ros1.hub == from_hub.hub
+    assert from_hub.request_to_hub is not None
     with pytest.raises(ConversionError, match="longer than its type allows"):
-        there.request_to_hub(b"\6\0\0\0sixsix")
+        from_hub.request_to_hub(b"\6\0\0\0sixsix")
 
 
 def test_a_service_told_on_the_hub_is_known_by_its_hash(folders: Path):
-    told = Registry(folders=[folders]).service_ros1_to_hub("my_srvs/ask_me").hub
+    announced = Registry(folders=[folders]).service_ros1_to_hub("my_srvs/ask_me").hub
     registry = Registry()
     with pytest.raises(MessageTypeError):
-        registry.service_ros2(told.name, told.type_id)
-    registry.learn_ros2(told.name, told.definition)
-    known = registry.service_ros2(told.name, told.type_id)
-    assert (known.type_id, known.definition) == (told.type_id, told.definition)
-    derived = registry.service_hub_to_ros1(told.name, told.type_id)
+        registry.service_ros2(announced.name, announced.type_id)
+    registry.learn_ros2(announced.name, announced.definition)
+    known = registry.service_ros2(announced.name, announced.type_id)
+    assert (known.type_id, known.definition) == (announced.type_id, announced.definition)
+    derived = registry.service_hub_to_ros1(announced.name, announced.type_id)
     assert derived.side.name == "my_srvs/AskMe"
     assert registry.ros2_package_sources("my_srvs")["srv/AskMe.srv"].startswith("std_msgs/Header header\n")
     # If both are known, the definition that the network uses precedes a derived one.
     both = Registry(folders=[folders])
-    both.learn_ros2("my_srvs/srv/AskMe", told.definition)
-    assert both.service_ros1_to_hub("my_srvs/ask_me").hub.type_id == told.type_id
+    both.learn_ros2("my_srvs/srv/AskMe", announced.definition)
+    assert both.service_ros1_to_hub("my_srvs/ask_me").hub.type_id == announced.type_id
 
 
 @pytest.mark.parametrize(
@@ -241,16 +241,16 @@ def test_services_with_other_names_and_fields_cross_by_rule(folders: Path, tmp_p
     rules = tmp_path / "rules.yaml"
     rules.write_text(RULES)
     registry = Registry(folders=[folders], mapping_rules=[rules])
-    there = registry.service_ros1_to_hub("my_srvs/ask_me")
-    assert there.hub.name == "your_srvs/srv/Tell"
-    assert registry.service_hub_to_ros1("your_srvs/srv/Tell").side == there.side
-    assert there.request_to_hub is not None
+    service = registry.service_ros1_to_hub("my_srvs/ask_me")
+    assert service.hub.name == "your_srvs/srv/Tell"
+    assert registry.service_hub_to_ros1("your_srvs/srv/Tell").side == service.side
+    assert service.request_to_hub is not None
     request = b"\7\0\0\0\1\0\0\0\2\0\0\0\0\0\0\0\3\0\0\0why\1\3\0\0\0"
-    asked = to_json(registry, "your_srvs/srv/Tell_Request", there.request_to_hub(request))
-    assert asked == {"when": {"sec": 1, "nanosec": 2}, "text": "why", "loud": True}
+    hub_request = to_json(registry, "your_srvs/srv/Tell_Request", service.request_to_hub(request))
+    assert hub_request == {"when": {"sec": 1, "nanosec": 2}, "text": "why", "loud": True}
     answer: dict[str, Any] = {"more": 5, "all": [{"kind": 9, "age": 3}]}
-    assert there.response_to_side is not None
-    response = there.response_to_side(from_json(registry, "your_srvs/srv/Tell_Response", answer))
+    assert service.response_to_side is not None
+    response = service.response_to_side(from_json(registry, "your_srvs/srv/Tell_Response", answer))
     assert response == bytes(8) + b"\1\0\0\0\x09\3\0\0\0"
 
 
@@ -285,6 +285,6 @@ def test_a_package_of_idl_files_alone_will_do(tmp_path: Path, registry: Registry
     share.mkdir(parents=True)
     idl = (Path(sys.prefix) / "share" / "std_srvs" / "srv" / "SetBool.idl").read_text()
     (share / "Other.idl").write_text(idl.replace("SetBool", "Other"))
-    found = Registry(prefixes=[tmp_path]).service_ros2("std_srvs/srv/Other")
-    assert found.definition == "bool data\n---\nbool success\nstring message\n"
-    assert registry.service_ros2("std_srvs/srv/SetBool").type_id != found.type_id
+    service = Registry(prefixes=[tmp_path]).service_ros2("std_srvs/srv/Other")
+    assert service.definition == "bool data\n---\nbool success\nstring message\n"
+    assert registry.service_ros2("std_srvs/srv/SetBool").type_id != service.type_id

@@ -35,7 +35,14 @@ def programs(registry: Registry, name: str) -> list[tuple[ConversionProgram, byt
     assert back.convert is not None
     return [
         (compile_check(ros2), cdr),
-        (compile_pair(ros2, ros1, lambda a, b: [(two, one) for one, two in table[b, a].fields]), cdr),
+        (
+            compile_pair(
+                ros2,
+                ros1,
+                lambda a, b: [(target_field, source_field) for source_field, target_field in table[b, a].fields],
+            ),
+            cdr,
+        ),
         (compile_pair(ros1, ros2, lambda a, b: table[a, b].fields), back.convert(cdr)),
     ]
 
@@ -46,6 +53,6 @@ def damaged(good: bytes, dice: random.Random) -> bytes:
     for _ in range(dice.randint(0, 3)):
         if len(content) >= 4:
             at = dice.randrange(len(content) - 3)
-            word = dice.choice([0, 1, 2, dice.randrange(64), dice.randrange(2**32), 2**32 - 1, 2**31])
-            content[at : at + 4] = word.to_bytes(4, "little")
+            value = dice.choice([0, 1, 2, dice.randrange(64), dice.randrange(2**32), 2**32 - 1, 2**31])
+            content[at : at + 4] = value.to_bytes(4, "little")
     return bytes(content[: dice.randint(0, len(content))] if dice.random() < 0.5 else content)

@@ -36,18 +36,18 @@ FUZZ = settings(max_examples=60)
 def converters(name: str) -> dict[str, tuple[Callable[[bytes], bytes], bytes]]:
     """Each direction's converter and a good message for it."""
     cdr = from_json(REGISTRY, name, sample(REGISTRY.schema(name)))
-    back = REGISTRY.hub_to_ros1(name)
-    there = REGISTRY.ros1_to_hub(back.target.name, back.target.type_id)
-    assert back.convert is not None
-    assert there.convert is not None
+    to_ros1 = REGISTRY.hub_to_ros1(name)
+    to_cdr = REGISTRY.ros1_to_hub(to_ros1.target.name, to_ros1.target.type_id)
+    assert to_ros1.convert is not None
+    assert to_cdr.convert is not None
     return {
-        "to ROS 1": (back.convert, cdr),
-        "to CDR": (there.convert, back.convert(cdr)),
+        "to ROS 1": (to_ros1.convert, cdr),
+        "to CDR": (to_cdr.convert, to_ros1.convert(cdr)),
         "check": (REGISTRY.hub_check(name), cdr),
     }
 
 
-CASES = {(name, way): pair for name in TYPES for way, pair in converters(name).items()}
+CASES = {(name, direction): pair for name in TYPES for direction, pair in converters(name).items()}
 each_case = pytest.mark.parametrize("case", CASES, ids=" ".join)
 
 
@@ -67,8 +67,8 @@ def test_any_changed_word_is_refused_or_converts(case: tuple[str, str], data: st
     if len(good) < 4:
         return
     at = data.draw(st.integers(0, len(good) - 4))
-    word = data.draw(st.sampled_from([0, 1, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF]) | st.integers(0, 2**32 - 1))
-    assert_refused_or_converted(convert, good[:at] + struct.pack("<I", word) + good[at + 4 :])
+    value = data.draw(st.sampled_from([0, 1, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF]) | st.integers(0, 2**32 - 1))
+    assert_refused_or_converted(convert, good[:at] + struct.pack("<I", value) + good[at + 4 :])
 
 
 @each_case
@@ -92,8 +92,8 @@ def assert_refused_or_converted(convert: Callable[[bytes], bytes], message: byte
 @pytest.mark.parametrize("name", TYPES)
 def test_what_converts_back_is_sound(name: str):
     convert, good = CASES[name, "to CDR"]
-    there, cdr = CASES[name, "to ROS 1"]
-    assert there(from_json(REGISTRY, name, to_json(REGISTRY, name, convert(good)))) == there(cdr)
+    to_ros1, cdr = CASES[name, "to ROS 1"]
+    assert to_ros1(from_json(REGISTRY, name, to_json(REGISTRY, name, convert(good)))) == to_ros1(cdr)
 
 
 @pytest.mark.parametrize("count", [3, 0x10000000, 0x7FFFFFFF, 0xFFFFFFFF])
@@ -127,9 +127,9 @@ def test_trailing_bytes_in_ros1_are_refused():
 
 
 @pytest.mark.parametrize("head", [b"\0\0\0\0", b"\0\3\0\0", b"\0\7\0\0", b"\1\1\0\0"])
-@pytest.mark.parametrize("way", ["to ROS 1", "check"])
-def test_other_encapsulations_are_refused(head: bytes, way: str):
-    convert, good = CASES["std_msgs/msg/String", way]
+@pytest.mark.parametrize("direction", ["to ROS 1", "check"])
+def test_other_encapsulations_are_refused(head: bytes, direction: str):
+    convert, good = CASES["std_msgs/msg/String", direction]
     with pytest.raises(ConversionError, match="little-endian CDR"):
         convert(head + good[4:])
 
@@ -182,12 +182,12 @@ def test_elements_without_bytes_do_not_run_for_ever():
 def test_bounds_are_checked_both_ways():
     registry = Registry()
     registry.learn_ros2("my_msgs/msg/Bounded", "string<=5 text\nint32[<=2] numbers\nstring<=3[<=2] names\n")
-    there, back = registry.hub_to_ros1("my_msgs/msg/Bounded"), registry.ros1_to_hub("my_msgs/Bounded")
-    assert there.convert is not None
-    assert back.convert is not None
+    to_ros1, to_hub = registry.hub_to_ros1("my_msgs/msg/Bounded"), registry.ros1_to_hub("my_msgs/Bounded")
+    assert to_ros1.convert is not None
+    assert to_hub.convert is not None
     good = from_json(registry, "my_msgs/msg/Bounded", {"text": "five5", "numbers": [1, 2], "names": ["abc"]})
-    ros1 = there.convert(good)
-    assert back.convert(ros1) == good
+    ros1 = to_ros1.convert(good)
+    assert to_hub.convert(ros1) == good
     for bad, field in (
         (struct.pack("<I6sII", 6, b"sixsix", 0, 0), "text"),
         (struct.pack("<II3iI", 0, 3, 1, 2, 3, 0), "numbers"),
@@ -195,7 +195,7 @@ def test_bounds_are_checked_both_ways():
         (struct.pack("<IIIIII", 0, 0, 3, 0, 0, 0), "names"),
     ):
         with pytest.raises(ConversionError, match=f"type allows.*field {field}"):
-            back.convert(bad)
+            to_hub.convert(bad)
 
 
 def test_a_small_message_cannot_become_a_huge_one():

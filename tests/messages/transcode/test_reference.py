@@ -94,12 +94,12 @@ def test_fields_of_ros2_alone_get_their_defaults(registry: Registry):
 
 
 def conversions(name: str, registry: Registry) -> tuple[Any, Any]:
-    there = registry.hub_to_ros1(name)
-    back = registry.ros1_to_hub(there.target.name, there.target.type_id)
-    assert back.target.name == name
-    assert back.target.type_id == registry.ros2(name).type_id
+    to_ros1 = registry.hub_to_ros1(name)
+    to_hub = registry.ros1_to_hub(to_ros1.target.name, to_ros1.target.type_id)
+    assert to_hub.target.name == name
+    assert to_hub.target.type_id == registry.ros2(name).type_id
     assert registry.schema(name).world is World.ROS2
-    return there.convert, back.convert
+    return to_ros1.convert, to_hub.convert
 
 
 def common(value: Any, *others: Any) -> Any:

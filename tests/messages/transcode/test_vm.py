@@ -40,8 +40,8 @@ def test_both_forms_make_the_same_of_damaged_messages(name: str, registry: Regis
     dice = random.Random(7)
     accepted = refused = 0
     for program, good in programs(registry, name):
-        way = "check" if program.source_cdr and program.target_cdr else "convert"
-        forms = [getattr(ready(form, program), way) for form in (vm, uncompiled("bridge.messages.transcode.vm"))]
+        method = "check" if program.source_cdr and program.target_cdr else "convert"
+        forms = [getattr(ready(form, program), method) for form in (vm, uncompiled("bridge.messages.transcode.vm"))]
         for _ in range(ROUNDS):
             message = damaged(good, dice)
             outcomes = []
@@ -119,11 +119,11 @@ def test_what_a_run_made_is_of_the_size_that_was_measured():
     program = ConversionProgram("blob", source_cdr=False, target_cdr=False)
     program.emit(Instruction(Op.COPY, size=3))
     python = uncompiled("bridge.messages.transcode.vm")
-    one = ready(python, program)
+    runner = ready(python, program)
     with pytest.raises(SystemError, match="of 4 bytes was converted into 3"):
-        one._write(b"abc", 4)
+        runner._write(b"abc", 4)
     with pytest.raises(IndexError):
-        one._write(b"abc", 2)
+        runner._write(b"abc", 2)
 
 
 def words(*steps: tuple[int, ...], flags: int = 0) -> bytes:

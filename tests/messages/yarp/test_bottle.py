@@ -55,11 +55,11 @@ def test_a_laser_scan_byte_for_byte() -> None:
         "angle_min": 1.5,
         "ranges": [1.0, 2.0],
     }
-    one, zero = struct.pack("<if", 128, 1.5), struct.pack("<if", 128, 0.0)
+    measured, zero = struct.pack("<if", 128, 1.5), struct.pack("<if", 128, 0.0)
     assert payload("sensor_msgs/msg/LaserScan", scan) == b"".join((
         words(256, 10),
         words(256, 3), words(1, 0), words(256, 2, 1, 5, 1, 7), words(4, 2), b"ab",
-        one, *(zero,) * 6,
+        measured, *(zero,) * 6,
         words(256 | 128, 2), struct.pack("<2f", 1.0, 2.0),
         words(256 | 128, 0),
     ))  # fmt: skip

@@ -262,9 +262,9 @@ def test_an_octomap_both_ways_and_as_yarp_compat_reads_it(profile: Profile) -> N
         octomap = Octomap.of(tree, binary=binary_, frame="base")
         message = {"header": HEADER, "id": "OcTree", "binary": binary_, "resolution": 0.5, "data": list(np.frombuffer(octomap.data, "i1").tolist())}  # fmt: skip # noqa: E501
         payload = out(OCTOMAP, message, profile)
-        found = Octomap.from_bytes(payload)
-        assert found == octomap
-        assert found.search(0.25, 0.25, 0.25) > 0
+        restored = Octomap.from_bytes(payload)
+        assert restored == octomap
+        assert restored.search(0.25, 0.25, 0.25) > 0
         cdr = from_json(REGISTRY, OCTOMAP, message)
         assert back(OCTOMAP, payload, profile) == to_json(REGISTRY, OCTOMAP, cdr)
 
