@@ -36,26 +36,26 @@ for words in json.loads(sys.stdin.read()):
 @pytest.fixture
 def hub() -> Iterator[QuickHub]:
     """A hub of the test's own."""
-    made = QuickHub()
-    yield made
-    made.stop_router()
+    quick_hub = QuickHub()
+    yield quick_hub
+    quick_hub.stop_router()
 
 
 def run(config: Path, *commands: str) -> dict[str, tuple[int, str]]:
     """Exit code and output of each command, one after the other."""
-    words = str([command.split() for command in commands]).replace("'", '"')
+    argv_json = str([command.split() for command in commands]).replace("'", '"')
     done = subprocess.run(
         [sys.executable, "-c", LIBRARIES + HIDE + NAME + COMMANDS, config],
-        input=words, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        input=argv_json, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         text=True, timeout=100, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
-    found = {}
+    runs = {}
     for part in done.stdout.split("## ")[1:]:
-        command, _, rest = part.partition("\n")
-        output, _, code = rest.rpartition("=> ")
-        found[command] = int(code.split()[0]), output
-    return found
+        command, _, remainder = part.partition("\n")
+        output, _, code = remainder.rpartition("=> ")
+        runs[command] = int(code.split()[0]), output
+    return runs
 
 
 def test_verbs_do_what_they_do_elsewhere(hub: QuickHub, tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def test_verbs_do_what_they_do_elsewhere(hub: QuickHub, tmp_path: Path) -> None:
     far = HubSide(Hub.open(hub.settings("far")), Registry())
     try:
         far.publish(far.advertise("/word", "std_msgs/String", latched=True), {"data": "there"})
-        said = run(
+        runs = run(
             config,
             "config check FILE",
             "topic list --config FILE",
@@ -78,15 +78,15 @@ def test_verbs_do_what_they_do_elsewhere(hub: QuickHub, tmp_path: Path) -> None:
         )
     finally:
         far.hub.close()
-    assert said["config check FILE"][0] == 0, said
-    assert (said["topic list --config FILE"][0], "/word" in said["topic list --config FILE"][1]) == (0, True), said
-    code, text = said["topic echo /word --count 1 --config FILE"]
-    assert (code, "data: there" in text) == (0, True), said
-    assert said["doctor --only config --config FILE"][0] == 0, said
-    assert "AttributeError" not in said["status --config FILE"][1], said
-    code, text = said["run --config FILE"]
+    assert runs["config check FILE"][0] == 0, runs
+    assert (runs["topic list --config FILE"][0], "/word" in runs["topic list --config FILE"][1]) == (0, True), runs
+    code, text = runs["topic echo /word --count 1 --config FILE"]
+    assert (code, "data: there" in text) == (0, True), runs
+    assert runs["doctor --only config --config FILE"][0] == 0, runs
+    assert "AttributeError" not in runs["status --config FILE"][1], runs
+    code, text = runs["run --config FILE"]
     assert code == 1
     assert "midspan worker NAME" in text
-    code, text = said["record --all --output aux.mcap --config FILE"]
-    assert (code, "aux.mcap is not a file name on Windows" in text) == (1, True), said
-    assert "systemd services are Linux's" in said["install"][1]
+    code, text = runs["record --all --output aux.mcap --config FILE"]
+    assert (code, "aux.mcap is not a file name on Windows" in text) == (1, True), runs
+    assert "systemd services are Linux's" in runs["install"][1]

@@ -25,14 +25,14 @@ def values(*words: str) -> Any:
 def test_points_of_a_polygon_with_and_without_equals() -> None:
     corners = [[-1.6, 0.9], [2.0, -1.0], [-0.5, -3.0]]
     for points in (["--points", "-1.6,0.9", "2,-1", "-.5,-3"], ["--points=-1.6,0.9", "2,-1", "-.5,-3"]):
-        for words in (["house", *points], [*points, "--flag=keep-out"], ["--flag", "keep-out", "house", *points]):
-            assert values("map", "edit-flags", *words).points == corners
+        for arguments in (["house", *points], [*points, "--flag=keep-out"], ["--flag", "keep-out", "house", *points]):
+            assert values("map", "edit-flags", *arguments).points == corners
 
 
 def test_points_that_are_abbreviated_or_single() -> None:
     assert values("map", "edit-flags", "--poi=-1.6,0.9", "-2,1").points == [[-1.6, 0.9], [-2.0, 1.0]]
-    for words in (["--circle", "-1.6,0.9,0.5"], ["--circle=-1.6,0.9,0.5"]):
-        assert values("map", "edit-flags", *words).circle == [-1.6, 0.9, 0.5]
+    for arguments in (["--circle", "-1.6,0.9,0.5"], ["--circle=-1.6,0.9,0.5"]):
+        assert values("map", "edit-flags", *arguments).circle == [-1.6, 0.9, 0.5]
 
 
 def test_poses() -> None:
@@ -44,9 +44,9 @@ def test_poses() -> None:
 
 
 def test_unknown_options_are_errors_still(capsys: pytest.CaptureFixture[str]) -> None:
-    for words in (["goto", "kitchen", "-z"], ["goto", "kitchen", "--1"], ["map", "edit-flags", "--pints=1,1"]):
+    for command in (["goto", "kitchen", "-z"], ["goto", "kitchen", "--1"], ["map", "edit-flags", "--pints=1,1"]):
         with pytest.raises(SystemExit) as ended:
-            values(*words)
+            values(*command)
         assert ended.value.code == 2
         assert "unrecognized arguments" in capsys.readouterr().err
 
@@ -71,13 +71,13 @@ def test_each_option_with_a_value_accepts_what_starts_like_a_negative_number(
                 continue
             option, more = action.option_strings[-1], int(action.nargs or 1) - 1 if str(action.nargs).isdigit() else 0
             for value in NEGATIVE:
-                for words in ([option, value, *[value] * more], [f"{option}={value}", *[value] * more]):
+                for arguments in ([option, value, *[value] * more], [f"{option}={value}", *[value] * more]):
                     try:
-                        parser.parse_known_args(words)
+                        parser.parse_known_args(arguments)
                     except SystemExit:
                         error = capsys.readouterr().err.splitlines()[-1]
-                        assert "expected" not in error, (parser.prog, words, error)
-                        assert "unrecognized" not in error, (parser.prog, words, error)
+                        assert "expected" not in error, (parser.prog, arguments, error)
+                        assert "unrecognized" not in error, (parser.prog, arguments, error)
 
 
 def error_of(*words: str) -> str:
@@ -119,8 +119,8 @@ def test_a_misspelled_verb_option_or_choice_has_its_nearest_name(words: list[str
 
 def test_what_resembles_no_name_has_no_hint() -> None:
     assert error_of("zzz") == "midspan: error: unknown verb 'zzz'. 'midspan --help' lists all verbs."
-    for words in (["status", "--zzz"], ["goto", "kitchen", "-z"], ["status", "extra"], ["topic"]):
-        assert "Did you mean" not in error_of(*words)
+    for command in (["status", "--zzz"], ["goto", "kitchen", "-z"], ["status", "extra"], ["topic"]):
+        assert "Did you mean" not in error_of(*command)
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -131,9 +131,9 @@ def test_each_verb_with_a_configuration_has_its_short_option(verb: str) -> None:
 
 
 def test_the_short_option_of_the_configuration() -> None:
-    for words in (["status"], ["run"], ["worker", "ros1"], ["topic", "list"], ["demo"], ["bag", "convert", "a", "b"]):
+    for command in (["status"], ["run"], ["worker", "ros1"], ["topic", "list"], ["demo"], ["bag", "convert", "a", "b"]):
         for short in (["-c", "my.yaml"], ["-cmy.yaml"]):
-            assert values(*words, *short).config == values(*words, "--config", "my.yaml").config == Path("my.yaml")
+            assert values(*command, *short).config == values(*command, "--config", "my.yaml").config == Path("my.yaml")
 
 
 @pytest.mark.parametrize("words", [["-c", "x.yaml"], ["--config", "x.yaml"], ["--config=x.yaml"]], ids=" ".join)

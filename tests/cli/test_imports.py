@@ -12,8 +12,8 @@ _TELL = "; import sys; print(' '.join(sys.modules))"
 
 def loaded(code: str) -> set[str]:
     """The modules that an interpreter has after running some code."""
-    told = subprocess.run([sys.executable, "-P", "-c", code + _TELL], capture_output=True, text=True, check=True)
-    return set(told.stdout.splitlines()[-1].split())
+    completed = subprocess.run([sys.executable, "-P", "-c", code + _TELL], capture_output=True, text=True, check=True)
+    return set(completed.stdout.splitlines()[-1].split())
 
 
 def test_help_loads_none_of_the_libraries() -> None:
@@ -26,14 +26,14 @@ def test_help_loads_none_of_the_libraries() -> None:
 
 @pytest.mark.parametrize("verb", ["status", "topic", "service", "nav", "goto", "explain", "action", "top"])
 def test_a_verb_that_asks_the_daemon_loads_no_types_before_it_needs_them(verb: str) -> None:
-    found = loaded(f"from bridge.cli.main import build_parser; build_parser([{verb!r}])")
+    modules = loaded(f"from bridge.cli.main import build_parser; build_parser([{verb!r}])")
     others = {"numpy", "PIL", "ruamel.yaml", "sqlite3", "bridge.messages.registry", "bridge.messages.transcode"}
-    assert not found & others
+    assert not modules & others
 
 
 def test_the_frames_load_no_conversions() -> None:
-    found = loaded("from bridge.cli.main import build_parser; build_parser(['tf'])")
-    assert not found & {"PIL", "ruamel.yaml", "bridge.messages.transcode", "bridge.routing.edge"}
+    modules = loaded("from bridge.cli.main import build_parser; build_parser(['tf'])")
+    assert not modules & {"PIL", "ruamel.yaml", "bridge.messages.transcode", "bridge.routing.edge"}
 
 
 _WORKERS = {
@@ -60,5 +60,5 @@ def test_a_worker_loads_neither_the_command_lines_libraries_nor_another_sides(wo
         others -= {"dartpy", "yaml"}  # what it simulates with, and its plans' files
     if worker == "router":
         others |= {"numpy", "bridge.messages.registry"}
-    found = loaded(f"import bridge.cli.daemon.run, bridge.daemon.process, {_WORKERS[worker]}") & others
-    assert not found
+    modules = loaded(f"import bridge.cli.daemon.run, bridge.daemon.process, {_WORKERS[worker]}") & others
+    assert not modules

@@ -36,10 +36,10 @@ def test_help_names_every_verb_and_imports_none(capsys: pytest.CaptureFixture[st
     with pytest.raises(SystemExit) as ended:
         main(["--help"])
     assert ended.value.code == 0
-    said = capsys.readouterr().out
+    help_text = capsys.readouterr().out
     for name, verb in VERBS.items():
-        assert name in said
-        assert verb.help in " ".join(said.split())
+        assert name in help_text
+        assert verb.help in " ".join(help_text.split())
     code = (
         "import sys, contextlib\nfrom bridge.cli.main import main\n"
         "with contextlib.suppress(SystemExit): main(['--help'])\n"

@@ -68,9 +68,9 @@ class FakeWorker:
 
     def hear(self, topic: str, type_name: str, qos: Qos) -> list[HubSample]:
         """Subscribe until the worker is closed; the samples as they come."""
-        heard: list[HubSample] = []
-        self.kept.append(self.hub.subscription(topic, type_name, "*", qos, heard.append))
-        return heard
+        samples: list[HubSample] = []
+        self.kept.append(self.hub.subscription(topic, type_name, "*", qos, samples.append))
+        return samples
 
     def close(self) -> None:
         self.hub.close()

@@ -43,10 +43,10 @@ def test_info_tells_what_is_in_a_bag(capsys: pytest.CaptureFixture[str]) -> None
     pose = next(line for line in shown.splitlines() if line.startswith("/pose"))
     assert pose.split() == ["/pose", "geometry_msgs/msg/PoseStamped", "20", "10.0", "ros2", "of", "robot1"]
     assert main(["bag", "info", "run.mcap", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["messages"], told["unfinished"], told["start"]) == (21, False, START / SECOND)
-    assert {topic["name"]: topic["latched"] for topic in told["topics"]} == {"/map_name": True, "/pose": False}
-    assert told["topics"][0]["metadata"]["daemon"] == "robot1"
+    info = json.loads(capsys.readouterr().out)
+    assert (info["messages"], info["unfinished"], info["start"]) == (21, False, START / SECOND)
+    assert {topic["name"]: topic["latched"] for topic in info["topics"]} == {"/map_name": True, "/pose": False}
+    assert info["topics"][0]["metadata"]["daemon"] == "robot1"
 
 
 def test_info_names_the_side_of_each_topic(capsys: pytest.CaptureFixture[str]) -> None:
@@ -63,7 +63,7 @@ def test_info_names_the_side_of_each_topic(capsys: pytest.CaptureFixture[str]) -
         writer.finish()
     assert main(["bag", "info", "run.mcap"]) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("/")]
-    assert {topic: words for topic, _, _, _, *words in lines} == {
+    assert {topic: columns for topic, _, _, _, *columns in lines} == {
         "/own": ["hub"], "/json": ["zenoh_json", "of", "robot1"], "/yarp": ["yarp", "of", "robot2"],
         "/foreign": ["ROS", "2"],
     }  # fmt: skip
@@ -156,8 +156,8 @@ def test_types_of_the_configuration_count(here: Path, capsys: pytest.CaptureFixt
     assert main(["bag", "convert", "a.db3", "a.bag", "--config", "midspan.yaml"]) == 0
     with AnyReader([Path("a.bag")]) as bag:
         assert {c.topic: c.msgtype for c in bag.connections}["/odd"] == "old_msgs/msg/None"
-        told: list[Any] = [bag.deserialize(raw, c.msgtype) for c, _, raw in bag.messages() if c.topic == "/odd"]
-    assert [message.text for message in told] == ["hi"]
+        decoded: list[Any] = [bag.deserialize(raw, c.msgtype) for c, _, raw in bag.messages() if c.topic == "/odd"]
+    assert [message.text for message in decoded] == ["hi"]
 
 
 def test_an_unfinished_bag_is_told_of_and_mended(capsys: pytest.CaptureFixture[str]) -> None:
@@ -165,10 +165,10 @@ def test_an_unfinished_bag_is_told_of_and_mended(capsys: pytest.CaptureFixture[s
     assert main(["bag", "info", "killed.mcap"]) == 0
     assert "unfinished" in capsys.readouterr().out
     assert main(["bag", "mend", "killed.mcap", "whole.mcap", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    info = json.loads(capsys.readouterr().out)
     with AnyReader([Path("whole.mcap")]) as bag:
-        assert sum(1 for _ in bag.messages()) == told["messages"] > 50
-    assert "byte" in told["damage"][0]
+        assert sum(1 for _ in bag.messages()) == info["messages"] > 50
+    assert "byte" in info["damage"][0]
 
 
 def test_a_file_of_a_folder_that_cannot_be_opened_is_named(capsys: pytest.CaptureFixture[str]) -> None:

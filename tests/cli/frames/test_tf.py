@@ -35,8 +35,8 @@ def told(worker: EngineWorker, topic: str, *frames: tuple[str, str], late: float
     def talk() -> None:
         while not stop.wait(0.02):
             at = time.time_ns() - round(late * 1e9)
-            said = [Stamped(a, b, at + n, (1.0, 0.0, 0.0), QUARTER) for n, (a, b) in enumerate(frames)]
-            worker.side.write(writer, write(said))
+            transforms = [Stamped(a, b, at + n, (1.0, 0.0, 0.0), QUARTER) for n, (a, b) in enumerate(frames)]
+            worker.side.write(writer, write(transforms))
 
     thread = threading.Thread(target=talk)
     thread.start()
@@ -90,8 +90,8 @@ def test_the_tree_has_the_frames_of_all(midspan: Midspan) -> None:
     dot = seen(midspan, "tree", "--duration", "0.2", "--dot", fits=lambda done: "laser" in done.out)
     assert dot.out.startswith("digraph G {")
     assert '"base_link" -> "laser"' in dot.out
-    found = seen(midspan, "tree", "--duration", "0.2", "--json", fits=lambda done: len(done.json()) == 3).json()
-    frames = {frame["frame"]: frame for frame in found}
+    entries = seen(midspan, "tree", "--duration", "0.2", "--json", fits=lambda done: len(done.json()) == 3).json()
+    frames = {frame["frame"]: frame for frame in entries}
     assert frames["laser"]["static"]
     assert frames["odom"]["parent"] == "map"
     assert frames["odom"]["sources"][0]["authority"] == "ROS 1 by robot1"
@@ -171,8 +171,8 @@ def test_what_is_wrong_is_told(
     seen(midspan, "list", "--duration", "0.1", fits=lambda done: "refused: TF_DENORMALIZED_QUATERNION 1" in done.err)
     with told(robot, "/r4/tf", ("map", "base"), ("odom", "base")):
         bridged(robot, "/r4/tf")
-        words = "list", "-v", "--namespace", "/r4", "--duration", "0.2"
-        seen(midspan, *words, fits=lambda done: "map, odom" in done.out)
+        command = "list", "-v", "--namespace", "/r4", "--duration", "0.2"
+        seen(midspan, *command, fits=lambda done: "map, odom" in done.out)
     monkeypatch.setattr("bridge.cli.frames.feed.PATIENCE", 0.1)
     none = midspan("tf", "list", "--namespace", "r3")
     assert (none.code, none.out) == (1, "")

@@ -61,20 +61,20 @@ class Robot:
 
 @pytest.fixture
 def robot(network: HubNetwork, registry: Registry) -> Iterator[Robot]:
-    made = Robot(network, registry)
-    yield made
-    made.close()
+    fake_robot = Robot(network, registry)
+    yield fake_robot
+    fake_robot.close()
 
 
 @pytest.fixture
 def decided(network: HubNetwork, closing: list[Any]) -> None:
     """A worker that decided of a service and of the parts of an action."""
-    words = {"daemon": "robot1", "worker": "ros1", "direction": "in", "cure": "", "kind": "service"}
+    base = {"daemon": "robot1", "worker": "ros1", "direction": "in", "cure": "", "kind": "service"}
     private = {"topic": "/node/get_loggers", "hub_topic": "", "type": "roscpp/GetLoggers", "decision": "private"}
     action = {"topic": "/far/_action/send_goal", "hub_topic": "/far/_action/send_goal", "decision": "refused"}
     type_name = "my_msgs/action/Far_SendGoal"
-    answer = [{**words, **private, "why": "a logger"}, {**words, **action, "type": type_name, "why": "unknown"}]
-    topic = {**words, "kind": "topic", "topic": "/scan", "hub_topic": "/scan", "type": "a/msg/B", "decision": "bridged"}
+    answer = [{**base, **private, "why": "a logger"}, {**base, **action, "type": type_name, "why": "unknown"}]
+    topic = {**base, "kind": "topic", "topic": "/scan", "hub_topic": "/scan", "type": "a/msg/B", "decision": "bridged"}
     closing.append(FakeWorker(network, "ros1", explain=[*answer, {**topic, "why": ""}]))
 
 

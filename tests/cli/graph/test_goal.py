@@ -18,16 +18,16 @@ def test_a_cancel_that_cannot_be_asked_for_is_asked_for_again(
     robot: Robot,  # noqa: F811
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    asked, call = list[str](), ServiceCaller.call
+    attempts, call = list[str](), ServiceCaller.call
 
     def fails(caller: ServiceCaller, values: dict[str, Any], done: Callable[[Any], None]) -> Callable[[], None]:
         if caller.name.endswith("cancel_goal"):
-            asked.append(caller.name)
-            if len(asked) < 3:
+            attempts.append(caller.name)
+            if len(attempts) < 3:
                 done(CallError("the server left before it answered"))
                 return lambda: None
         return call(caller, values, done)
 
     monkeypatch.setattr(ServiceCaller, "call", fails)
     outcome = midspan("action", "send", "/lookup", "{target_frame: slow}", "--timeout", "0.3")
-    assert (outcome.code, outcome.out.split()[0], len(asked)) == (1, "canceled", 3)
+    assert (outcome.code, outcome.out.split()[0], len(attempts)) == (1, "canceled", 3)

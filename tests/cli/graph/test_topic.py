@@ -26,9 +26,9 @@ SCAN = "sensor_msgs/msg/LaserScan"
 
 @pytest.fixture
 def worker(network: HubNetwork, registry: Registry, closing: list[Any]) -> EngineWorker:
-    made = EngineWorker(network, registry, rules=[{"topic": "/secret", "deny": True}])
-    closing.append(made)
-    return made
+    engine_worker = EngineWorker(network, registry, rules=[{"topic": "/secret", "deny": True}])
+    closing.append(engine_worker)
+    return engine_worker
 
 
 @contextmanager
@@ -66,8 +66,8 @@ def test_list_has_what_crosses_and_what_stays(midspan: Midspan, worker: EngineWo
         "/secret": "denied",
     }
     assert entries["/chatter"]["from"] == ["ros1"]
-    words = midspan("topic", "list", "-v").out
-    assert [line.split()[0] for line in words.splitlines() if STRING in line] == ["/chatter", "/rosout", "/secret"]
+    listing = midspan("topic", "list", "-v").out
+    assert [line.split()[0] for line in listing.splitlines() if STRING in line] == ["/chatter", "/rosout", "/secret"]
 
 
 def test_info(midspan: Midspan, worker: EngineWorker, network: HubNetwork, closing: list[Any]) -> None:
@@ -76,7 +76,7 @@ def test_info(midspan: Midspan, worker: EngineWorker, network: HubNetwork, closi
     listener = FakeWorker(network, "listener")
     closing.append(listener)
     listener.hear("/chatter", STRING, Qos(depth=7))
-    words = midspan("topic", "info", "chatter").out
+    output = midspan("topic", "info", "chatter").out
     document = midspan("topic", "info", "/chatter", "--json").json()
     for text in (
         "publishers on the hub: 1",
@@ -84,7 +84,7 @@ def test_info(midspan: Midspan, worker: EngineWorker, network: HubNetwork, closi
         "/midspan_listener (zenoh",
         "volatile 7",
     ):
-        assert text in words
+        assert text in output
     assert [e["side"] for e in document["publishers"]] == ["ros1"]
     assert document["publishers"][0]["qos"].startswith("reliable transient_local")
     unknown = midspan("topic", "info", "/chater")
@@ -95,11 +95,11 @@ def test_echo_shows_what_is_latched_at_once(midspan: Midspan, worker: EngineWork
     cdr = from_json(registry, SCAN, {"header": {"frame_id": "laser"}, "ranges": [1.5] * 100})
     worker.side.write(worker.advertise("/scan", SCAN, latched=True), cdr)
     bridged(worker, 1)
-    words = midspan("topic", "echo", "/scan", "--count", "1", "--timeout", "10").out
-    assert "frame_id: laser" in words
-    assert "ranges: [1.5, 1.5" in words
-    assert "(100 in all)" in words
-    assert words.endswith("---\n")
+    output = midspan("topic", "echo", "/scan", "--count", "1", "--timeout", "10").out
+    assert "frame_id: laser" in output
+    assert "ranges: [1.5, 1.5" in output
+    assert "(100 in all)" in output
+    assert output.endswith("---\n")
     full = midspan("topic", "echo", "/scan", "--count", "1", "--timeout", "10", "--full").out
     assert full.count("1.5") == 100
     (line,) = midspan("topic", "echo", "/scan", "--count", "1", "--timeout", "10", "--json").lines()
@@ -147,14 +147,14 @@ def test_echo_asks_the_workers_for_an_unknown_type(midspan: Midspan, network: Hu
     known = Registry()
     known.learn_ros2(name, "float64 weight\nstring label\n")
     odd = known.ros2(name)
-    told = {"name": name, "hash": odd.type_id, "definition": odd.definition}
-    teller = FakeWorker(network, "ros1", type=lambda params: told if params["name"] == name else {})
-    closing.append(teller)
-    teller.publish("/odd", name, odd.type_id, from_json(known, name, {"weight": 2.5, "label": "x"}))
+    type_answer = {"name": name, "hash": odd.type_id, "definition": odd.definition}
+    type_worker = FakeWorker(network, "ros1", type=lambda params: type_answer if params["name"] == name else {})
+    closing.append(type_worker)
+    type_worker.publish("/odd", name, odd.type_id, from_json(known, name, {"weight": 2.5, "label": "x"}))
     (line,) = midspan("topic", "echo", "/odd", "--count", "1", "--timeout", "10", "--json").lines()
     assert line["message"] == {"weight": 2.5, "label": "x"}
 
-    teller.publish("/other", name, "RIHS01_" + "5" * 64, b"\0\1\0\0")
+    type_worker.publish("/other", name, "RIHS01_" + "5" * 64, b"\0\1\0\0")
     done = midspan("topic", "echo", "/other", "--count", "1", "--timeout", "10")
     assert (done.code, name in done.err) == (1, True), done
 
@@ -173,31 +173,33 @@ def test_hz(midspan: Midspan, worker: EngineWorker, registry: Registry) -> None:
     bridged(worker, 1)
     with talking(worker, writer, from_json(registry, STRING, {"data": "x"})):
         line = midspan("topic", "hz", "/chatter", "--count", "20", "--json").lines()[-1]
-        words = midspan("topic", "hz", "/chatter", "--count", "5").out
+        output = midspan("topic", "hz", "/chatter", "--count", "5").out
     assert line["messages"] == line["window"] == 20
     assert 0 < line["rate"] < 60
     assert line["least"] <= line["most"]
-    assert "msg/s" in words
+    assert "msg/s" in output
     silent = midspan("topic", "hz", "/chatter", "--duration", "0.2")
     assert (silent.code, "no message of /chatter came" in silent.err) == (1, True), silent
 
 
 def test_pub_reaches_the_side(midspan: Midspan, worker: EngineWorker, registry: Registry) -> None:
-    heard: list[bytes] = []
-    worker.side.read_from("/cmd", STRING, Qos(), MadeBy.NATIVE, "/robot", lambda cdr, _source, _time: heard.append(cdr))
+    received: list[bytes] = []
+    worker.side.read_from(
+        "/cmd", STRING, Qos(), MadeBy.NATIVE, "/robot", lambda cdr, _source, _time: received.append(cdr)
+    )
     done = midspan("topic", "pub", "/cmd", "std_msgs/String", "{data: go}", "--once", "--settle", "0.5")
     assert done.code == 0, done
-    until(lambda: heard, "the message arrives")
-    assert [to_json(registry, STRING, cdr) for cdr in heard] == [{"data": "go"}]
+    until(lambda: received, "the message arrives")
+    assert [to_json(registry, STRING, cdr) for cdr in received] == [{"data": "go"}]
 
 
 def test_pub_counts_and_latches(midspan: Midspan, network: HubNetwork, closing: list[Any], registry: Registry) -> None:
     listener = FakeWorker(network, "native")
     closing.append(listener)
-    heard = listener.hear("/count", STRING, Qos())
+    received = listener.hear("/count", STRING, Qos())
     args = ("--rate", "100", "--count", "3", "--settle", "0")
     assert midspan("topic", "pub", "/count", "std_msgs/msg/String", '{"data": "x"}', *args).code == 0
-    assert [to_json(registry, STRING, sample.data())["data"] for sample in heard] == ["x"] * 3
+    assert [to_json(registry, STRING, sample.data())["data"] for sample in received] == ["x"] * 3
 
     latched = listener.hear("/latched", STRING, LATCHED)
     midspan("topic", "pub", "/latched", STRING, "--latch", "--count", "1", "--settle", "0")

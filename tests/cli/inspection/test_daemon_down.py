@@ -32,16 +32,16 @@ NEED_NOTHING = (["topic", "list"], ["service", "list"], ["tf", "list"], ["explai
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
     """Starts a daemon; called once."""
-    made: list[RobotDaemon] = []
+    daemons: list[RobotDaemon] = []
 
     def begin(order: str = "", **sections: Any) -> RobotDaemon:
         (tmp_path / "modules.do").write_text(order)
-        made.append(RobotDaemon(tmp_path, STAND_IN if order else "", **sections))
-        made[0].start()
-        return made[0]
+        daemons.append(RobotDaemon(tmp_path, STAND_IN if order else "", **sections))
+        daemons[0].start()
+        return daemons[0]
 
     yield begin
-    for robot in made:
+    for robot in daemons:
         robot.close()
 
 
@@ -77,7 +77,7 @@ def test_doctor_finds_it_with_the_cure(dead: tuple[RobotDaemon, str]) -> None:
     first, *others = json.loads(done.stdout)
     assert (first["result"], first["seen"]) == ("fail", down)
     assert first["cure"].startswith("start the daemon: 'midspan run'")
-    assert [(each["result"], each["seen"]) for each in others] == [("ok", "robot/router is running")]
+    assert [(check["result"], check["seen"]) for check in others] == [("ok", "robot/router is running")]
 
 
 @pytest.mark.parametrize("words", [*NEED_THE_GATEWAY, *NEED_THE_STORE, ["record", "--daemon", "trigger"]], ids=" ".join)
@@ -144,8 +144,8 @@ def test_a_daemon_that_hangs(start: Start) -> None:
     assert robot.daemon is not None
     os.kill(robot.daemon.pid, signal.SIGSTOP)
     hangs = f"the daemon robot (process {robot.daemon.pid}) does not answer"
-    for words in (["status"], ["doctor", "--only", "daemon"], ["nav", "status"], ["map", "list"]):
-        done = robot(*words)
+    for command in (["status"], ["doctor", "--only", "daemon"], ["nav", "status"], ["map", "list"]):
+        done = robot(*command)
         assert (done.returncode, hangs in done.stdout + done.stderr) == (1, True), done
 
 
@@ -153,10 +153,10 @@ def test_a_worker_that_crashes_again_and_again(start: Start) -> None:
     robot = start("crash")
     robot.until_phase("modules", "restarting", 3)
     crashes = r"the worker 'modules' of robot is (restarting|starting|queued): .*restarted \d+ times"
-    for words in (*NEED_THE_GATEWAY[:4], *NEED_THE_STORE[:2]):
-        done = robot(*words)
+    for command in (*NEED_THE_GATEWAY[:4], *NEED_THE_STORE[:2]):
+        done = robot(*command)
         assert done.returncode == 1
-        assert re.search(crashes, done.stderr), (words, done.stderr)
+        assert re.search(crashes, done.stderr), (command, done.stderr)
         assert "ended with exit code 7" in done.stderr
         assert "name a planner" not in done.stderr
     assert "'modules'" in robot("topic", "list").stderr
@@ -174,8 +174,8 @@ def test_a_worker_that_crashes_again_and_again(start: Start) -> None:
 def test_a_worker_that_comes_up(start: Start) -> None:
     robot = start("hang")
     robot.until_phase("modules", "starting")
-    for words in (["nav", "status"], ["goto", "kitchen"], ["map", "list"]):
-        done = robot(*words)
+    for command in (["nav", "status"], ["goto", "kitchen"], ["map", "list"]):
+        done = robot(*command)
         assert (done.returncode, "the worker 'modules' of robot is starting" in done.stderr) == (1, True), done
 
 
@@ -192,8 +192,8 @@ def test_a_router_that_cannot_work(start: Start) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         robot = start("run", hub={"listen": f"tcp/127.0.0.1:{other.getsockname()[1]}"})
         robot.until_phase("router", "cannot work")
-        for words in (["nav", "status"], ["topic", "list"]):
-            done = robot(*words)
+        for command in (["nav", "status"], ["topic", "list"]):
+            done = robot(*command)
             assert done.returncode == 1
             assert "the worker 'router' of robot cannot work: tcp/127.0.0.1" in done.stderr
             assert "Is the daemon running?" not in done.stderr
@@ -222,8 +222,8 @@ def test_a_configuration_that_the_daemon_has_not_loaded(start: Start) -> None:
     robot = start(navigation={}, modules={})
     robot.until_phase("router", "running")
     robot.configure()
-    for words in (["nav", "status"], ["map", "list"]):
-        done = robot(*words)
+    for command in (["nav", "status"], ["map", "list"]):
+        done = robot(*command)
         assert (done.returncode, "it has not loaded this configuration" in done.stderr) == (1, True), done
 
 
@@ -288,10 +288,10 @@ def test_status_of_a_daemon_without_a_router(tmp_path: Path) -> None:
     try:
         robot.start()
         robot.until_phase("modules", "running")
-        for words in (["status"], ["topic", "list"]):
-            done = robot(*words)
+        for command in (["status"], ["topic", "list"]):
+            done = robot(*command)
             assert done.returncode == 1, done
-            assert ("modules  running" in done.stdout) == (words == ["status"])
+            assert ("modules  running" in done.stdout) == (command == ["status"])
             assert "the daemon robot is running" in done.stderr
             assert "Is the daemon running?" not in done.stderr
     finally:
@@ -312,13 +312,13 @@ def test_a_router_that_accepts_no_connection(tmp_path: Path) -> None:
         router = robot.until_phase("router", "running")["pid"]
         exhaust(router)
         cause = UNRESPONSIVE.format(router=router, port=robot.port)
-        for words in (["status"], ["topic", "list"]):
-            done = robot(*words)
+        for command in (["status"], ["topic", "list"]):
+            done = robot(*command)
             assert done.returncode == 1
             assert cause in done.stderr
             assert "midspan doctor" in done.stderr
             assert "Another program" not in done.stderr
-            assert ("router   running" in done.stdout) == (words == ["status"])
+            assert ("router   running" in done.stdout) == (command == ["status"])
         done = robot("doctor", "--only", "router-port", "--only", "descriptors")
         assert done.returncode == 1
         assert f"FAIL  router-port: {cause}" in done.stdout

@@ -35,7 +35,7 @@ def test_without_a_daemon(tmp_path: Path, network: HubNetwork, capsys: pytest.Ca
     assert results["daemon"] == ["warn"]
     assert results["router-port"] == ["ok"]
     assert results["ros1-master"] == results["clock"] == ["skip"]
-    assert done.code == (1 if any("fail" in words for words in results.values()) else 0)
+    assert done.code == (1 if any("fail" in outcomes for outcomes in results.values()) else 0)
 
 
 def test_with_a_daemon(
@@ -55,13 +55,13 @@ def test_with_a_daemon(
     assert done.code == 1
     for check, result in (("daemon", "ok"), ("types", "fail"), ("type-hash", "fail"), ("clock", "fail")):
         assert results[check] == [result], done.out
-    words = midspan("doctor", "--only", "clock", "--only", "types").out
-    measured = re.search(r"FAIL  clock: robot2's clock is ([\d.]+) ms", words)
-    assert measured, words
+    output = midspan("doctor", "--only", "clock", "--only", "types").out
+    measured = re.search(r"FAIL  clock: robot2's clock is ([\d.]+) ms", output)
+    assert measured, output
     assert float(measured[1]) == pytest.approx(3000, abs=500)  # as exact as the answer was quick
     for text in ("ahead of", "chrony", "FAIL  types: /odd", "cure: install x"):
-        assert text in words
-    assert "router-port" not in words
+        assert text in output
+    assert "router-port" not in output
 
 
 def test_a_worker_that_does_not_answer_stands_there_by_the_daemons_word(
@@ -75,8 +75,8 @@ def test_a_worker_that_does_not_answer_stands_there_by_the_daemons_word(
         {"worker": "ros1", "phase": "running", "text": "", "pid": 1, "restarts": 0, "since": 3.0},
         {"worker": "modules", "phase": "starting", "text": "importing numpy", "pid": 2, "restarts": 0, "since": 4.0},
     ]
-    said = {"daemon": "robot1", "workers": workers}
-    monkeypatch.setattr("bridge.doctor.daemon_state.ask_daemon", lambda _config: said)
+    daemon_status = {"daemon": "robot1", "workers": workers}
+    monkeypatch.setattr("bridge.doctor.daemon_state.ask_daemon", lambda _config: daemon_status)
     closing.append(FakeWorker(network, "ros1", status=status("ros1", pid=0)))
     midspan = Midspan(config_file(tmp_path, network, **NO_ROS), capsys)
     assert midspan("doctor", "--only", "daemon").out.splitlines()[:3] == [
@@ -85,10 +85,10 @@ def test_a_worker_that_does_not_answer_stands_there_by_the_daemons_word(
         "      cure: wait",
     ]
     nobody = config_file(tmp_path, network, **NO_ROS, hub={"listen": f"tcp/127.0.0.1:{free_port()}"})
-    told = Midspan(nobody, capsys)("doctor", "--only", "daemon").out
-    assert "no zenoh router answers" in told
-    assert "robot1/modules is starting" in told
-    assert "midspan run" not in told
+    report = Midspan(nobody, capsys)("doctor", "--only", "daemon").out
+    assert "no zenoh router answers" in report
+    assert "robot1/modules is starting" in report
+    assert "midspan run" not in report
 
 
 def test_a_broken_configuration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -45,9 +45,9 @@ def test_each_decision_is_explained_with_its_cure(
         "/rosout": ("private", "private to its side: ROS 1's own log"),
         "/odd": ("refused", "/odd (odd_msgs/msg/Odd) cannot cross: "),
     }
-    for topic, (decision, words) in decisions.items():
+    for topic, (decision, explanation) in decisions.items():
         done = midspan("explain", topic)
-        assert (done.code, words in done.out) == (0, True), done
+        assert (done.code, explanation in done.out) == (0, True), done
         document = midspan("explain", topic, "--json").json()
         assert [d["decision"] for d in document["decisions"]] == [decision], topic
         assert bool(document["decisions"][0]["cure"]) == (decision != "bridged"), topic
@@ -124,7 +124,7 @@ def test_an_unused_name_is_explained_by_the_rules(
     sections = {"navigation": {"planner": "move_base"}, "routing": {"rules": rules}}
     midspan = Midspan(config_file(tmp_path, network, **sections), capsys)
     closing.append(FakeWorker(network, "ros1", status=status("ros1"), explain=[]))
-    for name, words in {
+    for name, reason in {
         "/move_base": "the section navigation (planner move_base): an action of ROS 1 with this name crosses as"
         " /planner/move_base/navigate_to_pose.",
         "/planner/move_base/navigate_to_pose": "an action of ROS 1 /move_base gets this name",
@@ -134,7 +134,7 @@ def test_an_unused_name_is_explained_by_the_rules(
         "/lidar/3": "rule 4: a topic, service or action (sensor_msgs/msg/*) with this name crosses.",
     }.items():
         done = midspan("explain", name)
-        assert (done.code, f"nobody has the name {name} now" in done.out, words in done.out) == (0, True, True), done
+        assert (done.code, f"nobody has the name {name} now" in done.out, reason in done.out) == (0, True, True), done
         planner = "the planner move_base is not there: no node serves its action /move_base on ROS 1" in done.out
         assert planner == ("move_base" in name), done
     assert midspan("explain", "/nobody").code == 1
@@ -164,16 +164,16 @@ def test_the_traffic_of_a_route_is_shown(midspan: Midspan, network: HubNetwork, 
     document = status("ros2", routes=[route("/scan", "out", error="too short")], warnings=[odd, "/other: x"])
     closing.append(FakeWorker(network, "ros2", status=document, explain=[decision]))
     closing.append(FakeWorker(network, "ros1", status=status("ros1", state="waiting", network=None), explain=[]))
-    words = midspan("explain", "/scan").out
-    assert "hub -> ROS 2: /scan (sensor_msgs/msg/LaserScan) crosses: w." in words
+    explanation = midspan("explain", "/scan").out
+    assert "hub -> ROS 2: /scan (sensor_msgs/msg/LaserScan) crosses: w." in explanation
     for text in (
         "100 messages, 9.8 msg/s",
         "last error: too short",
         "ROS 1 (daemon robot1) is unavailable",
         f"Note: ROS 2: {odd}",
     ):
-        assert text in words
-    assert "/other" not in words
+        assert text in explanation
+    assert "/other" not in explanation
 
 
 def test_a_mismatch_on_the_hub_is_shown(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:

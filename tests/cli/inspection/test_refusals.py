@@ -56,11 +56,11 @@ def test_refused_commands_are_told_with_their_number_and_the_cure(
     midspan: Midspan, network: HubNetwork, closing: list[Any]
 ) -> None:
     Fleet(network, closing)
-    told = "robot1 refuses the commands of operator1 on /cmd_vel (/midspan_ros1); 153 messages so far"
+    refusal_line = "robot1 refuses the commands of operator1 on /cmd_vel (/midspan_ros1); 153 messages so far"
     cure = "cure: if that is not intended, name 'operator1' in hub.open.trusted of robot1 and reload"
-    for words in (midspan("explain", "/cmd_vel").out, midspan("status").out):
-        assert told in " ".join(words.split())
-        assert cure in " ".join(words.split())
+    for output in (midspan("explain", "/cmd_vel").out, midspan("status").out):
+        assert refusal_line in " ".join(output.split())
+        assert cure in " ".join(output.split())
     assert "refuses" not in midspan("explain", "/scan").out
     assert "/scan" not in midspan("status").out.partition("direction")[0]
     (document,) = [d for d in midspan("status", "--json").json() if d.get("refused_commands")]
@@ -82,9 +82,9 @@ def test_refused_calls_are_told_where_there_is_something_to_refuse(
         fleet.worker.kept.append(fleet.worker.hub.client(name, type_name, HASH))
         if name != "/gone":
             robot.kept.append(robot.hub.server(name, type_name, HASH, lambda _request, _done: lambda: None))
-    words = " ".join(midspan("status").out.split())
-    assert "robot1 refuses the calls of operator1 to /lamp (/midspan_ros1); 2 calls so far" in words
-    assert words.count("refuses the calls") == 1  # GetPlan only reads, and /quiet and /gone have no refused calls
+    output = " ".join(midspan("status").out.split())
+    assert "robot1 refuses the calls of operator1 to /lamp (/midspan_ros1); 2 calls so far" in output
+    assert output.count("refuses the calls") == 1  # GetPlan only reads, and /quiet and /gone have no refused calls
     assert "2 calls so far. cure: if that is not intended, name" in " ".join(midspan("explain", "/lamp").out.split())
 
 
@@ -106,9 +106,9 @@ def test_commands_that_come_through_another_router(
         fleet.robot["machines"] = [fleet.machine, {"name": "operator1", "zid": "d1", "trusted": True}]
     elif place == "trusted link":
         fleet.machine["trusted"] = True
-    words = " ".join(midspan("explain", "/cmd_vel").out.split())
+    output = " ".join(midspan("explain", "/cmd_vel").out.split())
     refused = "robot1 refuses the commands of middle on /cmd_vel (/midspan_ros1)"
-    assert (refused in words) == (place not in ("other link", "trusted link"))
+    assert (refused in output) == (place not in ("other link", "trusted link"))
 
 
 def test_the_sessions_of_a_robot_do_not_come_through_another_router(
@@ -132,9 +132,9 @@ def test_a_program_that_comes_in_by_itself_is_not_counted(
     fleet = Fleet(network, closing, name="")
     fleet.machine["zid"] = fleet.worker.hub.zid
     fleet.document = status("ros1", daemon="operator1", zid="other")
-    words = " ".join(midspan("explain", "/cmd_vel").out.split())
-    assert "robot1 refuses the commands of a machine without a certificate on /cmd_vel (/midspan_ros1). cure:" in words
-    assert "give it a certificate (midspan keys)" in words
+    output = " ".join(midspan("explain", "/cmd_vel").out.split())
+    assert "robot1 refuses the commands of a machine without a certificate on /cmd_vel (/midspan_ros1). cure:" in output
+    assert "give it a certificate (midspan keys)" in output
 
 
 @pytest.mark.parametrize("table", [None, "rubbish", {"no type": 5}, {TWIST: None}, {LASER: ["$*#", "**"]}])
@@ -218,8 +218,8 @@ def test_play_reports_a_machine_that_refuses_its_commands(
     assert sorted(line.partition(" (")[0] for line in refused) == [
         f"midspan: warning: test refuses the commands of guest on {topic}" for topic in ("/base/drive", "/cmd_vel")
     ]
-    for name, words in (("friend", play), ("guest", play[:-1])):
-        assert "refuses" not in commander(door, name, tmp_path, capsys)(*words).err
+    for name, command in (("friend", play), ("guest", play[:-1])):
+        assert "refuses" not in commander(door, name, tmp_path, capsys)(*command).err
 
 
 def test_commands_through_the_router_of_a_machine_that_is_not_trusted(
@@ -227,9 +227,9 @@ def test_commands_through_the_router_of_a_machine_that_is_not_trusted(
 ) -> None:
     """The verb joins its machine's hub, whose external listener is connected to the robot's."""
     hub = {"connect": [door.place], "keys": str(door.folder), "certificate": str(door.folder / "guest.pem")}
-    with HubNetwork(run=False, door={**hub, "key": str(door.folder / "guest.key")}) as own:
-        own.start_router()
-        midspan = Midspan(config_file(tmp_path, own), capsys)
+    with HubNetwork(run=False, door={**hub, "key": str(door.folder / "guest.key")}) as operator_network:
+        operator_network.start_router()
+        midspan = Midspan(config_file(tmp_path, operator_network), capsys)
 
         def refused() -> bool:
             done = midspan("topic", "pub", "/cmd_vel", "geometry_msgs/Twist", "--once", "--settle", "0")
@@ -244,17 +244,17 @@ def test_commands_through_a_router_that_is_not_midspans(
     """A zenoh router with TLS in the middle, configured as zenohd: `explain` reports it to the commanding machine."""
     place = f"tls/127.0.0.1:{free_port()}"
     guest = {name: str(door.folder / f"guest.{end}") for name, end in (("certificate", "pem"), ("private_key", "key"))}
-    tls = {f"{way}_{name}": file for way in ("listen", "connect") for name, file in guest.items()}
+    tls = {f"{prefix}_{name}": file for prefix in ("listen", "connect") for name, file in guest.items()}
     tls |= {"root_ca_certificate": str(door.folder / "ca.pem"), "enable_mtls": True}
     tree = router_tree([place], max_payload=1 << 20)
     tree["connect"]["endpoints"] = [door.place]
     middle = zenoh.open(make_config(tree, {"transport": {"link": {"tls": tls}}}))
     hub = {"connect": [place], "keys": str(door.folder), "certificate": str(door.folder / "friend.pem")}
-    with HubNetwork(run=False, door={**hub, "key": str(door.folder / "friend.key")}) as own:
-        own.start_router()
-        with Hub.open(own.settings("operator")) as operator:
+    with HubNetwork(run=False, door={**hub, "key": str(door.folder / "friend.key")}) as operator_network:
+        operator_network.start_router()
+        with Hub.open(operator_network.settings("operator")) as operator:
             operator.publisher("/cmd_vel", TWIST, HASH, Qos())
-            midspan = Midspan(config_file(tmp_path, own), capsys)
+            midspan = Midspan(config_file(tmp_path, operator_network), capsys)
             # both machines' daemons have the same name here
             wanted = re.compile(r"test \(router \w+\) refuses the commands of guest on /cmd_vel \(/operator\)")
             until(lambda: wanted.search(" ".join(midspan("explain", "/cmd_vel").out.split())), "explain reports it", 30)

@@ -36,7 +36,7 @@ def workers(network: HubNetwork, closing: list[FakeWorker | EngineWorker]) -> No
 def test_status_shows_each_worker_and_route(midspan: Midspan) -> None:
     done = midspan("status")
     assert done.code == 0
-    words = done.out
+    output = done.out
     for text in (
         "robot1",
         "network net-1",
@@ -44,12 +44,12 @@ def test_status_shows_each_worker_and_route(midspan: Midspan) -> None:
         "3 sessions",
         "refused ROS 1 -> hub /odd (odd_msgs/Odd)",
     ):
-        assert text in words
-    assert "gateway  waiting  the planner is not there" in words
+        assert text in output
+    assert "gateway  waiting  the planner is not there" in output
     for text in ("cure: get it", "hub -> ROS 2", "queue 3, bad 1", "9.8", "12", "idle", "up 3 min", "cpu 3 %", "52 MB"):
-        assert text in words
-    assert "bad?bell" in words
-    assert "\x1b" not in words
+        assert text in output
+    assert "bad?bell" in output
+    assert "\x1b" not in output
 
 
 @pytest.mark.usefixtures("workers")
@@ -79,8 +79,8 @@ def test_one_cause_is_one_line_with_what_it_affects(
     assert "(the same for /r1, /r2, /r3, /r4, /r5 and 3 more)" in " ".join(out.split())
     documents = midspan("status", "--json").json()
     assert documents[0]["warnings"] == [*deaf, full], "programs get all of it"
-    told = midspan("doctor", "--only", "daemon", "--only", "types").out
-    assert [told.count(text) for text in ("gets no messages", full, "odd_msgs is not known")] == [1] * 3
+    report = midspan("doctor", "--only", "daemon", "--only", "types").out
+    assert [report.count(text) for text in ("gets no messages", full, "odd_msgs is not known")] == [1] * 3
 
 
 def test_a_worker_that_fails_to_answer_is_shown(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:

@@ -69,11 +69,11 @@ def moving(network: HubNetwork, registry: Registry, closing: list[Any]) -> Itera
         while not stop.wait(0.05):
             at = time.time_ns()
             half = np.sqrt(0.5)
-            told = [
+            transforms = [
                 Stamped("map", "odom", at, (1.0, 0.0, 0.0), (0.0, 0.0, half, half)),
                 Stamped("odom", "base_link", at, (0.5, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)),
             ]
-            worker.side.write(writer, write(told))
+            worker.side.write(writer, write(transforms))
 
     thread = threading.Thread(target=talk)
     thread.start()
@@ -84,12 +84,12 @@ def moving(network: HubNetwork, registry: Registry, closing: list[Any]) -> Itera
 
 @pytest.mark.usefixtures("moving")
 def test_the_examples_work(midspan: Midspan, store: Store) -> None:
-    ran = [words for words in examples("operate/cli.md") if words[0] in ("map", "location")]
+    ran = [command for command in examples("operate/cli.md") if command[0] in ("map", "location")]
     assert len(ran) > 12
-    for words in ran:
-        done = midspan(*words)
-        assert done.code == 0, (words, done)
-        assert done.out, words
+    for command in ran:
+        done = midspan(*command)
+        assert done.code == 0, (command, done)
+        assert done.out, command
     grid = store.get(MAP, "house")
     assert grid is not None
     assert {MapFlag.KEEP_OUT, MapFlag.WALL, MapFlag.ENLARGED_OBSTACLE} <= set(map(MapFlag, np.unique(grid.flags)))
@@ -102,7 +102,7 @@ def test_the_examples_work(midspan: Midspan, store: Store) -> None:
     with Image.open("house.png") as picture:
         assert picture.size == (16 * 40, 16 * 30)
     assert set(Places.load("locations.ini").locations) == {"dock", "kitchen"}
-    names = {each["properties"]["name"] for each in json.loads(Path("house.geojson").read_text())["features"]}
+    names = {feature["properties"]["name"] for feature in json.loads(Path("house.geojson").read_text())["features"]}
     assert names == {"dock", "kitchen"}
 
 
@@ -132,7 +132,9 @@ def test_maps_in_three_dimensions_come_and_go(midspan: Midspan, store: Store) ->
     assert midspan("map", "delete", "house", "--3d").out == "house is deleted\n"
     assert "no map3d 'house' is stored; those that are: cloud" in midspan("map", "delete", "house", "--3d").err
     listed = json.loads(midspan("map", "list", "--json").out)
-    assert [(each["name"], each["form"], each["points"]) for each in listed] == [("cloud", "cloud", occupied)]
+    assert [(stored_map["name"], stored_map["form"], stored_map["points"]) for stored_map in listed] == [
+        ("cloud", "cloud", occupied)
+    ]
 
 
 def test_a_slice_of_an_octomap_is_drawn_as_a_grid(midspan: Midspan, store: Store) -> None:
@@ -149,20 +151,20 @@ def test_a_slice_of_an_octomap_is_drawn_as_a_grid(midspan: Midspan, store: Store
     with Image.open("room.png") as picture:
         assert picture.size == (7, 4)
     store.put(MAP3D, "points", PointCloud.of(np.ones(3, LAYOUTS[PointType.XYZ])))
-    for words, told in (
+    for arguments, message in (
         (["room", "--layer", "9"], "'room' has no data at 9 m; its heights in meters: 0.2 to 0.4"),
         (["room", "--layer", "nan"], "--layer is a height in meters, not nan"),
         (["points", "--layer", "1"], "'points' is a cloud, which has no free space"),
         (["attic", "--layer", "1"], "no map3d 'attic' is stored; those that are: points, room"),
         (["--layer", "1"], "name one of the 2 3D maps: points, room"),
     ):
-        assert told in midspan("map", "show", *words).err
+        assert message in midspan("map", "show", *arguments).err
 
 
 def test_a_bad_map_in_three_dimensions_is_refused_by_name_and_field(midspan: Midspan, store: Store) -> None:
     Path("bad.bt").write_bytes(Octomap.of(a_tree(1), binary=True).bt()[:-1])
-    told = midspan("map", "import", "bad.bt").err
-    assert "bad.bt: data: incomplete after" in told
+    error = midspan("map", "import", "bad.bt").err
+    assert "bad.bt: data: incomplete after" in error
     assert not store.names(MAP3D)
 
 

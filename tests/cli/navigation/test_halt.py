@@ -64,14 +64,16 @@ class Robot:
 
 @pytest.fixture
 def robot(network: HubNetwork, registry: Registry) -> Iterator[Robot]:
-    made = Robot(network, registry)
-    yield made
-    made.close()
+    fake_robot = Robot(network, registry)
+    yield fake_robot
+    fake_robot.close()
 
 
 def test_everything_stands_still(midspan: Midspan, network: HubNetwork, robot: Robot, closing: list[Any]) -> None:
-    asked: list[Any] = []
-    closing.append(FakeWorker(network, "base_control", halt=lambda params: asked.append(params) or {"halted": True}))
+    halt_requests: list[Any] = []
+    closing.append(
+        FakeWorker(network, "base_control", halt=lambda params: halt_requests.append(params) or {"halted": True})
+    )
     done = midspan("halt", "--seconds", "1")
     assert done.code == 0, done
     assert done.out.splitlines() == [
@@ -79,7 +81,7 @@ def test_everything_stands_still(midspan: Midspan, network: HubNetwork, robot: R
         "base_control of robot1: stands still",
         "/lookup: 2 goals cancelled",
     ]
-    assert asked == [{}]
+    assert halt_requests == [{}]
     until(lambda: [goal.status for goal in robot.sent] == [GoalState.CANCELED] * 2, "both goals were cancelled")
     assert len(robot.heard) > 3
     assert all(message["linear"]["x"] == message["angular"]["z"] == 0.0 for message in robot.heard)
@@ -110,24 +112,24 @@ def test_publishers_of_velocities_are_reason_enough(midspan: Midspan, network: H
     hub = Hub.open(network.settings("planner"))
     type_id = registry.ros2(TWIST).type_id
     publisher = hub.publisher("/far/cmd_vel", TWIST, type_id, Qos())
-    heard: list[Any] = []
-    subscription = hub.subscription("/far/cmd_vel", TWIST, type_id, Qos(), heard.append)
+    received: list[Any] = []
+    subscription = hub.subscription("/far/cmd_vel", TWIST, type_id, Qos(), received.append)
     publisher.put(from_json(registry, TWIST, {"linear": {"x": 1.0}}))
     assert midspan("halt", "--seconds", "0.3").code == 0
-    until(lambda: any(to_json(registry, TWIST, s.data())["linear"]["x"] == 0.0 for s in heard), "zero is heard")
+    until(lambda: any(to_json(registry, TWIST, s.data())["linear"]["x"] == 0.0 for s in received), "zero is heard")
     subscription.close()
     hub.close()
 
 
 def test_over_a_slow_network_nothing_is_missed(midspan: Midspan, network: HubNetwork, registry: Registry) -> None:
-    heard: list[Any] = []
+    received: list[Any] = []
     with Hub.open(network.settings("robot")) as hub, FaultProxy(network.port) as slow:
-        hub.subscription("/cmd_vel", TWIST, registry.ros2(TWIST).type_id, Qos(), heard.append)
+        hub.subscription("/cmd_vel", TWIST, registry.ros2(TWIST).type_id, Qos(), received.append)
         until(lambda: midspan("topic", "list").out.split() == ["/cmd_vel"], "the router knows it")
         slow.delay = 0.15
         done = midspan("halt", "--seconds", "0.5", "--router", f"tcp/127.0.0.1:{slow.port}")
         assert (done.code, done.out) == (0, "/cmd_vel: zero velocity, 1 listener on the hub\n"), done
-        until(lambda: heard, "zero is heard")
+        until(lambda: received, "zero is heard")
 
 
 def test_what_may_still_be_moving_is_not_said_to_stand(

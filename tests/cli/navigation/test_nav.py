@@ -46,14 +46,14 @@ KEPT = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    with Rig(tmp_path_factory.mktemp("nav")) as made:
-        store = made.worker.store
+    with Rig(tmp_path_factory.mktemp("nav")) as rig:
+        store = rig.worker.store
         store.put(MAP, "flat", MapGrid2D.of(np.zeros((80, 100), np.uint8), name="flat", resolution=0.1))
         store.use_map("flat")
         store.put(LOCATION, "kitchen", Map2DLocation("flat", 2.5, 1.0, 90.0, ""))
         corners = [Vec2D(4.0, 4.0), Vec2D(6.0, 4.0), Vec2D(6.0, 6.0), Vec2D(4.0, 6.0)]
         store.put(AREA, "the hall", Map2DArea("flat", corners, ""))
-        yield made
+        yield rig
 
 
 @pytest.fixture
@@ -109,8 +109,8 @@ def test_progress_tells_each_change_with_its_reason(capsys: pytest.CaptureFixtur
     progress.feedback({"distance_remaining": 3.25})
     progress.refresh()
     progress.refresh()
-    told = ["moving, 3.2 m to go", "waiting obstacle: a chair is ahead, 3.2 m to go", "moving, 3.2 m to go"]
-    assert capsys.readouterr().out.splitlines() == told
+    expected = ["moving, 3.2 m to go", "waiting obstacle: a chair is ahead, 3.2 m to go", "moving, 3.2 m to go"]
+    assert capsys.readouterr().out.splitlines() == expected
 
 
 @pytest.mark.parametrize(
@@ -299,11 +299,12 @@ def test_status_says_that_the_planner_is_not_there(rig: Rig, midspan: Midspan) -
     assert "waits" not in midspan("nav", "status").out
     assert rig.ask("choose_planner", name="robot_path_planner")["success"]
     try:
-        told = midspan("nav", "status")
+        status = midspan("nav", "status")
         assert (
-            "planner  robot_path_planner\n         the planner robot_path_planner is not there: its module" in told.out
+            "planner  robot_path_planner\n         the planner robot_path_planner is not there: its module"
+            in status.out
         )
-        assert "cure: modules.robot_path_planner.enabled: true" in told.out
+        assert "cure: modules.robot_path_planner.enabled: true" in status.out
         assert "its module does not run" in midspan("nav", "status", "--json").json()["waits"]
     finally:
         rig.ask("choose_planner", name="robot_goto")
@@ -329,8 +330,8 @@ def test_the_path_is_told_and_drawn(rig: Rig, midspan: Midspan, tmp_path: Path) 
         goal = rig.planner.until(1)
         rig.state(State.MOVING)
         out.publish({"header": {"frame_id": "map"}, "poses": [pose(2.5, 4.0), pose(2.5, 1.0, math.pi / 2)]})
-        told = until(lambda: midspan("nav", "path", "--json").json(), "the path is printed")
-        assert told[1] == {"frame": "map", "x": 2.5, "y": 1.0, "theta_deg": pytest.approx(90.0)}
+        poses = until(lambda: midspan("nav", "path", "--json").json(), "the path is printed")
+        assert poses[1] == {"frame": "map", "x": 2.5, "y": 1.0, "theta_deg": pytest.approx(90.0)}
         assert midspan("nav", "path").out.splitlines()[0].split()[:3] == ["1", "2.50", "4.00"]
         shown = midspan("nav", "show", "--width", "100").out
         assert {"o", "a", "b"} <= set(shown)
@@ -416,12 +417,12 @@ def test_a_stop_reaches_the_planner_where_no_gateway_is(network: HubNetwork, tmp
     assert "Nor is the planner move_base on the hub: the robot may still be moving" in outcome.err
     planner, client = Planner(network.settings("planner"), "move_base"), Program(network.settings("client"))
     try:
-        asked = ClientGoal(client, pose(5.0), "/planner/move_base/navigate_to_pose")
+        client_goal = ClientGoal(client, pose(5.0), "/planner/move_base/navigate_to_pose")
         goal = planner.until(1)
         outcome = midspan("nav", "stop")
         assert (outcome.code, outcome.err) == (0, "")
         assert "the gateway is not there; move_base itself was asked: 1 goal cancelled" in outcome.out
-        assert asked.end()[0] == "CANCELED"
+        assert client_goal.end()[0] == "CANCELED"
         assert not goal.active
     finally:
         for program in (planner, client):

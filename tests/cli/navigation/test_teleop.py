@@ -58,16 +58,16 @@ def test_faster_and_slower_within_bounds() -> None:
 @pytest.fixture
 def heard(network: HubNetwork, registry: Registry) -> Iterator[list[Any]]:
     """Velocities on the hub: m/s forward, rad/s."""
-    found: list[Any] = []
+    velocities: list[Any] = []
     with_type = registry.ros2(TWIST).type_id
 
     def take(sample: Any) -> None:
         message = to_json(registry, TWIST, sample.data())
-        found.append((message["linear"]["x"], message["angular"]["z"]))
+        velocities.append((message["linear"]["x"], message["angular"]["z"]))
 
     hub = Hub.open(network.settings("base"))
     subscription = hub.subscription("/cmd_vel", TWIST, with_type, Qos(), take)
-    yield found
+    yield velocities
     subscription.close()
     hub.close()
 

@@ -26,9 +26,9 @@ def test_check_of_a_bad_file(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     file = tmp_path / "bad.yaml"
     file.write_text("log:\n  levl: debug\n  level: x\n")
     assert main(["config", "check", str(file)]) == 1
-    said = capsys.readouterr().err.splitlines()
-    assert said[0] == f"{file}:2:3: log.levl: unknown key 'levl'; did you mean 'level'?"
-    assert len(said) == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert errors[0] == f"{file}:2:3: log.levl: unknown key 'levl'; did you mean 'level'?"
+    assert len(errors) == 2
     assert main(["config", "check", str(file), "--json"]) == 1
     problem = json.loads(capsys.readouterr().out)["problems"][0]
     assert (problem["line"], problem["column"], problem["key"]) == (2, 3, "log.levl")
@@ -59,12 +59,12 @@ def test_migrate_writes_the_file_and_keeps_the_former(tmp_path: Path, capsys: py
     file.write_text(text)
     file.chmod(0o640)
     assert main(["config", "migrate", str(file), "--print"]) == 0
-    said = capsys.readouterr()
-    assert said.out == "# robot\nversion: 1\nros2:\n  # build: true # long ago\n"
-    assert "ros2.build was removed" in said.err
+    captured = capsys.readouterr()
+    assert captured.out == "# robot\nversion: 1\nros2:\n  # build: true # long ago\n"
+    assert "ros2.build was removed" in captured.err
     assert file.read_text() == text
     assert main(["config", "migrate", str(file)]) == 0
-    assert (file.read_text(), (tmp_path / "old.yaml.old").read_text()) == (said.out, text)
+    assert (file.read_text(), (tmp_path / "old.yaml.old").read_text()) == (captured.out, text)
     assert file.stat().st_mode & 0o777 == 0o640
     assert "the former file is" in capsys.readouterr().out
     assert main(["config", "migrate", str(file)]) == 0
@@ -79,10 +79,10 @@ def test_migrate_tells_what_is_left(tmp_path: Path, capsys: pytest.CaptureFixtur
     file = tmp_path / "old.yaml"
     file.write_text("hub: {listen: tcp/0.0.0.0:7447}\n")
     assert main(["config", "migrate", str(file)]) == 3
-    said = capsys.readouterr().err
-    assert "hub.listen is hub.open.listen" in said
-    assert f"{file}:1:15: hub.listen: no longer defines who may command" in said
-    assert "has no TLS" in said
+    errors = capsys.readouterr().err
+    assert "hub.listen is hub.open.listen" in errors
+    assert f"{file}:1:15: hub.listen: no longer defines who may command" in errors
+    assert "has no TLS" in errors
     file.write_text("version: 7\n")
     assert main(["config", "migrate", str(file)]) == 1
     assert "update Midspan" in capsys.readouterr().err

@@ -56,8 +56,8 @@ class Imported:
 
     def __init__(self, capsys: pytest.CaptureFixture[str], file: Path, peer: str, *options: str) -> None:
         self.code = main(["import", peer, str(file), *options])
-        said = capsys.readouterr()
-        self.out, self.notes = said.out, said.err.replace(f"{file}:", "").splitlines()
+        captured = capsys.readouterr()
+        self.out, self.notes = captured.out, captured.err.replace(f"{file}:", "").splitlines()
 
     def configs(self) -> list[Config]:
         """The configurations that were printed."""
@@ -148,26 +148,26 @@ def test_mapping_rules_go_along(tmp_path: Path, capsys: pytest.CaptureFixture[st
 def test_a_domain_bridge_becomes_one_daemon_for_each_domain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     done = Imported(capsys, write(tmp_path, DOMAINS), "domain_bridge")
     assert done.code == 0
-    two, three, four = done.configs()
-    assert [(c.name, c.ros2.domain, c.ros1.enabled, c.routing.default) for c in (two, three, four)] == [
+    domain2, domain3, domain4 = done.configs()
+    assert [(c.name, c.ros2.domain, c.ros1.enabled, c.routing.default) for c in (domain2, domain3, domain4)] == [
         (f"my_bridge_{n}", n, False, "deny") for n in (2, 3, 4)
     ]
     clock, text = "rosgraph_msgs/msg/Clock", "example_interfaces/msg/String"
-    ways = {"from": "ros2", "to": "ros2"}
+    sides = {"from": "ros2", "to": "ros2"}
     entries = {"from": "ros2", "to": "zenoh"}
-    assert rules(two) == [
+    assert rules(domain2) == [
         {"topic": "/clock", "type": clock, **entries, "rename": "/domain2/clock"},
         {"topic": "/chatter", "type": text, **entries, "rename": "/domain2/chatter"},
-        {"topic": "/domain3/chatter", "type": text, **ways, "rename": "/chatter"},
+        {"topic": "/domain3/chatter", "type": text, **sides, "rename": "/chatter"},
     ]
-    assert rules(three) == [
+    assert rules(domain3) == [
         {"topic": "/chatter", "type": text, **entries, "rename": "/domain3/chatter"},
-        {"topic": "/domain2/clock", "type": clock, **ways, "rename": "/clock"},
-        {"topic": "/domain2/chatter", "type": text, **ways, "rename": "/chatter", "depth": 5,
+        {"topic": "/domain2/clock", "type": clock, **sides, "rename": "/clock"},
+        {"topic": "/domain2/chatter", "type": text, **sides, "rename": "/chatter", "depth": 5,
          "qos": {"reliability": "best_effort"}},
     ]  # fmt: skip
-    assert rules(four) == [
-        {"topic": "/domain2/chatter", "type": text, **ways, "rename": "/my_bridge/heard"},
+    assert rules(domain4) == [
+        {"topic": "/domain2/chatter", "type": text, **sides, "rename": "/my_bridge/heard"},
     ]
 
 
@@ -188,9 +188,9 @@ services:
 """
     done = Imported(capsys, write(tmp_path, text), "domain_bridge")
     assert done.code == 3
-    told = [note.partition(";")[0] for note in done.notes[:-1]]
-    assert told[0].startswith("3:1: mode: Midspan leaves messages as they are")
-    assert told[1:] == [
+    problems = [note.partition(";")[0] for note in done.notes[:-1]]
+    assert problems[0].startswith("3:1: mode: Midspan leaves messages as they are")
+    assert problems[1:] == [
         "8:11: topics[0]./a.qos.lifespan: Midspan's publishers on ROS 2 have no lifespan",
         "8:27: topics[0]./a.qos.liveliness: Midspan's publishers on ROS 2 have no liveliness",
         "9:3: topics[1].a: /a goes from domain 2 to 3 already, by line 5",
@@ -215,18 +215,18 @@ actions:
 """
     done = Imported(capsys, write(tmp_path, text), "domain_bridge")
     assert done.code == 0
-    two, three, four = done.configs()
+    domain2, domain3, domain4 = done.configs()
     add = {"kind": "service", "type": "example_interfaces/srv/AddTwoInts", "from": "ros2"}
     go = {"kind": "action", "type": "nav2_msgs/action/NavigateToPose", "from": "ros2"}
-    assert rules(two) == [
+    assert rules(domain2) == [
         {**add, "topic": "/add", "to": "zenoh", "rename": "/domain2/add"},
         {**go, "topic": "/domain3/go", "to": "ros2", "rename": "/go"},
     ]
-    assert rules(three) == [
+    assert rules(domain3) == [
         {**go, "topic": "/go", "to": "zenoh", "rename": "/domain3/go"},
         {**add, "topic": "/domain2/add", "to": "ros2", "rename": "/domain_bridge/plus"},
     ]
-    assert rules(four) == [{**add, "topic": "/domain2/add", "to": "ros2", "rename": "/add"}]
+    assert rules(domain4) == [{**add, "topic": "/domain2/add", "to": "ros2", "rename": "/add"}]
 
 
 def test_written_to_files_and_never_over_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -235,8 +235,8 @@ def test_written_to_files_and_never_over_others(tmp_path: Path, capsys: pytest.C
     assert done.code == 0
     files = [folder / f"my_bridge_domain{number}.yaml" for number in (2, 3, 4)]
     assert done.out.split() == [str(f) for f in files]
-    for each in files:
-        assert main(["config", "check", str(each)]) == 0
+    for path in files:
+        assert main(["config", "check", str(path)]) == 0
     capsys.readouterr()
     files[1].write_text("mine")
     again = Imported(capsys, file, "domain_bridge", "-o", str(folder))
@@ -303,5 +303,5 @@ def test_broken_files(
     done = Imported(capsys, write(tmp_path, text), peer)
     assert done.code == 1
     assert done.out == ""
-    for said, complaint in zip(done.notes, complaints, strict=True):
-        assert complaint in said
+    for note, complaint in zip(done.notes, complaints, strict=True):
+        assert complaint in note

@@ -27,10 +27,10 @@ def run(folder: Path, *words: str) -> int:
 def test_make_and_show(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "keys"
     assert run(folder, "make", "robot1", "10.1.2.3", "robot1.lab") == 0
-    said = capsys.readouterr().out
-    assert "made the authority" in said
-    assert f"{folder}/ca.pem {folder}/robot1.pem {folder}/robot1.key" in said
-    assert "trusted: []" in said
+    output = capsys.readouterr().out
+    assert "made the authority" in output
+    assert f"{folder}/ca.pem {folder}/robot1.pem {folder}/robot1.key" in output
+    assert "trusted: []" in output
     assert run(folder, "make", "operator1", "--days", "10") == 0
     assert "made the authority" not in capsys.readouterr().out
     assert {file.name: file.stat().st_mode & 0o777 for file in folder.iterdir()} == dict.fromkeys(
@@ -38,11 +38,11 @@ def test_make_and_show(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     )
     assert folder.stat().st_mode & 0o777 == 0o700
     assert run(folder, "show", "--json") == 0
-    found = {each["name"]: each for each in json.loads(capsys.readouterr().out)}
-    assert found["robot1"]["names"] == ["robot1", "robot1.local", "10.1.2.3", "robot1.lab"]
-    assert found["robot1"]["days_left"] in (729, 730)
-    assert found["operator1"]["days_left"] in (9, 10)
-    assert [each["authority"] for each in found.values()] == [True, False, False]
+    certificates = {certificate["name"]: certificate for certificate in json.loads(capsys.readouterr().out)}
+    assert certificates["robot1"]["names"] == ["robot1", "robot1.local", "10.1.2.3", "robot1.lab"]
+    assert certificates["robot1"]["days_left"] in (729, 730)
+    assert certificates["operator1"]["days_left"] in (9, 10)
+    assert [certificate["authority"] for certificate in certificates.values()] == [True, False, False]
     assert run(folder, "show") == 0
     assert "(authority)" in capsys.readouterr().out
 
@@ -52,8 +52,8 @@ def snippet(text: str) -> dict[str, Any]:
     lines = text.partition("in its configuration:\n")[2].splitlines()
     document = yaml.safe_load("\n".join(line for line in lines if line.startswith("  ")))
     Config.model_validate(document)
-    found: dict[str, Any] = document["hub"]["open"]
-    return found
+    settings: dict[str, Any] = document["hub"]["open"]
+    return settings
 
 
 def test_make_prints_what_a_listener_and_an_operator_need(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -134,8 +134,8 @@ def test_a_mistake_in_the_first_call_makes_no_authority(
 
 
 def test_a_certificate_ends_with_its_authority(tmp_path: Path) -> None:
-    made = Authority(tmp_path).make(days=3)
-    assert Authority(tmp_path).issue("robot1", days=1000).until == made.until
+    authority = Authority(tmp_path).make(days=3)
+    assert Authority(tmp_path).issue("robot1", days=1000).until == authority.until
 
 
 def test_an_authority_that_cannot_sign(tmp_path: Path) -> None:
@@ -247,5 +247,9 @@ def test_one_that_is_not_valid_yet(
     (line,) = [line for line in capsys.readouterr().out.splitlines() if line.endswith(f"{which}.pem")]
     assert text in line
     assert run(folder, "show", "--json") == 1
-    (shown,) = [each for each in json.loads(capsys.readouterr().out) if each["file"].endswith(f"{which}.pem")]
+    (shown,) = [
+        certificate
+        for certificate in json.loads(capsys.readouterr().out)
+        if certificate["file"].endswith(f"{which}.pem")
+    ]
     assert shown["since"] == since.isoformat()

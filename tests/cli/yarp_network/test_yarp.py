@@ -45,8 +45,8 @@ def fixture_yarp(capsys: pytest.CaptureFixture[str]) -> Yarp:
     def run(*words: str) -> Outcome:
         capsys.readouterr()
         code = main(["yarp", *words])
-        said = capsys.readouterr()
-        return Outcome(code, said.out, said.err)
+        captured = capsys.readouterr()
+        return Outcome(code, captured.out, captured.err)
 
     return run
 
@@ -87,10 +87,10 @@ def test_where(yarp: Yarp, server: NameServer, tmp_path: Path) -> None:
     assert (done.code, done.out.splitlines()[0]) == (0, f"/root at 127.0.0.1 port {server.address.port}, responds")
     assert str(tmp_path / "yarp.conf") in done.out
     port = free_port()
-    said = yarp("where", "--json", "--server", f"127.0.0.1:{port}")
-    assert said.code == 1
-    assert said.json() == {"host": "127.0.0.1", "port": port, "name": "/root", "file": None, "reachable": False}
-    assert "Start it" in said.err
+    outcome = yarp("where", "--json", "--server", f"127.0.0.1:{port}")
+    assert outcome.code == 1
+    assert outcome.json() == {"host": "127.0.0.1", "port": port, "name": "/root", "file": None, "reachable": False}
+    assert "Start it" in outcome.err
 
 
 def test_without_any_name_server(yarp: Yarp, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -105,10 +105,10 @@ def test_without_any_name_server(yarp: Yarp, tmp_path: Path, monkeypatch: pytest
 
 def test_names(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -> None:
     """list, name, exists, ping."""
-    one, _ = owners("/a/b"), owners("/c")
+    owner, _ = owners("/a/b"), owners("/c")
     assert [line.split()[0] for line in yarp("list").out.splitlines()] == ["/a/b", "/c", "/root"]
     assert yarp("list", "/a", "--json").json() == [
-        {"name": "/a/b", "host": "127.0.0.1", "port": one.port.contact.port, "carrier": "tcp"}
+        {"name": "/a/b", "host": "127.0.0.1", "port": owner.port.contact.port, "carrier": "tcp"}
     ]
     assert yarp("name", "set", "/c", "key", "'two words'", "5").code == 0
     assert yarp("name", "bot", "get", "/c", "key").out == '"\'two" 5 "words\'"\n'
@@ -131,13 +131,13 @@ def test_connecting(yarp: Yarp, owners: Callable[[str], Owner]) -> None:
     assert yarp("connect", "/w", "/r", "fast_tcp").out == "Added connection from /w to fast_tcp://r\n"
     assert [r.carrier for r in writer.port.outputs()] == ["fast_tcp"]
     assert yarp("disconnect", "/w", "/r").out == "Removed connection from /w to /r\n"
-    for words, problem in (
+    for command, problem in (
         (("disconnect", "/w", "/r"), "no connection from /w to /r"),
         (("connect", "/w", "/rr"), "did you mean /r"),
         (("connect", "/w", "/r", "smoke"), "could not connect to /r"),
         (("connect", "w", "/r"), "port w is not registered"),
     ):
-        done = yarp(*words)
+        done = yarp(*command)
         assert done.code == 1
         assert problem in done.err
 
@@ -165,16 +165,16 @@ def test_clean(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -
 
 def test_writing(yarp: Yarp, owners: Callable[[str], Owner], monkeypatch: pytest.MonkeyPatch) -> None:
     """From --message and from the standard input, to one and to several."""
-    one, two = owners("/one"), owners("/two")
-    two.port.profile = Profile.YARP4
+    first, second = owners("/one"), owners("/two")
+    second.port.profile = Profile.YARP4
     assert yarp("write", "/w", "/one", "fast_tcp://two", "-m", "set speed 0.5", "-m", '(a b) "c d"').code == 0
-    assert one.came == [["set", "speed", 0.5], [["a", "b"], "c d"]]
-    until(lambda: two.came == one.came, "both have them")
-    assert one.bytes[0] == encode(["set", "speed", 0.5], Profile.YARP3)
-    assert two.bytes[0] == encode(["set", "speed", 0.5], Profile.YARP4)
+    assert first.came == [["set", "speed", 0.5], [["a", "b"], "c d"]]
+    until(lambda: second.came == first.came, "both have them")
+    assert first.bytes[0] == encode(["set", "speed", 0.5], Profile.YARP3)
+    assert second.bytes[0] == encode(["set", "speed", 0.5], Profile.YARP4)
     monkeypatch.setattr(sys, "stdin", io.StringIO("1 2\n\n3\n"))
     assert yarp("write", "...", "/one", "--yarp4").code == 0
-    assert one.came[2:] == [[1, 2], [3]]
+    assert first.came[2:] == [[1, 2], [3]]
     done = yarp("write", "/one", "-m", "x")
     assert done.code == 1
     assert "/one is in use" in done.err
