@@ -36,28 +36,33 @@ def cut(port: int) -> None:
 
 
 def test_a_link_that_alone_was_cut_is_made_again(hubs: QuickHub) -> None:
-    with Hub.open(hubs.settings("one")) as one, Hub.open(hubs.settings("two", "two")) as two:
-        until(lambda: two.zid in one.neighbours() and one.zid in two.neighbours(), "they are linked")
+    with Hub.open(hubs.settings("one")) as first, Hub.open(hubs.settings("two", "two")) as second:
+        until(lambda: second.zid in first.neighbours() and first.zid in second.neighbours(), "they are linked")
         received: list[bytes] = []
         hubs.serve_conflicting_list(5)  # a liar is not believed
-        two.serve("say", lambda params: received.append(params["word"]))
+        second.serve("say", lambda params: received.append(params["word"]))
         cut(int(hubs.endpoint.rpartition(":")[2]))
-        until(lambda: two.zid not in one.neighbours() or one.mesh.mended + two.mesh.mended, "the link is lost")
-        until(lambda: two.zid in one.neighbours() and one.zid in two.neighbours(), "they are linked again")
-        until(lambda: one.mesh.mended + two.mesh.mended, "one of them reports it")
-        until(lambda: one.ask("say", {"word": "again"}, worker="two") and received, "messages arrive")
+        until(
+            lambda: second.zid not in first.neighbours() or first.mesh.mended + second.mesh.mended, "the link is lost"
+        )
+        until(lambda: second.zid in first.neighbours() and first.zid in second.neighbours(), "they are linked again")
+        until(lambda: first.mesh.mended + second.mesh.mended, "one of them reports it")
+        until(lambda: first.ask("say", {"word": "again"}, worker="two") and received, "messages arrive")
 
 
 def test_a_link_that_was_never_made_is_made(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without an event for it, the session compares its links with the router's peers."""
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.3)
     monkeypatch.setattr(links.Mesh, "_on_event", lambda *_: None)
-    with Hub.open(hubs.settings("one")) as one, Hub.open(hubs.settings("two", "two")) as two:
-        until(lambda: two.zid in one.neighbours() and one.zid in two.neighbours(), "they are linked")
+    with Hub.open(hubs.settings("one")) as first, Hub.open(hubs.settings("two", "two")) as second:
+        until(lambda: second.zid in first.neighbours() and first.zid in second.neighbours(), "they are linked")
         cut(int(hubs.endpoint.rpartition(":")[2]))
-        until(lambda: two.zid not in one.neighbours() or one.mesh.mended + two.mesh.mended, "they are not linked")
-        until(lambda: one.mesh.mended + two.mesh.mended, "one of them has mended it")
-        until(lambda: two.zid in one.neighbours() and one.zid in two.neighbours(), "they are linked again")
+        until(
+            lambda: second.zid not in first.neighbours() or first.mesh.mended + second.mesh.mended,
+            "they are not linked",
+        )
+        until(lambda: first.mesh.mended + second.mesh.mended, "one of them has mended it")
+        until(lambda: second.zid in first.neighbours() and first.zid in second.neighbours(), "they are linked again")
 
 
 def test_links_are_compared_while_a_session_that_left_is_looked_for(
@@ -65,45 +70,45 @@ def test_links_are_compared_while_a_session_that_left_is_looked_for(
 ) -> None:
     """Otherwise commands that come and go would keep a session from noticing a missing link."""
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
-    with Hub.open(hubs.settings("one")) as one:
-        with Hub.open(hubs.settings("two", "two")) as two:
-            until(lambda: two.zid in one.neighbours(), "they are linked")
-            left = two.zid
-        until(lambda: left in one.mesh.lost, "it is looked for")
+    with Hub.open(hubs.settings("one")) as first:
+        with Hub.open(hubs.settings("two", "two")) as second:
+            until(lambda: second.zid in first.neighbours(), "they are linked")
+            left = second.zid
+        until(lambda: left in first.mesh.lost, "it is looked for")
         hubs.list_also("abcd")
-        until(lambda: "abcd" in one.mesh.lost, "the links are compared", 30)
-        assert left in one.mesh.lost
+        until(lambda: "abcd" in first.mesh.lost, "the links are compared", 30)
+        assert left in first.mesh.lost
 
 
 def test_one_that_no_link_reaches_is_given_up(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
     monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 0.5)
-    with Hub.open(hubs.settings("one")) as one:
+    with Hub.open(hubs.settings("one")) as hub:
         hubs.list_also("abcd")
-        until(lambda: "abcd" in one.mesh.lost, "it is looked for")
-        until(lambda: not one.mesh.lost, "it is given up")
+        until(lambda: "abcd" in hub.mesh.lost, "it is looked for")
+        until(lambda: not hub.mesh.lost, "it is given up")
         answered = hubs.answered
         until(lambda: hubs.answered > answered + 3, "the links are compared again")
-        assert not one.mesh.lost
+        assert not hub.mesh.lost
 
 
 def test_a_router_that_does_not_answer_for_a_moment_is_asked_again(hubs: QuickHub) -> None:
-    with Hub.open(hubs.settings("one")) as one, Hub.open(hubs.settings("two", "two")) as two:
-        until(lambda: two.zid in one.neighbours() and one.zid in two.neighbours(), "they are linked")
+    with Hub.open(hubs.settings("one")) as first, Hub.open(hubs.settings("two", "two")) as second:
+        until(lambda: second.zid in first.neighbours() and first.zid in second.neighbours(), "they are linked")
         hubs.unanswered = 4
         cut(int(hubs.endpoint.rpartition(":")[2]))
-        until(lambda: one.mesh.mended + two.mesh.mended, "the link is there again")
+        until(lambda: first.mesh.mended + second.mesh.mended, "the link is there again")
         assert not hubs.unanswered
 
 
 def test_a_session_that_left_is_given_up(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 1.0)
-    with Hub.open(hubs.settings("one")) as one:
-        with Hub.open(hubs.settings("two", "two")) as two:
-            until(lambda: two.zid in one.neighbours(), "they are linked")
-        until(lambda: two.zid not in one.neighbours(), "the link's end is known")
-        until(lambda: not one.mesh.lost, "the search has ended")
-        assert not one.mesh.mended
+    with Hub.open(hubs.settings("one")) as first:
+        with Hub.open(hubs.settings("two", "two")) as second:
+            until(lambda: second.zid in first.neighbours(), "they are linked")
+        until(lambda: second.zid not in first.neighbours(), "the link's end is known")
+        until(lambda: not first.mesh.lost, "the search has ended")
+        assert not first.mesh.mended
 
 
 class LateThread(threading.Thread):
@@ -126,4 +131,4 @@ def test_a_session_may_be_closed_before_its_thread_watches(hubs: QuickHub, monke
 
     monkeypatch.setattr(links, "Thread", thread)
     Hub.open(hubs.settings("one")).close()
-    assert [one.is_alive() for one in threads] == [False]
+    assert [mesh_thread.is_alive() for mesh_thread in threads] == [False]

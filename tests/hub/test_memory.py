@@ -35,16 +35,16 @@ def test_big_messages_with_and_without(first: bool, second: bool):
         Hub.open(network.settings("b", shared_memory=second)) as b,
     ):
         see_each_other(a, b)
-        heard = Heard(b, "/image", STREAM)
+        subscriber = Heard(b, "/image", STREAM)
         publisher = talk(a, "/image", STREAM)
         matched(publisher)
         # held by the listener, they are more than the pool has room for: the rest goes over the network
         for number in range(10):
             payload = bytes([number]) * 6_000_000
-            seen = len(heard.samples)
-            came = lambda: any(s.data() == payload for s in heard.samples[seen:])  # noqa: B023, E731
-            until(lambda: publisher.put(payload) or came(), "heard", every=0.2)  # noqa: B023
-        assert {sample.data() for sample in heard.samples} == {bytes([n]) * 6_000_000 for n in range(10)}
+            seen = len(subscriber.samples)
+            arrived = lambda: any(s.data() == payload for s in subscriber.samples[seen:])  # noqa: B023, E731
+            until(lambda: publisher.put(payload) or arrived(), "heard", every=0.2)  # noqa: B023
+        assert {sample.data() for sample in subscriber.samples} == {bytes([n]) * 6_000_000 for n in range(10)}
 
 
 def segments(pid: int) -> set[Path]:
@@ -56,14 +56,14 @@ def segments(pid: int) -> set[Path]:
 def send_big(network: HubNetwork, number: signal.Signals) -> set[Path]:
     """One session sends a large message to another, in two processes; check the sender's exit and its segments."""
     with network.hub_peer("listener") as listener, network.hub_peer("sender") as sender:
-        heard = listener.ask("subscription", topic="/image")["id"]
+        subscription_id = listener.ask("subscription", topic="/image")["id"]
         publisher = sender.ask("publisher", topic="/image", latched=False)["id"]
 
-        def came() -> bool:
+        def arrived() -> bool:
             sender.ask("put", id=publisher, text="x" * 1_000_000)
-            return bool(listener.ask("wait", id=heard, count=1, seconds=0.2)["texts"])
+            return bool(listener.ask("wait", id=subscription_id, count=1, seconds=0.2)["texts"])
 
-        until(came, "heard")
+        until(arrived, "heard")
         used = segments(sender.pid)
         assert 1 << 20 < max(segment.stat().st_size for segment in used) <= 16 << 20
         sender.signal(number)
@@ -84,14 +84,14 @@ def test_no_pool_is_left_of_a_killed_session():
 def test_a_small_map_takes_no_pool():
     """Zenoh would lock the whole pool into the memory of both."""
     with HubNetwork() as network, network.hub_peer("listener") as listener, network.hub_peer("sender") as sender:
-        heard = listener.ask("subscription", topic="/map")["id"]
+        subscription_id = listener.ask("subscription", topic="/map")["id"]
         publisher = sender.ask("publisher", topic="/map", latched=False)["id"]
 
-        def came() -> bool:
+        def arrived() -> bool:
             sender.ask("put", id=publisher, text="x" * 60_000)
-            return bool(listener.ask("wait", id=heard, count=1, seconds=0.2)["texts"])
+            return bool(listener.ask("wait", id=subscription_id, count=1, seconds=0.2)["texts"])
 
-        until(came, "heard")
+        until(arrived, "heard")
         assert max((segment.stat().st_size for segment in segments(sender.pid)), default=0) < 4 << 20
 
 
@@ -108,14 +108,14 @@ def test_a_program_that_forgets_to_close_ends():
 def test_publishers_that_come_and_go_leave_nothing_in_a_subscription(qos: Qos):
     with HubNetwork() as network, Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
-        heard = Heard(b, "/busy", qos)
+        subscriber = Heard(b, "/busy", qos)
         stays = talk(a, "/busy", qos)
         matched(stays)
         for number in range(400):
             publisher = talk(a, "/busy", qos, str(number))
-            until(lambda n=number: len(heard.samples) > n, "heard")
+            until(lambda n=number: len(subscriber.samples) > n, "heard")
             publisher.close()
-        assert len(heard.subscription.sources) < 200
+        assert len(subscriber.subscription.sources) < 200
         stays.put(b"still")
-        until(lambda: heard.texts()[-1] == "still", "the remaining one is received")
-        assert heard.subscription.lost == 0
+        until(lambda: subscriber.texts()[-1] == "still", "the remaining one is received")
+        assert subscriber.subscription.lost == 0

@@ -82,11 +82,11 @@ def test_a_second_machine_of_the_name_is_reported_and_kept_apart(
     lines = [record for record in caplog.records if record.name == "bridge.hub.namesakes"]
     assert [line.levelno for line in lines] == [logging.WARNING] * 2, "one line of each router"
     for machine, number in ((first, 1), (second, 2)):
-        found = distinct(machine.answers(), machine.hub.zid)
-        assert sorted(a.worker for a in found if a.daemon == "robot1") == ["ros1", "router"]
-        (own,) = [a.value["number"] for a in found if a.worker == "ros1" and a.daemon == "robot1"]
-        assert own == number
-        (name,) = {a.daemon for a in found} - {"robot1"}
+        answers = distinct(machine.answers(), machine.hub.zid)
+        assert sorted(a.worker for a in answers if a.daemon == "robot1") == ["ros1", "router"]
+        (own_number,) = [a.value["number"] for a in answers if a.worker == "ros1" and a.daemon == "robot1"]
+        assert own_number == number
+        (name,) = {a.daemon for a in answers} - {"robot1"}
         assert name.startswith("robot1 (router ")
     second.close()
     until(lambda: not first.warning(), "the warning ends")
@@ -140,7 +140,7 @@ class Daemon:
         """Return the numbers that the workers ``ros1`` report, by the distinct names of their daemons."""
         answers = self.hub.ask("status", {})
         names = DaemonNames(answers, self.hub.zid, [self.identity.instance])
-        return {each.daemon: each.value["number"] for each in names.apply(answers) if each.worker == "ros1"}
+        return {answer.daemon: answer.value["number"] for answer in names.apply(answers) if answer.worker == "ros1"}
 
 
 @pytest.mark.parametrize("router", ["Midspan's", "another"])
@@ -160,11 +160,11 @@ def test_a_second_daemon_of_the_name_at_the_same_router(
             assert "set another 'name'" in text
             assert daemon is second or other.identity.place in text
             numbers = until(lambda d=daemon: len(d.numbers()) == 2 and d.numbers(), "both workers answer")
-            own, others = {first: (1, 2), second: (2, 1)}[daemon]
-            assert numbers == {"robot1": own, f"robot1 ({other.identity.place})": others}
+            own_number, other_number = {first: (1, 2), second: (2, 1)}[daemon]
+            assert numbers == {"robot1": own_number, f"robot1 ({other.identity.place})": other_number}
             answers = daemon.hub.ask("status", {}, daemon="robot1")
             mine = own_answers(answers, daemon.hub.zid, daemon.identity)
-            assert [answer.value["number"] for answer in mine if answer.worker == "ros1"] == [own]
+            assert [answer.value["number"] for answer in mine if answer.worker == "ros1"] == [own_number]
         levels = [record.levelno for record in caplog.records if record.name == "bridge.hub.namesakes"]
         assert levels == [logging.WARNING] * 2, "one line of each router"
     until(lambda: "robot1'" not in first.warning(), "the warning ends")
@@ -181,9 +181,10 @@ def test_daemons_of_two_names_and_one_daemons_router_are_not_reported(stack: Exi
 
 
 def test_workers_without_an_identity_keep_their_name() -> None:
-    a, b = (DaemonIdentity(each, "pc", f"/{each}") for each in "ab")
+    a, b = (DaemonIdentity(letter, "pc", f"/{letter}") for letter in "ab")
     answers = [
-        WorkerAnswer("robot1", "ros1", {}, session=each, identity=of) for each, of in (("1", a), ("2", b), ("3", None))
+        WorkerAnswer("robot1", "ros1", {}, session=session_id, identity=identity)
+        for session_id, identity in (("1", a), ("2", b), ("3", None))
     ]
     names = DaemonNames(answers, "9")
     assert [answer.daemon for answer in names.apply(answers)] == [

@@ -200,7 +200,7 @@ def test_large_messages_arrive_with_a_full_folder(case: str, trouble: str) -> No
         pytest.skip("may not mount a separate /dev/shm")
     assert ended.returncode == 0, ended.stderr
     assert ended.stderr.count("large messages go over the network link") == bool(trouble), "the log has it once"
-    received, said = json.loads(ended.stdout.splitlines()[-1])
+    received, warning = json.loads(ended.stdout.splitlines()[-1])
     assert received == 20
-    assert bool(said) == bool(trouble)
-    assert trouble in said
+    assert bool(warning) == bool(trouble)
+    assert trouble in warning

@@ -50,9 +50,9 @@ def test_probe_tells_who_is_there():
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     assert probe_router(endpoint) is None
     with HubNetwork() as network:
-        found = probe_router(network.endpoint)
-        assert found is not None
-        assert (found.mode, found.daemon, found.pid > 0) == ("router", "test", True)
+        router = probe_router(network.endpoint)
+        assert router is not None
+        assert (router.mode, router.daemon, router.pid > 0) == ("router", "test", True)
     tree = session_tree(None, shared_memory=False, max_payload=MAX_PAYLOAD)
     for mode in ("router", "peer"):
         config = make_config(tree, {"mode": mode, "listen": {"endpoints": [endpoint]}})
@@ -72,9 +72,9 @@ def test_a_second_router_is_refused_or_stands_by():
             assert (health.state, "daemon test" in health.text) == ("standby", True)
             network.stop_router()
             until(lambda: standby.health().state == "running", "it takes over")
-            found = probe_router(network.endpoint)
-            assert found is not None
-            assert found.daemon == "robot1"
+            router = probe_router(network.endpoint)
+            assert router is not None
+            assert router.daemon == "robot1"
         finally:
             standby.stop()
 
@@ -109,26 +109,26 @@ def test_opening_does_not_wait_for_the_router_and_joins_when_it_comes():
     with network:
         start = time.monotonic()
         with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-            heard = Heard(b, "/map", LATCHED)
+            subscriber = Heard(b, "/map", LATCHED)
             talk(a, "/map", LATCHED, "x")
             # a bound for hanging, not a measurement
             assert time.monotonic() - start < 15
             assert [n.node for n in a.graph.nodes()] == ["a"]
             network.start_router()
             see_each_other(a, b)
-            heard.expect("x")
+            subscriber.expect("x")
 
 
 def test_a_restarted_router_is_joined_again():
     with HubNetwork() as network, Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
-        heard = Heard(b, "/map", LATCHED)
+        subscriber = Heard(b, "/map", LATCHED)
         publisher = talk(a, "/map", LATCHED, "one")
-        heard.expect("one")
+        subscriber.expect("one")
         network.stop_router()
         # the direct link goes on
         publisher.put(b"two")
-        heard.expect("one", "two")
+        subscriber.expect("one", "two")
         network.start_router()
         with Hub.open(network.settings("c")) as c:
             see_each_other(a, b, c)
@@ -143,17 +143,17 @@ def test_clients_have_no_link_but_the_routers_and_find_each_other_again():
         Hub.open(network.settings("b")) as b,
     ):
         see_each_other(a, b)
-        heard = Heard(b, "/map", LATCHED)
+        subscriber = Heard(b, "/map", LATCHED)
         publisher = talk(a, "/map", LATCHED, "one")
-        heard.expect("one")
+        subscriber.expect("one")
         network.stop_router()
         until(lambda: len(a.graph.nodes()) == 1, "they lost each other")
         network.start_router()
         see_each_other(a, b)
         matched(publisher)
         publisher.put(b"two")
-        until(lambda: "two" in heard.texts(), "the data is back")
-        assert heard.texts().count("one") == heard.texts().count("two") == 1
+        until(lambda: "two" in subscriber.texts(), "the data is back")
+        assert subscriber.texts().count("one") == subscriber.texts().count("two") == 1
 
 
 def test_a_client_without_its_router_is_refused():

@@ -62,14 +62,14 @@ def test_more_pools_than_living_holders_are_orphans(tmp_path: Path, holders: lis
 def test_a_killed_sender_leaves_an_orphan_with_its_listener(tmp_path: Path) -> None:
     """The reason for `pools.orphans`: if a later zenoh releases the memory of dead processes, it is obsolete."""
     with HubNetwork() as network, network.hub_peer("listener") as listener:
-        heard = listener.ask("subscription", topic="/image")["id"]
+        subscription_id = listener.ask("subscription", topic="/image")["id"]
         for number in range(1, 4):
             with network.hub_peer("sender") as sender:
                 publisher = sender.ask("publisher", topic="/image", latched=False)["id"]
 
                 def holds(sender=sender, publisher=publisher, number=number) -> bool:
                     sender.ask("put", id=publisher, text="x" * 1_000_000)
-                    listener.ask("wait", id=heard, count=1, seconds=0.1)
+                    listener.ask("wait", id=subscription_id, count=1, seconds=0.1)
                     maps = Path(f"/proc/{listener.pid}/maps").read_text().splitlines()
                     return sum(".zenoh" in line and pool_size(line) == POOL for line in maps) >= number
 

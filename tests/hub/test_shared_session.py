@@ -54,7 +54,9 @@ def far(network: HubNetwork) -> Iterator[Hub]:
 @EACH_QOS
 def test_each_hears_the_others_once_and_not_itself(qos: Qos, one: Hub, two: Hub, far: Hub) -> None:
     hubs = {"one": one, "two": two, "far": far}
-    heard = [(name, Heard(hub, "/t", qos, **how)) for name, hub in hubs.items() for how in ({}, {"type_hash": "*"})]
+    subscribers = [
+        (name, Heard(hub, "/t", qos, **how)) for name, hub in hubs.items() for how in ({}, {"type_hash": "*"})
+    ]
     says = {name: talk(hub, "/t", qos) for name, hub in hubs.items()}
     until(lambda: all(len(hub.graph.subscriptions("/t")) == 6 for hub in hubs.values()), "all are seen")
     for publisher in says.values():
@@ -63,26 +65,32 @@ def test_each_hears_the_others_once_and_not_itself(qos: Qos, one: Hub, two: Hub,
     for number in range(count):
         for name, publisher in says.items():
             publisher.put(f"{name} {number}".encode())
-        until(lambda number=number: all(len(each.samples) > 2 * number + 1 for _, each in heard), f"{number} is heard")
-    for name, each in heard:
-        each.expect(*(f"{other} {number}" for other in hubs if other != name for number in range(count)))
-        assert each.subscription.lost == 0
+        until(
+            lambda number=number: all(len(subscriber.samples) > 2 * number + 1 for _, subscriber in subscribers),
+            f"{number} is heard",
+        )
+    for name, subscriber in subscribers:
+        subscriber.expect(*(f"{other} {number}" for other in hubs if other != name for number in range(count)))
+        assert subscriber.subscription.lost == 0
 
 
 @pytest.mark.parametrize("qos", [LATCHED, BEST_EFFORT_LATCHED], ids=["reliable", "best effort"])
 def test_late_joiners_get_what_the_others_keep_and_not_their_own(qos: Qos, session: HubSession, far: Hub) -> None:
-    one, two = (Hub.on(session, name, name) for name in ("one", "two"))
-    says = [talk(hub, "/map", qos, "old", text) for hub, text in ((one, "1"), (two, "2"), (far, "far"))]
-    until(lambda: len(one.graph.publishers("/map")) == len(far.graph.publishers("/map")) == 3, "all are seen")
-    heard = [Heard(one, "/map", qos), Heard(two, "/map", qos), Heard(far, "/map", qos)]
-    three = Hub.on(session, "three", "three")
-    heard.append(Heard(three, "/map", qos))
-    for each, texts in zip(heard, (("2", "far"), ("1", "far"), ("1", "2"), ("1", "2", "far")), strict=True):
-        each.expect(*texts)
+    first_node, second_node = (Hub.on(session, name, name) for name in ("one", "two"))
+    says = [talk(hub, "/map", qos, "old", text) for hub, text in ((first_node, "1"), (second_node, "2"), (far, "far"))]
+    until(lambda: len(first_node.graph.publishers("/map")) == len(far.graph.publishers("/map")) == 3, "all are seen")
+    subscribers = [Heard(first_node, "/map", qos), Heard(second_node, "/map", qos), Heard(far, "/map", qos)]
+    third_node = Hub.on(session, "three", "three")
+    subscribers.append(Heard(third_node, "/map", qos))
+    for subscriber, texts in zip(subscribers, (("2", "far"), ("1", "far"), ("1", "2"), ("1", "2", "far")), strict=True):
+        subscriber.expect(*texts)
     for publisher in says:
         publisher.put(b"new")
-    for each, count in zip(heard, (2, 2, 2, 3), strict=True):
-        until(lambda each=each, count=count: each.texts().count("new") == count, "the next message arrives")
+    for subscriber, count in zip(subscribers, (2, 2, 2, 3), strict=True):
+        until(
+            lambda subscriber=subscriber, count=count: subscriber.texts().count("new") == count,
+            "the next message arrives",
+        )
 
 
 def test_a_history_and_what_follows_it_without_a_gap_or_a_double(one: Hub, two: Hub) -> None:
@@ -136,15 +144,15 @@ def test_ros_2_sees_each_node_by_its_name(network: HubNetwork, one: Hub, two: Hu
 
 
 def test_a_call_of_a_neighbour_is_answered_once_and_a_far_one_too(one: Hub, two: Hub, far: Hub) -> None:
-    asked: list[bytes] = []
-    Serving(one, answer=lambda request: (asked.append(request), b"re " + request)[1])
+    requests: list[bytes] = []
+    Serving(one, answer=lambda request: (requests.append(request), b"re " + request)[1])
     for hub in (two, far):
         caller = client(hub)
         name = hub.graph.clients("/do")[0].node.encode()
         assert [call(caller, name + b"%d" % n)[0].wait() for n in range(20)] == [
             b"re " + name + b"%d" % n for n in range(20)
         ]
-    assert len(asked) == 40
+    assert len(requests) == 40
 
 
 def test_a_node_does_not_call_itself(one: Hub, two: Hub) -> None:
@@ -159,24 +167,24 @@ def test_a_node_does_not_call_itself(one: Hub, two: Hub) -> None:
 
 
 def test_callers_and_servers_that_leave_are_noticed(session: HubSession) -> None:
-    server, one, two = (Hub.on(session, name, name) for name in ("server", "one", "two"))
+    server, first_caller, second_caller = (Hub.on(session, name, name) for name in ("server", "one", "two"))
     serving = Serving(server)
-    first, abandon = call(client(one), b"one")
-    call(client(two), b"two")
+    first, abandon = call(client(first_caller), b"one")
+    call(client(second_caller), b"two")
     until(lambda: len(serving.held) == 2, "both are asked")
-    two.close()
+    second_caller.close()
     until(lambda: serving.abandoned == [b"two"], "its node has left")
     abandon()
     until(lambda: serving.abandoned == [b"two", b"one"], "it no longer waits")
     assert first.ends == []
-    last, _ = call(client(one), b"last")
+    last, _ = call(client(first_caller), b"last")
     server.close()
     assert "left before it answered" in str(last.wait())
 
 
 def test_a_node_that_closes_takes_its_own_along_alone(session: HubSession, far: Hub) -> None:
     stays, goes = Hub.on(session, "stays", "stays"), Hub.on(session, "goes", "goes")
-    says, heard = talk(stays, "/t", LATCHED, "kept"), Heard(stays, "/u")
+    says, subscriber = talk(stays, "/t", LATCHED, "kept"), Heard(stays, "/u")
     talk(goes, "/t", LATCHED, "lost")
     Heard(goes, "/u")
     Serving(goes)
@@ -187,9 +195,9 @@ def test_a_node_that_closes_takes_its_own_along_alone(session: HubSession, far: 
     gaps: list[set[str]] = []
 
     def look() -> None:
-        there = {end.topic for end in far.graph.endpoints() if end.node == "stays"}
-        if there != {"/t", "/u"}:
-            gaps.append(there)
+        topics = {end.topic for end in far.graph.endpoints() if end.node == "stays"}
+        if topics != {"/t", "/u"}:
+            gaps.append(topics)
 
     unwatch = far.graph.watch(look)
     goes.close()
@@ -201,7 +209,7 @@ def test_a_node_that_closes_takes_its_own_along_alone(session: HubSession, far: 
     speaker = talk(far, "/u")
     matched(speaker)
     speaker.put(b"on")
-    heard.expect("on")
+    subscriber.expect("on")
     unwatch()
     assert gaps == [], "what stays was on the graph all the time"
     assert says.matched()
@@ -218,10 +226,10 @@ def test_a_node_that_closes_takes_its_own_along_alone(session: HubSession, far: 
 def test_what_one_publishes_in_the_callback_of_another_comes_too(one: Hub, two: Hub) -> None:
     """As a brake does: the callback runs on the thread that publishes, which holds no lock that it needs."""
     answers = talk(two, "/answer")
-    heard = Heard(one, "/answer")
+    subscriber = Heard(one, "/answer")
     two.subscription("/ask", STRING, STRING_HASH, STREAM, lambda sample: answers.put(b"re " + sample.data()))
     one.publisher("/ask", STRING, STRING_HASH, STREAM).put(b"you")
-    assert heard.texts() == ["re you"], "before put returned"
+    assert subscriber.texts() == ["re you"], "before put returned"
 
 
 PATIENT = {
@@ -238,14 +246,14 @@ def test_what_waits_for_one_who_does_not_read_holds_up_no_neighbour(network: Hub
         Hub.open(replace(settings, node="far")) as far,
         closing(HubSession.open(replace(settings, zenoh=PATIENT), shared=True)) as session,
     ):
-        one, two = Hub.on(session, "one", "one"), Hub.on(session, "two", "two")
-        see_each_other(one, stands, far)
-        heard, _ = Heard(far, "/odom"), Heard(stands, "/odom")
-        values, stop = one.keyspace("values"), talk(one, "/stop")
+        first_node, second_node = Hub.on(session, "one", "one"), Hub.on(session, "two", "two")
+        see_each_other(first_node, stands, far)
+        subscriber, _ = Heard(far, "/odom"), Heard(stands, "/odom")
+        values, stop = first_node.keyspace("values"), talk(first_node, "/stop")
         stands.keyspace("values").subscribe("**", lambda _: None)
         stands.subscription("/stop", TYPE, HASH, STREAM, lambda _: read.wait(60.0) and None)
-        odometry = talk(two, "/odom")
-        until(lambda: len(two.graph.subscriptions("/odom")) == 2, "both are seen")
+        odometry = talk(second_node, "/odom")
+        until(lambda: len(second_node.graph.subscriptions("/odom")) == 2, "both are seen")
         matched(stop)
 
         def send() -> None:
@@ -258,7 +266,7 @@ def test_what_waits_for_one_who_does_not_read_holds_up_no_neighbour(network: Hub
             sending.start()
             for number in range(100):
                 odometry.put(b"%d" % number)
-                until(lambda number=number: len(heard.samples) > number, f"{number} is heard", 5.0)
+                until(lambda number=number: len(subscriber.samples) > number, f"{number} is heard", 5.0)
             assert not ended.is_set(), "it was sent: this shows nothing"
         finally:
             read.set()

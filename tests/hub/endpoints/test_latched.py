@@ -67,9 +67,9 @@ def test_a_session_that_leaves_takes_its_messages_along(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         talk(a, "/map", LATCHED, "stays")
         with Hub.open(network.settings("c")) as c:
-            gone = talk(c, "/map", LATCHED, "goes")
+            publisher = talk(c, "/map", LATCHED, "goes")
             Heard(b, "/map", LATCHED).expect("stays", "goes")
-            assert gone.gid != bytes(16)
+            assert publisher.gid != bytes(16)
         until(lambda: len(b.graph.publishers("/map")) == 1, "it left")
         Heard(b, "/map", LATCHED).expect("stays")
 
@@ -108,9 +108,9 @@ def test_depth(network: HubNetwork, published: int, asked: int, expected: int):
         see_each_other(a, b)
         texts = [str(n) for n in range(5)]
         kept = talk(a, "/map", replace(LATCHED, depth=published), *texts)
-        heard = Heard(b, "/map", replace(LATCHED, depth=asked))
-        heard.expect(*texts[-expected:])
-        assert heard.texts() == texts[-expected:]
+        subscriber = Heard(b, "/map", replace(LATCHED, depth=asked))
+        subscriber.expect(*texts[-expected:])
+        assert subscriber.texts() == texts[-expected:]
         assert kept.matched()
 
 
@@ -120,9 +120,9 @@ def test_keep_all_keeps_many(network: HubNetwork):
         every = Qos(LATCHED.reliability, LATCHED.durability, History.KEEP_ALL, depth=1)
         texts = [str(n) for n in range(300)]
         publisher = talk(a, "/map", every, *texts)
-        heard = Heard(b, "/map", every)
-        heard.expect(*texts)
-        assert heard.texts() == texts
+        subscriber = Heard(b, "/map", every)
+        subscriber.expect(*texts)
+        assert subscriber.texts() == texts
         assert publisher.matched()
 
 
@@ -130,36 +130,36 @@ def test_own_latched_messages_are_not_received(network: HubNetwork):
     """Zenoh's locality does not apply to caches; the hub's does."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
-        own = talk(a, "/map", LATCHED, "own")
+        own_publisher = talk(a, "/map", LATCHED, "own")
         talk(b, "/map", LATCHED, "other")
-        heard = Heard(a, "/map", LATCHED)
-        heard.expect("other")
-        own.put(b"more")
+        subscriber = Heard(a, "/map", LATCHED)
+        subscriber.expect("other")
+        own_publisher.put(b"more")
         Heard(b, "/map", LATCHED).expect("more")
         talk(b, "/map", LATCHED, "last")
-        heard.expect("other", "last")
+        subscriber.expect("other", "last")
 
 
 def test_volatile_subscriptions_hear_latched_publishers_from_now_on(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         publisher = talk(a, "/map", LATCHED, "past")
-        heard = Heard(b, "/map", STREAM)
+        subscriber = Heard(b, "/map", STREAM)
         matched(publisher)
         publisher.put(b"now")
-        heard.expect("now")
-        assert heard.samples[0].zid == a.zid
+        subscriber.expect("now")
+        assert subscriber.samples[0].zid == a.zid
 
 
 def test_latched_subscriptions_hear_volatile_publishers(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         publisher = talk(a, "/map", STREAM, "past")
-        heard = Heard(b, "/map", LATCHED)
+        subscriber = Heard(b, "/map", LATCHED)
         matched(publisher)
         publisher.put(b"one")
         publisher.put(b"two")
-        heard.expect("one", "two")
+        subscriber.expect("one", "two")
 
 
 def test_a_big_latched_message(network: HubNetwork):
@@ -207,18 +207,18 @@ def test_a_gap_is_filled_from_the_cache(network: HubNetwork):
     """A live sample skips numbers: the missing samples are queried, and are delivered in order before it."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
-        heard = Heard(b, "/map", replace(LATCHED, depth=10))
+        subscriber = Heard(b, "/map", replace(LATCHED, depth=10))
         publisher = talk(a, "/map", replace(LATCHED, depth=10), "one")
-        heard.expect("one")
-        source = heard.subscription.sources[publisher.gid]
-        heard.samples.clear()
+        subscriber.expect("one")
+        source = subscriber.subscription.sources[publisher.gid]
+        subscriber.samples.clear()
         # as if the first had never come
-        with heard.subscription._lock:
+        with subscriber.subscription._lock:
             source.sequence = 0
         publisher.put(b"two")
-        heard.expect("one", "two")
-        assert heard.texts() == ["one", "two"]
-        assert heard.subscription.lost == 0
+        subscriber.expect("one", "two")
+        assert subscriber.texts() == ["one", "two"]
+        assert subscriber.subscription.lost == 0
 
 
 def test_an_answer_on_another_key_is_left_out(network: HubNetwork) -> None:
@@ -226,7 +226,7 @@ def test_an_answer_on_another_key_is_left_out(network: HubNetwork) -> None:
     key = topic_key(network.domain, "/goal", TYPE, HASH)
     other = topic_key(network.domain, "/harmless", TYPE, HASH)
     with Hub.open(network.settings("a")) as a, network.program() as forger:
-        heard = Heard(a, "/goal", LATCHED)
+        subscriber = Heard(a, "/goal", LATCHED)
 
         def answer(query: zenoh.Query) -> None:
             with query:
@@ -236,7 +236,7 @@ def test_an_answer_on_another_key_is_left_out(network: HubNetwork) -> None:
         place = f"{key}/@adv/pub/{forger.zid()}/7/_"
         forger.declare_queryable(place, answer)
         token = forger.liveliness().declare_token(place)
-        heard.expect("kept")
+        subscriber.expect("kept")
         token.undeclare()
 
 
@@ -290,15 +290,15 @@ def test_a_publisher_whose_query_found_nothing_is_queried_again(network: HubNetw
     executor, delays = SerialExecutor("test-asking"), DelayedCalls("test-delays")
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
-        own, far = a._session, b._session
-        history = latched.LatchedHistory(own, key, 1, events, executor, delays, recovers=False)
+        local_session, remote_session = a._session, b._session
+        history = latched.LatchedHistory(local_session, key, 1, events, executor, delays, recovers=False)
         history.open()
         try:
-            publisher = f"{key}/@adv/pub/{far.zid()}/7"
-            token = far.liveliness().declare_token(f"{publisher}/_")
+            publisher = f"{key}/@adv/pub/{remote_session.zid()}/7"
+            token = remote_session.liveliness().declare_token(f"{publisher}/_")
             until(lambda: "done" in events, "the first query ends")
             assert "came" not in events
-            cache = far.declare_queryable(f"{publisher}/**", lambda query: query.reply(key, b"kept"))
+            cache = remote_session.declare_queryable(f"{publisher}/**", lambda query: query.reply(key, b"kept"))
             until(lambda: "came" in events, "the cached sample arrives", 10)
             cache.undeclare()
             token.undeclare()

@@ -82,20 +82,20 @@ def test_it_hears_us(hub: Hub, sdk: Peer):
 
 
 def test_we_hear_it(hub: Hub, sdk: Peer):
-    heard: list[HubSample] = []
-    hub.subscription("/chatter", STRING, STRING_HASH, STREAM, heard.append)
+    samples: list[HubSample] = []
+    hub.subscription("/chatter", STRING, STRING_HASH, STREAM, samples.append)
     talker = sdk.advertise("/chatter", "std_msgs/String")
     until(lambda: hub.graph.publishers("/chatter"), "seen")
     before = time.time_ns()
     # the SDK does not report a match: it repeats the first message until it is received
-    until(lambda: sdk.publish(talker, {"data": "first"}) or heard, "the first message arrives")
+    until(lambda: sdk.publish(talker, {"data": "first"}) or samples, "the first message arrives")
     sdk.publish(talker, {"data": "second"})
-    until(lambda: heard[-1].data() == cdr("second"), "the second message arrives")
-    assert {sample.data() for sample in heard} == {cdr("first"), cdr("second")}
-    assert [b.sequence - a.sequence for a, b in itertools.pairwise(heard)] == [1] * (len(heard) - 1)
-    assert before <= heard[0].source_time_ns <= time.time_ns()
-    assert len({sample.gid for sample in heard}) == 1
-    assert {sample.zid for sample in heard} == {""}
+    until(lambda: samples[-1].data() == cdr("second"), "the second message arrives")
+    assert {sample.data() for sample in samples} == {cdr("first"), cdr("second")}
+    assert [b.sequence - a.sequence for a, b in itertools.pairwise(samples)] == [1] * (len(samples) - 1)
+    assert before <= samples[0].source_time_ns <= time.time_ns()
+    assert len({sample.gid for sample in samples}) == 1
+    assert {sample.zid for sample in samples} == {""}
 
 
 def test_it_gets_what_our_latched_publishers_keep(hub: Hub, sdk: Peer, network: HubNetwork):

@@ -64,9 +64,9 @@ class Serving:
 
 
 def client(hub: Hub, name: str = "/do") -> HubClient:
-    made = hub.client(name, SERVICE, HASH)
-    until(lambda: made.ready, "the client sees its server")
-    return made
+    service_client = hub.client(name, SERVICE, HASH)
+    until(lambda: service_client.ready, "the client sees its server")
+    return service_client
 
 
 def call(caller: HubClient, request: bytes = b"go") -> tuple[Called, Abandon]:
@@ -224,8 +224,8 @@ def test_own_calls_and_other_types_are_not_served(network: HubNetwork) -> None:
         serving = Serving(a)
         other = b.client("/do", SERVICE, "RIHS01_" + "00" * 32)
         client(b)
-        own = a.client("/do", SERVICE, HASH)
-        assert [call(each)[0].wait(0) for each in (own, other)] == ["no server of /do is on the hub"] * 2
+        own_client = a.client("/do", SERVICE, HASH)
+        assert [call(caller)[0].wait(0) for caller in (own_client, other)] == ["no server of /do is on the hub"] * 2
         assert serving.held == []
 
 
@@ -233,16 +233,16 @@ def test_a_client_or_session_that_closes_ends_its_calls(network: HubNetwork) -> 
     with Hub.open(network.settings("a")) as a:
         serving = Serving(a)
         b = Hub.open(network.settings("b"))
-        one, two = client(b), client(b)
-        first, _ = call(one, b"one")
-        second, _ = call(two, b"two")
+        first_client, second_client = client(b), client(b)
+        first, _ = call(first_client, b"one")
+        second, _ = call(second_client, b"two")
         until(lambda: len(serving.held) == 2, "asked")
-        one.close()
-        one.close()
+        first_client.close()
+        first_client.close()
         assert first.wait(0) == "the call of /do was ended: its client was closed"
         b.close()
         assert second.wait(0) == "the call of /do was ended: its client was closed"
-        assert call(one)[0].wait(0) == "no server of /do is on the hub"
+        assert call(first_client)[0].wait(0) == "no server of /do is on the hub"
         until(lambda: sorted(serving.abandoned) == [b"one", b"two"], "the server knows")
 
 
@@ -297,19 +297,19 @@ def test_servers_that_share_a_name_answer_once(network: HubNetwork) -> None:
         Hub.open(network.settings("b")) as b,
         Hub.open(network.settings("c")) as c,
     ):
-        asked: list[tuple[str, bytes]] = []
-        Serving(a, answer=lambda request: asked.append(("a", request)) or b"re " + request)
-        Serving(b, answer=lambda request: asked.append(("b", request)) or b"re " + request)
+        requests: list[tuple[str, bytes]] = []
+        Serving(a, answer=lambda request: requests.append(("a", request)) or b"re " + request)
+        Serving(b, answer=lambda request: requests.append(("b", request)) or b"re " + request)
         see_each_other(a, b, c)
         caller = client(c)
 
         def both() -> bool:
             called, _ = call(caller)
             assert called.wait() == b"re go"
-            return {who for who, _ in asked} == {"a", "b"}
+            return {server for server, _ in requests} == {"a", "b"}
 
         until(both, "both were asked")
         called, _ = call(caller, b"last")
         assert called.wait() == b"re last"
-        until(lambda: {("a", b"last"), ("b", b"last")} <= set(asked), "both were asked again")
+        until(lambda: {("a", b"last"), ("b", b"last")} <= set(requests), "both were asked again")
         assert len(called.ends) == 1

@@ -77,11 +77,11 @@ def test_its_death_ends_our_call(hub: Hub, sdk: Peer) -> None:
 
 
 def test_we_answer_it(hub: Hub, sdk: Peer) -> None:
-    heard: list[dict[str, Any]] = []
+    requests: list[dict[str, Any]] = []
 
     def serve(request: bytes, done: Done) -> Abandon:
-        heard.append(MessageReader(REQUEST, request).message())
-        on = heard[-1]["data"]
+        requests.append(MessageReader(REQUEST, request).message())
+        on = requests[-1]["data"]
         done(MessageWriter(RESPONSE).message({"success": on, "message": "hällo"}) if on else CallError("never off"))
         return lambda: None
 
@@ -95,5 +95,5 @@ def test_we_answer_it(hub: Hub, sdk: Peer) -> None:
     until(lambda: result(on=True)["reply"] == {"success": True, "message": "hällo"}, "answered", 30)
     refused = result(on=False)
     assert (refused["done"], refused["reply"]) == (True, None)
-    assert {"data": False} in heard
+    assert {"data": False} in requests
     assert "Service call failed: never off" in sdk.output()

@@ -23,39 +23,39 @@ from tests.support.wait import until
 
 def test_samples_arrive_in_order_with_what_they_carry(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        heard = Heard(b, "/chatter")
+        subscriber = Heard(b, "/chatter")
         publisher = talk(a, "/chatter")
         matched(publisher)
         for number in range(100):
             publisher.put(b"%d" % number, source_time_ns=1000 + number)
-        until(lambda: len(heard.samples) == 100, "all heard")
-        assert heard.texts() == [str(n) for n in range(100)]
-        assert [s.sequence for s in heard.samples] == list(range(1, 101))
-        assert [s.source_time_ns for s in heard.samples] == list(range(1000, 1100))
-        assert {s.gid for s in heard.samples} == {publisher.gid}
-        assert {s.zid for s in heard.samples} == {a.zid}
-        assert heard.subscription.lost == 0
+        until(lambda: len(subscriber.samples) == 100, "all heard")
+        assert subscriber.texts() == [str(n) for n in range(100)]
+        assert [s.sequence for s in subscriber.samples] == list(range(1, 101))
+        assert [s.source_time_ns for s in subscriber.samples] == list(range(1000, 1100))
+        assert {s.gid for s in subscriber.samples} == {publisher.gid}
+        assert {s.zid for s in subscriber.samples} == {a.zid}
+        assert subscriber.subscription.lost == 0
 
 
 def test_source_time_is_now_unless_given(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        heard = Heard(b, "/chatter")
+        subscriber = Heard(b, "/chatter")
         publisher = talk(a, "/chatter")
         matched(publisher)
         before = time.time_ns()
         publisher.put(b"x")
-        heard.expect("x")
-        assert before <= heard.samples[0].source_time_ns <= time.time_ns()
+        subscriber.expect("x")
+        assert before <= subscriber.samples[0].source_time_ns <= time.time_ns()
 
 
 def test_own_samples_are_not_heard(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        own, other = Heard(a, "/chatter"), Heard(b, "/chatter")
+        own_subscriber, other = Heard(a, "/chatter"), Heard(b, "/chatter")
         publisher = talk(a, "/chatter")
         matched(publisher)
         publisher.put(b"x")
         other.expect("x")
-        assert own.samples == []
+        assert own_subscriber.samples == []
 
 
 def test_any_hash(network: HubNetwork):
@@ -75,22 +75,22 @@ def test_topics_types_and_domains_are_apart(network: HubNetwork):
         Hub.open(network.settings("b")) as b,
         Hub.open(network.settings("c", domain=0)) as c,
     ):
-        heard = [Heard(b, "/one"), Heard(b, "/one/two"), Heard(c, "/one")]
+        subscribers = [Heard(b, "/one"), Heard(b, "/one/two"), Heard(c, "/one")]
         publisher = talk(a, "/one")
         a.publisher("/one", "std_msgs/msg/Bool", HASH, STREAM).put(b"bool")
         matched(publisher)
         publisher.put(b"x")
-        heard[0].expect("x")
-        assert [h.texts() for h in heard] == [["x"], [], []]
+        subscribers[0].expect("x")
+        assert [h.texts() for h in subscribers] == [["x"], [], []]
 
 
 def test_matched_tells_whether_anybody_listens(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         publisher = talk(a, "/chatter")
         assert not publisher.matched()
-        heard = Heard(b, "/chatter")
+        subscriber = Heard(b, "/chatter")
         matched(publisher)
-        heard.subscription.close()
+        subscriber.subscription.close()
         until(lambda: not publisher.matched(), "nobody listens")
         again = Heard(b, "/chatter")
         until(lambda: not publisher.pass_over(), "the next listener is noticed")
@@ -116,13 +116,13 @@ def test_what_nobody_gets_is_numbered_without_being_encoded(network: HubNetwork)
         publisher, kept = talk(a, "/chatter"), talk(a, "/kept", LATCHED)
         assert [publisher.pass_over(), publisher.pass_over()] == [True, True]
         assert not kept.pass_over()
-        heard = Heard(b, "/chatter")
+        subscriber = Heard(b, "/chatter")
         matched(publisher)
         assert not publisher.pass_over()
         publisher.put(b"x")
-        heard.expect("x")
-        assert [sample.sequence for sample in heard.samples] == [3]
-        heard.subscription.close()
+        subscriber.expect("x")
+        assert [sample.sequence for sample in subscriber.samples] == [3]
+        subscriber.subscription.close()
         until(lambda: not publisher.matched(), "there is no subscriber any longer")
         assert publisher.pass_over()
         publisher.close()
@@ -132,13 +132,13 @@ def test_what_nobody_gets_is_numbered_without_being_encoded(network: HubNetwork)
 
 def test_a_big_message(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        heard = Heard(b, "/image")
+        subscriber = Heard(b, "/image")
         publisher = talk(a, "/image")
         matched(publisher)
         payload = bytes(range(256)) * 40_000
         # it may be dropped on a busy machine
-        until(lambda: publisher.put(payload) or heard.samples, "heard", every=0.2)
-        assert heard.samples[0].data() == payload
+        until(lambda: publisher.put(payload) or subscriber.samples, "heard", every=0.2)
+        assert subscriber.samples[0].data() == payload
 
 
 def test_both_ends_give_back_the_memory_of_a_large_message(network: HubNetwork, monkeypatch: pytest.MonkeyPatch):
@@ -146,12 +146,12 @@ def test_both_ends_give_back_the_memory_of_a_large_message(network: HubNetwork, 
     passed: list[int] = []
     monkeypatch.setattr(resources.LARGE_MESSAGES, "passed", passed.append)
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        heard = Heard(b, "/large")
+        subscriber = Heard(b, "/large")
         publisher = talk(a, "/large")
         matched(publisher)
         publisher.put(b"small")
         publisher.put(bytes(resources.LARGE))
-        until(lambda: len(heard.samples) == 2, "both came")
+        until(lambda: len(subscriber.samples) == 2, "both came")
     assert sorted(passed) == [5, 5, resources.LARGE, resources.LARGE]
 
 
@@ -210,9 +210,9 @@ def test_where_messages_were_lost_is_told(network: HubNetwork):
 
         until(seen, "the gap is seen")
         assert busy.heard[1] == 4
-        assert "busy for too long" in (told := busy.subscription.losses())
-        assert " from a;" in told
-        assert "max_wait_before_drop_fragments" in told
+        assert "busy for too long" in (losses := busy.subscription.losses())
+        assert " from a;" in losses
+        assert "max_wait_before_drop_fragments" in losses
 
 
 def test_messages_have_a_size_limit(network: HubNetwork):
@@ -237,7 +237,7 @@ def test_samples_of_others_without_a_fitting_attachment_are_refused(network: Hub
         Hub.open(network.settings("b")) as b,
         network.program() as program,
     ):
-        heard = Heard(b, "/chatter")
+        subscriber = Heard(b, "/chatter")
         good = talk(a, "/chatter")
         matched(good)
         raw = program.declare_publisher(topic_key(a.domain, "/chatter", TYPE, HASH))
@@ -247,37 +247,37 @@ def test_samples_of_others_without_a_fitting_attachment_are_refused(network: Hub
         raw.delete()
         raw.put(b"foreign", attachment=pack_attachment(0, 5, bytes(16)))
         good.put(b"good")
-        heard.expect("foreign", "good")
-        assert heard.subscription.refused == 5
-        assert {sample.data(): sample.zid for sample in heard.samples} == {b"foreign": "", b"good": a.zid}
+        subscriber.expect("foreign", "good")
+        assert subscriber.subscription.refused == 5
+        assert {sample.data(): sample.zid for sample in subscriber.samples} == {b"foreign": "", b"good": a.zid}
 
 
 def test_lost_samples_are_seen_from_gaps(network: HubNetwork):
     with network.program() as program, Hub.open(network.settings("b")) as b:
-        heard = Heard(b, "/chatter")
+        subscriber = Heard(b, "/chatter")
         raw = program.declare_publisher(topic_key(b.domain, "/chatter", TYPE, HASH))
         until(lambda: raw.matching_status.matching, "matched")  # type: ignore[attr-defined]
-        one, two = b"1" * 16, b"2" * 16
-        for gid, sequence in ((one, 1), (one, 2), (two, 7), (one, 5), (two, 8), (one, 6), (two, 10)):
+        first, second = b"1" * 16, b"2" * 16
+        for gid, sequence in ((first, 1), (first, 2), (second, 7), (first, 5), (second, 8), (first, 6), (second, 10)):
             raw.put(b"x", attachment=pack_attachment(sequence, 1000 + sequence, gid))
-        until(lambda: len(heard.samples) == 7, "all heard")
-        assert heard.subscription.lost == 2 + 1
-        assert "3 from an unknown node" in heard.subscription.losses()
+        until(lambda: len(subscriber.samples) == 7, "all heard")
+        assert subscriber.subscription.lost == 2 + 1
+        assert "3 from an unknown node" in subscriber.subscription.losses()
 
 
 def test_a_sample_that_comes_twice_is_delivered_once(network: HubNetwork):
     with network.program() as program, Hub.open(network.settings("b")) as b:
-        heard = Heard(b, "/chatter")
+        subscriber = Heard(b, "/chatter")
         raw = program.declare_publisher(topic_key(b.domain, "/chatter", TYPE, HASH))
         until(lambda: raw.matching_status.matching, "matched")  # type: ignore[attr-defined]
         for sequence in (1, 2, 2, 1, 3):
             raw.put(b"%d" % sequence, attachment=pack_attachment(sequence, 1000 + sequence, b"1" * 16))
-        heard.expect("1", "2", "3")
+        subscriber.expect("1", "2", "3")
 
 
 def test_a_publisher_used_by_many_threads_numbers_without_gaps(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        heard = Heard(b, "/chatter")
+        subscriber = Heard(b, "/chatter")
         publisher = talk(a, "/chatter", replace(STREAM, history=History.KEEP_ALL))
         matched(publisher)
         threads = [threading.Thread(target=lambda: [publisher.put(b"x") for _ in range(200)]) for _ in range(4)]
@@ -285,8 +285,8 @@ def test_a_publisher_used_by_many_threads_numbers_without_gaps(network: HubNetwo
             thread.start()
         for thread in threads:
             thread.join()
-        until(lambda: len(heard.samples) == 800, "all heard")
-        assert [s.sequence for s in heard.samples] == list(range(1, 801))
+        until(lambda: len(subscriber.samples) == 800, "all heard")
+        assert [s.sequence for s in subscriber.samples] == list(range(1, 801))
 
 
 @pytest.mark.parametrize(
@@ -302,16 +302,16 @@ def test_priority_on_the_wire(network: HubNetwork, priority: str, expected: zeno
         Hub.open(network.settings("a")) as a,
         network.program() as program,
     ):
-        heard: list[zenoh.Sample] = []
+        samples: list[zenoh.Sample] = []
         key = topic_key(a.domain, "/chatter", TYPE, HASH)
-        raw = program.declare_subscriber(key, heard.append)
+        raw = program.declare_subscriber(key, samples.append)
         publisher = talk(a, "/chatter", priority=priority)
         matched(publisher)
         publisher.put(b"x")
-        until(lambda: heard, "heard")
+        until(lambda: samples, "heard")
         raw.undeclare()
-        assert (heard[0].priority, heard[0].express) == (expected, priority == "command")
-        assert heard[0].congestion_control == zenoh.CongestionControl.DROP
+        assert (samples[0].priority, samples[0].express) == (expected, priority == "command")
+        assert samples[0].congestion_control == zenoh.CongestionControl.DROP
 
 
 def test_bad_names_are_refused(network: HubNetwork):
@@ -328,12 +328,12 @@ def test_bad_names_are_refused(network: HubNetwork):
 def test_nothing_is_left_after_close(network: HubNetwork):
     before = set(threading.enumerate())
     hub = Hub.open(network.settings("a"))
-    publisher, heard = talk(hub, "/chatter"), Heard(hub, "/chatter")
+    publisher, subscriber = talk(hub, "/chatter"), Heard(hub, "/chatter")
     hub.serve("status", lambda _params: {})
     hub.close()
     hub.close()
     publisher.close()
-    heard.subscription.close()
+    subscriber.subscription.close()
     until(lambda: set(threading.enumerate()) <= before, "its threads have ended")
     for use in (
         lambda: publisher.put(b"x"),

@@ -27,7 +27,7 @@ def test_nodes_and_endpoints_come_and_go(network: HubNetwork):
     with Hub.open(network.settings("early")) as early:
         with Hub.open(network.settings("a", namespace="/robot/arm")) as a:
             publisher = talk(a, "/map", LATCHED)
-            heard = Heard(a, "/chatter")
+            subscriber = Heard(a, "/chatter")
             with Hub.open(network.settings("late")) as late:
                 for hub in (early, late, a):
                     until(lambda hub=hub: len(hub.graph.endpoints()) == 2, "both endpoints seen")
@@ -49,7 +49,7 @@ def test_nodes_and_endpoints_come_and_go(network: HubNetwork):
                     assert hub.graph.publishers("/chatter") == hub.graph.subscriptions("/none") == []
                 publisher.close()
                 until(lambda: not late.graph.publishers(), "the publisher is gone")
-                heard.subscription.close()
+                subscriber.subscription.close()
                 until(lambda: not late.graph.endpoints(), "the subscription is gone")
         until(lambda: [n.node for n in early.graph.nodes()] == ["early"], "the node is gone")
 

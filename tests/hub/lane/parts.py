@@ -35,5 +35,5 @@ def whole(texts: list[str]) -> None:
     numbers = [int(text) for text in texts]
     missing = sorted(set(range(numbers[0], numbers[-1] + 1)) - set(numbers))
     twice = sorted(number for number, count in Counter(numbers).items() if count > 1)
-    back = [each for before, each in pairwise(numbers) if each < before]
+    back = [after for before, after in pairwise(numbers) if after < before]
     assert (missing, twice, back) == ([], [], []), f"of {len(numbers)} missing {missing}, twice {twice}, behind {back}"

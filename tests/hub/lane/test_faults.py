@@ -29,8 +29,8 @@ def test_a_reader_that_stops_holds_nobody_up(network: HubNetwork, tmp_path: Path
         os.kill(reader.pid, signal.SIGSTOP)
 
         def say_all() -> None:
-            for each in range(count):
-                publisher.put(str(each).encode().ljust(2000))
+            for number in range(count):
+                publisher.put(str(number).encode().ljust(2000))
 
         saying = threading.Thread(target=say_all, daemon=True)
         saying.start()
@@ -66,20 +66,20 @@ def test_a_reader_that_is_killed_is_forgotten_and_the_next_one_heard(network: Hu
 def test_a_writer_that_is_killed_leaves_whole_messages(network: HubNetwork, tmp_path: Path) -> None:
     lane = str(tmp_path)
     with Hub.open(network.settings("reader", lane=lane)) as reader:
-        heard = Heard(reader, "/t")
+        subscriber = Heard(reader, "/t")
         for _ in range(2):
             with network.hub_peer("writer", lane=lane) as writer:
                 number = writer.ask("publisher", topic="/t")["id"]
                 writer.ask("drum", id=number, rate=5000.0, size=60_000)
-                goes_by(heard, "lane")
-                until(lambda: len(heard.samples) > 100, "it speaks")
+                goes_by(subscriber, "lane")
+                until(lambda: len(subscriber.samples) > 100, "it speaks")
                 os.kill(writer.pid, signal.SIGKILL)
-            goes_by(heard, "zenoh", "no other worker publishes it")
-            texts = heard.texts()
+            goes_by(subscriber, "zenoh", "no other worker publishes it")
+            texts = subscriber.texts()
             assert {len(text) for text in texts} == {60_000}
             numbers = [int(text) for text in texts]  # at 300 MB/s some are dropped, which is not a fault
             assert numbers == sorted(set(numbers))
-            heard.samples.clear()
+            subscriber.samples.clear()
 
 
 def accepted(listener: socket.socket) -> socket.socket | None:
@@ -92,7 +92,7 @@ def accepted(listener: socket.socket) -> socket.socket | None:
 def test_the_beginning_of_a_message_is_not_delivered(network: HubNetwork, tmp_path: Path) -> None:
     """The other end is a bare socket in the place of a worker that dies in the middle."""
     with Hub.open(network.settings("reader", lane=str(tmp_path))) as reader:
-        heard = Heard(reader, "/t")
+        subscriber = Heard(reader, "/t")
         with Hub.open(network.settings("writer")) as writer:  # only its place on the graph
             publisher = talk(writer, "/t")
             listener = folder.listen(tmp_path, writer.zid)
@@ -103,17 +103,17 @@ def test_the_beginning_of_a_message_is_not_delivered(network: HubNetwork, tmp_pa
             _, key = HEAD.unpack_from(record)
             gid = publisher.gid
             sock.send(HEAD.pack(MARK, key) + pack_attachment(0, 0, gid))
-            goes_by(heard, "lane")
+            goes_by(subscriber, "lane")
             sock.send(HEAD.pack(DATA, key) + pack_attachment(1, 1, gid) + b"whole")
             sock.send(HEAD.pack(PART, key) + pack_attachment(2, 2, gid) + PIECE.pack(100_000, 0) + bytes(50_000))
             sock.shutdown(socket.SHUT_RDWR)
             sock.close()
             listener.close()
-            goes_by(heard, "zenoh")
+            goes_by(subscriber, "zenoh")
             matched(publisher)
             publisher._sequence = 1
             publisher.put(b"by zenoh")
-            heard.expect("whole", "by zenoh")
+            subscriber.expect("whole", "by zenoh")
 
 
 @pytest.mark.parametrize("end", ["reader", "writer"])
@@ -124,27 +124,27 @@ def test_without_descriptors_all_goes_over_zenoh(network: HubNetwork, tmp_path: 
         warm = reader.ask("subscription", topic="/kept", latched=True)["id"]
         writer.ask("put", id=writer.ask("publisher", topic="/kept", latched=True)["id"], text="x")
         assert reader.ask("wait", id=warm, count=1, seconds=40.0)["texts"], "they are linked"
-        heard = reader.ask("subscription", topic="/t")["id"]
+        subscription_id = reader.ask("subscription", topic="/t")["id"]
         peers[end].ask("exhaust", on=True)
         says = writer.ask("publisher", topic="/t")["id"]
         writer.ask("drum", id=says, rate=100.0)
-        texts = reader.ask("wait", id=heard, count=150, seconds=40.0)["texts"]
+        texts = reader.ask("wait", id=subscription_id, count=150, seconds=40.0)["texts"]
         whole(texts)
-        assert reader.ask("way", id=heard)["way"] == "zenoh"
+        assert reader.ask("way", id=subscription_id)["way"] == "zenoh"
         peers[end].ask("exhaust", on=False)
-        until(lambda: reader.ask("way", id=heard)["way"] == "lane", "there are descriptors, and so a lane")
-        whole(reader.ask("wait", id=heard, count=len(texts) + 200, seconds=40.0)["texts"])
+        until(lambda: reader.ask("way", id=subscription_id)["way"] == "lane", "there are descriptors, and so a lane")
+        whole(reader.ask("wait", id=subscription_id, count=len(texts) + 200, seconds=40.0)["texts"])
 
 
 def test_a_folder_that_cannot_be_written_to(network: HubNetwork, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     lane = str(tmp_path / "file" / "lane")
     with Hub.open(network.settings("a", lane=lane)) as a, Hub.open(network.settings("b", lane=lane)) as b:
-        heard, publisher = Heard(b, "/t"), talk(a, "/t")
+        subscriber, publisher = Heard(b, "/t"), talk(a, "/t")
         matched(publisher)
         publisher.put(b"x")
-        heard.expect("x")
-        goes_by(heard, "zenoh", "a: Not a directory")
+        subscriber.expect("x")
+        goes_by(subscriber, "zenoh", "a: Not a directory")
         assert publisher.way()[1].endswith("Not a directory")
 
 
@@ -154,11 +154,11 @@ def test_other_users_are_refused(network: HubNetwork, tmp_path: Path, monkeypatc
         assert all(path.stat().st_mode & 0o777 == 0o600 for path in tmp_path.iterdir())
         user = os.geteuid() + 1
         monkeypatch.setattr(os, "geteuid", lambda: user)
-        heard, publisher = Heard(b, "/t"), talk(a, "/t")
+        subscriber, publisher = Heard(b, "/t"), talk(a, "/t")
         matched(publisher)
         publisher.put(b"x")
-        heard.expect("x")
-        goes_by(heard, "zenoh", "the other end of the lane belongs to user")
+        subscriber.expect("x")
+        goes_by(subscriber, "zenoh", "the other end of the lane belongs to user")
 
 
 def test_sockets_of_the_dead_are_removed(network: HubNetwork, tmp_path: Path) -> None:
@@ -177,11 +177,11 @@ def test_what_is_put_early_comes_once(network: HubNetwork, tmp_path: Path) -> No
     lane = str(tmp_path)
     with Hub.open(network.settings("writer", lane=lane)) as writer, Hub.open(network.settings("b", lane=lane)) as b:
         publisher = talk(writer, "/t", STREAM, "before")  # zenoh may hold it until there is a subscriber
-        heard = Heard(b, "/t")
+        subscriber = Heard(b, "/t")
         matched(publisher)
         for number in range(500):
             publisher.put(str(number).encode())
-        until(lambda: heard.texts()[-1:] == ["499"], "all come")
-        assert [text for text in heard.texts() if text != "before"] == [str(number) for number in range(500)]
-        goes_by(heard, "lane")
-        assert not subscription(heard).lost
+        until(lambda: subscriber.texts()[-1:] == ["499"], "all come")
+        assert [text for text in subscriber.texts() if text != "before"] == [str(number) for number in range(500)]
+        goes_by(subscriber, "lane")
+        assert not subscription(subscriber).lost

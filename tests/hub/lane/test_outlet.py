@@ -42,23 +42,23 @@ class Pair:
 
     def read(self) -> list[tuple[int, int]]:
         """Key and number of each message that is there."""
-        found = []
+        samples = []
         while True:
             try:
                 record = self.far.recv(ROOM)
             except BlockingIOError:
-                return found
+                return samples
             kind, key = HEAD.unpack_from(record)
             if kind == DATA:
-                found.append((key, unpack_attachment(record[HEAD.size : BODY])[0]))
+                samples.append((key, unpack_attachment(record[HEAD.size : BODY])[0]))
 
 
 @pytest.fixture
 def pair() -> Iterator[Pair]:
-    made = Pair()
-    yield made
-    made.near.close()
-    made.far.close()
+    outlet_pair = Pair()
+    yield outlet_pair
+    outlet_pair.near.close()
+    outlet_pair.far.close()
 
 
 def test_commands_go_first_and_the_newest_of_each(pair: Pair) -> None:

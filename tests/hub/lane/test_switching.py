@@ -45,65 +45,65 @@ def drummer(network: HubNetwork, lane: str) -> Iterator[Peer]:
 
 @pytest.mark.parametrize("switches", [10, pytest.param(200, marks=pytest.mark.thorough)])
 def test_switches_lose_nothing(network: HubNetwork, reader: Hub, drummer: Peer, switches: int) -> None:
-    heard = Heard(reader, "/t")
+    subscriber = Heard(reader, "/t")
     number = drummer.ask("publisher", topic="/t")["id"]
     with network.hub_peer("foreign") as foreign, network.rmw_session() as rmw:
         beside = RmwSubscription(rmw, topic_key(network.domain, "/t", TYPE, HASH), Qos(depth=10))
-        goes_by(heard, "lane")
+        goes_by(subscriber, "lane")
         drummer.ask("drum", id=number, rate=1000.0, size=100)
         for _ in range(switches // 2):
             strange = foreign.ask("publisher", topic="/t")["id"]
-            goes_by(heard, "zenoh", "foreign: it has no lane here")
+            goes_by(subscriber, "zenoh", "foreign: it has no lane here")
             foreign.ask("drop", id=strange)
-            goes_by(heard, "lane")
+            goes_by(subscriber, "lane")
         last = len(beside.payloads)
         until(lambda: len(beside.payloads) > last, "the node of rmw_zenoh goes on receiving")
         beside.close()
-    whole(heard.texts())
+    whole(subscriber.texts())
     whole(beside.texts())
-    assert subscription(heard).by_lane
-    assert not subscription(heard).lost
+    assert subscription(subscriber).by_lane
+    assert not subscription(subscriber).lost
 
 
 def test_foreign_publishers_are_heard_again(network: HubNetwork, reader: Hub, writer: Hub) -> None:
-    heard = Heard(reader, "/t")
+    subscriber = Heard(reader, "/t")
     ours = talk(writer, "/t")
-    goes_by(heard, "lane")
+    goes_by(subscriber, "lane")
     until(lambda: ours.way() == ("lane", ""), "the publisher knows")
     with Hub.open(network.settings("foreign")) as far:
         strange = talk(far, "/t")
-        goes_by(heard, "zenoh", "foreign")
+        goes_by(subscriber, "zenoh", "foreign")
         matched(strange)
         strange.put(b"from afar")
         ours.put(b"from here")
-        heard.expect("from afar", "from here")
+        subscriber.expect("from afar", "from here")
         until(lambda: ours.way() == ("zenoh", "a listener is not on the lane"), "the publisher knows")
 
 
 def test_others_hear_what_goes_by_the_lane(network: HubNetwork, reader: Hub, writer: Hub) -> None:
     ours = talk(writer, "/t")
-    heard, every = Heard(reader, "/t"), Heard(reader, "/t", type_hash="*")
-    goes_by(heard, "lane")
+    subscriber, every = Heard(reader, "/t"), Heard(reader, "/t", type_hash="*")
+    goes_by(subscriber, "lane")
     goes_by(every, "lane")
     until(lambda: ours.way() == ("lane", ""), "the publisher knows both subscriptions")
     with Hub.open(network.settings("foreign")) as far:
         strange = Heard(far, "/t")
         until(lambda: ours.way()[0] == "both", "both listen")
         ours.put(b"x")
-        for each in (heard, every, strange):
-            each.expect("x")
+        for receiver in (subscriber, every, strange):
+            receiver.expect("x")
 
 
 def test_a_topic_that_grows_goes_back(reader: Hub, writer: Hub) -> None:
-    heard = Heard(reader, "/t")
+    subscriber = Heard(reader, "/t")
     ours = talk(writer, "/t")
-    goes_by(heard, "lane")
+    goes_by(subscriber, "lane")
     texts = ["small", "x" * (3 * BOUND + 5), "y" * (40 * BOUND), "small again"]
     for text in texts:
         ours.put(text.encode())
-    until(lambda: len(heard.samples) == len(texts), "all come")
-    assert heard.texts() == texts
-    goes_by(heard, "zenoh", "a message was larger than 65536 bytes")
+    until(lambda: len(subscriber.samples) == len(texts), "all come")
+    assert subscriber.texts() == texts
+    goes_by(subscriber, "zenoh", "a message was larger than 65536 bytes")
 
 
 @pytest.mark.parametrize(
@@ -114,47 +114,47 @@ def test_a_topic_that_grows_goes_back(reader: Hub, writer: Hub) -> None:
     ],
 )
 def test_what_stays_on_zenoh(reader: Hub, writer: Hub, qos: Qos, why: str) -> None:
-    heard = Heard(reader, "/t")
+    subscriber = Heard(reader, "/t")
     ours = talk(writer, "/t", qos)
-    goes_by(heard, "zenoh", why)
+    goes_by(subscriber, "zenoh", why)
     matched(ours)
     ours.put(b"x")
-    heard.expect("x")
+    subscriber.expect("x")
 
 
 def test_nodes_of_one_session_and_others_are_heard_once(network: HubNetwork, writer: Hub, lane: str) -> None:
     session = HubSession.open(network.settings("unused", lane=lane), shared=True)
     try:
-        one, two = Hub.on(session, "one", "one"), Hub.on(session, "two", "two")
-        heard = [Heard(hub, "/t") for hub in (one, two)]
-        says = {hub: hub.publisher("/t", TYPE, HASH, Qos(depth=10)) for hub in (one, two, writer)}
-        for each in heard:
-            goes_by(each, "lane")
+        first_node, second_node = Hub.on(session, "one", "one"), Hub.on(session, "two", "two")
+        subscribers = [Heard(hub, "/t") for hub in (first_node, second_node)]
+        says = {hub: hub.publisher("/t", TYPE, HASH, Qos(depth=10)) for hub in (first_node, second_node, writer)}
+        for subscriber in subscribers:
+            goes_by(subscriber, "lane")
         for number in range(100):
             for name, publisher in zip(("one", "two", "far"), says.values(), strict=True):
                 publisher.put(f"{name} {number}".encode())
-        for each, others in zip(heard, (("two", "far"), ("one", "far")), strict=True):
-            each.expect(*(f"{name} {number}" for name in others for number in range(100)))
+        for subscriber, others in zip(subscribers, (("two", "far"), ("one", "far")), strict=True):
+            subscriber.expect(*(f"{name} {number}" for name in others for number in range(100)))
     finally:
         session.close()
 
 
 def test_late_publishers_and_listeners(reader: Hub, writer: Hub) -> None:
-    heard = Heard(reader, "/t")
+    subscriber = Heard(reader, "/t")
     first = talk(writer, "/t")
-    goes_by(heard, "lane")
+    goes_by(subscriber, "lane")
     second = talk(writer, "/t", Qos(depth=10), "at once")  # its first message comes by the lane too
-    heard.expect("at once")
+    subscriber.expect("at once")
     later = Heard(reader, "/t")
     goes_by(later, "lane")
     first.put(b"one")
     second.put(b"two")
-    heard.expect("at once", "one", "two")
+    subscriber.expect("at once", "one", "two")
     # the first message came to the other by the lane; zenoh's may be under way still
     until(lambda: {"one", "two"} <= set(later.texts()), "the later one receives them")
     assert sorted(later.texts()) in (["one", "two"], ["at once", "one", "two"])
     later.subscription.close()
-    heard.subscription.close()
+    subscriber.subscription.close()
     until(lambda: not first.matched(), "nobody listens")
     assert first.pass_over()
 

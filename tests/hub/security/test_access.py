@@ -30,18 +30,18 @@ RULES = RoutingSection.model_validate(
         ]
     }
 )
-KEYS = [zenoh.KeyExpr(each) for each in harmless_keys(commands(RULES))]
+KEYS = [zenoh.KeyExpr(harmless_key) for harmless_key in harmless_keys(commands(RULES))]
 
 
 def allowed(topic: str, type_name: str) -> bool:
     key = zenoh.KeyExpr(topic_key(0, topic, type_name, HASH))
-    return any(each.includes(key) for each in KEYS)
+    return any(allowed_key.includes(key) for allowed_key in KEYS)
 
 
 def test_what_commands() -> None:
-    found = commands(RULES)
+    command_parts = commands(RULES)
     assert set(ALWAYS) >= COMMAND_TYPES
-    assert {name: set(parts) for name, parts in found.items() if name not in ALWAYS} == {
+    assert {name: set(parts) for name, parts in command_parts.items() if name not in ALWAYS} == {
         GRIPPER: {"set"},
         "std_msgs/msg/Float64": {"move*"},
         "std_msgs/msg/Int8": {EVERY},
@@ -59,7 +59,7 @@ def test_nothing_that_is_allowed_meets_a_command() -> None:
         for part in parts
     ]
     for command in map(zenoh.KeyExpr, goals + others):
-        assert not [each for each in KEYS if each.intersects(command)], command
+        assert not [allowed_key for allowed_key in KEYS if allowed_key.intersects(command)], command
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ WORD = st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,20}", fullmatch=True)
 @given(WORD, WORD, WORD)
 def test_every_other_type_is_allowed(topic: str, package: str, name: str) -> None:
     type_name = f"{package}/msg/{name}"
-    ends = ("Goal", *(f":{each.rpartition('/')[2]}" for each in commands(RULES)))
+    ends = ("Goal", *(f":{command_type.rpartition('/')[2]}" for command_type in commands(RULES)))
     assert allowed(f"/{topic}", type_name) is not f":{name}".endswith(ends)
 
 
@@ -102,9 +102,9 @@ def test_every_other_type_is_allowed(topic: str, package: str, name: str) -> Non
     st.sampled_from(["g", "go", "goa", "goal", "goals", "x", "xx", "s", "sto", "u"]),
 )
 def test_all_but_some_words(words: set[str], word: str) -> None:
-    taken = any(word.startswith(each[:-1]) if each.endswith("*") else word == each for each in words)
-    found = [each for each in not_beginning("", words) if zenoh.KeyExpr(each).includes(zenoh.KeyExpr(word))]
-    assert bool(found) is not taken
+    taken = any(word.startswith(pattern[:-1]) if pattern.endswith("*") else word == pattern for pattern in words)
+    matching = [pattern for pattern in not_beginning("", words) if zenoh.KeyExpr(pattern).includes(zenoh.KeyExpr(word))]
+    assert bool(matching) is not taken
 
 
 def test_a_command_rule_must_say_its_type() -> None:
@@ -157,6 +157,6 @@ def test_who_is_not_trusted_reads_the_store_and_cannot_change_it(message: str, k
             for rule in mine
             if "ingress" in rule["flows"]
             and message in rule["messages"]
-            and any(zenoh.KeyExpr(each).includes(zenoh.KeyExpr(key)) for each in rule["key_exprs"])
+            and any(zenoh.KeyExpr(expression).includes(zenoh.KeyExpr(key)) for expression in rule["key_exprs"])
         ]
         assert bool(passed) is expected, (subject, passed)

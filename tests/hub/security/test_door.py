@@ -121,27 +121,27 @@ def everything_said(
     say(mouth)
     mouth.put(last, b"end")
     until(lambda: (last, "end") in ear.heard, "the last word")
-    return [heard for heard in ear.heard if heard[0] != last]
+    return [message for message in ear.heard if message[0] != last]
 
 
 def put_each(keys: list[str]) -> Callable[[zenoh.Session], None]:
     def say(mouth: zenoh.Session) -> None:
-        for each in keys:
-            mouth.put(each, b"go", attachment=SAID)
-            mouth.delete(each)
+        for key_expr in keys:
+            mouth.put(key_expr, b"go", attachment=SAID)
+            mouth.delete(key_expr)
 
     return say
 
 
 def test_a_trusted_machine_commands(machines: Machines) -> None:
-    heard = everything_said(machines, "friend", put_each(COMMANDS + HARMLESS))
-    assert [each for each in heard if each[1]] == [(each, "go") for each in COMMANDS + HARMLESS]
+    messages = everything_said(machines, "friend", put_each(COMMANDS + HARMLESS))
+    assert [entry for entry in messages if entry[1]] == [(entry, "go") for entry in COMMANDS + HARMLESS]
 
 
 @pytest.mark.parametrize("mode", ["client", "peer", "router"])
 def test_a_guest_says_everything_but_commands(machines: Machines, mode: str) -> None:
-    heard = everything_said(machines, "guest", put_each(COMMANDS + FORGED + HARMLESS), mode)
-    assert heard == [(each, "go") for each in HARMLESS]
+    messages = everything_said(machines, "guest", put_each(COMMANDS + FORGED + HARMLESS), mode)
+    assert messages == [(key_expr, "go") for key_expr in HARMLESS]
 
 
 def test_a_guest_cannot_borrow_a_name(machines: Machines) -> None:
@@ -151,7 +151,7 @@ def test_a_guest_cannot_borrow_a_name(machines: Machines) -> None:
     def say(mouth: zenoh.Session) -> None:
         source = friend.declare_publisher(CMD_VEL)
         token = f"@ros2_lv/0/{friend.zid()}/0/9/MP/%/%/boss/%cmd_vel/geometry_msgs::msg::dds_::Twist_/{HASH}/::,:,:,:,,"
-        tokens = [mouth.liveliness().declare_token(each) for each in (token, f"{CMD_VEL}/@adv/pub/{friend.zid()}/7/_")]
+        tokens = [mouth.liveliness().declare_token(name) for name in (token, f"{CMD_VEL}/@adv/pub/{friend.zid()}/7/_")]
         mouth.put(CMD_VEL, b"go", attachment=SAID, source_info=zenoh.SourceInfo(source.id, 5))
         publisher = mouth.declare_publisher(CMD_VEL)
         publisher.put(b"go", attachment=SAID)
@@ -160,27 +160,27 @@ def test_a_guest_cannot_borrow_a_name(machines: Machines) -> None:
         )
         advanced.put(b"go")
         mouth.put(f"{CMD_VEL}/@adv/pub/{friend.zid()}/7/_", b"go")
-        for each in tokens:
-            each.undeclare()
+        for declared in tokens:
+            declared.undeclare()
 
     assert everything_said(machines, "guest", say) == []
 
 
 @pytest.mark.parametrize(("name", "works"), [("friend", True), ("guest", False)])
 def test_goals_and_cancels(machines: Machines, name: str, works: bool) -> None:
-    asked: list[str] = []
+    answered: list[str] = []
 
     def ask(mouth: zenoh.Session) -> None:
         services = [GOAL, CANCEL, key("/stop", "std_srvs/srv/SetBool"), "0/go/_action/**", "0/**"]
-        for each in [*services, RESULT, key("/map_server/map", "nav_msgs/srv/GetMap")]:
-            found = mouth.get(each, target=zenoh.QueryTarget.ALL, timeout=10.0)
-            asked.extend(str(reply.ok.key_expr) for reply in found if reply.ok)
+        for key_expr in [*services, RESULT, key("/map_server/map", "nav_msgs/srv/GetMap")]:
+            replies = mouth.get(key_expr, target=zenoh.QueryTarget.ALL, timeout=10.0)
+            answered.extend(str(reply.ok.key_expr) for reply in replies if reply.ok)
 
-    heard = [each for each, _ in everything_said(machines, name, ask)]
-    assert asked == heard
-    assert {GOAL, CANCEL} & set(heard) == ({GOAL, CANCEL} if works else set())
-    assert {RESULT, key("/map_server/map", "nav_msgs/srv/GetMap")} <= set(heard)
-    assert (len(heard) == 2) is not works
+    received = [key_expr for key_expr, _ in everything_said(machines, name, ask)]
+    assert answered == received
+    assert {GOAL, CANCEL} & set(received) == ({GOAL, CANCEL} if works else set())
+    assert {RESULT, key("/map_server/map", "nav_msgs/srv/GetMap")} <= set(received)
+    assert (len(received) == 2) is not works
 
 
 def test_a_guest_cannot_answer_with_commands(machines: Machines) -> None:
@@ -191,11 +191,11 @@ def test_a_guest_cannot_answer_with_commands(machines: Machines) -> None:
 
     def answer(query: zenoh.Query) -> None:
         with query:
-            for each in (goal, "0/**", ACTIONLIB_GOAL, state):
-                query.reply(each, b"go")
+            for key_expr in (goal, "0/**", ACTIONLIB_GOAL, state):
+                query.reply(key_expr, b"go")
 
-    for each in (state, goal):
-        guest.declare_queryable(f"{each}/@adv/pub/{guest.zid()}/7/_/**", answer)
+    for key_expr in (state, goal):
+        guest.declare_queryable(f"{key_expr}/@adv/pub/{guest.zid()}/7/_/**", answer)
     guest.declare_queryable("**/@adv/**", answer)
     guest.declare_queryable("0/goal_pose/**/@adv/**", answer)
 
@@ -227,10 +227,10 @@ def test_state_crosses_both_ways_for_guests(machines: Machines) -> None:
         talk(guest, "/plan", LATCHED, "of the guest")
         Heard(guest, "/map", LATCHED).expect("of the robot")
         Heard(robot, "/plan", LATCHED).expect("of the guest")
-        heard, stream = Heard(robot, "/chat"), talk(guest, "/chat")
+        subscriber, stream = Heard(robot, "/chat"), talk(guest, "/chat")
         matched(stream)
         stream.put(b"hello")
-        heard.expect("hello")
+        subscriber.expect("hello")
         assert robot.ask("nothing", {}, timeout=0.5) == []
 
 

@@ -36,8 +36,8 @@ def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
 
 def called(server: Hub, caller: Hub, name: str, type_name: str) -> tuple[bytes | str, bool]:
     """What a call ends with, and whether the server was asked."""
-    asked: list[bytes] = []
-    serving = Serving(server, name, lambda request: asked.append(request) or b"yes", type_name)
+    requests: list[bytes] = []
+    serving = Serving(server, name, lambda request: requests.append(request) or b"yes", type_name)
     client = caller.client(name, type_name, HASH)
     until(lambda: client.ready, "the server is seen")
     end = Called()
@@ -45,7 +45,7 @@ def called(server: Hub, caller: Hub, name: str, type_name: str) -> tuple[bytes |
     result = end.wait()
     client.close()
     serving.server.close()
-    return result, bool(asked)
+    return result, bool(requests)
 
 
 @pytest.mark.parametrize(("name", "commands"), [("friend", True), ("guest", False)])
@@ -55,8 +55,8 @@ def test_a_machine_calls(machines: Machines, name: str, commands: bool, monkeypa
         for service, type_name in QUESTIONS.items():
             assert called(robot, other, service, type_name) == (b"yes", True)
         for service, type_name in COMMANDS.items():
-            result, asked = called(robot, other, service, type_name)
-            assert asked is commands
+            result, was_called = called(robot, other, service, type_name)
+            assert was_called is commands
             refused = (
                 f"the server of {service} left before it answered;"
                 " or a door between the machines refuses this call (hub.open.trusted)"
@@ -87,12 +87,12 @@ def test_only_a_trusted_machine_could_abandon_the_calls_of_others(machines: Mach
         end = Called()
         client.call(b"go", end.done)
         until(lambda: serving.held, "asked")
-        last, heard = talk(other, "/last"), Heard(robot, "/last")
+        last, subscriber = talk(other, "/last"), Heard(robot, "/last")
         matched(last)
         key = abandon_key(topic_key(other.domain, service, type_name, HASH))
         abandon = pack_attachment(1, 1, client.gid)
         other._session.put(key, abandon)
-        until(lambda: last.put(b"end") or heard.samples, "the last message arrives")
+        until(lambda: last.put(b"end") or subscriber.samples, "the last message arrives")
         # messages sent before the route to the subscriber is known are lost
         until(lambda: not works or other._session.put(key, abandon) or serving.abandoned, "abandoned")
         assert bool(serving.abandoned) == works

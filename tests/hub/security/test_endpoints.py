@@ -64,7 +64,9 @@ class Machine:
         return door.endpoints()
 
     def wait(self, state: EndpointState, number: int = 0) -> endpoints.EndpointStatus:
-        return until(lambda: (one := self.statuses()[number]).state == state and one, f"{state}: {self.statuses()}")
+        return until(
+            lambda: (status := self.statuses()[number]).state == state and status, f"{state}: {self.statuses()}"
+        )
 
 
 @pytest.fixture
@@ -110,8 +112,8 @@ def test_a_foreign_authority_and_recovery(keys: Path, port: int, caplog: pytest.
 
 
 def operator_status(machine: Machine) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = machine.router._door_status()["endpoints"]
-    return found
+    endpoints: list[dict[str, Any]] = machine.router._door_status()["endpoints"]
+    return endpoints
 
 
 def test_each_endpoint_has_its_own_state(keys: Path, port: int) -> None:
@@ -161,9 +163,12 @@ def test_a_program_that_is_not_zenoh(keys: Path, port: int) -> None:
 
 def test_a_door_that_is_closed(keys: Path, tmp_path: Path) -> None:
     with Machine("robot1", tmp_path, listen=["tls/127.0.0.1:0"], connect=["tls/127.0.0.1:1"]) as robot:
-        found = robot.router._door_status()["endpoints"]
-    assert [(one["way"], one["state"]) for one in found] == [("listen", "closed"), ("connect", "closed")]
-    assert all("there is no" in one["reason"] for one in found)
+        endpoints = robot.router._door_status()["endpoints"]
+    assert [(endpoint["way"], endpoint["state"]) for endpoint in endpoints] == [
+        ("listen", "closed"),
+        ("connect", "closed"),
+    ]
+    assert all("there is no" in endpoint["reason"] for endpoint in endpoints)
 
 
 def test_an_own_certificate_that_has_expired(tmp_path: Path, port: int) -> None:

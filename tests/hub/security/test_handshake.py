@@ -74,8 +74,8 @@ def test_certificates(keys: Path, theirs: str, ours: str, host: str, texts: tupl
     port = free_port()
     folder, name = theirs.split("/")
     with listener(keys / folder, name, f"tls/127.0.0.1:{port}"):
-        fleet, own = ours.split("/")
-        result = attempted(f"tls/{host}:{port}", identity(keys / fleet, own))
+        fleet, machine_name = ours.split("/")
+        result = attempted(f"tls/{host}:{port}", identity(keys / fleet, machine_name))
     assert result.reason.state == (EndpointState.REFUSED if texts else EndpointState.CONNECTING)
     for text in texts:
         assert text in result.reason.text
@@ -90,9 +90,9 @@ def test_a_listener_refuses_the_certificate_after_the_handshake(keys: Path, cert
     port = free_port()
     fleet, _, name = certificate.partition("/")
     other = identity(keys / fleet, name) if certificate else Identity(keys / "a" / "ca.pem", None, None)
-    own = Identity(keys / "a" / "ca.pem", other.certificate, other.key)
+    client_identity = Identity(keys / "a" / "ca.pem", other.certificate, other.key)
     with listener(keys / "a", "robot1", f"tls/127.0.0.1:{port}"):
-        result = attempted(f"tls/127.0.0.1:{port}", own)
+        result = attempted(f"tls/127.0.0.1:{port}", client_identity)
     assert result.reason.state is EndpointState.REFUSED
     expected = "it is from another authority" if certificate else "asks for a certificate, and gets none"
     assert expected in result.reason.text
@@ -206,8 +206,8 @@ def test_files_that_cannot_be_used(keys: Path, tmp_path: Path) -> None:
     broken = Identity(keys / "a" / "ca.pem", keys / "a" / "robot1.pem", keys / "a" / "operator1.key")
     port = free_port()
     with listener(keys / "a", "robot1", f"tls/127.0.0.1:{port}"):
-        for own in (broken, Identity(tmp_path / "ca.pem", None, None)):
-            result = attempted(f"tls/127.0.0.1:{port}", own)
+        for client_identity in (broken, Identity(tmp_path / "ca.pem", None, None)):
+            result = attempted(f"tls/127.0.0.1:{port}", client_identity)
             assert result.reason.state is EndpointState.REFUSED
             assert "this machine's certificate files cannot be used" in result.reason.text
 
@@ -241,14 +241,14 @@ def test_what_zenoh_logs_of_a_refusal(error: str, text: str) -> None:
 def test_zenoh_itself_links_after_a_test(keys: Path) -> None:
     """The listener is not blocked by a test, and serves a real session at once."""
     port = free_port()
-    own = identity(keys / "a", "operator1")
+    client_identity = identity(keys / "a", "operator1")
     tls = {
-        "root_ca_certificate": str(own.ca), "connect_certificate": str(own.certificate),
-        "connect_private_key": str(own.key), "enable_mtls": True,
+        "root_ca_certificate": str(client_identity.ca), "connect_certificate": str(client_identity.certificate),
+        "connect_private_key": str(client_identity.key), "enable_mtls": True,
     }  # fmt: skip
     with listener(keys / "a", "robot1", f"tls/127.0.0.1:{port}") as robot:
         for _ in range(3):
-            assert attempted(f"tls/127.0.0.1:{port}", own).reason.state is EndpointState.CONNECTING
+            assert attempted(f"tls/127.0.0.1:{port}", client_identity).reason.state is EndpointState.CONNECTING
         assert not robot.info.links()
         tree = router_tree([], max_payload=1 << 20)
         tree["connect"]["endpoints"] = [f"tls/127.0.0.1:{port}"]

@@ -51,9 +51,9 @@ def test_who_commands_without_tls(trusted: list[str], expected: set[str]) -> Non
         ear = robot.start(sys.executable, "-c", PROGRAM, "tcp/127.0.0.1:7447", "[]", "60", env=env)
         started.append(ear)
         until(lambda: "joined" in ear.output(), "a local program joins")
-        words = json.dumps([COMMAND, "0/**", DATA, END])
+        key_exprs = json.dumps([COMMAND, "0/**", DATA, END])
         place = f"tcp/{cable.addresses[0]}:7448"
-        started.append(other.start(sys.executable, "-c", PROGRAM, place, words, "60", env=env))
+        started.append(other.start(sys.executable, "-c", PROGRAM, place, key_exprs, "60", env=env))
         ear.popen.wait(90)
         assert set(json.loads(ear.output().splitlines()[-1])) == expected
     finally:

@@ -59,9 +59,9 @@ def test_tls(certificates: Path):
     with HubNetwork(protocol="tls", zenoh=robot1, router_zenoh=router) as network:
         with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b", zenoh=robot2)) as b:
             see_each_other(a, b)
-            heard = Heard(b, "/map", LATCHED)
+            subscriber = Heard(b, "/map", LATCHED)
             talk(a, "/map", LATCHED, "secret")
-            heard.expect("secret")
+            subscriber.expect("secret")
             assert [link.dst.split("/")[0] for link in a._session.info.links()] == ["tls"]
         # workers of the router's own machine stay peers: TLS to the router, a direct link on loopback
         settings = [network.settings(node, zenoh={**robot1, "mode": "peer"}) for node in ("c", "d")]
@@ -73,9 +73,9 @@ def test_tls(certificates: Path):
         # signed by an authority that the router does not trust
         with pytest.raises(HubError, match="cannot join the hub"):
             Hub.open(network.settings("c", zenoh=stranger))
-        found = probe_router(network.endpoint, robot1)
-        assert found is not None
-        assert found.daemon == "test"
+        probed = probe_router(network.endpoint, robot1)
+        assert probed is not None
+        assert probed.daemon == "test"
         assert probe_router(network.endpoint, stranger, seconds=0.5) is None
 
 
@@ -133,32 +133,32 @@ def test_access_control(certificates: Path):
         allowed.put(b"again")
         status.expect("fine", "again")
         assert command.samples == []
-        own = Heard(a, "/map", LATCHED)
+        own_subscriber = Heard(a, "/map", LATCHED)
         until(lambda: a.graph.zid_of(forbidden.gid), "the forger is seen")
-        assert own.samples == []
+        assert own_subscriber.samples == []
 
 
 def test_two_machines_join_by_their_routers():
     """Each machine's sessions only know their own router; data and state cross nevertheless."""
     with (
-        HubNetwork() as one,
-        HubNetwork(router_zenoh={"connect": {"endpoints": [one.endpoint]}}) as two,
-        Hub.open(one.settings("a")) as a,
-        Hub.open(two.settings("b")) as b,
+        HubNetwork() as first_network,
+        HubNetwork(router_zenoh={"connect": {"endpoints": [first_network.endpoint]}}) as second_network,
+        Hub.open(first_network.settings("a")) as a,
+        Hub.open(second_network.settings("b")) as b,
     ):
         see_each_other(a, b)
-        heard, stream = Heard(b, "/map", LATCHED), Heard(b, "/odom")
+        subscriber, stream = Heard(b, "/map", LATCHED), Heard(b, "/odom")
         talk(a, "/map", LATCHED, "state")
-        heard.expect("state")
+        subscriber.expect("state")
         publisher = talk(a, "/odom")
         matched(publisher)
         publisher.put(b"x")
         stream.expect("x")
         assert stream.samples[0].zid == a.zid
         assert b.neighbours() == set(), "all goes by the router"
-        one.stop_router()
+        first_network.stop_router()
         until(lambda: not b.graph.publishers(), "the other machine is gone")
-        one.start_router()
+        first_network.start_router()
         see_each_other(a, b)
         Heard(b, "/map", LATCHED).expect("state")
 

@@ -44,14 +44,14 @@ def test_any_other_is_refused(version: object) -> None:
 def test_what_a_session_of_another_major_carries_has_no_origin(
     network: HubNetwork, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with Hub.open(network.settings("here")) as here, network.program() as program:
+    with Hub.open(network.settings("here")) as hub, network.program() as program:
         zid = str(program.zid())
         node = NodeToken(network.domain, zid, "0", "/", "far", BRIDGE_ENCLAVE)
         endpoint = endpoint_key(EndpointToken(node, "1", EndpointKind.PUBLISHER, "/scan", TYPE, HASH, STREAM))
         origin = origin_key(OriginToken(network.domain, zid, Origin("ros1", "net", "far")))
 
         def seen() -> list[tuple[Origin | None, bool]]:
-            return [(each.origin, each.pending) for each in here.graph.publishers("/scan")]
+            return [(publisher.origin, publisher.pending) for publisher in hub.graph.publishers("/scan")]
 
         tokens = program.liveliness()
         kept = [tokens.declare_token(key) for key in (origin, endpoint)]
@@ -61,10 +61,11 @@ def test_what_a_session_of_another_major_carries_has_no_origin(
             later = tokens.declare_token(f"{version}/{LATER}/9.9/and/more")
             strange = tokens.declare_token(f"{version}/{NEXT}/9.9")
             until(lambda: seen() == [(None, True)], "it is refused: nothing of unknown origin crosses")
-        (said,) = (line for line in caplog.messages if zid in line)
-        assert said == f"a Midspan 9.9 on the hub is refused, session {zid}: {refusal(NEXT)}"
+        (log_line,) = (line for line in caplog.messages if zid in line)
+        assert log_line == f"a Midspan 9.9 on the hub is refused, session {zid}: {refusal(NEXT)}"
         assert (
-            f"it uses version {NEXT} of Midspan's protocol, and this Midspan {WIRE}; install the same release" in said
+            f"it uses version {NEXT} of Midspan's protocol, and this Midspan {WIRE}; install the same release"
+            in log_line
         )
         strange.undeclare()
         until(lambda: seen() == [(Origin("ros1", "net", "far"), False)], "it is taken again")
@@ -73,15 +74,15 @@ def test_what_a_session_of_another_major_carries_has_no_origin(
 
 
 def test_a_session_says_its_version(network: HubNetwork) -> None:
-    with Hub.open(network.settings("here")) as here, network.program() as program:
-        key = f"@midspan/{network.domain}/wire/{here.zid}/*/*"
+    with Hub.open(network.settings("here")) as hub, network.program() as program:
+        key = f"@midspan/{network.domain}/wire/{hub.zid}/*/*"
         until(lambda: list(program.liveliness().get(key)), "it says one")
         (reply,) = program.liveliness().get(key)
         assert str(reply.ok.key_expr).split("/")[4] == WIRE
 
 
 def test_answers_of_the_control_plane(network: HubNetwork) -> None:
-    with Hub.open(network.settings("here")) as here, network.program() as program:
+    with Hub.open(network.settings("here")) as hub, network.program() as program:
         key = f"@midspan/{network.domain}/far/worker"
         answers = {"later": {"wire": LATER}, "next": {"wire": NEXT}, "none": {}}
 
@@ -90,10 +91,10 @@ def test_answers_of_the_control_plane(network: HubNetwork) -> None:
             query.reply(f"{key}/{verb}", json.dumps({"value": 7, "more": 8, **answers[verb]}))
 
         kept = [program.declare_queryable(f"{key}/{verb}", answer, complete=True) for verb in answers]
-        until(lambda: here.ask("none", {}), "it is reached")
-        assert [(a.value, a.error) for a in here.ask("none", {})] == [(7, "")]
-        assert [(a.value, a.error) for a in here.ask("later", {})] == [(7, "")]
-        (refused,) = here.ask("next", {})
+        until(lambda: hub.ask("none", {}), "it is reached")
+        assert [(a.value, a.error) for a in hub.ask("none", {})] == [(7, "")]
+        assert [(a.value, a.error) for a in hub.ask("later", {})] == [(7, "")]
+        (refused,) = hub.ask("next", {})
         assert refused.value is None
         assert refused.error.startswith(f"far/worker cannot be understood: it uses version {NEXT}")
         for queryable in kept:
