@@ -42,9 +42,9 @@ class Clocks:
 
 @pytest.fixture
 def watched() -> Clocks:
-    made = Clocks()
-    made.system.on_jump(made.count)
-    return made
+    clocks = Clocks()
+    clocks.system.on_jump(clocks.count)
+    return clocks
 
 
 @pytest.mark.parametrize("jump", [-40 * S, -3600 * S, -S, -S // 4, S // 4, 40 * S, 3600 * S, 50 * YEAR, -50 * YEAR])
@@ -92,11 +92,11 @@ def test_a_suspended_machine_and_a_busy_one_are_no_jumps(watched: Clocks) -> Non
 
 
 def test_a_jump_that_nobody_was_there_for_is_not_reported() -> None:
-    made = Clocks()
-    made.wall -= 3600 * S
-    made.system.on_jump(made.count)
-    assert made.system.check() == 0
-    assert not made.jumps
+    clocks = Clocks()
+    clocks.wall -= 3600 * S
+    clocks.system.on_jump(clocks.count)
+    assert clocks.system.check() == 0
+    assert not clocks.jumps
 
 
 def test_an_error_of_one_does_not_keep_the_others_from_hearing(
@@ -105,19 +105,19 @@ def test_an_error_of_one_does_not_keep_the_others_from_hearing(
     def fail() -> None:
         raise ValueError("no")
 
-    made = Clocks()
-    withdraw = made.system.on_jump(fail)
-    made.system.on_jump(made.count)
-    made.wall -= S
-    made.system.check()
-    assert made.jumps == 1
+    clocks = Clocks()
+    withdraw = clocks.system.on_jump(fail)
+    clocks.system.on_jump(clocks.count)
+    clocks.wall -= S
+    clocks.system.check()
+    assert clocks.jumps == 1
     assert "a jump of the clock was not handled" in caplog.text
     withdraw()
     withdraw()
     caplog.clear()
-    made.wall -= S
-    made.system.check()
-    assert made.jumps == 2
+    clocks.wall -= S
+    clocks.system.check()
+    assert clocks.jumps == 2
     assert "not handled" not in caplog.text
     assert not watched.jumps
 
@@ -127,32 +127,32 @@ def test_its_thread_runs_while_there_is_anyone_to_notify() -> None:
         return sum(thread.name == "midspan-clock" for thread in threading.enumerate())
 
     before = threads()
-    made = Clocks(poll=0.005)
-    one, two = RunClock(system=made.system), RunClock(system=made.system)
-    one.on_jump(made.count)
-    two.on_jump(made.count)
+    clocks = Clocks(poll=0.005)
+    first, second = RunClock(system=clocks.system), RunClock(system=clocks.system)
+    first.on_jump(clocks.count)
+    second.on_jump(clocks.count)
     assert threads() == before + 1
-    made.wall -= 40 * S
-    until(lambda: made.jumps == 2, "both are notified")
-    one.close()
-    one.close()
-    made.wall += 40 * S
-    until(lambda: made.jumps == 3, "the other is notified")
-    two.close()
+    clocks.wall -= 40 * S
+    until(lambda: clocks.jumps == 2, "both are notified")
+    first.close()
+    first.close()
+    clocks.wall += 40 * S
+    until(lambda: clocks.jumps == 3, "the other is notified")
+    second.close()
     until(lambda: threads() == before, "the thread ends")
-    one.on_jump(made.count)
-    made.wall -= 40 * S
-    until(lambda: made.jumps == 4, "it is watched again")
-    one.close()
+    first.on_jump(clocks.count)
+    clocks.wall -= 40 * S
+    until(lambda: clocks.jumps == 4, "it is watched again")
+    first.close()
     until(lambda: threads() == before, "the thread ends again")
 
 
 def test_ages_do_not_depend_on_the_system_clock() -> None:
-    made = Clocks()
-    run = RunClock(system=made.system)
+    clocks = Clocks()
+    run = RunClock(system=clocks.system)
     assert run.now_ns() == NOON
     began = run.elapsed_ns()
-    made.wall -= 3600 * S
+    clocks.wall -= 3600 * S
     assert run.now_ns() == NOON - 3600 * S
     assert 0 <= run.elapsed_ns() - began < 60 * S
 

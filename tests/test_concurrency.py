@@ -123,25 +123,25 @@ def test_a_job_that_hangs_holds_up_no_end() -> None:
 
 
 def test_a_call_that_is_requested_once_is_made_once() -> None:
-    calls, made = DelayedCalls("delayed"), list[str]()
+    calls, executed = DelayedCalls("delayed"), list[str]()
 
     def once() -> None:
-        made.append("once")
+        executed.append("once")
 
     try:
-        calls.after(0.3, lambda: made.append("last"))
+        calls.after(0.3, lambda: executed.append("last"))
         calls.after(0.05, once, once=True)
         calls.after(0.1, once, once=True)
         calls.after(0.0, lambda: 1 // 0)  # stops nothing
-        until(lambda: "last" in made, "all are made")
-        assert made == ["once", "last"]
+        until(lambda: "last" in executed, "all are made")
+        assert executed == ["once", "last"]
         calls.after(0.0, once, once=True)
-        until(lambda: made[-1] == "once", "it may be requested again")
-        calls.after(0.05, lambda: made.append("never"))
+        until(lambda: executed[-1] == "once", "it may be requested again")
+        calls.after(0.05, lambda: executed.append("never"))
     finally:
         calls.close()
-    calls.after(0.0, lambda: made.append("never"))
-    assert "never" not in made
+    calls.after(0.0, lambda: executed.append("never"))
+    assert "never" not in executed
 
 
 def test_a_job_that_submits_another_sees_it_run_after_itself() -> None:

@@ -27,9 +27,9 @@ def test_the_tests_run_on_kernels_that_are_compiled_of_what_lies_here() -> None:
 @needs(COMPILER)
 def test_every_kernel_is_imported_compiled() -> None:
     for module in (*kernels.KERNELS, *kernels.C_MODULES):
-        found = importlib.util.find_spec(module)
-        assert found is not None
-        assert found.origin == str(kernels.built(module))
+        spec = importlib.util.find_spec(module)
+        assert spec is not None
+        assert spec.origin == str(kernels.built(module))
         assert kernels.source(module).is_file(), "a wheel has the source too, for machines that cannot compile"
 
 
@@ -38,12 +38,14 @@ def test_a_kernel_that_cannot_be_compiled_is_left_out(tmp_path: Path, monkeypatc
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "kernels", kernels)
     monkeypatch.setattr("setuptools.setup", lambda **_: None)
-    monkeypatch.setattr("Cython.Build.cythonize", lambda made, **_: [Extension(one.name, one.sources) for one in made])
+    monkeypatch.setattr(
+        "Cython.Build.cythonize", lambda made, **_: [Extension(extension.name, extension.sources) for extension in made]
+    )
     script = runpy.run_path(str(kernels.ROOT / "setup.py"))
     build = script["BuildKernels"](Distribution())
     build.extensions = [script["_extension"](kernels.KERNELS[0])]
     build._generate()
-    assert [one.optional for one in build.extensions] == [True]
+    assert [extension.optional for extension in build.extensions] == [True]
 
 
 @pytest.fixture
@@ -71,9 +73,9 @@ def test_a_whole_build_is_well(tree: Path) -> None:
 def test_a_build_of_other_sources_is_told(tree: Path) -> None:
     (tree / "one.py").write_text("X = 2\n", encoding="utf-8")
     assert kernels.state().stale == ("bridge.one",)
-    found = only(machine.look_at_kernels(around()))
-    assert found.result is Result.WARN
-    assert "make setup" in found.cure
+    finding = only(machine.look_at_kernels(around()))
+    assert finding.result is Result.WARN
+    assert "make setup" in finding.cure
 
 
 def test_a_build_with_other_flags_is_told(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -102,7 +104,7 @@ def test_what_is_not_compiled_is_told(tree: Path) -> None:
     tree.mkdir()
     (tree / "one.py").write_text("X = 1\n", encoding="utf-8")
     assert kernels.state().missing == ("bridge.one", kernels.SHARED)
-    found = only(machine.look_at_kernels(around()))
-    assert found.result is Result.FAIL
-    assert "nothing drives" in found.seen
-    assert "g++" in found.cure
+    finding = only(machine.look_at_kernels(around()))
+    assert finding.result is Result.FAIL
+    assert "nothing drives" in finding.seen
+    assert "g++" in finding.cure

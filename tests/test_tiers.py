@@ -59,8 +59,8 @@ def test_what_is_alone_runs_last_and_has_a_core(tmp_path: Path, processes: str) 
     """And the others do run at the same time."""
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = alone")
     (tmp_path / "conftest.py").write_text(CONFTEST)
-    for one, other in (("left", "right"), ("right", "left")):
-        (tmp_path / f"test_{one}.py").write_text(MEETS.format(one, other) + ALONE.format(one))
+    for test_name, other in (("left", "right"), ("right", "left")):
+        (tmp_path / f"test_{test_name}.py").write_text(MEETS.format(test_name, other) + ALONE.format(test_name))
     (tmp_path / "test_more.py").write_text(ALONE.format("more"))
     run = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:randomly", "--dist", "loadfile", "-n", processes],
@@ -74,9 +74,9 @@ def test_what_is_alone_runs_last_and_has_a_core(tmp_path: Path, processes: str) 
     assert "13 passed" in run.stdout, run.stdout + run.stderr
     running: set[str] = set()
     begun = []
-    for what, name in (line.split() for line in (tmp_path / "told").read_text().splitlines()):
-        (running.add if what == "begin" else running.discard)(name)
-        begun += [name] * (what == "begin")
+    for event, name in (line.split() for line in (tmp_path / "told").read_text().splitlines()):
+        (running.add if event == "begin" else running.discard)(name)
+        begun += [name] * (event == "begin")
         assert len(running) <= TOGETHER or not any("alone" in name for name in running), running
     assert len(begun) == 13
     assert not [name for name in begun[:2] if "alone" in name]

@@ -36,9 +36,9 @@ sys.exit(main(["worker", sys.argv[1], "--prepared", "--config", sys.argv[2]]))
 @pytest.fixture
 def hubs() -> Iterator[QuickHub]:
     """A separate hub for the test."""
-    made = QuickHub()
-    yield made
-    made.stop_router()
+    quick_hub = QuickHub()
+    yield quick_hub
+    quick_hub.stop_router()
 
 
 @contextmanager
@@ -60,9 +60,9 @@ def worker(side: str, hubs: QuickHub, folder: Path, **sections: Any) -> Iterator
             assert process.popen.poll() is None, "it ended by itself"
             process.signal(signal.SIGINT)  # Ctrl-C, which every OS has
             assert process.popen.wait(20) == 0
-            made = [path.name for path in state.rglob("*")]
-            assert "%43ON" in made
-            assert [name for name in made if not is_windows_name(name)] == []
+            file_names = [path.name for path in state.rglob("*")]
+            assert "%43ON" in file_names
+            assert [name for name in file_names if not is_windows_name(name)] == []
         except BaseException:
             print(process.output())
             raise
@@ -76,12 +76,12 @@ def runs(far: HubSide) -> bool:
 
 def assert_crosses(far: HubSide, peer: PeerLike) -> None:
     """Exchange messages between a program on the side and one on the hub."""
-    out, heard = peer.advertise("/from_side", STRING), far.subscribe("/from_side", STRING)
-    far.publish_until(peer, out, {"data": "in"}, lambda: far.wait(heard, 1, 0.2))
-    assert far.wait(heard, 1)[0] == {"data": "in"}
-    back, told = peer.subscribe("/from_hub", STRING), far.advertise("/from_hub", STRING)
-    far.hub_publish_until(told, {"data": "out"}, lambda: peer.wait(back, 1, 0.2))
-    assert peer.wait(back, 1)[0] == {"data": "out"}
+    peer_publisher, far_subscription = peer.advertise("/from_side", STRING), far.subscribe("/from_side", STRING)
+    far.publish_until(peer, peer_publisher, {"data": "in"}, lambda: far.wait(far_subscription, 1, 0.2))
+    assert far.wait(far_subscription, 1)[0] == {"data": "in"}
+    peer_subscription, far_publisher = peer.subscribe("/from_hub", STRING), far.advertise("/from_hub", STRING)
+    far.hub_publish_until(far_publisher, {"data": "out"}, lambda: peer.wait(peer_subscription, 1, 0.2))
+    assert peer.wait(peer_subscription, 1)[0] == {"data": "out"}
 
 
 def test_the_yarp_worker(hubs: QuickHub, tmp_path: Path) -> None:

@@ -105,11 +105,11 @@ class Side:
 @pytest.fixture
 def side(tmp_path: Path) -> Iterator[Side]:
     with QuickHub() as hubs:
-        made = Side(hubs, tmp_path)
+        new_side = Side(hubs, tmp_path)
         try:
-            yield made
+            yield new_side
         finally:
-            made.close()
+            new_side.close()
 
 
 def test_the_worker_forwards_the_end_of_a_gateway_goal_before_it_stops(

@@ -55,12 +55,12 @@ def test_names_exist(name: str, classes: dict[str, set[str]]) -> None:
 
 def defines(body: Sequence[ast.stmt], name: str) -> bool:
     """Return whether statements define a name: a function, a class, or ``Class.method``."""
-    first, _, rest = name.partition(".")
+    first, _, member = name.partition(".")
     for node in body:
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name == first and not rest:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name == first and not member:
             return True
         if isinstance(node, ast.ClassDef) and node.name == first:
-            return not rest or defines(node.body, rest)
+            return not member or defines(node.body, member)
     return False
 
 

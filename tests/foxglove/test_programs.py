@@ -44,7 +44,7 @@ class Robot(Deployment):
         return until(join, "the server accepts clients", 40)
 
     def document(self) -> dict[str, Any]:
-        return next((each for each in self.status() if each.get("worker") == "foxglove"), {})
+        return next((worker for worker in self.status() if worker.get("worker") == "foxglove"), {})
 
 
 @pytest.fixture(scope="module")

@@ -222,9 +222,9 @@ class Trials:
         reason = WHY[planner]
         client.goto(NOWHERE)
         self._ends(client, "aborted", "aborted")
-        why, status = client.why(), self.mix.status()[1]
-        no_text = why is None or (own and planner == NAV2)  # Nav2 itself sends only a code
-        assert no_text or reason in (why or ""), f"the client received {why!r}, not {reason!r}"
+        received, status = client.why(), self.mix.status()[1]
+        no_text = received is None or (own and planner == NAV2)  # Nav2 itself sends only a code
+        assert no_text or reason in (received or ""), f"the client received {received!r}, not {reason!r}"
         assert own or reason in status, f"/navigation/status gives {status!r}, not {reason!r}"
         return "yes"
 

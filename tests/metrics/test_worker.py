@@ -116,11 +116,11 @@ def test_both_formats(place: Place) -> None:
 def test_another_daemon_of_the_name_is_left_out(place: Place, tmp_path: Path, known: bool) -> None:
     """A worker of an earlier release announces no daemon, and counts."""
     settings = replace(place.hubs.settings("ros2", "ros2", "here"), identity=identity(tmp_path) if known else None)
-    own = Hub.open(settings)
+    own_hub = Hub.open(settings)
     (tmp_path / "other").mkdir()
     namesake = Hub.open(replace(place.hubs.settings("yarp", "yarp", "here"), identity=identity(tmp_path / "other")))
     try:
-        own.serve("status", lambda _params: side(route(), worker="ros2", side="ros2"))
+        own_hub.serve("status", lambda _params: side(route(), worker="ros2", side="ros2"))
         namesake.serve("status", lambda _params: side(route(), worker="yarp", side="yarp"))
         place.start().health()
 
@@ -131,7 +131,7 @@ def test_another_daemon_of_the_name_is_left_out(place: Place, tmp_path: Path, kn
         until(lambda: "ros2" in sides(), "the own worker is exported", 20)
         assert sides() == {"ros1", "ros2"}
     finally:
-        own.close()
+        own_hub.close()
         namesake.close()
 
 

@@ -52,7 +52,7 @@ def pip_settings() -> tuple[dict[str, str], list[str]]:
     settings: dict[str, str] = {}
     for name, _, value in sorted(line.partition("=") for line in output.stdout.splitlines()):  # variables come first
         settings.setdefault(f"PIP_{name.rpartition('.')[2].upper().replace('-', '_')}", ast.literal_eval(value))
-    paths = [Path(word.removeprefix("file://")) for value in settings.values() for word in value.split()]
+    paths = [Path(url.removeprefix("file://")) for value in settings.values() for url in value.split()]
     # an index has its files next to it
     paths = [path.parent if path.name == "simple" else path for path in paths if path.is_absolute() and path.exists()]
     return settings, [str(path) for path in paths]

@@ -275,10 +275,10 @@ def _holds(kind: bytes, content: bytes) -> bool:
     if kind in (b"s", b"n", b"e", b"r"):
         return True
     try:
-        found = json.loads(content[1:] if kind == b"m" else content)
+        message = json.loads(content[1:] if kind == b"m" else content)
     except (ValueError, RecursionError):
         return False
-    return isinstance(found, dict) and found.get("op") == "hold"
+    return isinstance(message, dict) and message.get("op") == "hold"
 
 
 class _Frames:
@@ -306,8 +306,8 @@ class _Frames:
         """Read up to a pong or the end; each text must be a valid message of the protocol."""
         end = time.monotonic() + seconds
         while True:
-            while (found := self._next()) is not None:
-                opcode, text = found
+            while (frame := self._next()) is not None:
+                opcode, text = frame
                 if opcode == 1:
                     message = json.loads(text)
                     assert message["op"] in _OPS, message

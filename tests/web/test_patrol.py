@@ -142,8 +142,8 @@ def test_a_patrol_drives_to_places_in_turn(page: TestPage, gateway: FakeGateway)
     for count, place in enumerate(("a", "b", "a", "c", "a", "b"), 1):
         assert gateway.goal_x(count) == PLACES[place]
         gateway.reach()
-    found = page.value("patrol", lambda value: (value["round"], value["at"]) == (2, 1))
-    assert found["places"] == ["a", "b", "a", "c"]
+    patrol = page.value("patrol", lambda value: (value["round"], value["at"]) == (2, 1))
+    assert patrol["places"] == ["a", "b", "a", "c"]
 
 
 def test_a_patrol_continues_without_its_page(desk: Desk, page: TestPage, gateway: FakeGateway) -> None:

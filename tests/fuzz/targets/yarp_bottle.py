@@ -14,8 +14,8 @@ _VALUES: list[list[Any]] = [
     [7, {"x": 1, "G": (["a", 1], ["b", "c"])}, [[], [1, [2, "z"]]], Int16(3), Int64(4), Float32(0.5), 2.5, "é", b"\0"],
 ]  # fmt: skip
 _BINARY_WORDS = [
-    bytes.fromhex(word)
-    for word in (
+    bytes.fromhex(hex_code)
+    for hex_code in (
         "00010000", "01010000", "04010000", "0a010000", "14010000", "80010000", "12010000", "20010000", "00030000",
         "00020000", "0a000000", "14000000", "80000000", "12000000", "11000000", "40000000", "ffffff7f", "ffffffff",
         "00000080", "0001000001000000" * 150, "00010000010000000003000000010000" * 80, "594100000000 5250",
@@ -37,8 +37,8 @@ def _binary() -> Subject:
 
     def parse(data: bytes) -> None:
         values = decode(data)
-        found = recognise(data)
-        profile = found or Profile.YARP3
+        recognised = recognise(data)
+        profile = recognised or Profile.YARP3
         values = decode(data, profile)
         wire = encode(values, profile)
         assert encode(decode(wire, profile), profile) == wire

@@ -123,9 +123,9 @@ def _requests() -> Subject:
             read_version(payload)
             version_end(payload)
         else:
-            found = call.read_reply(payload, generation)
-            assert found.size <= len(payload)
-            call.reply(found.results, found.generation)
+            reply = call.read_reply(payload, generation)
+            assert reply.size <= len(payload)
+            call.reply(reply.results, reply.generation)
 
     seeds = []
     for name, generation in RECORDED.items():

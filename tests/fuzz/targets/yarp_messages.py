@@ -20,7 +20,9 @@ _FIELDS: dict[str, list[str | int]] = {
     "geometry_msgs/msg/Twist": ["linear.x", "deg(angular.z)", 3, "'end'"],
     "sensor_msgs/msg/JointState": ["header.stamp", "name", "position"],
 }
-_WORDS = [bytes.fromhex(word) for word in ("00010000", "01010000", "0a010000", "14010000", "20010000", "ffffffff")]
+_WORDS = [
+    bytes.fromhex(hex_code) for hex_code in ("00010000", "01010000", "0a010000", "14010000", "20010000", "ffffffff")
+]
 
 
 def _subject(form: str) -> Subject:

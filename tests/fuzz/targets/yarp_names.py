@@ -121,8 +121,8 @@ def _contact() -> Subject:
         assert contact.port <= 0xFFFF
         if contact.is_valid:
             assert PortContact.parse(contact.uri).port == contact.port
-        found = PortContact.from_registration(text)
-        assert found is None or PortContact.from_registration(found.registration) == found
+        parsed = PortContact.from_registration(text)
+        assert parsed is None or PortContact.from_registration(parsed.registration) == parsed
 
     seeds = texts(
         "/reader", "udp://reader", "tcp://127.0.0.1:10002/", "/127.0.0.1:10002/r", "fast_tcp+recv.x:/r",

@@ -106,9 +106,9 @@ def test_every_goal_ends_in_the_state_that_its_server_reported(seed: int, count:
     while lists or results or feedbacks:
         queue, take = rng.choice([
             p for p in (
-                (lists, lambda found: world.client.statuses(found)),
-                (results, lambda found: world.client.result(*found)),
-                (feedbacks, lambda found: world.client.feedback(*found)),
+                (lists, lambda message: world.client.statuses(message)),
+                (results, lambda message: world.client.result(*message)),
+                (feedbacks, lambda message: world.client.feedback(*message)),
             ) if p[0]
         ])  # fmt: skip
         take(queue.pop(0))
@@ -116,12 +116,12 @@ def test_every_goal_ends_in_the_state_that_its_server_reported(seed: int, count:
     world.passes(RESULT_SECONDS + 1)
     for n in range(count):
         refused = accepted(answers[n]) is False
-        found, body = result(call[n])
+        reported, body = result(call[n])
         if refused:
             assert state[n] in (Ros1State.REJECTED, Ros1State.RECALLED)
-            assert found is GoalState.UNKNOWN
+            assert reported is GoalState.UNKNOWN
         else:
-            assert found is TO_ROS2[state[n]]
+            assert reported is TO_ROS2[state[n]]
             assert body == (EMPTY if n in lost else bytes([n]))
     assert len(world.feedbacks) <= sum(1 for _ in steps)
 
