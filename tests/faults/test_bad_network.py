@@ -18,7 +18,7 @@ from bridge.hub.wire.qos import Qos, Reliability
 from bridge.messages.registry import Registry
 from bridge.routing.edge import MadeBy
 from tests.cli.workers import EngineWorker
-from tests.hub.parts import HASH, LATCHED, Heard, see_each_other, talk
+from tests.hub.parts import HASH, LATCHED, Subscriber, advertise, see_each_other
 from tests.support.faults import FaultProxy
 from tests.support.hub import HubNetwork
 from tests.support.ports import free_port
@@ -101,7 +101,7 @@ def link(tmp_path: Path) -> Iterator[Link]:
 
 @pytest.mark.alone
 def test_commands_from_a_stalled_link_are_not_executed(link: Link) -> None:
-    subscription, mouth = Heard(link.engine.hub, "/chat"), talk(link.operator, "/chat")
+    subscription, mouth = Subscriber(link.engine.hub, "/chat"), advertise(link.operator, "/chat")
     until(mouth.matched, "the other topic")
     link.command(0.5)
     for seconds in (0.2, 1.0):
@@ -116,7 +116,7 @@ def test_commands_from_a_stalled_link_are_not_executed(link: Link) -> None:
 
 
 def test_a_lossy_link_delivers_state_but_no_late_commands(link: Link) -> None:
-    subscription, mouth = Heard(link.engine.hub, "/chat"), talk(link.operator, "/chat")
+    subscription, mouth = Subscriber(link.engine.hub, "/chat"), advertise(link.operator, "/chat")
     until(mouth.matched, "the other topic")
     link.proxy.loss = 0.05
     texts = [str(number) for number in range(10)]
@@ -160,11 +160,11 @@ def test_a_half_open_connection_is_closed_and_reconnected(link: Link, direction:
 
 
 def test_cut_connections_are_restored_with_all_state(link: Link) -> None:
-    talk(link.engine.hub, "/map", LATCHED, "first")
-    subscription = Heard(link.operator, "/map", LATCHED)
+    advertise(link.engine.hub, "/map", LATCHED, "first")
+    subscription = Subscriber(link.operator, "/map", LATCHED)
     subscription.expect("first")
-    changing = talk(link.engine.hub, "/plan", LATCHED, "old")
-    plan = Heard(link.operator, "/plan", LATCHED)
+    changing = advertise(link.engine.hub, "/plan", LATCHED, "old")
+    plan = Subscriber(link.operator, "/plan", LATCHED)
     plan.expect("old")
     started = time.monotonic()
     for _ in range(3):
@@ -175,7 +175,7 @@ def test_cut_connections_are_restored_with_all_state(link: Link) -> None:
     changing.put(b"newest")
     until(lambda: plan.texts()[-1] == "newest", "the state is complete")
     assert set(subscription.texts()) == {"first"}
-    Heard(link.operator, "/map", LATCHED).expect("first")
+    Subscriber(link.operator, "/map", LATCHED).expect("first")
     assert link.latest() < LATE
 
 
@@ -219,7 +219,7 @@ def test_a_slow_link_does_not_delay_other_subscribers(link: Link) -> None:
 
 def test_state_arrives_over_a_slow_link(link: Link) -> None:
     link.proxy.rate = 200e3
-    big = talk(link.engine.hub, "/map", LATCHED)
+    big = advertise(link.engine.hub, "/map", LATCHED)
     big.put(b"m" * 400_000)
-    subscription = Heard(link.operator, "/map", LATCHED)
+    subscription = Subscriber(link.operator, "/map", LATCHED)
     until(lambda: subscription.texts() == ["m" * 400_000], "the map", 30)

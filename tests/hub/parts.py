@@ -25,7 +25,7 @@ def endpoint(topic: str, gid: bytes, qos: Qos = STREAM) -> HubEndpoint:
     return HubEndpoint("1", "node", "/", EndpointKind.PUBLISHER, topic, TYPE, HASH, qos, gid, None, False, False)
 
 
-class Heard:
+class Subscriber:
     """Collects the messages of one subscription."""
 
     def __init__(self, hub: Hub, topic: str, qos: Qos = STREAM, type_hash: str = HASH) -> None:
@@ -48,7 +48,7 @@ class Heard:
         assert sorted(self.texts()) == sorted(texts), f"{self.texts()} came, not {texts}"
 
 
-def talk(hub: Hub, topic: str, qos: Qos = STREAM, *texts: str, **more: Any) -> HubPublisher:
+def advertise(hub: Hub, topic: str, qos: Qos = STREAM, *texts: str, **more: Any) -> HubPublisher:
     """Return a publisher that has published ``texts``."""
     publisher = hub.publisher(topic, TYPE, HASH, qos, **more)
     for text in texts:

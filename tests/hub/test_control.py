@@ -13,7 +13,7 @@ from tests.support.hub import HubNetwork
 from tests.support.wait import until
 
 
-def test_all_who_know_a_verb_answer(network: HubNetwork):
+def test_all_sessions_that_serve_a_verb_respond(network: HubNetwork):
     with (
         Hub.open(network.settings("a", worker="ros1", daemon="robot1")) as a,
         Hub.open(network.settings("b", worker="ros2", daemon="robot1")) as b,
@@ -41,7 +41,7 @@ def fails(_params: dict[str, Any]) -> object:
 @pytest.mark.parametrize(
     ("handler", "error"), [(fails, "out of order"), (lambda params: params["no"], "'no'")], ids=["raises", "key"]
 )
-def test_what_goes_wrong_is_told(network: HubNetwork, handler: Any, error: str):
+def test_errors_are_reported(network: HubNetwork, handler: Any, error: str):
     with Hub.open(network.settings("a")) as a:
         a.serve("verb", handler)
         a.serve("fine", lambda _params: [1])
@@ -49,7 +49,7 @@ def test_what_goes_wrong_is_told(network: HubNetwork, handler: Any, error: str):
         assert a.ask("fine", {}) == [WorkerAnswer("test", "test", [1])]
 
 
-def test_an_answer_that_json_cannot_carry_leaves_the_others_answering(network: HubNetwork):
+def test_unserializable_answer_does_not_affect_the_others(network: HubNetwork):
     with Hub.open(network.settings("a")) as a:
         a.serve("verb", lambda _params: {1, 2})
         a.serve("fine", lambda _params: 1)
@@ -58,7 +58,7 @@ def test_an_answer_that_json_cannot_carry_leaves_the_others_answering(network: H
 
 
 @pytest.mark.parametrize("question", [b"\xff", b"[1]", b"{", b"x" * (2 << 20)])
-def test_a_bad_question_is_refused(network: HubNetwork, question: bytes):
+def test_malformed_query_is_rejected(network: HubNetwork, question: bytes):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b, network.program() as program:
         a.serve("verb", lambda _params: 1)
         key = f"@midspan/{a.domain}/test/test/verb"
@@ -68,7 +68,7 @@ def test_a_bad_question_is_refused(network: HubNetwork, question: bytes):
         assert [x.value for x in b.ask("verb", {})] == [1]
 
 
-def test_a_slow_answer_does_not_hold_up_samples_or_other_verbs(network: HubNetwork):
+def test_slow_answer_does_not_delay_samples_or_other_verbs(network: HubNetwork):
     with Hub.open(network.settings("a")) as a:
         go = threading.Event()
         a.serve("slow", lambda _params: go.wait(40))
@@ -82,7 +82,7 @@ def test_a_slow_answer_does_not_hold_up_samples_or_other_verbs(network: HubNetwo
         assert [x.value for x in slow[0]] == [True]
 
 
-def test_the_returned_function_ends_it(network: HubNetwork):
+def test_returned_function_ends_the_service(network: HubNetwork):
     with Hub.open(network.settings("a")) as a:
         stop = a.serve("verb", lambda _params: 1)
         assert a.ask("verb", {})

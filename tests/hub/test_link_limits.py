@@ -22,12 +22,12 @@ def limit(link: socket.socket) -> int:
     return link.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
 
 
-def test_links_to_other_machines_are_given_up_by_tcp(link: socket.socket) -> None:
+def test_tcp_closes_dead_links_to_other_machines(link: socket.socket) -> None:
     limit_links(psutil.Process(), far=lambda address: address == "127.0.0.1")
     assert limit(link) == LEASE_MS
     link.sendall(b"it is still open")
 
 
-def test_links_of_this_machine_are_left_alone(link: socket.socket) -> None:
+def test_local_links_are_unchanged(link: socket.socket) -> None:
     limit_links(psutil.Process())
     assert limit(link) == 0

@@ -35,7 +35,7 @@ def cut(port: int) -> None:
             end.shutdown(socket.SHUT_RDWR)
 
 
-def test_a_link_that_alone_was_cut_is_made_again(hubs: QuickHub) -> None:
+def test_single_lost_link_is_restored(hubs: QuickHub) -> None:
     with Hub.open(hubs.settings("one")) as first, Hub.open(hubs.settings("two", "two")) as second:
         until(lambda: second.zid in first.neighbours() and first.zid in second.neighbours(), "they are linked")
         received: list[bytes] = []
@@ -50,7 +50,7 @@ def test_a_link_that_alone_was_cut_is_made_again(hubs: QuickHub) -> None:
         until(lambda: first.ask("say", {"word": "again"}, worker="two") and received, "messages arrive")
 
 
-def test_a_link_that_was_never_made_is_made(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_link_is_established(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without an event for it, the session compares its links with the router's peers."""
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.3)
     monkeypatch.setattr(links.Mesh, "_on_event", lambda *_: None)
@@ -65,7 +65,7 @@ def test_a_link_that_was_never_made_is_made(hubs: QuickHub, monkeypatch: pytest.
         until(lambda: second.zid in first.neighbours() and first.zid in second.neighbours(), "they are linked again")
 
 
-def test_links_are_compared_while_a_session_that_left_is_looked_for(
+def test_links_are_compared_during_the_search_for_a_closed_session(
     hubs: QuickHub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Otherwise commands that come and go would keep a session from noticing a missing link."""
@@ -80,7 +80,7 @@ def test_links_are_compared_while_a_session_that_left_is_looked_for(
         assert left in first.mesh.lost
 
 
-def test_one_that_no_link_reaches_is_given_up(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_search_for_an_unreachable_session_ends(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
     monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 0.5)
     with Hub.open(hubs.settings("one")) as hub:
@@ -92,7 +92,7 @@ def test_one_that_no_link_reaches_is_given_up(hubs: QuickHub, monkeypatch: pytes
         assert not hub.mesh.lost
 
 
-def test_a_router_that_does_not_answer_for_a_moment_is_asked_again(hubs: QuickHub) -> None:
+def test_router_without_a_response_is_queried_again(hubs: QuickHub) -> None:
     with Hub.open(hubs.settings("one")) as first, Hub.open(hubs.settings("two", "two")) as second:
         until(lambda: second.zid in first.neighbours() and first.zid in second.neighbours(), "they are linked")
         hubs.unanswered = 4
@@ -101,7 +101,7 @@ def test_a_router_that_does_not_answer_for_a_moment_is_asked_again(hubs: QuickHu
         assert not hubs.unanswered
 
 
-def test_a_session_that_left_is_given_up(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_search_for_a_closed_session_ends(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 1.0)
     with Hub.open(hubs.settings("one")) as first:
         with Hub.open(hubs.settings("two", "two")) as second:
@@ -122,7 +122,7 @@ class LateThread(threading.Thread):
         super().join(timeout)
 
 
-def test_a_session_may_be_closed_before_its_thread_watches(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_session_may_close_before_its_mesh_thread_starts(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
     threads: list[LateThread] = []
 
     def thread(**given: Any) -> LateThread:

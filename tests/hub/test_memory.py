@@ -11,7 +11,7 @@ import pytest
 
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
-from tests.hub.parts import LATCHED, STREAM, Heard, matched, see_each_other, talk
+from tests.hub.parts import LATCHED, STREAM, Subscriber, advertise, matched, see_each_other
 from tests.support.hub import ROOT, HubNetwork
 from tests.support.wait import until
 
@@ -28,15 +28,15 @@ hub.serve("verb", lambda params: 1)
 
 
 @pytest.mark.parametrize(("first", "second"), [(True, True), (True, False), (False, False)])
-def test_big_messages_with_and_without(first: bool, second: bool):
+def test_large_messages_with_and_without_shared_memory(first: bool, second: bool):
     with (
         HubNetwork() as network,
         Hub.open(network.settings("a", shared_memory=first)) as a,
         Hub.open(network.settings("b", shared_memory=second)) as b,
     ):
         see_each_other(a, b)
-        subscriber = Heard(b, "/image", STREAM)
-        publisher = talk(a, "/image", STREAM)
+        subscriber = Subscriber(b, "/image", STREAM)
+        publisher = advertise(a, "/image", STREAM)
         matched(publisher)
         # held by the listener, they are more than the pool has room for: the rest goes over the network
         for number in range(10):
@@ -95,7 +95,7 @@ def test_a_small_map_takes_no_pool():
         assert max((segment.stat().st_size for segment in segments(sender.pid)), default=0) < 4 << 20
 
 
-def test_a_program_that_forgets_to_close_ends():
+def test_program_that_does_not_close_its_session_exits():
     """Zenoh's threads would keep the interpreter for ever."""
     with HubNetwork() as network:
         env = {"PYTHONPATH": str(ROOT), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
@@ -105,14 +105,14 @@ def test_a_program_that_forgets_to_close_ends():
 
 
 @pytest.mark.parametrize("qos", [STREAM, LATCHED])
-def test_publishers_that_come_and_go_leave_nothing_in_a_subscription(qos: Qos):
+def test_subscription_forgets_closed_publishers(qos: Qos):
     with HubNetwork() as network, Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
-        subscriber = Heard(b, "/busy", qos)
-        stays = talk(a, "/busy", qos)
+        subscriber = Subscriber(b, "/busy", qos)
+        stays = advertise(a, "/busy", qos)
         matched(stays)
         for number in range(400):
-            publisher = talk(a, "/busy", qos, str(number))
+            publisher = advertise(a, "/busy", qos, str(number))
             until(lambda n=number: len(subscriber.samples) > n, "heard")
             publisher.close()
         assert len(subscriber.subscription.sources) < 200

@@ -70,7 +70,7 @@ def joined(stack: ExitStack, *names: str) -> tuple[Machine, Machine]:
     return first, second
 
 
-def test_a_second_machine_of_the_name_is_reported_and_kept_apart(
+def test_machines_with_the_same_name_are_reported_and_distinguished(
     stack: ExitStack, caplog: pytest.LogCaptureFixture
 ) -> None:
     first, second = joined(stack, "robot1", "robot1")
@@ -99,7 +99,7 @@ def test_machines_with_different_names_are_not_reported(stack: ExitStack) -> Non
     assert distinct(answers, first.hub.zid) == answers
 
 
-def test_another_machine_sees_both_apart() -> None:
+def test_third_machine_distinguishes_both() -> None:
     answers = [
         WorkerAnswer("robot1", "router", {"zid": zid, "members": [f"{zid}1"]}, session=zid) for zid in ("aaaa", "bbbb")
     ] + [WorkerAnswer("robot1", "ros1", {}, session="bbbb1"), WorkerAnswer("robot1", "old", {}, session="cccc")]
@@ -144,7 +144,7 @@ class Daemon:
 
 
 @pytest.mark.parametrize("router", ["Midspan's", "another"])
-def test_a_second_daemon_of_the_name_at_the_same_router(
+def test_daemons_with_the_same_name_at_one_router(
     router: str, stack: ExitStack, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
@@ -170,7 +170,7 @@ def test_a_second_daemon_of_the_name_at_the_same_router(
     until(lambda: "robot1'" not in first.warning(), "the warning ends")
 
 
-def test_daemons_of_two_names_and_one_daemons_router_are_not_reported(stack: ExitStack, tmp_path: Path) -> None:
+def test_daemons_with_different_names_are_not_reported(stack: ExitStack, tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     first = Daemon(stack, endpoint, tmp_path / "a", 1)
     second = Daemon(stack, endpoint, tmp_path / "a", 2, name="robot2")

@@ -56,7 +56,9 @@ def opened(monkeypatch: pytest.MonkeyPatch, reason: str = "") -> Opened:
     return stand_in
 
 
-def test_a_refused_segment_is_done_without(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+def test_session_opens_without_a_refused_segment(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     zenoh_open = opened(monkeypatch, SEGMENT)
     with caplog.at_level(logging.WARNING):
         open_session(config())
@@ -69,7 +71,7 @@ def test_a_refused_segment_is_done_without(monkeypatch: pytest.MonkeyPatch, capl
     assert "segment.rs" not in record.getMessage()
 
 
-def test_without_room_the_session_does_not_try(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_session_without_room_skips_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(opening, "room_trouble", lambda _size: "/dev/shm is full")
     zenoh_open = opened(monkeypatch)
     open_session(config())
@@ -98,7 +100,7 @@ def test_another_error_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
     assert opening.trouble() == ""
 
 
-def test_a_session_without_shared_memory_just_opens(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_session_without_shared_memory_opens(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(opening, "room_trouble", lambda _size: "full")
     zenoh_open = opened(monkeypatch)
     open_session(config(shared_memory=False))

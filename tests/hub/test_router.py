@@ -14,7 +14,7 @@ from bridge.hub.errors import HubConfigError, HubError
 from bridge.hub.router import RouterInfo, RouterWorker, port_held, probe_router
 from bridge.hub.session import Hub
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
-from tests.hub.parts import LATCHED, Heard, matched, see_each_other, talk
+from tests.hub.parts import LATCHED, Subscriber, advertise, matched, see_each_other
 from tests.support.hub import HubNetwork
 from tests.support.ports import free_port
 from tests.support.wait import until
@@ -24,7 +24,7 @@ def router_config(endpoint: str, router: object = "auto", **more: object) -> Con
     return Config.model_validate({"name": "robot1", "hub": {"listen": endpoint, "router": router, **more}})
 
 
-def test_it_runs_and_says_how_it_is():
+def test_router_runs_and_reports_its_status():
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     before = set(threading.enumerate())
     worker = RouterWorker()
@@ -46,7 +46,7 @@ def test_it_runs_and_says_how_it_is():
     until(lambda: set(threading.enumerate()) <= before, "its threads have ended")
 
 
-def test_probe_tells_who_is_there():
+def test_probe_identifies_the_router():
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     assert probe_router(endpoint) is None
     with HubNetwork() as network:
@@ -80,7 +80,7 @@ def test_a_second_router_is_refused_or_stands_by():
 
 
 @pytest.mark.parametrize("router", [True, "auto"])
-def test_a_port_that_something_else_holds_is_refused(router: object):
+def test_occupied_port_is_rejected(router: object):
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", 0))
         holder.listen()
@@ -97,20 +97,20 @@ def test_a_port_that_something_else_holds_is_refused(router: object):
         ({"router_zenoh": {"nonsense": 1}}, "hub.router_zenoh: .*nonsense"),
     ],
 )
-def test_what_cannot_be_listened_on_is_refused(hub: dict[str, object], reason: str):
+def test_invalid_listen_endpoint_is_rejected(hub: dict[str, object], reason: str):
     config = {"name": "robot1", "hub": {"listen": f"tcp/127.0.0.1:{free_port()}", **hub}}
     with pytest.raises(RuntimeError, match=reason) as refused:
         RouterWorker().start(Config.model_validate(config))
     assert ".rs:" not in str(refused.value)
 
 
-def test_opening_does_not_wait_for_the_router_and_joins_when_it_comes():
+def test_session_opens_before_the_router_and_joins_it_later():
     network = HubNetwork(run=False)
     with network:
         start = time.monotonic()
         with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-            subscriber = Heard(b, "/map", LATCHED)
-            talk(a, "/map", LATCHED, "x")
+            subscriber = Subscriber(b, "/map", LATCHED)
+            advertise(a, "/map", LATCHED, "x")
             # a bound for hanging, not a measurement
             assert time.monotonic() - start < 15
             assert [n.node for n in a.graph.nodes()] == ["a"]
@@ -119,11 +119,11 @@ def test_opening_does_not_wait_for_the_router_and_joins_when_it_comes():
             subscriber.expect("x")
 
 
-def test_a_restarted_router_is_joined_again():
+def test_session_rejoins_a_restarted_router():
     with HubNetwork() as network, Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
-        subscriber = Heard(b, "/map", LATCHED)
-        publisher = talk(a, "/map", LATCHED, "one")
+        subscriber = Subscriber(b, "/map", LATCHED)
+        publisher = advertise(a, "/map", LATCHED, "one")
         subscriber.expect("one")
         network.stop_router()
         # the direct link goes on
@@ -132,10 +132,10 @@ def test_a_restarted_router_is_joined_again():
         network.start_router()
         with Hub.open(network.settings("c")) as c:
             see_each_other(a, b, c)
-            Heard(c, "/map", LATCHED).expect("two")
+            Subscriber(c, "/map", LATCHED).expect("two")
 
 
-def test_clients_have_no_link_but_the_routers_and_find_each_other_again():
+def test_clients_link_only_to_routers_and_reconnect():
     client = {"mode": "client"}
     with (
         HubNetwork(zenoh=client) as network,
@@ -143,8 +143,8 @@ def test_clients_have_no_link_but_the_routers_and_find_each_other_again():
         Hub.open(network.settings("b")) as b,
     ):
         see_each_other(a, b)
-        subscriber = Heard(b, "/map", LATCHED)
-        publisher = talk(a, "/map", LATCHED, "one")
+        subscriber = Subscriber(b, "/map", LATCHED)
+        publisher = advertise(a, "/map", LATCHED, "one")
         subscriber.expect("one")
         network.stop_router()
         until(lambda: len(a.graph.nodes()) == 1, "they lost each other")

@@ -18,11 +18,11 @@ one, two = (Hub.open(HubSettings(router=endpoint, node=name)) for name in ("one"
 with one, two:
     busy, done = threading.Event(), threading.Event()
 
-    def heard(sample):
+    def on_sample(sample):
         busy.set()
         sum(range(20_000))  # long enough for another thread to get the GIL
 
-    subscription = one.subscription("/flood", "std_msgs/msg/Empty", HASH, Qos(), heard)
+    subscription = one.subscription("/flood", "std_msgs/msg/Empty", HASH, Qos(), on_sample)
     publisher = two.publisher("/flood", "std_msgs/msg/Empty", HASH, Qos())
     known = [two.publisher("/map", "std_msgs/msg/Empty", HASH, LATCHED) for _ in range(5)]
 

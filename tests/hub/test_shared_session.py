@@ -16,7 +16,17 @@ from bridge.hub.wire.qos import Qos
 from tests.hub.endpoints.test_sdk import STRING, STRING_HASH
 from tests.hub.endpoints.test_services import HASH as SERVICE_HASH
 from tests.hub.endpoints.test_services import SERVICE, Serving, call, client
-from tests.hub.parts import BEST_EFFORT_LATCHED, HASH, LATCHED, STREAM, TYPE, Heard, matched, see_each_other, talk
+from tests.hub.parts import (
+    BEST_EFFORT_LATCHED,
+    HASH,
+    LATCHED,
+    STREAM,
+    TYPE,
+    Subscriber,
+    advertise,
+    matched,
+    see_each_other,
+)
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
 
@@ -52,12 +62,12 @@ def far(network: HubNetwork) -> Iterator[Hub]:
 
 
 @EACH_QOS
-def test_each_hears_the_others_once_and_not_itself(qos: Qos, one: Hub, two: Hub, far: Hub) -> None:
+def test_each_node_receives_the_others_once_and_not_itself(qos: Qos, one: Hub, two: Hub, far: Hub) -> None:
     hubs = {"one": one, "two": two, "far": far}
     subscribers = [
-        (name, Heard(hub, "/t", qos, **how)) for name, hub in hubs.items() for how in ({}, {"type_hash": "*"})
+        (name, Subscriber(hub, "/t", qos, **how)) for name, hub in hubs.items() for how in ({}, {"type_hash": "*"})
     ]
-    says = {name: talk(hub, "/t", qos) for name, hub in hubs.items()}
+    says = {name: advertise(hub, "/t", qos) for name, hub in hubs.items()}
     until(lambda: all(len(hub.graph.subscriptions("/t")) == 6 for hub in hubs.values()), "all are seen")
     for publisher in says.values():
         matched(publisher)
@@ -75,13 +85,19 @@ def test_each_hears_the_others_once_and_not_itself(qos: Qos, one: Hub, two: Hub,
 
 
 @pytest.mark.parametrize("qos", [LATCHED, BEST_EFFORT_LATCHED], ids=["reliable", "best effort"])
-def test_late_joiners_get_what_the_others_keep_and_not_their_own(qos: Qos, session: HubSession, far: Hub) -> None:
+def test_late_joiners_receive_latched_messages_of_the_others(qos: Qos, session: HubSession, far: Hub) -> None:
     first_node, second_node = (Hub.on(session, name, name) for name in ("one", "two"))
-    says = [talk(hub, "/map", qos, "old", text) for hub, text in ((first_node, "1"), (second_node, "2"), (far, "far"))]
+    says = [
+        advertise(hub, "/map", qos, "old", text) for hub, text in ((first_node, "1"), (second_node, "2"), (far, "far"))
+    ]
     until(lambda: len(first_node.graph.publishers("/map")) == len(far.graph.publishers("/map")) == 3, "all are seen")
-    subscribers = [Heard(first_node, "/map", qos), Heard(second_node, "/map", qos), Heard(far, "/map", qos)]
+    subscribers = [
+        Subscriber(first_node, "/map", qos),
+        Subscriber(second_node, "/map", qos),
+        Subscriber(far, "/map", qos),
+    ]
     third_node = Hub.on(session, "three", "three")
-    subscribers.append(Heard(third_node, "/map", qos))
+    subscribers.append(Subscriber(third_node, "/map", qos))
     for subscriber, texts in zip(subscribers, (("2", "far"), ("1", "far"), ("1", "2"), ("1", "2", "far")), strict=True):
         subscriber.expect(*texts)
     for publisher in says:
@@ -93,10 +109,10 @@ def test_late_joiners_get_what_the_others_keep_and_not_their_own(qos: Qos, sessi
         )
 
 
-def test_a_history_and_what_follows_it_without_a_gap_or_a_double(one: Hub, two: Hub) -> None:
+def test_history_and_live_messages_arrive_without_gaps_or_duplicates(one: Hub, two: Hub) -> None:
     """A node joins while its neighbour goes on, on another thread."""
     deep = replace(LATCHED, depth=200)
-    publisher = talk(one, "/map", deep, *(str(n) for n in range(100)))
+    publisher = advertise(one, "/map", deep, *(str(n) for n in range(100)))
     joiners = []
 
     def say_on() -> None:
@@ -105,7 +121,7 @@ def test_a_history_and_what_follows_it_without_a_gap_or_a_double(one: Hub, two: 
 
     saying = threading.Thread(target=say_on)
     saying.start()
-    joiners += [Heard(two, "/map", deep) for _ in range(5)]
+    joiners += [Subscriber(two, "/map", deep) for _ in range(5)]
     saying.join()
     for joiner in joiners:
         until(lambda joiner=joiner: joiner.samples and joiner.texts()[-1] == "199", "the last message arrives")
@@ -114,8 +130,8 @@ def test_a_history_and_what_follows_it_without_a_gap_or_a_double(one: Hub, two: 
 
 
 def test_all_have_their_names_and_numbers(one: Hub, two: Hub, far: Hub) -> None:
-    talk(one, "/t")
-    Heard(two, "/t")
+    advertise(one, "/t")
+    Subscriber(two, "/t")
     Serving(two)
     one.client("/do", SERVICE, SERVICE_HASH)
     graph = far.graph
@@ -143,7 +159,7 @@ def test_ros_2_sees_each_node_by_its_name(network: HubNetwork, one: Hub, two: Hu
         until(lambda: seen() == {("publishers", "one"), ("publishers", "two"), ("subscribers", "two")}, "all seen")
 
 
-def test_a_call_of_a_neighbour_is_answered_once_and_a_far_one_too(one: Hub, two: Hub, far: Hub) -> None:
+def test_local_and_remote_calls_are_answered_once(one: Hub, two: Hub, far: Hub) -> None:
     requests: list[bytes] = []
     Serving(one, answer=lambda request: (requests.append(request), b"re " + request)[1])
     for hub in (two, far):
@@ -166,7 +182,7 @@ def test_a_node_does_not_call_itself(one: Hub, two: Hub) -> None:
     assert mine.held == []
 
 
-def test_callers_and_servers_that_leave_are_noticed(session: HubSession) -> None:
+def test_closed_clients_and_servers_are_detected(session: HubSession) -> None:
     server, first_caller, second_caller = (Hub.on(session, name, name) for name in ("server", "one", "two"))
     serving = Serving(server)
     first, abandon = call(client(first_caller), b"one")
@@ -182,11 +198,11 @@ def test_callers_and_servers_that_leave_are_noticed(session: HubSession) -> None
     assert "left before it answered" in str(last.wait())
 
 
-def test_a_node_that_closes_takes_its_own_along_alone(session: HubSession, far: Hub) -> None:
+def test_closed_node_removes_only_its_own_endpoints(session: HubSession, far: Hub) -> None:
     stays, goes = Hub.on(session, "stays", "stays"), Hub.on(session, "goes", "goes")
-    says, subscriber = talk(stays, "/t", LATCHED, "kept"), Heard(stays, "/u")
-    talk(goes, "/t", LATCHED, "lost")
-    Heard(goes, "/u")
+    says, subscriber = advertise(stays, "/t", LATCHED, "kept"), Subscriber(stays, "/u")
+    advertise(goes, "/t", LATCHED, "lost")
+    Subscriber(goes, "/u")
     Serving(goes)
     stays.serve("verb", lambda _: "stays")
     goes.serve("verb", lambda _: "goes")
@@ -194,19 +210,19 @@ def test_a_node_that_closes_takes_its_own_along_alone(session: HubSession, far: 
     until(lambda: len(far.graph.endpoints()) == 5, "all are seen")
     gaps: list[set[str]] = []
 
-    def look() -> None:
+    def check() -> None:
         topics = {end.topic for end in far.graph.endpoints() if end.node == "stays"}
         if topics != {"/t", "/u"}:
             gaps.append(topics)
 
-    unwatch = far.graph.watch(look)
+    unwatch = far.graph.watch(check)
     goes.close()
     goes.close()
     until(lambda: {node.node for node in far.graph.nodes()} == {"stays", "far"}, "its node is gone")
     until(lambda: {end.node for end in far.graph.endpoints()} == {"stays"}, "its ends are gone")
     assert [answer.value for answer in far.ask("verb", {})] == ["stays"]
-    Heard(far, "/t", LATCHED).expect("kept")
-    speaker = talk(far, "/u")
+    Subscriber(far, "/t", LATCHED).expect("kept")
+    speaker = advertise(far, "/u")
     matched(speaker)
     speaker.put(b"on")
     subscriber.expect("on")
@@ -216,17 +232,17 @@ def test_a_node_that_closes_takes_its_own_along_alone(session: HubSession, far: 
     with pytest.raises(HubClosedError):
         goes.publisher("/t", STRING, STRING_HASH, STREAM)
     again = Hub.on(session, "goes", "goes")
-    Heard(again, "/t", LATCHED).expect("kept")
+    Subscriber(again, "/t", LATCHED).expect("kept")
     session.close()
     with pytest.raises(HubClosedError):
         Hub.on(session, "late", "late")
     until(lambda: {n.node for n in far.graph.nodes()} == {"far"}, "all have left")
 
 
-def test_what_one_publishes_in_the_callback_of_another_comes_too(one: Hub, two: Hub) -> None:
+def test_message_published_in_a_callback_is_received(one: Hub, two: Hub) -> None:
     """As a brake does: the callback runs on the thread that publishes, which holds no lock that it needs."""
-    answers = talk(two, "/answer")
-    subscriber = Heard(one, "/answer")
+    answers = advertise(two, "/answer")
+    subscriber = Subscriber(one, "/answer")
     two.subscription("/ask", STRING, STRING_HASH, STREAM, lambda sample: answers.put(b"re " + sample.data()))
     one.publisher("/ask", STRING, STRING_HASH, STREAM).put(b"you")
     assert subscriber.texts() == ["re you"], "before put returned"
@@ -238,7 +254,7 @@ PATIENT = {
 """zenoh gives up a link that does not take what must not be lost after 5 s, by default."""
 
 
-def test_what_waits_for_one_who_does_not_read_holds_up_no_neighbour(network: HubNetwork) -> None:
+def test_stalled_reader_does_not_block_other_nodes(network: HubNetwork) -> None:
     """It is sent by one node. Another one's samples, which that reader is to get too, reach others meanwhile."""
     settings, read, ended = replace(network.settings("x"), shared_memory=False), threading.Event(), threading.Event()
     with (
@@ -248,11 +264,11 @@ def test_what_waits_for_one_who_does_not_read_holds_up_no_neighbour(network: Hub
     ):
         first_node, second_node = Hub.on(session, "one", "one"), Hub.on(session, "two", "two")
         see_each_other(first_node, stands, far)
-        subscriber, _ = Heard(far, "/odom"), Heard(stands, "/odom")
-        values, stop = first_node.keyspace("values"), talk(first_node, "/stop")
+        subscriber, _ = Subscriber(far, "/odom"), Subscriber(stands, "/odom")
+        values, stop = first_node.keyspace("values"), advertise(first_node, "/stop")
         stands.keyspace("values").subscribe("**", lambda _: None)
         stands.subscription("/stop", TYPE, HASH, STREAM, lambda _: read.wait(60.0) and None)
-        odometry = talk(second_node, "/odom")
+        odometry = advertise(second_node, "/odom")
         until(lambda: len(second_node.graph.subscriptions("/odom")) == 2, "both are seen")
         matched(stop)
 

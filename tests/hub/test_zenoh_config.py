@@ -28,7 +28,7 @@ def test_defaults():
     assert value(config, "transport/shared_memory/enabled") is True
 
 
-def test_inline_is_laid_over():
+def test_inline_settings_override_defaults():
     config = make_config(TREE, {"mode": "client", "transport": {"link": {"tx": {"lease": 9000}}}})
     assert value(config, "mode") == "client"
     assert value(config, "transport/link/tx/lease") == 9000
@@ -43,7 +43,7 @@ def test_inline_is_laid_over():
         ("z.yaml", "mode: client\nconnect:\n  endpoints: [tcp/10.0.0.1:7447]\n"),
     ],
 )
-def test_file_is_laid_over(tmp_path: Path, name: str, text: str):
+def test_file_settings_override_defaults(tmp_path: Path, name: str, text: str):
     (tmp_path / name).write_text(text)
     config = make_config(TREE, tmp_path / name)
     assert value(config, "mode") == "client"
@@ -53,7 +53,7 @@ def test_file_is_laid_over(tmp_path: Path, name: str, text: str):
 
 
 @pytest.mark.parametrize("user", [{"mod": "peer"}, {"mode": "king"}, {"mode": {1, 2}}, "/nonexistent/zenoh.json5"])
-def test_what_zenoh_does_not_know(user: Any):
+def test_settings_unknown_to_zenoh(user: Any):
     with pytest.raises(HubConfigError, match="zenoh configuration"):
         make_config(TREE, user)
 

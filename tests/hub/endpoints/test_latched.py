@@ -16,7 +16,17 @@ from bridge.hub.endpoints.latched import HEARTBEAT
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from bridge.hub.wire.qos import History, Qos
-from tests.hub.parts import BEST_EFFORT_LATCHED, HASH, LATCHED, STREAM, TYPE, Heard, matched, see_each_other, talk
+from tests.hub.parts import (
+    BEST_EFFORT_LATCHED,
+    HASH,
+    LATCHED,
+    STREAM,
+    TYPE,
+    Subscriber,
+    advertise,
+    matched,
+    see_each_other,
+)
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
 
@@ -27,14 +37,14 @@ EACH_LATCHED = pytest.mark.parametrize("qos", [LATCHED, BEST_EFFORT_LATCHED], id
 def test_three_publishers_of_one_session_and_late_joiners(network: HubNetwork, qos: Qos):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
-        publishers = [talk(a, "/map", qos, "old", name) for name in ("one", "two", "three")]
-        for joiner in (Heard(b, "/map", qos), Heard(b, "/map", qos, type_hash="*")):
+        publishers = [advertise(a, "/map", qos, "old", name) for name in ("one", "two", "three")]
+        for joiner in (Subscriber(b, "/map", qos), Subscriber(b, "/map", qos, type_hash="*")):
             joiner.expect("one", "two", "three")
             assert {s.gid for s in joiner.samples} == {p.gid for p in publishers}
             assert {s.zid for s in joiner.samples} == {a.zid}
             assert joiner.subscription.lost == 0
         with Hub.open(network.settings("c")) as c:
-            Heard(c, "/map", qos).expect("one", "two", "three")
+            Subscriber(c, "/map", qos).expect("one", "two", "three")
 
 
 @EACH_LATCHED
@@ -45,57 +55,57 @@ def test_three_publishers_of_several_sessions(network: HubNetwork, qos: Qos):
         Hub.open(network.settings("c")) as c,
     ):
         see_each_other(a, b, c)
-        first = Heard(c, "/map", qos)
-        talks = [talk(a, "/map", qos, "one"), talk(a, "/map", qos, "two"), talk(b, "/map", qos, "three")]
+        first = Subscriber(c, "/map", qos)
+        talks = [advertise(a, "/map", qos, "one"), advertise(a, "/map", qos, "two"), advertise(b, "/map", qos, "three")]
         first.expect("one", "two", "three")
-        Heard(c, "/map", qos).expect("one", "two", "three")
+        Subscriber(c, "/map", qos).expect("one", "two", "three")
         assert len({p.gid for p in talks}) == 3
 
 
 @EACH_LATCHED
-def test_a_publisher_that_leaves_takes_its_message_along(network: HubNetwork, qos: Qos):
+def test_latched_message_disappears_with_its_publisher(network: HubNetwork, qos: Qos):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
-        publishers = [talk(a, "/map", qos, name) for name in ("one", "two", "three")]
-        Heard(b, "/map", qos).expect("one", "two", "three")
+        publishers = [advertise(a, "/map", qos, name) for name in ("one", "two", "three")]
+        Subscriber(b, "/map", qos).expect("one", "two", "three")
         publishers[1].close()
         until(lambda: len(b.graph.publishers("/map")) == 2, "it left")
-        Heard(b, "/map", qos).expect("one", "three")
+        Subscriber(b, "/map", qos).expect("one", "three")
 
 
-def test_a_session_that_leaves_takes_its_messages_along(network: HubNetwork):
+def test_latched_messages_disappear_with_their_session(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        talk(a, "/map", LATCHED, "stays")
+        advertise(a, "/map", LATCHED, "stays")
         with Hub.open(network.settings("c")) as c:
-            publisher = talk(c, "/map", LATCHED, "goes")
-            Heard(b, "/map", LATCHED).expect("stays", "goes")
+            publisher = advertise(c, "/map", LATCHED, "goes")
+            Subscriber(b, "/map", LATCHED).expect("stays", "goes")
             assert publisher.gid != bytes(16)
         until(lambda: len(b.graph.publishers("/map")) == 1, "it left")
-        Heard(b, "/map", LATCHED).expect("stays")
+        Subscriber(b, "/map", LATCHED).expect("stays")
 
 
-def test_publishers_that_come_after_the_subscription(network: HubNetwork):
+def test_publishers_after_the_subscription(network: HubNetwork):
     with Hub.open(network.settings("b")) as b:
-        early = Heard(b, "/map", LATCHED)
+        early = Subscriber(b, "/map", LATCHED)
         with Hub.open(network.settings("a")) as a:
-            kept = [talk(a, "/map", LATCHED, name) for name in ("one", "two")]
+            kept = [advertise(a, "/map", LATCHED, name) for name in ("one", "two")]
             early.expect("one", "two")
             kept[0].put(b"three")
             early.expect("one", "two", "three")
-            Heard(b, "/map", LATCHED).expect("two", "three")
+            Subscriber(b, "/map", LATCHED).expect("two", "three")
 
 
-def test_history_and_live_without_a_gap_or_a_double(network: HubNetwork):
+def test_history_and_live_messages_without_gaps_or_duplicates(network: HubNetwork):
     """A subscription joins while its publisher publishes; it receives every message from one of them to the last."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         deep = replace(LATCHED, depth=200)
-        publisher = talk(a, "/map", deep, *(str(n) for n in range(100)))
+        publisher = advertise(a, "/map", deep, *(str(n) for n in range(100)))
         joiners = []
         for number in range(100, 200):
             publisher.put(str(number).encode())
             if number % 20 == 0:
-                joiners.append(Heard(b, "/map", deep))
+                joiners.append(Subscriber(b, "/map", deep))
         for joiner in joiners:
             until(lambda joiner=joiner: joiner.samples and joiner.texts()[-1] == "199", "the last one arrives")
             assert joiner.texts() == [str(n) for n in range(200)]
@@ -107,8 +117,8 @@ def test_depth(network: HubNetwork, published: int, asked: int, expected: int):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         texts = [str(n) for n in range(5)]
-        kept = talk(a, "/map", replace(LATCHED, depth=published), *texts)
-        subscriber = Heard(b, "/map", replace(LATCHED, depth=asked))
+        kept = advertise(a, "/map", replace(LATCHED, depth=published), *texts)
+        subscriber = Subscriber(b, "/map", replace(LATCHED, depth=asked))
         subscriber.expect(*texts[-expected:])
         assert subscriber.texts() == texts[-expected:]
         assert kept.matched()
@@ -119,8 +129,8 @@ def test_keep_all_keeps_many(network: HubNetwork):
         see_each_other(a, b)
         every = Qos(LATCHED.reliability, LATCHED.durability, History.KEEP_ALL, depth=1)
         texts = [str(n) for n in range(300)]
-        publisher = talk(a, "/map", every, *texts)
-        subscriber = Heard(b, "/map", every)
+        publisher = advertise(a, "/map", every, *texts)
+        subscriber = Subscriber(b, "/map", every)
         subscriber.expect(*texts)
         assert subscriber.texts() == texts
         assert publisher.matched()
@@ -130,49 +140,49 @@ def test_own_latched_messages_are_not_received(network: HubNetwork):
     """Zenoh's locality does not apply to caches; the hub's does."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
-        own_publisher = talk(a, "/map", LATCHED, "own")
-        talk(b, "/map", LATCHED, "other")
-        subscriber = Heard(a, "/map", LATCHED)
+        own_publisher = advertise(a, "/map", LATCHED, "own")
+        advertise(b, "/map", LATCHED, "other")
+        subscriber = Subscriber(a, "/map", LATCHED)
         subscriber.expect("other")
         own_publisher.put(b"more")
-        Heard(b, "/map", LATCHED).expect("more")
-        talk(b, "/map", LATCHED, "last")
+        Subscriber(b, "/map", LATCHED).expect("more")
+        advertise(b, "/map", LATCHED, "last")
         subscriber.expect("other", "last")
 
 
-def test_volatile_subscriptions_hear_latched_publishers_from_now_on(network: HubNetwork):
+def test_volatile_subscription_receives_only_new_latched_messages(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
-        publisher = talk(a, "/map", LATCHED, "past")
-        subscriber = Heard(b, "/map", STREAM)
+        publisher = advertise(a, "/map", LATCHED, "past")
+        subscriber = Subscriber(b, "/map", STREAM)
         matched(publisher)
         publisher.put(b"now")
         subscriber.expect("now")
         assert subscriber.samples[0].zid == a.zid
 
 
-def test_latched_subscriptions_hear_volatile_publishers(network: HubNetwork):
+def test_latched_subscription_receives_from_volatile_publishers(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
-        publisher = talk(a, "/map", STREAM, "past")
-        subscriber = Heard(b, "/map", LATCHED)
+        publisher = advertise(a, "/map", STREAM, "past")
+        subscriber = Subscriber(b, "/map", LATCHED)
         matched(publisher)
         publisher.put(b"one")
         publisher.put(b"two")
         subscriber.expect("one", "two")
 
 
-def test_a_big_latched_message(network: HubNetwork):
+def test_large_latched_message(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         payload = "x" * 5_000_000
-        publisher = talk(a, "/map", LATCHED, payload)
+        publisher = advertise(a, "/map", LATCHED, payload)
         for _ in range(3):
-            Heard(b, "/map", LATCHED).expect(payload)
+            Subscriber(b, "/map", LATCHED).expect(payload)
         assert publisher.matched()
 
 
-def test_what_a_link_drops_is_recovered():
+def test_messages_dropped_by_a_link_are_recovered():
     """The router blocks live samples of /map, so only replies to queries arrive."""
     deny = {"id": "deny", "permission": "deny", "messages": ["put"], "flows": ["egress"], "key_exprs": ["*/map/**"]}
     access = {
@@ -188,9 +198,9 @@ def test_what_a_link_drops_is_recovered():
         Hub.open(network.settings("b")) as b,
     ):
         see_each_other(a, b)
-        deep, shallow = Heard(b, "/map", replace(LATCHED, depth=10)), Heard(b, "/map", LATCHED)
-        volatile = Heard(b, "/map", STREAM)
-        publisher = talk(a, "/map", replace(LATCHED, depth=10))
+        deep, shallow = Subscriber(b, "/map", replace(LATCHED, depth=10)), Subscriber(b, "/map", LATCHED)
+        volatile = Subscriber(b, "/map", STREAM)
+        publisher = advertise(a, "/map", replace(LATCHED, depth=10))
         matched(publisher)
         for text in ("one", "two", "three"):
             publisher.put(text.encode())
@@ -207,8 +217,8 @@ def test_a_gap_is_filled_from_the_cache(network: HubNetwork):
     """A live sample skips numbers: the missing samples are queried, and are delivered in order before it."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
-        subscriber = Heard(b, "/map", replace(LATCHED, depth=10))
-        publisher = talk(a, "/map", replace(LATCHED, depth=10), "one")
+        subscriber = Subscriber(b, "/map", replace(LATCHED, depth=10))
+        publisher = advertise(a, "/map", replace(LATCHED, depth=10), "one")
         subscriber.expect("one")
         source = subscriber.subscription.sources[publisher.gid]
         subscriber.samples.clear()
@@ -221,12 +231,12 @@ def test_a_gap_is_filled_from_the_cache(network: HubNetwork):
         assert subscriber.subscription.lost == 0
 
 
-def test_an_answer_on_another_key_is_left_out(network: HubNetwork) -> None:
+def test_reply_on_another_key_is_ignored(network: HubNetwork) -> None:
     """Otherwise a client that may write one key could inject messages into latched topics."""
     key = topic_key(network.domain, "/goal", TYPE, HASH)
     other = topic_key(network.domain, "/harmless", TYPE, HASH)
     with Hub.open(network.settings("a")) as a, network.program() as forger:
-        subscriber = Heard(a, "/goal", LATCHED)
+        subscriber = Subscriber(a, "/goal", LATCHED)
 
         def answer(query: zenoh.Query) -> None:
             with query:
@@ -240,7 +250,7 @@ def test_an_answer_on_another_key_is_left_out(network: HubNetwork) -> None:
         token.undeclare()
 
 
-def test_a_peer_that_does_not_read_keeps_no_latched_publisher_from_leaving(network: HubNetwork):
+def test_stalled_peer_does_not_delay_closing_a_latched_publisher(network: HubNetwork):
     """A heartbeat waits for that peer; with zenoh's own, every publisher that closes meanwhile would wait too."""
     queue = {"congestion_control": {"block": {"wait_before_close": 60_000_000}}}
     patient = {"transport": {"link": {"tx": {"queue": queue}}}}
@@ -258,22 +268,22 @@ def test_a_peer_that_does_not_read_keeps_no_latched_publisher_from_leaving(netwo
     ):
         see_each_other(a, b)
         b.subscription("/stream", TYPE, HASH, blocking, lambda _: go_on.wait(30.0) and None)
-        stream, leaving = talk(a, "/stream", blocking), talk(a, "/map", LATCHED, "said", priority="state")
+        stream, leaving = advertise(a, "/stream", blocking), advertise(a, "/map", LATCHED, "said", priority="state")
         pushing = threading.Thread(target=push)
         try:
-            Heard(b, "/map", LATCHED).expect("said")
+            Subscriber(b, "/map", LATCHED).expect("said")
             matched(stream)
             pushing.start()
             until(lambda: sent["MB"] > 0, "b has something to read")
             leaving.put(b"more")
             looks = [-1]
 
-            def stands() -> bool:
+            def stalled() -> bool:
                 """Return whether nothing was sent during three heartbeats, counted in polls, as we may be paused."""
                 looks[:] = [*looks, sent["MB"]] if looks[-1] == sent["MB"] else [sent["MB"]]
                 return len(looks) * 0.02 > 3 * HEARTBEAT
 
-            until(stands, "the link is congested, and the heartbeat under way")
+            until(stalled, "the link is congested, and the heartbeat under way")
             full, before = sent["MB"], time.monotonic()
             leaving.close()
             assert time.monotonic() - before < 8.0
@@ -283,7 +293,7 @@ def test_a_peer_that_does_not_read_keeps_no_latched_publisher_from_leaving(netwo
             pushing.join(10.0)
 
 
-def test_a_publisher_whose_query_found_nothing_is_queried_again(network: HubNetwork, monkeypatch: pytest.MonkeyPatch):
+def test_publisher_without_a_reply_is_queried_again(network: HubNetwork, monkeypatch: pytest.MonkeyPatch):
     """A link that is being made shows the publisher's token, while its cache is not reached yet."""
     monkeypatch.setattr(latched, "AGAIN_SECONDS", (0.2, 0.2, 0.2))
     key, events = "late/cache", Events()

@@ -18,7 +18,17 @@ from bridge.hub.wire.keys import topic_key
 from bridge.hub.wire.qos import History, Qos
 from bridge.hub.zenoh_compat import SOURCE_NUMBERS, source_infos
 from bridge.hub.zenoh_config import LEASE_MS
-from tests.hub.parts import BEST_EFFORT_LATCHED, HASH, LATCHED, STREAM, TYPE, Heard, matched, see_each_other, talk
+from tests.hub.parts import (
+    BEST_EFFORT_LATCHED,
+    HASH,
+    LATCHED,
+    STREAM,
+    TYPE,
+    Subscriber,
+    advertise,
+    matched,
+    see_each_other,
+)
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
 from tests.support.zenoh_rmw import RmwPublisher, RmwSubscription, subscribe
@@ -46,7 +56,7 @@ def test_a_subscription_receives_every_message(network: HubNetwork, qos: Qos, pr
     """Nodes once received only the first message of a volatile topic, as all had the same source number."""
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
         received = RmwSubscription(rmw, key(network, "/cmd_vel"), qos)
-        publisher = talk(a, "/cmd_vel", qos, priority=priority)
+        publisher = advertise(a, "/cmd_vel", qos, priority=priority)
         matched(publisher)
         sent = ["0.2"] * 10 + ["0.0"] * 10
         for text in sent:
@@ -56,7 +66,7 @@ def test_a_subscription_receives_every_message(network: HubNetwork, qos: Qos, pr
 
 def test_messages_without_a_subscription_leave_no_gap(network: HubNetwork) -> None:
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
-        publisher = talk(a, "/chatter")
+        publisher = advertise(a, "/chatter")
         assert [publisher.pass_over() for _ in range(3)] == [True] * 3
         received = RmwSubscription(rmw, key(network, "/chatter"), STREAM)
         matched(publisher)
@@ -70,7 +80,7 @@ def test_all_messages_arrive_around_one_that_is_too_large_for_the_shared_memory(
     """From the large message on, the hub publisher uses a second zenoh publisher with another priority."""
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
         received = RmwSubscription(rmw, key(network, "/map"), STREAM)
-        publisher = talk(a, "/map")
+        publisher = advertise(a, "/map")
         matched(publisher)
         sent = [b"%d" % number for number in range(10)]
         for payload in (*sent[:5], large := bytes(LARGE + 1), *sent[5:]):
@@ -96,7 +106,7 @@ def test_source_numbers_go_on_past_the_last_one(network: HubNetwork, qos: Qos) -
 def test_two_publishers_of_one_session_are_two_sources(network: HubNetwork) -> None:
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
         received = RmwSubscription(rmw, key(network, "/tf"), STREAM)
-        first, second = talk(a, "/tf"), talk(a, "/tf")
+        first, second = advertise(a, "/tf"), advertise(a, "/tf")
         matched(first)
         matched(second)
         for number in range(5):
@@ -110,7 +120,7 @@ def test_the_messages_of_a_standby_that_takes_over_arrive_from_the_first_on(netw
         received = RmwSubscription(rmw, key(network, "/odom"), STREAM)
         for name in ("active", "standby"):
             with Hub.open(network.settings(name)) as hub:
-                publisher = talk(hub, "/odom")
+                publisher = advertise(hub, "/odom")
                 matched(publisher)
                 for number in range(3):
                     publisher.put(f"{name} {number}".encode())
@@ -126,7 +136,7 @@ def test_a_late_subscription_receives_the_cached_messages(
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
         early = RmwSubscription(rmw, key(network, "/map"), replace(qos, depth=10))
         sent = [str(number) for number in range(10)]
-        publisher = talk(a, "/map", replace(qos, depth=published), *sent)
+        publisher = advertise(a, "/map", replace(qos, depth=published), *sent)
         until(lambda: early.texts()[-1:] == sent[-1:], "all messages have arrived, so that none arrives live below")
         early.close()
         received = RmwSubscription(rmw, key(network, "/map"), replace(qos, depth=requested))
@@ -163,7 +173,7 @@ def test_values_of_a_store_arrive_in_any_order_of_their_times(network: HubNetwor
 @pytest.mark.parametrize("first", [1, 1000, 1 << 40])
 def test_every_message_of_a_publisher_is_received(network: HubNetwork, qos: Qos, first: int) -> None:
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
-        received = Heard(a, "/scan", qos)
+        received = Subscriber(a, "/scan", qos)
         publisher = RmwPublisher(rmw, key(network, "/scan"), qos, first=first)
         publisher.until_matched()
         sent = [str(number) for number in range(20)]
@@ -176,16 +186,16 @@ def test_every_message_of_a_publisher_is_received(network: HubNetwork, qos: Qos,
 
 @EACH_LATCHED
 @pytest.mark.parametrize("first", [1, 1000])
-def test_what_a_publisher_cached_is_received_late(network: HubNetwork, qos: Qos, first: int) -> None:
+def test_cached_messages_are_received_late(network: HubNetwork, qos: Qos, first: int) -> None:
     with network.rmw_session() as rmw, Hub.open(network.settings("a")) as a:
-        early = Heard(a, "/map", replace(qos, depth=10))
+        early = Subscriber(a, "/map", replace(qos, depth=10))
         publisher = RmwPublisher(rmw, key(network, "/map"), replace(qos, depth=5), first=first)
         for number in range(10):
             publisher.put(b"%d" % number)
         until(lambda: early.texts()[-1:] == ["9"], "all messages have arrived, so that none arrives live below")
         early.subscription.close()
         for depth, expected in ((1, ["9"]), (5, ["5", "6", "7", "8", "9"]), (20, ["5", "6", "7", "8", "9"])):
-            late = Heard(a, "/map", replace(qos, depth=depth))
+            late = Subscriber(a, "/map", replace(qos, depth=depth))
             late.expect(*expected)
             assert late.texts() == expected
             assert late.subscription.lost == 0
@@ -194,7 +204,7 @@ def test_what_a_publisher_cached_is_received_late(network: HubNetwork, qos: Qos,
 @EACH_QOS
 def test_a_node_that_restarts_is_received_from_its_first_message_on(network: HubNetwork, qos: Qos) -> None:
     with Hub.open(network.settings("a")) as a:
-        received = Heard(a, "/scan", qos)
+        received = Subscriber(a, "/scan", qos)
         expected = []
         for life in ("first", "second"):
             with network.rmw_session() as rmw:
@@ -221,8 +231,8 @@ def test_messages_that_a_link_dropped_are_recovered_both_ways() -> None:
         network.rmw_session(mode="client") as rmw,
     ):
         see_each_other(a, b)
-        at_hub, at_rmw = Heard(b, "/map", deep), RmwSubscription(rmw, key(network, "/map"), deep)
-        ours, theirs = talk(a, "/map", deep), RmwPublisher(rmw, key(network, "/map"), deep)
+        at_hub, at_rmw = Subscriber(b, "/map", deep), RmwSubscription(rmw, key(network, "/map"), deep)
+        ours, theirs = advertise(a, "/map", deep), RmwPublisher(rmw, key(network, "/map"), deep)
         matched(ours)
         for text in ("one", "two", "three"):
             ours.put(b"ours " + text.encode())

@@ -39,7 +39,7 @@ def hub(network: HubNetwork) -> Iterator[Hub]:
         yield hub
 
 
-def test_it_sees_our_endpoints(hub: Hub, sdk: Peer):
+def test_sdk_node_discovers_our_endpoints(hub: Hub, sdk: Peer):
     hub.publisher(
         "/robot/chatter", STRING, STRING_HASH, Qos(Reliability.BEST_EFFORT, Durability.TRANSIENT_LOCAL, depth=3)
     )
@@ -57,7 +57,7 @@ def test_it_sees_our_endpoints(hub: Hub, sdk: Peer):
         assert (endpoint["topic_type"], endpoint["type_hash"], endpoint["qos"]) == (STRING, STRING_HASH, qos)
 
 
-def test_we_see_its_endpoints(hub: Hub, sdk: Peer):
+def test_we_discover_endpoints_of_an_sdk_node(hub: Hub, sdk: Peer):
     publisher = sdk.advertise("/chatter", "std_msgs/String", latched=True, depth=5)
     sdk.subscribe("/map", "nav_msgs/OccupancyGrid", best_effort=True)
     until(lambda: len(hub.graph.endpoints()) == 2, "seen")
@@ -71,7 +71,7 @@ def test_we_see_its_endpoints(hub: Hub, sdk: Peer):
     until(lambda: not hub.graph.publishers(), "its end is seen")
 
 
-def test_it_hears_us(hub: Hub, sdk: Peer):
+def test_sdk_subscriber_receives_our_messages(hub: Hub, sdk: Peer):
     listener = sdk.subscribe("/chatter", "std_msgs/String")
     publisher = hub.publisher("/chatter", STRING, STRING_HASH, STREAM)
     matched(publisher)
@@ -81,7 +81,7 @@ def test_it_hears_us(hub: Hub, sdk: Peer):
     assert [m["data"] for m in messages] == [f"hello {n} ä" for n in range(5)]
 
 
-def test_we_hear_it(hub: Hub, sdk: Peer):
+def test_we_receive_messages_of_an_sdk_publisher(hub: Hub, sdk: Peer):
     samples: list[HubSample] = []
     hub.subscription("/chatter", STRING, STRING_HASH, STREAM, samples.append)
     talker = sdk.advertise("/chatter", "std_msgs/String")
@@ -98,7 +98,7 @@ def test_we_hear_it(hub: Hub, sdk: Peer):
     assert {sample.zid for sample in samples} == {""}
 
 
-def test_it_gets_what_our_latched_publishers_keep(hub: Hub, sdk: Peer, network: HubNetwork):
+def test_sdk_subscriber_receives_our_latched_messages(hub: Hub, sdk: Peer, network: HubNetwork):
     """One per session: the SDK's query lets zenoh keep but the newest reply of each session for one key."""
     with Hub.open(network.settings("other")) as other:
         for session, text in ((hub, "one"), (other, "two")):
@@ -117,7 +117,7 @@ def test_it_gets_what_our_latched_publishers_keep(hub: Hub, sdk: Peer, network: 
         until(lambda: asked() == ["one", "two"], "both answer")
 
 
-def test_another_hash_is_not_heard_but_by_those_who_take_any(hub: Hub, sdk: Peer):
+def test_only_subscriptions_to_any_hash_receive_another_hash(hub: Hub, sdk: Peer):
     same: list[HubSample] = []
     every: list[HubSample] = []
     hub.subscription("/chatter", STRING, STRING_HASH, STREAM, same.append)

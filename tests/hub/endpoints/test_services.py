@@ -129,7 +129,7 @@ def test_an_error_of_the_server_has_its_text(network: HubNetwork) -> None:
         assert called.wait() == "the map is ünknown"
 
 
-def test_the_second_end_of_a_call_is_passed_over(network: HubNetwork) -> None:
+def test_second_reply_to_a_call_is_ignored(network: HubNetwork) -> None:
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         serving = Serving(a)
         caller = client(b)
@@ -167,7 +167,7 @@ def test_a_server_that_closes_ends_its_calls(network: HubNetwork) -> None:
 
 
 @pytest.mark.parametrize("mode", ["peer", "client"])
-def test_a_server_that_dies_ends_its_calls_and_its_successor_is_called(network: HubNetwork, mode: str) -> None:
+def test_dead_server_ends_its_calls_and_its_successor_is_called(network: HubNetwork, mode: str) -> None:
     with Hub.open(network.settings("b", zenoh={"mode": mode})) as b:
         caller = b.client("/do", SERVICE, HASH)
         for _ in range(2):
@@ -181,7 +181,7 @@ def test_a_server_that_dies_ends_its_calls_and_its_successor_is_called(network: 
             until(lambda: not caller.ready, "its end is seen")
 
 
-def test_who_abandons_a_call_hears_no_more_of_it_and_the_server_does(network: HubNetwork) -> None:
+def test_abandoned_call_notifies_only_the_server(network: HubNetwork) -> None:
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         serving = Serving(a)
         caller = client(b)
@@ -196,7 +196,7 @@ def test_who_abandons_a_call_hears_no_more_of_it_and_the_server_does(network: Hu
         assert (called.ends, serving.abandoned) == ([], [b"dull"])
 
 
-def test_a_caller_that_dies_abandons_its_calls(network: HubNetwork) -> None:
+def test_dead_client_abandons_its_calls(network: HubNetwork) -> None:
     with Hub.open(network.settings("a")) as a:
         serving = Serving(a)
         with network.hub_peer("caller") as peer:
@@ -246,7 +246,7 @@ def test_a_client_or_session_that_closes_ends_its_calls(network: HubNetwork) -> 
         until(lambda: sorted(serving.abandoned) == [b"one", b"two"], "the server knows")
 
 
-def test_what_a_plain_zenoh_program_and_a_malformed_request_get(network: HubNetwork) -> None:
+def test_replies_to_plain_zenoh_programs_and_malformed_requests(network: HubNetwork) -> None:
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b, network.program() as program:
         Serving(a, answer=lambda request: b"re " + request)
         client(b)
@@ -273,7 +273,7 @@ def test_what_a_plain_zenoh_program_and_a_malformed_request_get(network: HubNetw
         assert ask(payload=b"on") == (b"re on", None)
 
 
-def test_a_congested_or_strange_server_ends_a_call_without_a_reply(
+def test_congested_or_invalid_server_ends_a_call_without_a_reply(
     network: HubNetwork, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(queries, "_AT_ONCE", 40.0)  # however slow the machine is

@@ -46,7 +46,7 @@ def asked(hub: Hub, request: dict[str, Any], seconds: float = 20.0) -> dict[str,
     return str(result) if isinstance(result, CallError) else MessageReader(RESPONSE, result).message()
 
 
-def test_it_answers_us(hub: Hub, sdk: Peer) -> None:
+def test_sdk_server_answers_our_client(hub: Hub, sdk: Peer) -> None:
     served = sdk.ask("serve", service="/do", type="std_srvs/SetBool", reply={"success": True, "message": "it is ön"})
     assert served["hash"] == HASH
     until(lambda: hub.graph.servers("/do"), "its server is seen")
@@ -59,12 +59,12 @@ def test_it_answers_us(hub: Hub, sdk: Peer) -> None:
     until(lambda: not hub.graph.servers("/do"), "its end is seen")
 
 
-def test_its_error_reaches_us(hub: Hub, sdk: Peer) -> None:
+def test_sdk_server_error_reaches_our_client(hub: Hub, sdk: Peer) -> None:
     sdk.ask("serve", service="/do", type="std_srvs/SetBool", error="the arm is stuck")
     assert asked(hub, {}) == "Service callback error: the arm is stuck"
 
 
-def test_its_death_ends_our_call(hub: Hub, sdk: Peer) -> None:
+def test_dead_sdk_server_ends_our_call(hub: Hub, sdk: Peer) -> None:
     served = sdk.ask("serve", service="/do", type="std_srvs/SetBool", held=True)
     client = hub.client("/do", SERVICE, HASH)
     until(lambda: client.ready, "the server is seen")
@@ -76,7 +76,7 @@ def test_its_death_ends_our_call(hub: Hub, sdk: Peer) -> None:
     assert str(ends[0]) == "the server of /do left before it answered"
 
 
-def test_we_answer_it(hub: Hub, sdk: Peer) -> None:
+def test_our_server_answers_an_sdk_client(hub: Hub, sdk: Peer) -> None:
     requests: list[dict[str, Any]] = []
 
     def serve(request: bytes, done: Done) -> Abandon:

@@ -16,15 +16,15 @@ from bridge.hub.errors import HubClosedError, HubError, HubWireError
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from bridge.hub.wire.qos import History
-from tests.hub.parts import HASH, LATCHED, STREAM, TYPE, Heard, matched, talk
+from tests.hub.parts import HASH, LATCHED, STREAM, TYPE, Subscriber, advertise, matched
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
 
 
-def test_samples_arrive_in_order_with_what_they_carry(network: HubNetwork):
+def test_samples_arrive_in_order_with_their_metadata(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        subscriber = Heard(b, "/chatter")
-        publisher = talk(a, "/chatter")
+        subscriber = Subscriber(b, "/chatter")
+        publisher = advertise(a, "/chatter")
         matched(publisher)
         for number in range(100):
             publisher.put(b"%d" % number, source_time_ns=1000 + number)
@@ -39,8 +39,8 @@ def test_samples_arrive_in_order_with_what_they_carry(network: HubNetwork):
 
 def test_source_time_is_now_unless_given(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        subscriber = Heard(b, "/chatter")
-        publisher = talk(a, "/chatter")
+        subscriber = Subscriber(b, "/chatter")
+        publisher = advertise(a, "/chatter")
         matched(publisher)
         before = time.time_ns()
         publisher.put(b"x")
@@ -48,10 +48,10 @@ def test_source_time_is_now_unless_given(network: HubNetwork):
         assert before <= subscriber.samples[0].source_time_ns <= time.time_ns()
 
 
-def test_own_samples_are_not_heard(network: HubNetwork):
+def test_own_samples_are_not_received(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        own_subscriber, other = Heard(a, "/chatter"), Heard(b, "/chatter")
-        publisher = talk(a, "/chatter")
+        own_subscriber, other = Subscriber(a, "/chatter"), Subscriber(b, "/chatter")
+        publisher = advertise(a, "/chatter")
         matched(publisher)
         publisher.put(b"x")
         other.expect("x")
@@ -60,11 +60,11 @@ def test_own_samples_are_not_heard(network: HubNetwork):
 
 def test_any_hash(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        every, same = Heard(b, "/chatter", type_hash="*"), Heard(b, "/chatter")
+        every, same = Subscriber(b, "/chatter", type_hash="*"), Subscriber(b, "/chatter")
         other = a.publisher("/chatter", TYPE, "RIHS01_" + "00" * 32, STREAM)
         matched(other)
         other.put(b"other")
-        talk(a, "/chatter", STREAM, "same")
+        advertise(a, "/chatter", STREAM, "same")
         every.expect("other", "same")
         same.expect("same")
 
@@ -75,8 +75,8 @@ def test_topics_types_and_domains_are_apart(network: HubNetwork):
         Hub.open(network.settings("b")) as b,
         Hub.open(network.settings("c", domain=0)) as c,
     ):
-        subscribers = [Heard(b, "/one"), Heard(b, "/one/two"), Heard(c, "/one")]
-        publisher = talk(a, "/one")
+        subscribers = [Subscriber(b, "/one"), Subscriber(b, "/one/two"), Subscriber(c, "/one")]
+        publisher = advertise(a, "/one")
         a.publisher("/one", "std_msgs/msg/Bool", HASH, STREAM).put(b"bool")
         matched(publisher)
         publisher.put(b"x")
@@ -84,39 +84,39 @@ def test_topics_types_and_domains_are_apart(network: HubNetwork):
         assert [h.texts() for h in subscribers] == [["x"], [], []]
 
 
-def test_matched_tells_whether_anybody_listens(network: HubNetwork):
+def test_matched_reports_subscribers(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        publisher = talk(a, "/chatter")
+        publisher = advertise(a, "/chatter")
         assert not publisher.matched()
-        subscriber = Heard(b, "/chatter")
+        subscriber = Subscriber(b, "/chatter")
         matched(publisher)
         subscriber.subscription.close()
         until(lambda: not publisher.matched(), "nobody listens")
-        again = Heard(b, "/chatter")
+        again = Subscriber(b, "/chatter")
         until(lambda: not publisher.pass_over(), "the next listener is noticed")
         again.subscription.close()
         until(publisher.pass_over, "there is no subscriber again")
 
 
-def test_who_was_there_before_the_publisher_is_noticed(network: HubNetwork):
+def test_publisher_detects_earlier_subscriptions(network: HubNetwork):
     with Hub.open(network.settings("a")) as a:
         with Hub.open(network.settings("b")) as b:
-            Heard(b, "/chatter")
-            first = talk(a, "/chatter")
+            Subscriber(b, "/chatter")
+            first = advertise(a, "/chatter")
             matched(first)
-            second = talk(a, "/chatter")
+            second = advertise(a, "/chatter")
             assert second.matched()
             assert not second.pass_over()
         until(lambda: not second.matched(), "the session has left")
         assert second.pass_over()
 
 
-def test_what_nobody_gets_is_numbered_without_being_encoded(network: HubNetwork):
+def test_unreceived_messages_are_numbered_but_not_encoded(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        publisher, kept = talk(a, "/chatter"), talk(a, "/kept", LATCHED)
+        publisher, kept = advertise(a, "/chatter"), advertise(a, "/kept", LATCHED)
         assert [publisher.pass_over(), publisher.pass_over()] == [True, True]
         assert not kept.pass_over()
-        subscriber = Heard(b, "/chatter")
+        subscriber = Subscriber(b, "/chatter")
         matched(publisher)
         assert not publisher.pass_over()
         publisher.put(b"x")
@@ -130,10 +130,10 @@ def test_what_nobody_gets_is_numbered_without_being_encoded(network: HubNetwork)
             publisher.pass_over()
 
 
-def test_a_big_message(network: HubNetwork):
+def test_large_message(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        subscriber = Heard(b, "/image")
-        publisher = talk(a, "/image")
+        subscriber = Subscriber(b, "/image")
+        publisher = advertise(a, "/image")
         matched(publisher)
         payload = bytes(range(256)) * 40_000
         # it may be dropped on a busy machine
@@ -141,13 +141,13 @@ def test_a_big_message(network: HubNetwork):
         assert subscriber.samples[0].data() == payload
 
 
-def test_both_ends_give_back_the_memory_of_a_large_message(network: HubNetwork, monkeypatch: pytest.MonkeyPatch):
+def test_memory_of_a_large_message_is_released_at_both_ends(network: HubNetwork, monkeypatch: pytest.MonkeyPatch):
     """`LARGE_MESSAGES` is asked at each heartbeat of a worker; see tests/test_resources.py."""
     passed: list[int] = []
     monkeypatch.setattr(resources.LARGE_MESSAGES, "passed", passed.append)
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        subscriber = Heard(b, "/large")
-        publisher = talk(a, "/large")
+        subscriber = Subscriber(b, "/large")
+        publisher = advertise(a, "/large")
         matched(publisher)
         publisher.put(b"small")
         publisher.put(bytes(resources.LARGE))
@@ -160,19 +160,19 @@ class Busy:
 
     def __init__(self, hub: Hub) -> None:
         self.begun, self.goes_on, self.heard = threading.Event(), threading.Event(), list[int]()
-        self.subscription = hub.subscription("/large", TYPE, HASH, STREAM, self._take)
+        self.subscription = hub.subscription("/large", TYPE, HASH, STREAM, self._on_sample)
 
-    def _take(self, sample: HubSample) -> None:  # on zenoh's thread that reads the link
+    def _on_sample(self, sample: HubSample) -> None:  # on zenoh's thread that reads the link
         self.heard.append(len(sample.payload))
         self.begun.set()
         self.goes_on.wait(10)
 
 
-def test_what_is_too_large_for_the_shared_memory_waits_for_a_busy_program(network: HubNetwork):
+def test_message_too_large_for_shared_memory_waits_for_a_busy_subscriber(network: HubNetwork):
     """50 MB and more were lost: all of it had to be in the link's queue within 0.2 s."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        busy, other = Busy(b), Heard(b, "/small")
-        publisher, small = talk(a, "/large"), talk(a, "/small")
+        busy, other = Busy(b), Subscriber(b, "/small")
+        publisher, small = advertise(a, "/large"), advertise(a, "/small")
         matched(publisher)
         matched(small)
         publisher.put(b"first")
@@ -191,13 +191,13 @@ def test_what_is_too_large_for_the_shared_memory_waits_for_a_busy_program(networ
         assert busy.subscription.lost == 0
 
 
-def test_where_messages_were_lost_is_told(network: HubNetwork):
+def test_lost_messages_are_reported_with_their_source(network: HubNetwork):
     """To a program that is busy for longer than a large message may wait."""
     drop = {"congestion_control": {"drop": {"max_wait_before_drop_fragments": 1000}}}
     hurried = {"transport": {"link": {"tx": {"queue": drop}}}}
     with Hub.open(replace(network.settings("a"), zenoh=hurried)) as a, Hub.open(network.settings("b")) as b:
         busy = Busy(b)
-        publisher = talk(a, "/large")
+        publisher = advertise(a, "/large")
         matched(publisher)
         publisher.put(b"first")
         assert busy.begun.wait(20)
@@ -217,8 +217,8 @@ def test_where_messages_were_lost_is_told(network: HubNetwork):
 
 def test_messages_have_a_size_limit(network: HubNetwork):
     with Hub.open(network.settings("a", max_payload=1000)) as a, Hub.open(network.settings("b")) as b:
-        to_a, to_b = Heard(a, "/to_a"), Heard(b, "/to_b")
-        from_a, from_b = talk(a, "/to_b"), talk(b, "/to_a")
+        to_a, to_b = Subscriber(a, "/to_a"), Subscriber(b, "/to_b")
+        from_a, from_b = advertise(a, "/to_b"), advertise(b, "/to_a")
         matched(from_a)
         matched(from_b)
         with pytest.raises(HubError, match="1001 bytes on /to_b"):
@@ -231,14 +231,14 @@ def test_messages_have_a_size_limit(network: HubNetwork):
         assert to_a.subscription.refused == 1
 
 
-def test_samples_of_others_without_a_fitting_attachment_are_refused(network: HubNetwork):
+def test_samples_with_an_invalid_attachment_are_rejected(network: HubNetwork):
     with (
         Hub.open(network.settings("a")) as a,
         Hub.open(network.settings("b")) as b,
         network.program() as program,
     ):
-        subscriber = Heard(b, "/chatter")
-        good = talk(a, "/chatter")
+        subscriber = Subscriber(b, "/chatter")
+        good = advertise(a, "/chatter")
         matched(good)
         raw = program.declare_publisher(topic_key(a.domain, "/chatter", TYPE, HASH))
         until(lambda: raw.matching_status.matching, "matched")  # type: ignore[attr-defined]
@@ -252,9 +252,9 @@ def test_samples_of_others_without_a_fitting_attachment_are_refused(network: Hub
         assert {sample.data(): sample.zid for sample in subscriber.samples} == {b"foreign": "", b"good": a.zid}
 
 
-def test_lost_samples_are_seen_from_gaps(network: HubNetwork):
+def test_sequence_gaps_count_as_lost_samples(network: HubNetwork):
     with network.program() as program, Hub.open(network.settings("b")) as b:
-        subscriber = Heard(b, "/chatter")
+        subscriber = Subscriber(b, "/chatter")
         raw = program.declare_publisher(topic_key(b.domain, "/chatter", TYPE, HASH))
         until(lambda: raw.matching_status.matching, "matched")  # type: ignore[attr-defined]
         first, second = b"1" * 16, b"2" * 16
@@ -265,9 +265,9 @@ def test_lost_samples_are_seen_from_gaps(network: HubNetwork):
         assert "3 from an unknown node" in subscriber.subscription.losses()
 
 
-def test_a_sample_that_comes_twice_is_delivered_once(network: HubNetwork):
+def test_duplicate_sample_is_delivered_once(network: HubNetwork):
     with network.program() as program, Hub.open(network.settings("b")) as b:
-        subscriber = Heard(b, "/chatter")
+        subscriber = Subscriber(b, "/chatter")
         raw = program.declare_publisher(topic_key(b.domain, "/chatter", TYPE, HASH))
         until(lambda: raw.matching_status.matching, "matched")  # type: ignore[attr-defined]
         for sequence in (1, 2, 2, 1, 3):
@@ -275,10 +275,10 @@ def test_a_sample_that_comes_twice_is_delivered_once(network: HubNetwork):
         subscriber.expect("1", "2", "3")
 
 
-def test_a_publisher_used_by_many_threads_numbers_without_gaps(network: HubNetwork):
+def test_publisher_used_by_many_threads_numbers_without_gaps(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        subscriber = Heard(b, "/chatter")
-        publisher = talk(a, "/chatter", replace(STREAM, history=History.KEEP_ALL))
+        subscriber = Subscriber(b, "/chatter")
+        publisher = advertise(a, "/chatter", replace(STREAM, history=History.KEEP_ALL))
         matched(publisher)
         threads = [threading.Thread(target=lambda: [publisher.put(b"x") for _ in range(200)]) for _ in range(4)]
         for thread in threads:
@@ -305,7 +305,7 @@ def test_priority_on_the_wire(network: HubNetwork, priority: str, expected: zeno
         samples: list[zenoh.Sample] = []
         key = topic_key(a.domain, "/chatter", TYPE, HASH)
         raw = program.declare_subscriber(key, samples.append)
-        publisher = talk(a, "/chatter", priority=priority)
+        publisher = advertise(a, "/chatter", priority=priority)
         matched(publisher)
         publisher.put(b"x")
         until(lambda: samples, "heard")
@@ -325,10 +325,10 @@ def test_bad_names_are_refused(network: HubNetwork):
         assert a.graph.endpoints() == []
 
 
-def test_nothing_is_left_after_close(network: HubNetwork):
+def test_close_leaves_no_endpoints(network: HubNetwork):
     before = set(threading.enumerate())
     hub = Hub.open(network.settings("a"))
-    publisher, subscriber = talk(hub, "/chatter"), Heard(hub, "/chatter")
+    publisher, subscriber = advertise(hub, "/chatter"), Subscriber(hub, "/chatter")
     hub.serve("status", lambda _params: {})
     hub.close()
     hub.close()
@@ -346,10 +346,10 @@ def test_nothing_is_left_after_close(network: HubNetwork):
             use()
 
 
-def test_closed_endpoints_are_quiet(network: HubNetwork):
+def test_closed_endpoints_send_and_receive_nothing(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        first, second = Heard(b, "/chatter"), Heard(b, "/chatter")
-        publisher = talk(a, "/chatter")
+        first, second = Subscriber(b, "/chatter"), Subscriber(b, "/chatter")
+        publisher = advertise(a, "/chatter")
         matched(publisher)
         first.subscription.close()
         first.subscription.close()

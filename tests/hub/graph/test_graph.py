@@ -11,7 +11,7 @@ import pytest
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import BRIDGE_ENCLAVE, EndpointKind, NodeToken, Origin, node_key
 from bridge.hub.session import Hub
-from tests.hub.parts import HASH, LATCHED, STREAM, TYPE, Heard, talk
+from tests.hub.parts import HASH, LATCHED, STREAM, TYPE, Subscriber, advertise
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
 
@@ -23,11 +23,11 @@ def _settled(hub: Hub) -> list[HubEndpoint]:
 ROBOT = Origin("ros1", "http://robot:11311/ run 7", "robot/1")
 
 
-def test_nodes_and_endpoints_come_and_go(network: HubNetwork):
+def test_nodes_and_endpoints_appear_and_disappear(network: HubNetwork):
     with Hub.open(network.settings("early")) as early:
         with Hub.open(network.settings("a", namespace="/robot/arm")) as a:
-            publisher = talk(a, "/map", LATCHED)
-            subscriber = Heard(a, "/chatter")
+            publisher = advertise(a, "/map", LATCHED)
+            subscriber = Subscriber(a, "/chatter")
             with Hub.open(network.settings("late")) as late:
                 for hub in (early, late, a):
                     until(lambda hub=hub: len(hub.graph.endpoints()) == 2, "both endpoints seen")
@@ -59,13 +59,13 @@ def test_watch(network: HubNetwork):
         until(lambda: len(a.graph.nodes()) == 2, "both nodes seen")
         calls: list[int] = []
         stop = a.graph.watch(lambda: calls.append(1))
-        publisher = talk(b, "/chatter")
+        publisher = advertise(b, "/chatter")
         until(lambda: len(calls) == 1, "notified of the publisher")
         publisher.close()
         until(lambda: len(calls) == 2, "told of its end")
         stop()
         stop()
-        talk(b, "/map")
+        advertise(b, "/map")
         until(lambda: a.graph.publishers("/map"), "seen")
         assert len(calls) == 2
 
@@ -74,7 +74,7 @@ def test_origins(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         until(lambda: len(b.graph.nodes()) == 2, "both nodes seen")
         a.set_origin(ROBOT)
-        talk(a, "/map", LATCHED)
+        advertise(a, "/map", LATCHED)
         until(lambda: b.graph.publishers("/map"), "seen")
         assert b.graph.publishers("/map")[0].origin == ROBOT
         assert b.graph.origins() == {a.zid: ROBOT}
@@ -90,31 +90,31 @@ def test_origins(network: HubNetwork):
 def test_an_endpoint_of_a_bridge_is_pending_while_its_origin_is_unknown(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         a.set_origin(ROBOT)
-        talk(a, "/map", LATCHED)
+        advertise(a, "/map", LATCHED)
         until(lambda: b.graph.publishers("/map"), "seen")
         a.set_origin(None)
         until(lambda: b.graph.publishers("/map")[0].pending, "the origin is not known any more")
         assert b.graph.publishers("/map")[0].origin is None
-        native = talk(a, "/chatter")
+        native = advertise(a, "/chatter")
         until(lambda: b.graph.publishers("/chatter"), "seen")
         assert not b.graph.publishers("/chatter")[0].pending
         assert native.gid
 
 
-def test_an_endpoint_of_a_bridge_is_never_taken_for_native(network: HubNetwork):
+def test_bridged_endpoint_is_never_native(network: HubNetwork):
     """Zenoh hands tokens over in any order when sessions join; the mark in the endpoint's own token holds meanwhile."""
     with Hub.open(network.settings("watcher")) as watcher:
         mistaken: list[HubEndpoint] = []
 
-        def look() -> None:
+        def check() -> None:
             mistaken.extend(e for e in watcher.graph.publishers() if e.origin is None and not e.pending)
 
-        watcher.graph.watch(look)
+        watcher.graph.watch(check)
         for number in range(10):
             with Hub.open(network.settings("bridge")) as bridge:
                 bridge.set_origin(Origin("ros1", f"run {number}", "robot"))
                 for topic in range(10):
-                    talk(bridge, f"/t{topic}", LATCHED if topic % 2 else STREAM)
+                    advertise(bridge, f"/t{topic}", LATCHED if topic % 2 else STREAM)
                 with Hub.open(network.settings("late")) as late:
                     for hub in (watcher, late):
                         until(lambda hub=hub: len(_settled(hub)) == 10, "all are seen with their origin")
@@ -122,17 +122,17 @@ def test_an_endpoint_of_a_bridge_is_never_taken_for_native(network: HubNetwork):
         assert mistaken == []
 
 
-def test_a_killed_node_vanishes(network: HubNetwork):
+def test_killed_node_disappears(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, network.hub_peer("victim") as victim:
         victim.ask("origin", side="ros1", network="n", daemon="d")
         victim.ask("put", id=victim.ask("publisher", topic="/map", latched=True)["id"], text="x")
-        Heard(a, "/map", LATCHED).expect("x")
+        Subscriber(a, "/map", LATCHED).expect("x")
         victim.signal(signal.SIGKILL)
         until(lambda: len(a.graph.nodes()) == 1, "the node is gone")
         until(lambda: not a.graph.publishers("/map") and not a.graph.origins(), "so is the rest")
 
 
-def test_a_node_that_stands_still_vanishes_and_comes_back(network: HubNetwork):
+def test_suspended_node_disappears_and_returns(network: HubNetwork):
     """No socket closes, so only the lease reveals it."""
     with Hub.open(network.settings("a")) as a, network.hub_peer("victim") as victim:
         publisher = victim.ask("publisher", topic="/map", latched=True)["id"]
@@ -142,7 +142,7 @@ def test_a_node_that_stands_still_vanishes_and_comes_back(network: HubNetwork):
         victim.signal(signal.SIGCONT)
         until(lambda: a.graph.publishers("/map"), "seen again")
         victim.ask("put", id=publisher, text="back")
-        Heard(a, "/map", LATCHED).expect("back")
+        Subscriber(a, "/map", LATCHED).expect("back")
 
 
 def test_malformed_tokens_are_left_out(network: HubNetwork, caplog: pytest.LogCaptureFixture):
@@ -159,7 +159,7 @@ def test_malformed_tokens_are_left_out(network: HubNetwork, caplog: pytest.LogCa
         ]
         with caplog.at_level(logging.WARNING):
             tokens = [program.liveliness().declare_token(key) for key in bad]
-            good = talk(b, "/chatter")
+            good = advertise(b, "/chatter")
             until(lambda: a.graph.publishers("/chatter"), "the good one is seen")
             until(lambda: a.graph.refused == len(bad), "the bad ones are counted")
         assert len([r for r in caplog.records if r.name == "bridge.hub.graph.view"]) <= 2
@@ -186,7 +186,7 @@ def test_tokens_are_bounded(network: HubNetwork):
 def test_other_domains_are_not_seen(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b", domain=0)) as b:
         b.set_origin(ROBOT)
-        talk(b, "/chatter")
+        advertise(b, "/chatter")
         until(lambda: b.graph.publishers(), "seen in its own")
         with Hub.open(network.settings("c")) as c:
             until(lambda: len(a.graph.nodes()) == 2, "both seen")

@@ -54,7 +54,7 @@ def test_gid():
 
 
 @pytest.mark.parametrize("kind", EndpointKind)
-def test_endpoint_there_and_back(kind: EndpointKind):
+def test_endpoint_token_round_trip(kind: EndpointKind):
     owner = NodeToken(42, "abc1", "3", "/a/b", "node_1", "/enclave/x")
     token = EndpointToken(owner, "77", kind, "/very/deep/name", "a_msgs/srv/B", HASH, Qos(depth=1))
     assert parse_token(endpoint_key(token)) == token
@@ -71,7 +71,7 @@ WORDS = st.text(st.characters(codec="utf-8"), max_size=30)
 
 
 @given(WORDS, WORDS, WORDS)
-def test_origin_there_and_back(side: str, network: str, daemon: str):
+def test_origin_token_round_trip(side: str, network: str, daemon: str):
     token = OriginToken(5, "abc", Origin(side, network, daemon))
     key = origin_key(token)
     assert parse_origin(key) == token

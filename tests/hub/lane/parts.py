@@ -6,17 +6,17 @@ from collections import Counter
 from itertools import pairwise
 
 from bridge.hub.endpoints.lane_subscription import LaneSubscription
-from tests.hub.parts import Heard
+from tests.hub.parts import Subscriber
 from tests.support.wait import until
 
 
-def subscription(heard: Heard) -> LaneSubscription:
+def subscription(heard: Subscriber) -> LaneSubscription:
     """A subscription that has a lane."""
     assert isinstance(heard.subscription, LaneSubscription)
     return heard.subscription
 
 
-def goes_by(heard: Heard, way: str, why: str = "") -> None:
+def goes_by(heard: Subscriber, way: str, why: str = "") -> None:
     """Wait until all comes one way, and for a reason."""
     chosen = subscription(heard)
 

@@ -15,15 +15,15 @@ from bridge.hub.lane.wire import DATA, HEAD, MARK, PART, PIECE
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment
 from tests.hub.lane.parts import goes_by, subscription, whole
-from tests.hub.parts import STREAM, Heard, matched, talk
+from tests.hub.parts import STREAM, Subscriber, advertise, matched
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
 
 
-def test_a_reader_that_stops_holds_nobody_up(network: HubNetwork, tmp_path: Path) -> None:
+def test_stalled_reader_blocks_no_other(network: HubNetwork, tmp_path: Path) -> None:
     lane, count = str(tmp_path), 6000
     with Hub.open(network.settings("writer", lane=lane)) as writer, network.hub_peer("reader", lane=lane) as reader:
-        publisher = talk(writer, "/t")
+        publisher = advertise(writer, "/t")
         number = reader.ask("subscription", topic="/t")["id"]
         until(lambda: reader.ask("way", id=number)["way"] == "lane", "it goes by the lane")
         os.kill(reader.pid, signal.SIGSTOP)
@@ -49,10 +49,10 @@ def test_a_reader_that_stops_holds_nobody_up(network: HubNetwork, tmp_path: Path
         assert reader.ask("way", id=number)["lost"] == dropped
 
 
-def test_a_reader_that_is_killed_is_forgotten_and_the_next_one_heard(network: HubNetwork, tmp_path: Path) -> None:
+def test_killed_reader_is_removed_and_the_next_one_served(network: HubNetwork, tmp_path: Path) -> None:
     lane = str(tmp_path)
     with Hub.open(network.settings("writer", lane=lane)) as writer:
-        publisher = talk(writer, "/t")
+        publisher = advertise(writer, "/t")
         for _ in range(2):
             with network.hub_peer("reader", lane=lane) as reader:
                 number = reader.ask("subscription", topic="/t")["id"]
@@ -63,10 +63,10 @@ def test_a_reader_that_is_killed_is_forgotten_and_the_next_one_heard(network: Hu
             until(lambda: publisher.way()[0] != "lane", "its lane is gone", 1.0)
 
 
-def test_a_writer_that_is_killed_leaves_whole_messages(network: HubNetwork, tmp_path: Path) -> None:
+def test_killed_writer_leaves_only_whole_messages(network: HubNetwork, tmp_path: Path) -> None:
     lane = str(tmp_path)
     with Hub.open(network.settings("reader", lane=lane)) as reader:
-        subscriber = Heard(reader, "/t")
+        subscriber = Subscriber(reader, "/t")
         for _ in range(2):
             with network.hub_peer("writer", lane=lane) as writer:
                 number = writer.ask("publisher", topic="/t")["id"]
@@ -89,15 +89,15 @@ def accepted(listener: socket.socket) -> socket.socket | None:
         return None
 
 
-def test_the_beginning_of_a_message_is_not_delivered(network: HubNetwork, tmp_path: Path) -> None:
+def test_partial_message_is_not_delivered(network: HubNetwork, tmp_path: Path) -> None:
     """The other end is a bare socket in the place of a worker that dies in the middle."""
     with Hub.open(network.settings("reader", lane=str(tmp_path))) as reader:
-        subscriber = Heard(reader, "/t")
+        subscriber = Subscriber(reader, "/t")
         with Hub.open(network.settings("writer")) as writer:  # only its place on the graph
-            publisher = talk(writer, "/t")
+            publisher = advertise(writer, "/t")
             listener = folder.listen(tmp_path, writer.zid)
             listener.settimeout(0.5)
-            sock = until(lambda: accepted(listener) or talk(writer, "/another").close(), "the reader connects")
+            sock = until(lambda: accepted(listener) or advertise(writer, "/another").close(), "the reader connects")
             sock.settimeout(20.0)
             record = sock.recv(1000)
             _, key = HEAD.unpack_from(record)
@@ -117,7 +117,7 @@ def test_the_beginning_of_a_message_is_not_delivered(network: HubNetwork, tmp_pa
 
 
 @pytest.mark.parametrize("end", ["reader", "writer"])
-def test_without_descriptors_all_goes_over_zenoh(network: HubNetwork, tmp_path: Path, end: str) -> None:
+def test_without_descriptors_all_messages_use_zenoh(network: HubNetwork, tmp_path: Path, end: str) -> None:
     lane = str(tmp_path)
     with network.hub_peer("reader", lane=lane) as reader, network.hub_peer("writer", lane=lane) as writer:
         peers = {"reader": reader, "writer": writer}
@@ -140,7 +140,7 @@ def test_a_folder_that_cannot_be_written_to(network: HubNetwork, tmp_path: Path)
     (tmp_path / "file").touch()
     lane = str(tmp_path / "file" / "lane")
     with Hub.open(network.settings("a", lane=lane)) as a, Hub.open(network.settings("b", lane=lane)) as b:
-        subscriber, publisher = Heard(b, "/t"), talk(a, "/t")
+        subscriber, publisher = Subscriber(b, "/t"), advertise(a, "/t")
         matched(publisher)
         publisher.put(b"x")
         subscriber.expect("x")
@@ -154,14 +154,14 @@ def test_other_users_are_refused(network: HubNetwork, tmp_path: Path, monkeypatc
         assert all(path.stat().st_mode & 0o777 == 0o600 for path in tmp_path.iterdir())
         user = os.geteuid() + 1
         monkeypatch.setattr(os, "geteuid", lambda: user)
-        subscriber, publisher = Heard(b, "/t"), talk(a, "/t")
+        subscriber, publisher = Subscriber(b, "/t"), advertise(a, "/t")
         matched(publisher)
         publisher.put(b"x")
         subscriber.expect("x")
         goes_by(subscriber, "zenoh", "the other end of the lane belongs to user")
 
 
-def test_sockets_of_the_dead_are_removed(network: HubNetwork, tmp_path: Path) -> None:
+def test_sockets_of_dead_processes_are_removed(network: HubNetwork, tmp_path: Path) -> None:
     lane = str(tmp_path)
     with network.hub_peer("dies", lane=lane) as peer:
         peer.ask("publisher", topic="/t")
@@ -173,11 +173,11 @@ def test_sockets_of_the_dead_are_removed(network: HubNetwork, tmp_path: Path) ->
     assert not list(tmp_path.iterdir())
 
 
-def test_what_is_put_early_comes_once(network: HubNetwork, tmp_path: Path) -> None:
+def test_early_messages_arrive_once(network: HubNetwork, tmp_path: Path) -> None:
     lane = str(tmp_path)
     with Hub.open(network.settings("writer", lane=lane)) as writer, Hub.open(network.settings("b", lane=lane)) as b:
-        publisher = talk(writer, "/t", STREAM, "before")  # zenoh may hold it until there is a subscriber
-        subscriber = Heard(b, "/t")
+        publisher = advertise(writer, "/t", STREAM, "before")  # zenoh may hold it until there is a subscriber
+        subscriber = Subscriber(b, "/t")
         matched(publisher)
         for number in range(500):
             publisher.put(str(number).encode())

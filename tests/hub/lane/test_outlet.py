@@ -29,7 +29,7 @@ class Pair:
         self.stream, self.command = Outlet(self.link, 1, "0/stream/t/h"), Outlet(self.link, 2, "0/command/t/h")
         self.stream.depth, self.command.command = 10, True
 
-    def say(self, outlet: Outlet, number: int, size: int = 1000) -> None:
+    def send(self, outlet: Outlet, number: int, size: int = 1000) -> None:
         outlet.send(pack_attachment(number, 0, GID), bytes(size))
 
     def fill(self) -> int:
@@ -37,7 +37,7 @@ class Pair:
         number = 0
         while not self.stream.queue:
             number += 1
-            self.say(self.stream, number)
+            self.send(self.stream, number)
         return number
 
     def read(self) -> list[tuple[int, int]]:
@@ -61,12 +61,12 @@ def pair() -> Iterator[Pair]:
     outlet_pair.far.close()
 
 
-def test_commands_go_first_and_the_newest_of_each(pair: Pair) -> None:
+def test_commands_go_first_and_the_oldest_messages_are_dropped(pair: Pair) -> None:
     first = pair.fill()
     for number in range(first + 1, first + 30):
-        pair.say(pair.stream, number)
+        pair.send(pair.stream, number)
     for number in range(1, 6):
-        pair.say(pair.command, number)
+        pair.send(pair.command, number)
     assert pair.watched == [True]
     assert pair.read() == [(1, number) for number in range(1, first)]
     pair.link.flush()
@@ -75,14 +75,14 @@ def test_commands_go_first_and_the_newest_of_each(pair: Pair) -> None:
     assert pair.watched == [True, False]
 
 
-def test_what_waits_is_bounded_in_bytes_but_for_the_newest(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_queue_is_bounded_in_bytes_except_the_newest_message(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_WAITING", 5000)
     last = pair.fill()
     for _ in range(8):
         last += 1
-        pair.say(pair.stream, last)
+        pair.send(pair.stream, last)
     last += 1
-    pair.say(pair.stream, last, BOUND)
+    pair.send(pair.stream, last, BOUND)
     pair.read()
     pair.link.flush()
     assert pair.read() == [(1, last)]
@@ -93,7 +93,7 @@ def test_a_fence_is_neither_dropped_nor_overtakes(pair: Pair) -> None:
     first = pair.fill()
     pair.stream.fence(TOKEN.pack(7))
     for number in range(first + 1, first + 30):
-        pair.say(pair.stream, number)
+        pair.send(pair.stream, number)
     while pair.read():
         pass
     pair.link.flush()
@@ -103,10 +103,10 @@ def test_a_fence_is_neither_dropped_nor_overtakes(pair: Pair) -> None:
     assert pair.read() == [(1, number) for number in range(first + 20, first + 30)]
 
 
-def test_a_large_message_goes_in_parts_that_others_pass(pair: Pair) -> None:
-    pair.say(pair.stream, 1, 5 * BOUND + 3)
+def test_small_messages_overtake_parts_of_a_large_one(pair: Pair) -> None:
+    pair.send(pair.stream, 1, 5 * BOUND + 3)
     pair.link.flush()
-    pair.say(pair.command, 1)
+    pair.send(pair.command, 1)
     parts, passed = 0, []
     while parts < 5 * BOUND + 3:
         try:
@@ -123,9 +123,9 @@ def test_a_large_message_goes_in_parts_that_others_pass(pair: Pair) -> None:
     assert passed == [2], "the command waited for the whole message"
 
 
-def test_nothing_is_sent_to_a_reader_that_left(pair: Pair) -> None:
+def test_nothing_is_sent_to_a_closed_reader(pair: Pair) -> None:
     pair.far.close()
-    pair.say(pair.stream, 1)
-    pair.say(pair.stream, 2)
+    pair.send(pair.stream, 1)
+    pair.send(pair.stream, 2)
     assert not pair.stream.queue
     assert pair.watched == [True], "whoever watches the socket sees its end"

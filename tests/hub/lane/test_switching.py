@@ -13,7 +13,7 @@ from bridge.hub.session import Hub, HubSession
 from bridge.hub.wire.keys import topic_key
 from bridge.hub.wire.qos import History, Qos
 from tests.hub.lane.parts import goes_by, subscription, whole
-from tests.hub.parts import HASH, LATCHED, TYPE, Heard, matched, talk
+from tests.hub.parts import HASH, LATCHED, TYPE, Subscriber, advertise, matched
 from tests.support.hub import HubNetwork
 from tests.support.peer import Peer
 from tests.support.wait import until
@@ -45,7 +45,7 @@ def drummer(network: HubNetwork, lane: str) -> Iterator[Peer]:
 
 @pytest.mark.parametrize("switches", [10, pytest.param(200, marks=pytest.mark.thorough)])
 def test_switches_lose_nothing(network: HubNetwork, reader: Hub, drummer: Peer, switches: int) -> None:
-    subscriber = Heard(reader, "/t")
+    subscriber = Subscriber(reader, "/t")
     number = drummer.ask("publisher", topic="/t")["id"]
     with network.hub_peer("foreign") as foreign, network.rmw_session() as rmw:
         beside = RmwSubscription(rmw, topic_key(network.domain, "/t", TYPE, HASH), Qos(depth=10))
@@ -65,13 +65,13 @@ def test_switches_lose_nothing(network: HubNetwork, reader: Hub, drummer: Peer, 
     assert not subscription(subscriber).lost
 
 
-def test_foreign_publishers_are_heard_again(network: HubNetwork, reader: Hub, writer: Hub) -> None:
-    subscriber = Heard(reader, "/t")
-    ours = talk(writer, "/t")
+def test_foreign_publishers_are_received_again(network: HubNetwork, reader: Hub, writer: Hub) -> None:
+    subscriber = Subscriber(reader, "/t")
+    ours = advertise(writer, "/t")
     goes_by(subscriber, "lane")
     until(lambda: ours.way() == ("lane", ""), "the publisher knows")
     with Hub.open(network.settings("foreign")) as far:
-        strange = talk(far, "/t")
+        strange = advertise(far, "/t")
         goes_by(subscriber, "zenoh", "foreign")
         matched(strange)
         strange.put(b"from afar")
@@ -80,23 +80,23 @@ def test_foreign_publishers_are_heard_again(network: HubNetwork, reader: Hub, wr
         until(lambda: ours.way() == ("zenoh", "a listener is not on the lane"), "the publisher knows")
 
 
-def test_others_hear_what_goes_by_the_lane(network: HubNetwork, reader: Hub, writer: Hub) -> None:
-    ours = talk(writer, "/t")
-    subscriber, every = Heard(reader, "/t"), Heard(reader, "/t", type_hash="*")
+def test_other_subscribers_receive_lane_messages(network: HubNetwork, reader: Hub, writer: Hub) -> None:
+    ours = advertise(writer, "/t")
+    subscriber, every = Subscriber(reader, "/t"), Subscriber(reader, "/t", type_hash="*")
     goes_by(subscriber, "lane")
     goes_by(every, "lane")
     until(lambda: ours.way() == ("lane", ""), "the publisher knows both subscriptions")
     with Hub.open(network.settings("foreign")) as far:
-        strange = Heard(far, "/t")
+        strange = Subscriber(far, "/t")
         until(lambda: ours.way()[0] == "both", "both listen")
         ours.put(b"x")
         for receiver in (subscriber, every, strange):
             receiver.expect("x")
 
 
-def test_a_topic_that_grows_goes_back(reader: Hub, writer: Hub) -> None:
-    subscriber = Heard(reader, "/t")
-    ours = talk(writer, "/t")
+def test_topic_with_growing_messages_returns_to_zenoh(reader: Hub, writer: Hub) -> None:
+    subscriber = Subscriber(reader, "/t")
+    ours = advertise(writer, "/t")
     goes_by(subscriber, "lane")
     texts = ["small", "x" * (3 * BOUND + 5), "y" * (40 * BOUND), "small again"]
     for text in texts:
@@ -113,20 +113,20 @@ def test_a_topic_that_grows_goes_back(reader: Hub, writer: Hub) -> None:
         (Qos(history=History.KEEP_ALL), "writer has the history keep_all"),
     ],
 )
-def test_what_stays_on_zenoh(reader: Hub, writer: Hub, qos: Qos, why: str) -> None:
-    subscriber = Heard(reader, "/t")
-    ours = talk(writer, "/t", qos)
+def test_topics_that_stay_on_zenoh(reader: Hub, writer: Hub, qos: Qos, why: str) -> None:
+    subscriber = Subscriber(reader, "/t")
+    ours = advertise(writer, "/t", qos)
     goes_by(subscriber, "zenoh", why)
     matched(ours)
     ours.put(b"x")
     subscriber.expect("x")
 
 
-def test_nodes_of_one_session_and_others_are_heard_once(network: HubNetwork, writer: Hub, lane: str) -> None:
+def test_each_message_is_received_once_from_any_session(network: HubNetwork, writer: Hub, lane: str) -> None:
     session = HubSession.open(network.settings("unused", lane=lane), shared=True)
     try:
         first_node, second_node = Hub.on(session, "one", "one"), Hub.on(session, "two", "two")
-        subscribers = [Heard(hub, "/t") for hub in (first_node, second_node)]
+        subscribers = [Subscriber(hub, "/t") for hub in (first_node, second_node)]
         says = {hub: hub.publisher("/t", TYPE, HASH, Qos(depth=10)) for hub in (first_node, second_node, writer)}
         for subscriber in subscribers:
             goes_by(subscriber, "lane")
@@ -139,13 +139,13 @@ def test_nodes_of_one_session_and_others_are_heard_once(network: HubNetwork, wri
         session.close()
 
 
-def test_late_publishers_and_listeners(reader: Hub, writer: Hub) -> None:
-    subscriber = Heard(reader, "/t")
-    first = talk(writer, "/t")
+def test_late_publishers_and_subscribers(reader: Hub, writer: Hub) -> None:
+    subscriber = Subscriber(reader, "/t")
+    first = advertise(writer, "/t")
     goes_by(subscriber, "lane")
-    second = talk(writer, "/t", Qos(depth=10), "at once")  # its first message comes by the lane too
+    second = advertise(writer, "/t", Qos(depth=10), "at once")  # its first message comes by the lane too
     subscriber.expect("at once")
-    later = Heard(reader, "/t")
+    later = Subscriber(reader, "/t")
     goes_by(later, "lane")
     first.put(b"one")
     second.put(b"two")
@@ -159,7 +159,7 @@ def test_late_publishers_and_listeners(reader: Hub, writer: Hub) -> None:
     assert first.pass_over()
 
 
-def test_where_zenoh_rules_what_may_pass_there_is_no_lane(network: HubNetwork, lane: str) -> None:
+def test_no_lane_with_zenoh_access_control(network: HubNetwork, lane: str) -> None:
     empty: dict[str, Any] = {key: [] for key in ("rules", "policies", "subjects")}
     rules = {"access_control": {"enabled": True, "default_permission": "allow", **empty}}
     with Hub.open(network.settings("ruled", lane=lane, zenoh=rules)) as hub:

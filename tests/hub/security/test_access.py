@@ -38,7 +38,7 @@ def allowed(topic: str, type_name: str) -> bool:
     return any(allowed_key.includes(key) for allowed_key in KEYS)
 
 
-def test_what_commands() -> None:
+def test_command_types() -> None:
     command_parts = commands(RULES)
     assert set(ALWAYS) >= COMMAND_TYPES
     assert {name: set(parts) for name, parts in command_parts.items() if name not in ALWAYS} == {
@@ -50,7 +50,7 @@ def test_what_commands() -> None:
     }
 
 
-def test_nothing_that_is_allowed_meets_a_command() -> None:
+def test_allowed_keys_never_match_commands() -> None:
     """Not even a key with wildcards can be in both."""
     goals = ["*/**/$*Goal_/*"]
     others = [
@@ -101,13 +101,13 @@ def test_every_other_type_is_allowed(topic: str, package: str, name: str) -> Non
     st.sets(st.sampled_from(["go", "goal", "goa*", "x", "stop", "st*"])),
     st.sampled_from(["g", "go", "goa", "goal", "goals", "x", "xx", "s", "sto", "u"]),
 )
-def test_all_but_some_words(words: set[str], word: str) -> None:
+def test_not_beginning_matches_all_other_words(words: set[str], word: str) -> None:
     taken = any(word.startswith(pattern[:-1]) if pattern.endswith("*") else word == pattern for pattern in words)
     matching = [pattern for pattern in not_beginning("", words) if zenoh.KeyExpr(pattern).includes(zenoh.KeyExpr(word))]
     assert bool(matching) is not taken
 
 
-def test_a_command_rule_must_say_its_type() -> None:
+def test_command_rule_requires_a_type() -> None:
     rules: list[dict[str, Any]] = [
         {"topic": "/drive", "priority": "command"},
         {"topic": "/drive", "priority": "command", "type": "geometry_msgs/msg/Twist*"},
@@ -144,7 +144,7 @@ def test_without_tls_nobody_is_trusted_by_name() -> None:
         ("liveliness_token", "midspan/store/0/@sync/alive/a1/robot", True),
     ],
 )
-def test_who_is_not_trusted_reads_the_store_and_cannot_change_it(message: str, key: str, may: bool) -> None:
+def test_untrusted_machine_reads_the_store_but_cannot_change_it(message: str, key: str, may: bool) -> None:
     door = OpenSection.model_validate({"listen": ["tls/0.0.0.0:7448"], "trusted": ["base"]})
     rules = access_control(door, RoutingSection(), ["lo"])
     names = {rule["id"]: rule for rule in rules["rules"]}

@@ -18,7 +18,7 @@ from bridge.hub.security.certificates import Authority
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from tests.hub.machines import FLOAT, Machines, make_keys
-from tests.hub.parts import HASH, LATCHED, TYPE, Heard, matched, see_each_other, talk
+from tests.hub.parts import HASH, LATCHED, TYPE, Subscriber, advertise, matched, see_each_other
 from tests.support.ports import free_port
 from tests.support.wait import until
 
@@ -110,37 +110,37 @@ class Ear:
             query.reply(query.key_expr, b"done")
 
 
-def everything_said(
-    machines: Machines, name: str, say: Callable[[zenoh.Session], None], mode: str = "client"
+def received_from(
+    machines: Machines, name: str, send: Callable[[zenoh.Session], None], mode: str = "client"
 ) -> list[tuple[str, str]]:
     """Return what the robot receives from a machine, up to a harmless last message."""
     ear = Ear(machines.session(None))
     mouth = machines.session(name, mode)
     last = key("/last", TYPE)
     until(lambda: mouth.put(last, b"hello") or ear.heard, "the machine is connected")
-    say(mouth)
+    send(mouth)
     mouth.put(last, b"end")
     until(lambda: (last, "end") in ear.heard, "the last word")
     return [message for message in ear.heard if message[0] != last]
 
 
 def put_each(keys: list[str]) -> Callable[[zenoh.Session], None]:
-    def say(mouth: zenoh.Session) -> None:
+    def send(mouth: zenoh.Session) -> None:
         for key_expr in keys:
             mouth.put(key_expr, b"go", attachment=SAID)
             mouth.delete(key_expr)
 
-    return say
+    return send
 
 
 def test_a_trusted_machine_commands(machines: Machines) -> None:
-    messages = everything_said(machines, "friend", put_each(COMMANDS + HARMLESS))
+    messages = received_from(machines, "friend", put_each(COMMANDS + HARMLESS))
     assert [entry for entry in messages if entry[1]] == [(entry, "go") for entry in COMMANDS + HARMLESS]
 
 
 @pytest.mark.parametrize("mode", ["client", "peer", "router"])
-def test_a_guest_says_everything_but_commands(machines: Machines, mode: str) -> None:
-    messages = everything_said(machines, "guest", put_each(COMMANDS + FORGED + HARMLESS), mode)
+def test_guest_publishes_everything_but_commands(machines: Machines, mode: str) -> None:
+    messages = received_from(machines, "guest", put_each(COMMANDS + FORGED + HARMLESS), mode)
     assert messages == [(key_expr, "go") for key_expr in HARMLESS]
 
 
@@ -148,7 +148,7 @@ def test_a_guest_cannot_borrow_a_name(machines: Machines) -> None:
     """The sender that a sample names, and the tokens of another session, change nothing."""
     friend = machines.session("friend")
 
-    def say(mouth: zenoh.Session) -> None:
+    def send(mouth: zenoh.Session) -> None:
         source = friend.declare_publisher(CMD_VEL)
         token = f"@ros2_lv/0/{friend.zid()}/0/9/MP/%/%/boss/%cmd_vel/geometry_msgs::msg::dds_::Twist_/{HASH}/::,:,:,:,,"
         tokens = [mouth.liveliness().declare_token(name) for name in (token, f"{CMD_VEL}/@adv/pub/{friend.zid()}/7/_")]
@@ -163,7 +163,7 @@ def test_a_guest_cannot_borrow_a_name(machines: Machines) -> None:
         for declared in tokens:
             declared.undeclare()
 
-    assert everything_said(machines, "guest", say) == []
+    assert received_from(machines, "guest", send) == []
 
 
 @pytest.mark.parametrize(("name", "works"), [("friend", True), ("guest", False)])
@@ -176,7 +176,7 @@ def test_goals_and_cancels(machines: Machines, name: str, works: bool) -> None:
             replies = mouth.get(key_expr, target=zenoh.QueryTarget.ALL, timeout=10.0)
             answered.extend(str(reply.ok.key_expr) for reply in replies if reply.ok)
 
-    received = [key_expr for key_expr, _ in everything_said(machines, name, ask)]
+    received = [key_expr for key_expr, _ in received_from(machines, name, ask)]
     assert answered == received
     assert {GOAL, CANCEL} & set(received) == ({GOAL, CANCEL} if works else set())
     assert {RESULT, key("/map_server/map", "nav_msgs/srv/GetMap")} <= set(received)
@@ -219,22 +219,22 @@ def test_others_cannot_join(machines: Machines) -> None:
             machines.hub(name)
 
 
-def test_state_crosses_both_ways_for_guests(machines: Machines) -> None:
+def test_guests_exchange_state_in_both_directions(machines: Machines) -> None:
     robot = Hub.open(machines.network.settings("robot"))
     with robot, machines.hub("guest") as guest:
         see_each_other(robot, guest)
-        talk(robot, "/map", LATCHED, "of the robot")
-        talk(guest, "/plan", LATCHED, "of the guest")
-        Heard(guest, "/map", LATCHED).expect("of the robot")
-        Heard(robot, "/plan", LATCHED).expect("of the guest")
-        subscriber, stream = Heard(robot, "/chat"), talk(guest, "/chat")
+        advertise(robot, "/map", LATCHED, "of the robot")
+        advertise(guest, "/plan", LATCHED, "of the guest")
+        Subscriber(guest, "/map", LATCHED).expect("of the robot")
+        Subscriber(robot, "/plan", LATCHED).expect("of the guest")
+        subscriber, stream = Subscriber(robot, "/chat"), advertise(guest, "/chat")
         matched(stream)
         stream.put(b"hello")
         subscriber.expect("hello")
         assert robot.ask("nothing", {}, timeout=0.5) == []
 
 
-def test_the_router_tells_who_is_connected(machines: Machines) -> None:
+def test_router_reports_connected_machines(machines: Machines) -> None:
     robot = Hub.open(machines.network.settings("robot"))
     with robot, machines.hub("guest"), machines.hub("friend"):
 
@@ -245,20 +245,20 @@ def test_the_router_tells_who_is_connected(machines: Machines) -> None:
         until(lambda: connected() == [("friend", True), ("guest", False)], "both are told")
 
 
-def test_a_reload_changes_whom_to_trust(folder: Path) -> None:
+def test_reload_changes_the_trusted_machines(folder: Path) -> None:
     machines = Machines(folder)
     config = Config.model_validate({"name": "test", "hub": machines.network.config(open=machines.network.door)})
     router = RouterWorker()
     router.start(config)
     try:
-        assert [name for name, _ in everything_said(machines, "friend", put_each([CMD_VEL])) if name] == [CMD_VEL] * 2
+        assert [name for name, _ in received_from(machines, "friend", put_each([CMD_VEL])) if name] == [CMD_VEL] * 2
         door = config.hub.open.model_copy(update={"trusted": ("guest",)})
         changed = config.model_copy(update={"hub": config.hub.model_copy(update={"open": door})})
         local = machines.session(None)
         assert router.reload(changed)
         assert [str(zid) for zid in local.info.routers_zid()], "this machine's programs are not cut off"
-        assert everything_said(machines, "friend", put_each([CMD_VEL])) == []
-        assert (ARM_DRIVE, "go") in everything_said(machines, "guest", put_each([ARM_DRIVE]))
+        assert received_from(machines, "friend", put_each([CMD_VEL])) == []
+        assert (ARM_DRIVE, "go") in received_from(machines, "guest", put_each([ARM_DRIVE]))
     finally:
         machines.close()
         router.stop()
@@ -276,7 +276,7 @@ def shown(machines: Machines) -> bytes:
         return tls.getpeercert(binary_form=True) or b""
 
 
-def test_new_certificates_are_taken_up_once_they_fit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_new_certificates_are_used_once_they_match(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     authority = Authority(tmp_path)
     authority.make()
     for name in ("test", "friend"):
@@ -304,13 +304,13 @@ def test_new_certificates_are_taken_up_once_they_fit(tmp_path: Path, caplog: pyt
         router.health()
         assert shown(machines) == ssl.PEM_cert_to_DER_cert(whole.decode()) != first
         assert [str(zid) for zid in local.info.routers_zid()], "this machine's programs are not cut off"
-        assert everything_said(machines, "friend", put_each([CMD_VEL])) == [(CMD_VEL, "go"), (CMD_VEL, "")]
+        assert received_from(machines, "friend", put_each([CMD_VEL])) == [(CMD_VEL, "go"), (CMD_VEL, "")]
     finally:
         machines.close()
         router.stop()
 
 
-def test_a_door_that_cannot_be_opened_keeps_the_hub_running(folder: Path, tmp_path: Path) -> None:
+def test_hub_runs_if_its_external_listener_cannot_open(folder: Path, tmp_path: Path) -> None:
     machines = Machines(folder)
     hub = machines.network.config(open={**machines.network.door, "keys": str(tmp_path)})
     config = Config.model_validate({"name": "test", "hub": hub})

@@ -12,7 +12,7 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from tests.hub.endpoints.test_services import Called, Serving
 from tests.hub.machines import Machines, make_keys
-from tests.hub.parts import HASH, Heard, matched, talk
+from tests.hub.parts import HASH, Subscriber, advertise, matched
 from tests.support.wait import until
 
 COMMANDS = {
@@ -87,7 +87,7 @@ def test_only_a_trusted_machine_could_abandon_the_calls_of_others(machines: Mach
         end = Called()
         client.call(b"go", end.done)
         until(lambda: serving.held, "asked")
-        last, subscriber = talk(other, "/last"), Heard(robot, "/last")
+        last, subscriber = advertise(other, "/last"), Subscriber(robot, "/last")
         matched(last)
         key = abandon_key(topic_key(other.domain, service, type_name, HASH))
         abandon = pack_attachment(1, 1, client.gid)

@@ -151,7 +151,7 @@ def test_without_tls(keys: Path, port: int) -> None:
             assert operator.wait(EndpointState.CONNECTED).machine == ""
 
 
-def test_a_program_that_is_not_zenoh(keys: Path, port: int) -> None:
+def test_endpoint_without_zenoh(keys: Path, port: int) -> None:
     import socket
 
     with (
@@ -161,7 +161,7 @@ def test_a_program_that_is_not_zenoh(keys: Path, port: int) -> None:
         assert "opens no zenoh session" in operator.wait(EndpointState.NO_SESSION).reason
 
 
-def test_a_door_that_is_closed(keys: Path, tmp_path: Path) -> None:
+def test_closed_endpoints(keys: Path, tmp_path: Path) -> None:
     with Machine("robot1", tmp_path, listen=["tls/127.0.0.1:0"], connect=["tls/127.0.0.1:1"]) as robot:
         endpoints = robot.router._door_status()["endpoints"]
     assert [(endpoint["way"], endpoint["state"]) for endpoint in endpoints] == [
@@ -262,7 +262,7 @@ def test_a_listener_logs_each_cause_once_and_recovers(slow: float, caplog: pytes
     ], messages  # fmt: skip
 
 
-def test_zenohs_reason_for_what_cannot_be_tested(slow: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_zenoh_reason_if_no_test_is_possible(slow: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bridge.hub.security.zenoh_log.time", SimpleNamespace(monotonic=lambda: slow + 31))
     endpoint, log = endpoints._Connect("quic/10.0.0.9:7448", None), ZenohLog()
     pool: Any = Pool(Attempt(Reason(EndpointState.CONNECTING, "zenoh does not report why over quic")))

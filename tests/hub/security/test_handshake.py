@@ -191,7 +191,7 @@ def test_programs_that_are_not_zenoh(
     assert text in result.reason.text
 
 
-def test_the_connection_ends_in_order(keys: Path) -> None:
+def test_connection_closes_in_order(keys: Path) -> None:
     """A listener for plain TCP gets a connection that is closed at once, and none stays open."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
         result = attempted(f"tcp/127.0.0.1:{listening.getsockname()[1]}", None)
@@ -232,7 +232,7 @@ def test_endpoints_without_a_host_and_a_port(endpoint: str) -> None:
         ("Too many open files (os error 24)", ""),
     ],
 )  # fmt: skip
-def test_what_zenoh_logs_of_a_refusal(error: str, text: str) -> None:
+def test_zenoh_log_of_a_refusal(error: str, text: str) -> None:
     reason = refusal_in_log(error, "10.0.0.9")
     assert (reason is None) is (text == "")
     assert reason is None or (reason.text.startswith("a machine at 10.0.0.9 ") and text in reason.text and reason.cure)

@@ -10,7 +10,7 @@ import pytest
 from bridge.hub.errors import HubError
 from bridge.hub.router import probe_router
 from bridge.hub.session import Hub
-from tests.hub.parts import LATCHED, Heard, matched, see_each_other, talk
+from tests.hub.parts import LATCHED, Subscriber, advertise, matched, see_each_other
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
 
@@ -59,8 +59,8 @@ def test_tls(certificates: Path):
     with HubNetwork(protocol="tls", zenoh=robot1, router_zenoh=router) as network:
         with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b", zenoh=robot2)) as b:
             see_each_other(a, b)
-            subscriber = Heard(b, "/map", LATCHED)
-            talk(a, "/map", LATCHED, "secret")
+            subscriber = Subscriber(b, "/map", LATCHED)
+            advertise(a, "/map", LATCHED, "secret")
             subscriber.expect("secret")
             assert [link.dst.split("/")[0] for link in a._session.info.links()] == ["tls"]
         # workers of the router's own machine stay peers: TLS to the router, a direct link on loopback
@@ -115,12 +115,12 @@ def test_access_control(certificates: Path):
         Hub.open(network.settings("b", zenoh=session_config(certificates, "robot2"))) as b,
     ):
         see_each_other(a, b)
-        talk(a, "/map", LATCHED, "kept")
-        Heard(b, "/map", LATCHED).expect("kept")
-        forbidden = talk(b, "/map", LATCHED, "forged")
-        status, command, back = Heard(a, "/status"), Heard(a, "/cmd_vel"), Heard(b, "/odom")
-        odom = talk(a, "/odom")
-        allowed, denied = talk(b, "/status"), talk(b, "/cmd_vel")
+        advertise(a, "/map", LATCHED, "kept")
+        Subscriber(b, "/map", LATCHED).expect("kept")
+        forbidden = advertise(b, "/map", LATCHED, "forged")
+        status, command, back = Subscriber(a, "/status"), Subscriber(a, "/cmd_vel"), Subscriber(b, "/odom")
+        odom = advertise(a, "/odom")
+        allowed, denied = advertise(b, "/status"), advertise(b, "/cmd_vel")
         matched(odom)
         matched(allowed)
         matched(denied)
@@ -133,7 +133,7 @@ def test_access_control(certificates: Path):
         allowed.put(b"again")
         status.expect("fine", "again")
         assert command.samples == []
-        own_subscriber = Heard(a, "/map", LATCHED)
+        own_subscriber = Subscriber(a, "/map", LATCHED)
         until(lambda: a.graph.zid_of(forbidden.gid), "the forger is seen")
         assert own_subscriber.samples == []
 
@@ -147,10 +147,10 @@ def test_two_machines_join_by_their_routers():
         Hub.open(second_network.settings("b")) as b,
     ):
         see_each_other(a, b)
-        subscriber, stream = Heard(b, "/map", LATCHED), Heard(b, "/odom")
-        talk(a, "/map", LATCHED, "state")
+        subscriber, stream = Subscriber(b, "/map", LATCHED), Subscriber(b, "/odom")
+        advertise(a, "/map", LATCHED, "state")
         subscriber.expect("state")
-        publisher = talk(a, "/odom")
+        publisher = advertise(a, "/odom")
         matched(publisher)
         publisher.put(b"x")
         stream.expect("x")
@@ -160,7 +160,7 @@ def test_two_machines_join_by_their_routers():
         until(lambda: not b.graph.publishers(), "the other machine is gone")
         first_network.start_router()
         see_each_other(a, b)
-        Heard(b, "/map", LATCHED).expect("state")
+        Subscriber(b, "/map", LATCHED).expect("state")
 
 
 def test_without_a_router():
@@ -169,5 +169,5 @@ def test_without_a_router():
     listens = network.settings("a", router=None, zenoh={"listen": {"endpoints": [network.endpoint]}})
     with Hub.open(listens) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
-        talk(a, "/map", LATCHED, "x")
-        Heard(b, "/map", LATCHED).expect("x")
+        advertise(a, "/map", LATCHED, "x")
+        Subscriber(b, "/map", LATCHED).expect("x")

@@ -50,7 +50,7 @@ print(json.dumps([states, after_good, refused, log.failure("tcp/127.0.0.1:1", 0)
 
 
 @pytest.mark.parametrize("rust_log", ["", "zenoh_link_tls=warn,zenoh::net::runtime::orchestrator=debug"])
-def test_it_has_the_refusals_and_only_those(tmp_path: Path, rust_log: str) -> None:
+def test_log_holds_only_refusals(tmp_path: Path, rust_log: str) -> None:
     for fleet in ("a", "b"):
         Authority(tmp_path / fleet).make()
         Authority(tmp_path / fleet).issue("robot1", ["127.0.0.1"])

@@ -32,16 +32,16 @@ NEXT = f"{MAJOR + 1}.0"
 
 
 @pytest.mark.parametrize("version", [None, WIRE, LATER])
-def test_this_major_goes_on(version: object) -> None:
+def test_same_major_version_is_accepted(version: object) -> None:
     assert refusal(version) == ""
 
 
 @pytest.mark.parametrize("version", [NEXT, "0.9", "1", "1.0.0", "", 1, 1.0, True, ["1.0"], "1.0\n", "1.123456"])
-def test_any_other_is_refused(version: object) -> None:
+def test_other_major_versions_are_rejected(version: object) -> None:
     assert refusal(version)
 
 
-def test_what_a_session_of_another_major_carries_has_no_origin(
+def test_endpoints_of_another_major_version_have_no_origin(
     network: HubNetwork, caplog: pytest.LogCaptureFixture
 ) -> None:
     with Hub.open(network.settings("here")) as hub, network.program() as program:
@@ -73,7 +73,7 @@ def test_what_a_session_of_another_major_carries_has_no_origin(
             token.undeclare()
 
 
-def test_a_session_says_its_version(network: HubNetwork) -> None:
+def test_session_announces_its_version(network: HubNetwork) -> None:
     with Hub.open(network.settings("here")) as hub, network.program() as program:
         key = f"@midspan/{network.domain}/wire/{hub.zid}/*/*"
         until(lambda: list(program.liveliness().get(key)), "it says one")

@@ -64,7 +64,7 @@ def test_qos_text(text: str, qos: Qos):
 
 
 @pytest.mark.parametrize(("text", "qos"), QOS_READ)
-def test_qos_text_that_others_write(text: str, qos: Qos):
+def test_qos_text_of_other_implementations(text: str, qos: Qos):
     assert decode_qos(text) == qos
 
 
@@ -92,7 +92,7 @@ TIMES = st.none() | st.integers(1, 9_223_372_035 * 10**9)
         TIMES,
     )
 )
-def test_qos_there_and_back(qos: Qos):
+def test_qos_round_trip(qos: Qos):
     assert decode_qos(encode_qos(qos)) == qos
 
 
