@@ -58,7 +58,7 @@ def run(config: Path, *commands: str) -> dict[str, tuple[int, str]]:
     return runs
 
 
-def test_verbs_do_what_they_do_elsewhere(hub: QuickHub, tmp_path: Path) -> None:
+def test_verbs_work_on_other_systems(hub: QuickHub, tmp_path: Path) -> None:
     folder = tmp_path / "big path"
     folder.mkdir()
     config = config_file(folder, hub)

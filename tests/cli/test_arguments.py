@@ -43,7 +43,7 @@ def test_poses() -> None:
     assert values("map", "show", "--layer", "-1e-1").layer == -0.1
 
 
-def test_unknown_options_are_errors_still(capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_options_are_errors(capsys: pytest.CaptureFixture[str]) -> None:
     for command in (["goto", "kitchen", "-z"], ["goto", "kitchen", "--1"], ["map", "edit-flags", "--pints=1,1"]):
         with pytest.raises(SystemExit) as ended:
             values(*command)
@@ -117,7 +117,7 @@ def test_a_misspelled_verb_option_or_choice_has_its_nearest_name(words: list[str
     assert re.search(rf"\. Did you mean ([\w-]+, )*{meant}\b", error), error
 
 
-def test_what_resembles_no_name_has_no_hint() -> None:
+def test_no_hint_without_a_similar_name() -> None:
     assert error_of("zzz") == "midspan: error: unknown verb 'zzz'. 'midspan --help' lists all verbs."
     for command in (["status", "--zzz"], ["goto", "kitchen", "-z"], ["status", "extra"], ["topic"]):
         assert "Did you mean" not in error_of(*command)
@@ -164,5 +164,5 @@ def test_the_verb_itself_is_the_first_proposal(word: str, first: str) -> None:
         (["--hub-domain", "lab"], "--hub-domain: 'lab' is not a domain from 0 to 232"),
     ],
 )
-def test_which_hub(words: list[str], problem: str) -> None:
+def test_invalid_hub_options_are_reported(words: list[str], problem: str) -> None:
     assert problem in error_of("status", *words)

@@ -46,7 +46,7 @@ def test_every_example_is_understood(command: list[str]) -> None:
     assert isinstance(args, argparse.Namespace)
 
 
-def test_every_verb_has_an_example_and_a_place() -> None:
+def test_every_verb_has_an_example_and_a_section() -> None:
     text = (DOCS / "operate" / "cli.md").read_text()
     assert {command[0] for command in CLI} == set(VERBS)
     for verb in VERBS:

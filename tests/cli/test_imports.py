@@ -25,13 +25,13 @@ def test_help_loads_none_of_the_libraries() -> None:
 
 
 @pytest.mark.parametrize("verb", ["status", "topic", "service", "nav", "goto", "explain", "action", "top"])
-def test_a_verb_that_asks_the_daemon_loads_no_types_before_it_needs_them(verb: str) -> None:
+def test_daemon_verbs_load_no_message_types_at_start(verb: str) -> None:
     modules = loaded(f"from bridge.cli.main import build_parser; build_parser([{verb!r}])")
     others = {"numpy", "PIL", "ruamel.yaml", "sqlite3", "bridge.messages.registry", "bridge.messages.transcode"}
     assert not modules & others
 
 
-def test_the_frames_load_no_conversions() -> None:
+def test_tf_verb_loads_no_conversions() -> None:
     modules = loaded("from bridge.cli.main import build_parser; build_parser(['tf'])")
     assert not modules & {"PIL", "ruamel.yaml", "bridge.messages.transcode", "bridge.routing.edge"}
 
@@ -50,7 +50,7 @@ _WORKERS = {
 
 
 @pytest.mark.parametrize("worker", _WORKERS)
-def test_a_worker_loads_neither_the_command_lines_libraries_nor_another_sides(worker: str) -> None:
+def test_worker_loads_no_libraries_of_the_command_line_or_other_sides(worker: str) -> None:
     others = {"rospy", "rclpy", "dartpy", "rich", "PIL", "cryptography", "yaml", "bridge.config.load"}
     if worker != "sim":
         others |= {"yaml", "rosbags"}  # for user-defined mapping rules, static transforms, types without a package

@@ -96,7 +96,7 @@ def test_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
     assert main(["config", "schema"]) == 130
 
 
-def test_reader_that_goes_away_is_no_error() -> None:
+def test_closed_output_pipe_is_no_error() -> None:
     done = subprocess.run(
         ["sh", "-c", f"{shlex.quote(sys.executable)} -m bridge.cli.main config schema | head -n 1"],
         capture_output=True,
@@ -114,7 +114,7 @@ def test_version() -> None:
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "cp437", "utf-8"])
-def test_a_console_that_lacks_characters_is_told_their_numbers(tmp_path: Path, encoding: str) -> None:
+def test_characters_that_a_console_lacks_are_escaped(tmp_path: Path, encoding: str) -> None:
     file = tmp_path / "K\u00fcche \u6771.yaml"
     file.write_text("name: a\n")
     code = "import sys; from bridge.cli.main import main; sys.exit(main(sys.argv[1:]))"

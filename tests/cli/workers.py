@@ -66,7 +66,7 @@ class FakeWorker:
         self.kept.append(publisher)
         publisher.put(cdr)
 
-    def hear(self, topic: str, type_name: str, qos: Qos) -> list[HubSample]:
+    def subscribe(self, topic: str, type_name: str, qos: Qos) -> list[HubSample]:
         """Subscribe until the worker is closed; the samples as they come."""
         samples: list[HubSample] = []
         self.kept.append(self.hub.subscription(topic, type_name, "*", qos, samples.append))

@@ -33,7 +33,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_info_tells_what_is_in_a_bag(capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_describes_a_bag(capsys: pytest.CaptureFixture[str]) -> None:
     mcap_file(Path("run.mcap"))
     assert main(["bag", "info", "run.mcap"]) == 0
     shown = capsys.readouterr().out
@@ -121,7 +121,7 @@ def test_info_shows_which_types_have_no_definition(capsys: pytest.CaptureFixture
 
 
 @pytest.mark.parametrize("target", ["new.db3", "new.mcap", "new"])
-def test_convert_names_the_topics_that_nobody_can_decode(target: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_convert_names_topics_without_a_definition(target: str, capsys: pytest.CaptureFixture[str]) -> None:
     odd, text = [CDR + bytes([number, 0, 0, 0]) for number in range(3)], [CDR + b"\3\0\0\0hi\0"]
     old = Recorded("/old", "std_msgs/msg/Bool", None, [CDR + b"\1"], {"topic_type_hash": "RIHS01_" + "ab" * 32})
     foreign_mcap(
@@ -143,7 +143,7 @@ def test_convert_names_the_topics_that_nobody_can_decode(target: str, capsys: py
     assert "types.folders" in undefined["/odd"]["cure"]
 
 
-def test_types_of_the_configuration_count(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_types_from_the_configuration_are_used(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nobody_knows(Path("humble.mcap"))  # as a .db3 of Humble, which has no definitions
     assert main(["bag", "convert", "humble.mcap", "a.db3"]) == 0
     assert main(["bag", "convert", "a.db3", "a.bag"]) == 1
@@ -160,7 +160,7 @@ def test_types_of_the_configuration_count(here: Path, capsys: pytest.CaptureFixt
     assert [message.text for message in decoded] == ["hi"]
 
 
-def test_an_unfinished_bag_is_told_of_and_mended(capsys: pytest.CaptureFixture[str]) -> None:
+def test_unfinished_bag_is_reported_and_repaired(capsys: pytest.CaptureFixture[str]) -> None:
     Path("killed.mcap").write_bytes(mcap_bytes(100, finished=False)[:-30])
     assert main(["bag", "info", "killed.mcap"]) == 0
     assert "unfinished" in capsys.readouterr().out
@@ -195,7 +195,7 @@ def test_a_file_of_a_folder_that_cannot_be_opened_is_named(capsys: pytest.Captur
         ("cut a.mcap b.mcap --start 2s --end 1s", "--end is not after --start"),
     ],
 )
-def test_what_cannot_be_done_is_said(words: str, says: str, capsys: pytest.CaptureFixture[str], here: Path) -> None:
+def test_errors_are_reported(words: str, says: str, capsys: pytest.CaptureFixture[str], here: Path) -> None:
     Path("text.bag").write_text("hello, this is a text")
     mcap_file(Path("a.mcap"))
     assert main(["bag", *words.split()]) == 1
@@ -216,7 +216,7 @@ def copying(verb: str, *before: str) -> subprocess.Popen[bytes]:
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 @pytest.mark.parametrize("verb", ["convert", "cut", "mend"])
-def test_who_ends_it_finds_nothing_left(verb: str, number: int, code: int, here: Path) -> None:
+def test_interrupted_conversion_leaves_no_file(verb: str, number: int, code: int, here: Path) -> None:
     process = copying(verb)
     process.send_signal(number)
     process.communicate(timeout=20)
@@ -224,7 +224,7 @@ def test_who_ends_it_finds_nothing_left(verb: str, number: int, code: int, here:
     assert sorted(path.name for path in here.iterdir()) == ["a.bag", "a.mcap"]
 
 
-def test_signals_that_come_while_it_cleans_up_leave_nothing_either(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_signals_during_cleanup_leave_no_file(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     nobody_knows(Path("a.mcap"))
     remove, removed = shutil.rmtree, list[Path]()
 
@@ -241,7 +241,7 @@ def test_signals_that_come_while_it_cleans_up_leave_nothing_either(here: Path, m
     assert sorted(path.name for path in here.iterdir()) == ["a.mcap", "b.db3"]
 
 
-def test_a_signal_that_a_script_has_it_ignore_does_not_end_it(here: Path) -> None:
+def test_ignored_signal_does_not_end_the_conversion(here: Path) -> None:
     process = copying("cut", "sh", "-c", "trap '' INT; exec \"$@\"", "sh")
 
     def written() -> int:
@@ -256,7 +256,7 @@ def test_a_signal_that_a_script_has_it_ignore_does_not_end_it(here: Path) -> Non
 
 
 @pytest.mark.parametrize("name", ["b.bag", "b.mcap", "b.db3"])
-def test_a_full_disk_is_said_and_leaves_nothing(name: str, here: Path) -> None:
+def test_full_disk_is_reported_and_leaves_no_file(name: str, here: Path) -> None:
     long_mcap(Path("a.mcap"), 100, 50_000)
     code = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))\n"

@@ -27,7 +27,7 @@ QUARTER = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
 
 
 @contextmanager
-def told(worker: EngineWorker, topic: str, *frames: tuple[str, str], late: float = 0.0) -> Iterator[None]:
+def published_frames(worker: EngineWorker, topic: str, *frames: tuple[str, str], late: float = 0.0) -> Iterator[None]:
     """A program of the side that publishes frames, 1 m apart, fifty times a second."""
     stop = threading.Event()
     writer = worker.advertise(topic, TF)
@@ -64,7 +64,7 @@ def robot(network: HubNetwork, registry: Registry, closing: list[Any]) -> Iterat
     closing.append(fixed)
     cdr = write([Stamped("base_link", "laser", 0, (0.0, 2.0, 0.0), UNIT)])
     fixed.publish("/tf_static", TF, registry.ros2(TF).type_id, cdr)
-    with told(worker, "/tf", ("map", "odom"), ("odom", "base_link"), late=0.5):
+    with published_frames(worker, "/tf", ("map", "odom"), ("odom", "base_link"), late=0.5):
         bridged(worker, "/tf")
         yield worker
 
@@ -78,7 +78,7 @@ def seen(midspan: Midspan, *words: str, fits: Callable[[Outcome], object]) -> Ou
 
 
 @pytest.mark.usefixtures("robot")
-def test_the_tree_has_the_frames_of_all(midspan: Midspan) -> None:
+def test_tree_shows_the_frames_of_all_nodes(midspan: Midspan) -> None:
     seen(midspan, "list", "--duration", "0.2", fits=lambda done: done.out.split() == ALL)
     listed = seen(midspan, "list", "--duration", "0.2", "--side", "ros1", fits=lambda done: len(done.out.split()) == 3)
     assert "laser" not in listed.out
@@ -97,7 +97,7 @@ def test_the_tree_has_the_frames_of_all(midspan: Midspan) -> None:
     assert frames["odom"]["sources"][0]["authority"] == "ROS 1 by robot1"
 
 
-def test_it_listens_until_every_node_spoke(
+def test_tree_waits_for_every_publisher(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
 ) -> None:
     nodes = FakeWorker(network, "one"), FakeWorker(network, "two")
@@ -110,13 +110,13 @@ def test_it_listens_until_every_node_spoke(
 
 
 @pytest.mark.usefixtures("robot")
-def test_it_listens_longer_where_a_side_speaks(midspan: Midspan) -> None:
+def test_tree_waits_longer_for_transforms_from_a_side(midspan: Midspan) -> None:
     """Behind its one publisher there may be many programs."""
     assert "listened for" not in seen(midspan, "list", fits=lambda done: done.out.split() == ALL).err
 
 
 @pytest.mark.usefixtures("robot")
-def test_echo_says_where_a_frame_is(midspan: Midspan) -> None:
+def test_echo_prints_the_pose_of_a_frame(midspan: Midspan) -> None:
     done = midspan("tf", "echo", "map", "laser", "--count", "2", "--rate", "50", "--json", "--timeout", "20")
     first, second = done.lines()
     assert (first["reference"], first["frame"]) == ("map", "laser")
@@ -131,7 +131,7 @@ def test_echo_says_where_a_frame_is(midspan: Midspan) -> None:
 
 
 @pytest.mark.usefixtures("robot")
-def test_monitor_tells_rates_delays_and_who(midspan: Midspan) -> None:
+def test_monitor_prints_rates_delays_and_publishers(midspan: Midspan) -> None:
     done = seen(
         midspan, "monitor", "--duration", "0.5", "--json",
         fits=lambda done: len(done.lines()[-1]) == 3 and done.lines()[-1][0]["rate"] > 0,
@@ -149,7 +149,7 @@ def test_monitor_tells_rates_delays_and_who(midspan: Midspan) -> None:
     assert "map" not in table
 
 
-def test_what_is_wrong_is_told(
+def test_errors_are_reported(
     midspan: Midspan,
     network: HubNetwork,
     registry: Registry,
@@ -169,7 +169,7 @@ def test_what_is_wrong_is_told(
     assert midspan("tf", "tree", "--namespace", "r2", "--duration", "0.1").out.splitlines()[0] == "a"
     assert midspan("tf", "monitor", "map").err == "midspan: name two frames, or none\n"
     seen(midspan, "list", "--duration", "0.1", fits=lambda done: "refused: TF_DENORMALIZED_QUATERNION 1" in done.err)
-    with told(robot, "/r4/tf", ("map", "base"), ("odom", "base")):
+    with published_frames(robot, "/r4/tf", ("map", "base"), ("odom", "base")):
         bridged(robot, "/r4/tf")
         command = "list", "-v", "--namespace", "/r4", "--duration", "0.2"
         seen(midspan, *command, fits=lambda done: "map, odom" in done.out)
@@ -180,12 +180,12 @@ def test_what_is_wrong_is_told(
     assert "there is /r2/tf_static" in none.err
 
 
-def test_what_stays_on_its_side_is_shown(
+def test_transforms_that_are_not_bridged_are_listed(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
 ) -> None:
     worker = EngineWorker(network, registry, rules=[{"topic": "/tf", "deny": True}])
     closing.append(worker)
-    with told(worker, "/tf", ("map", "odom")):
+    with published_frames(worker, "/tf", ("map", "odom")):
         until(lambda: worker.engine.explain("/tf"), "it is known")
         done = midspan("tf", "echo", "map", "odom", "--count", "1", "--timeout", "20")
     assert done.code == 0, done.err
@@ -197,7 +197,7 @@ def test_angles_are_about_fixed_axes() -> None:
     assert angles_of((0.5, 0.5, 0.5, 0.5)) == pytest.approx((math.pi / 2, 0, math.pi / 2))
 
 
-def test_the_way_between_two_frames() -> None:
+def test_path_between_two_frames() -> None:
     buffer = TransformBuffer()
     for parent, child in ("ab", "bc", "bd", "de", "xy"):
         buffer.set_transform(parent, child, 1, (0, 0, 0), UNIT)

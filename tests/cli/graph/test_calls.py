@@ -34,13 +34,13 @@ class Robot:
         self.obeys = True
         self.loop.start()
         self.node.server("/lamp", BOOL, self.switch)
-        self.node.action_server("/lookup", LOOKUP, self.take, self.cancel)
+        self.node.action_server("/lookup", LOOKUP, self.accept, self.cancel)
 
     def switch(self, request: dict[str, Any], answer: Any) -> None:
         if request["data"]:
             answer({"success": True, "message": "on"})
 
-    def take(self, goal: Goal) -> bool:
+    def accept(self, goal: Goal) -> bool:
         self.goals.append(goal)
         if goal.goal["target_frame"] == "quick":
             for _ in range(3):
@@ -120,7 +120,7 @@ def test_a_call_prints_the_reply(midspan: Midspan, robot: Robot) -> None:
         (["/lamp", "[1]"], "must be a map"),
     ],
 )
-def test_what_goes_wrong_is_told(
+def test_call_errors_are_reported(
     midspan: Midspan, robot: Robot, monkeypatch: pytest.MonkeyPatch, words: list[str], told: str
 ) -> None:
     monkeypatch.setattr("bridge.cli.graph.caller.WAIT_SECONDS", 1.0)
@@ -129,7 +129,7 @@ def test_what_goes_wrong_is_told(
     assert told in outcome.err
 
 
-def test_a_goal_shows_feedback_and_its_end(midspan: Midspan, robot: Robot) -> None:
+def test_goal_prints_feedback_and_result(midspan: Midspan, robot: Robot) -> None:
     outcome = midspan("action", "send", "/lookup", "{target_frame: quick}", "--json")
     *_, end = outcome.lines()
     assert outcome.code == 0
@@ -142,7 +142,7 @@ def test_a_goal_shows_feedback_and_its_end(midspan: Midspan, robot: Robot) -> No
     assert "rejected" in outcome.err
 
 
-def test_a_goal_is_cancelled_after_its_time_and_by_ctrl_c(midspan: Midspan, robot: Robot) -> None:
+def test_timeout_and_ctrl_c_cancel_the_goal(midspan: Midspan, robot: Robot) -> None:
     outcome = midspan("action", "send", "/lookup", "{target_frame: slow}", "--timeout", "0.3")
     assert (outcome.code, outcome.out.split()[0]) == (1, "canceled")
     assert "0.3 s are over" in outcome.err
@@ -207,12 +207,12 @@ def signaled(midspan: Midspan, robot: Robot, *numbers: signal.Signals) -> Outcom
     return outcome
 
 
-def test_a_server_that_leaves_ends_the_goal(midspan: Midspan, robot: Robot) -> None:
-    def leave() -> None:
+def test_goal_ends_when_its_server_disappears(midspan: Midspan, robot: Robot) -> None:
+    def close_server() -> None:
         until(lambda: robot.goals, "the goal is there")
         robot.node.close()
 
-    thread = threading.Thread(target=leave)
+    thread = threading.Thread(target=close_server)
     thread.start()
     outcome = midspan("action", "send", "/lookup", "{target_frame: slow}")
     thread.join()

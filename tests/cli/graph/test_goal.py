@@ -13,7 +13,7 @@ from tests.cli.conftest import Midspan
 from tests.cli.graph.test_calls import Robot, robot  # noqa: F401
 
 
-def test_a_cancel_that_cannot_be_asked_for_is_asked_for_again(
+def test_failed_cancel_request_is_repeated(
     midspan: Midspan,
     robot: Robot,  # noqa: F811
     monkeypatch: pytest.MonkeyPatch,

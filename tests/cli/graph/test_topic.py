@@ -53,7 +53,7 @@ def bridged(worker: EngineWorker, count: int) -> None:
     until(lambda: len(worker.engine.routes()) == count, "the routes are there")
 
 
-def test_list_has_what_crosses_and_what_stays(midspan: Midspan, worker: EngineWorker) -> None:
+def test_list_shows_bridged_and_unbridged_topics(midspan: Midspan, worker: EngineWorker) -> None:
     for topic in ("/chatter", "/secret", "/rosout"):
         worker.advertise(topic, STRING)
     bridged(worker, 1)
@@ -75,7 +75,7 @@ def test_info(midspan: Midspan, worker: EngineWorker, network: HubNetwork, closi
     bridged(worker, 1)
     listener = FakeWorker(network, "listener")
     closing.append(listener)
-    listener.hear("/chatter", STRING, Qos(depth=7))
+    listener.subscribe("/chatter", STRING, Qos(depth=7))
     output = midspan("topic", "info", "chatter").out
     document = midspan("topic", "info", "/chatter", "--json").json()
     for text in (
@@ -91,7 +91,7 @@ def test_info(midspan: Midspan, worker: EngineWorker, network: HubNetwork, closi
     assert (unknown.code, "/chatter" in unknown.err) == (1, True)
 
 
-def test_echo_shows_what_is_latched_at_once(midspan: Midspan, worker: EngineWorker, registry: Registry) -> None:
+def test_echo_prints_latched_messages_at_once(midspan: Midspan, worker: EngineWorker, registry: Registry) -> None:
     cdr = from_json(registry, SCAN, {"header": {"frame_id": "laser"}, "ranges": [1.5] * 100})
     worker.side.write(worker.advertise("/scan", SCAN, latched=True), cdr)
     bridged(worker, 1)
@@ -109,7 +109,7 @@ def test_echo_shows_what_is_latched_at_once(midspan: Midspan, worker: EngineWork
 
 
 @pytest.mark.parametrize("topic", ["/rosout", "/secret"])
-def test_echo_of_what_does_not_cross(midspan: Midspan, worker: EngineWorker, registry: Registry, topic: str) -> None:
+def test_echo_of_an_unbridged_topic(midspan: Midspan, worker: EngineWorker, registry: Registry, topic: str) -> None:
     writer = worker.advertise(topic, STRING)
     until(lambda: len(worker.engine.decisions()) == 1, "the topic is decided")
     with talking(worker, writer, from_json(registry, STRING, {"data": "hidden"})):
@@ -118,7 +118,9 @@ def test_echo_of_what_does_not_cross(midspan: Midspan, worker: EngineWorker, reg
     assert midspan("topic", "list").out.split() == [topic]
 
 
-def test_echo_of_a_side_alone(midspan: Midspan, worker: EngineWorker, network: HubNetwork, registry: Registry) -> None:
+def test_echo_of_a_topic_that_only_a_side_has(
+    midspan: Midspan, worker: EngineWorker, network: HubNetwork, registry: Registry
+) -> None:
     writer = worker.advertise("/chatter", STRING)
     bridged(worker, 1)
     type_hash = registry.ros2(STRING).type_id
@@ -142,7 +144,9 @@ def test_echo_without_the_topic(midspan: Midspan, worker: EngineWorker) -> None:
     assert (done.code, "no message of /chatter for 0.3 s" in done.err) == (1, True), done
 
 
-def test_echo_asks_the_workers_for_an_unknown_type(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+def test_echo_requests_unknown_types_from_the_workers(
+    midspan: Midspan, network: HubNetwork, closing: list[Any]
+) -> None:
     name = "odd_msgs/msg/Odd"
     known = Registry()
     known.learn_ros2(name, "float64 weight\nstring label\n")
@@ -159,7 +163,7 @@ def test_echo_asks_the_workers_for_an_unknown_type(midspan: Midspan, network: Hu
     assert (done.code, name in done.err) == (1, True), done
 
 
-def test_echo_goes_on_after_a_bad_message(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+def test_echo_continues_after_a_bad_message(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
     maker = FakeWorker(network, "native")
     closing.append(maker)
     type_hash = Registry().ros2(STRING).type_id
@@ -196,12 +200,12 @@ def test_pub_reaches_the_side(midspan: Midspan, worker: EngineWorker, registry: 
 def test_pub_counts_and_latches(midspan: Midspan, network: HubNetwork, closing: list[Any], registry: Registry) -> None:
     listener = FakeWorker(network, "native")
     closing.append(listener)
-    received = listener.hear("/count", STRING, Qos())
+    received = listener.subscribe("/count", STRING, Qos())
     args = ("--rate", "100", "--count", "3", "--settle", "0")
     assert midspan("topic", "pub", "/count", "std_msgs/msg/String", '{"data": "x"}', *args).code == 0
     assert [to_json(registry, STRING, sample.data())["data"] for sample in received] == ["x"] * 3
 
-    latched = listener.hear("/latched", STRING, LATCHED)
+    latched = listener.subscribe("/latched", STRING, LATCHED)
     midspan("topic", "pub", "/latched", STRING, "--latch", "--count", "1", "--settle", "0")
     assert len(latched) == 1
     until(lambda: not listener.hub.graph.publishers("/latched"), "its publisher is gone")
@@ -219,12 +223,12 @@ def test_pub_counts_and_latches(midspan: Midspan, network: HubNetwork, closing: 
         ("no_such_msgs/Thing", "{}", "no_such_msgs"),
     ],
 )
-def test_pub_says_what_is_wrong(midspan: Midspan, type_name: str, message: str, words: str) -> None:
+def test_pub_reports_errors(midspan: Midspan, type_name: str, message: str, words: str) -> None:
     done = midspan("topic", "pub", "/cmd_vel", type_name, message, "--once")
     assert (done.code, words in done.err) == (1, True), done
 
 
-def test_pub_warns_where_it_does_not_reach(midspan: Midspan, worker: EngineWorker, network: HubNetwork) -> None:
+def test_pub_warns_of_sides_that_it_does_not_reach(midspan: Midspan, worker: EngineWorker, network: HubNetwork) -> None:
     del worker
     with Hub.open(network.settings("native")) as hub:
         other = hub.publisher("/secret", "std_msgs/msg/Bool", "RIHS01_" + "1" * 64, Qos())

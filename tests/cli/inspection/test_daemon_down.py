@@ -56,7 +56,7 @@ def dead(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[RobotDaemon
     robot.close()
 
 
-def test_status_says_that_the_daemon_is_gone(dead: tuple[RobotDaemon, str]) -> None:
+def test_status_reports_a_dead_daemon(dead: tuple[RobotDaemon, str]) -> None:
     robot, down = dead
     done = robot("status")
     assert done.returncode == 1
@@ -70,7 +70,7 @@ def test_status_says_that_the_daemon_is_gone(dead: tuple[RobotDaemon, str]) -> N
     assert documents["daemon"]["state"] == "not running"
 
 
-def test_doctor_finds_it_with_the_cure(dead: tuple[RobotDaemon, str]) -> None:
+def test_doctor_reports_a_dead_daemon_with_the_cure(dead: tuple[RobotDaemon, str]) -> None:
     robot, down = dead
     done = robot("doctor", "--only", "daemon", "--json")
     assert done.returncode == 1
@@ -93,7 +93,7 @@ def test_verbs_that_need_a_worker_fail_with_the_cause(dead: tuple[RobotDaemon, s
 
 
 @pytest.mark.parametrize("words", [*NEED_NOTHING, ["halt", "--seconds", "0.1"], ["nav", "stop"]], ids=" ".join)
-def test_other_verbs_mention_it(dead: tuple[RobotDaemon, str], words: list[str]) -> None:
+def test_other_verbs_mention_the_dead_daemon(dead: tuple[RobotDaemon, str], words: list[str]) -> None:
     robot, down = dead
     assert down in robot(*words).stderr
 
@@ -113,7 +113,7 @@ def test_the_daemon_of_another_user(dead: tuple[RobotDaemon, str], tmp_path: Pat
 
 
 @pytest.mark.thorough
-def test_a_router_that_was_started_by_itself_misses_no_daemon(tmp_path: Path) -> None:
+def test_standalone_router_needs_no_daemon(tmp_path: Path) -> None:
     robot = RobotDaemon(tmp_path)
     try:
         robot.process("worker", "router")
@@ -171,7 +171,7 @@ def test_a_worker_that_crashes_again_and_again(start: Start) -> None:
 
 
 @pytest.mark.thorough
-def test_a_worker_that_comes_up(start: Start) -> None:
+def test_starting_worker(start: Start) -> None:
     robot = start("hang")
     robot.until_phase("modules", "starting")
     for command in (["nav", "status"], ["goto", "kitchen"], ["map", "list"]):

@@ -18,7 +18,7 @@ from tests.support.ports import free_port
 NO_ROS: dict[str, Any] = {"ros1": {"enabled": False}, "ros2": {"enabled": False}}
 
 
-def found(done: Any) -> dict[str, list[str]]:
+def results_by_check(done: Any) -> dict[str, list[str]]:
     """Results by check."""
     by_check: dict[str, list[str]] = {}
     for entry in done.json():
@@ -30,7 +30,7 @@ def test_without_a_daemon(tmp_path: Path, network: HubNetwork, capsys: pytest.Ca
     nobody = {"hub": {"listen": f"tcp/127.0.0.1:{free_port()}"}}
     midspan = Midspan(config_file(tmp_path, network, **NO_ROS, **nobody), capsys)
     done = midspan("doctor", "--json")
-    results = found(done)
+    results = results_by_check(done)
     assert list(results) == [check.id for check in CHECKS]
     assert results["daemon"] == ["warn"]
     assert results["router-port"] == ["ok"]
@@ -51,7 +51,7 @@ def test_with_a_daemon(
         closing.append(worker)
         worker.publish("/map", "nav_msgs/msg/OccupancyGrid", f"RIHS01_{digit * 64}", b"")
     done = midspan("doctor", "--json")
-    results = found(done)
+    results = results_by_check(done)
     assert done.code == 1
     for check, result in (("daemon", "ok"), ("types", "fail"), ("type-hash", "fail"), ("clock", "fail")):
         assert results[check] == [result], done.out
@@ -64,7 +64,7 @@ def test_with_a_daemon(
     assert "router-port" not in output
 
 
-def test_a_worker_that_does_not_answer_stands_there_by_the_daemons_word(
+def test_daemon_reports_a_worker_that_does_not_respond(
     tmp_path: Path,
     network: HubNetwork,
     closing: list[FakeWorker],
@@ -100,7 +100,7 @@ def test_a_broken_configuration(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "did you mean 'domain'" in done.out
 
 
-def test_one_that_does_not_exist(midspan: Midspan) -> None:
+def test_missing_configuration(midspan: Midspan) -> None:
     done = midspan("doctor", "--only", "astrology")
     assert (done.code, "no check astrology" in done.err) == (1, True)
     assert [line.split()[0] for line in midspan("doctor", "--list").out.splitlines()] == [c.id for c in CHECKS]

@@ -68,7 +68,7 @@ def test_the_cure_of_a_denied_topic_is_not_another_rule(
     assert "add one that allows it" not in done.out
 
 
-def test_workers_that_decide_on_no_topic_are_not_mentioned(
+def test_explain_omits_workers_without_a_decision(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
 ) -> None:
     """The console, metrics, the recorder and the Foxglove server have no daemon in their status documents."""
@@ -234,7 +234,9 @@ def test_a_worker_that_hangs_is_named(midspan: Midspan, network: HubNetwork, clo
         resume.set()
 
 
-def test_daemons_of_one_name_are_told_apart(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+def test_daemons_with_the_same_name_are_distinguished(
+    midspan: Midspan, network: HubNetwork, closing: list[Any]
+) -> None:
     for folder, verdict, messages in (("/a", "bridged", 7), ("/b", "denied", 9)):
         identity = DaemonIdentity(folder, "pc", folder)
         decision = {"direction": "in", "topic": "/scan", "hub_topic": "/scan", "type": STRING, "decision": verdict}

@@ -52,7 +52,7 @@ class Fleet:
         ]
 
 
-def test_refused_commands_are_told_with_their_number_and_the_cure(
+def test_refused_commands_are_reported_with_count_and_cure(
     midspan: Midspan, network: HubNetwork, closing: list[Any]
 ) -> None:
     Fleet(network, closing)
@@ -69,9 +69,7 @@ def test_refused_commands_are_told_with_their_number_and_the_cure(
     assert (refusal["topic"], refusal["machine"], refusal["messages"]) == ("/cmd_vel", "operator1", 153)
 
 
-def test_refused_calls_are_told_where_there_is_something_to_refuse(
-    midspan: Midspan, network: HubNetwork, closing: list[Any]
-) -> None:
+def test_only_refused_calls_are_reported(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
     fleet = Fleet(network, closing)
     robot = FakeWorker(network, "ros1")
     closing.append(robot)
@@ -89,9 +87,7 @@ def test_refused_calls_are_told_where_there_is_something_to_refuse(
 
 
 @pytest.mark.parametrize("place", ["beyond a router", "beyond two routers", "program", "other link", "trusted link"])
-def test_commands_that_come_through_another_router(
-    midspan: Midspan, network: HubNetwork, closing: list[Any], place: str
-) -> None:
+def test_commands_through_another_router(midspan: Midspan, network: HubNetwork, closing: list[Any], place: str) -> None:
     """The robot is connected to a router without a status document, such as zenohd with TLS, and does not trust it."""
     fleet = Fleet(network, closing, name="middle")
     fleet.machine["zid"] = "m1"
@@ -111,9 +107,7 @@ def test_commands_that_come_through_another_router(
     assert (refused in output) == (place not in ("other link", "trusted link"))
 
 
-def test_the_sessions_of_a_robot_do_not_come_through_another_router(
-    midspan: Midspan, network: HubNetwork, closing: list[Any]
-) -> None:
+def test_sessions_of_a_robot_use_its_own_router(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
     fleet = Fleet(network, closing, name="middle")
     fleet.machine["zid"] = "m1"
     fleet.operator |= {"door": "", "members": [], "machines": []}
@@ -121,12 +115,14 @@ def test_the_sessions_of_a_robot_do_not_come_through_another_router(
     assert "refuses" not in midspan("explain", "/cmd_vel").out
 
 
-def test_commands_of_a_trusted_machine_are_not(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+def test_commands_of_a_trusted_machine_are_not_reported(
+    midspan: Midspan, network: HubNetwork, closing: list[Any]
+) -> None:
     Fleet(network, closing).machine["trusted"] = True
     assert "refuses" not in midspan("explain", "/cmd_vel").out + midspan("status").out
 
 
-def test_a_program_that_comes_in_by_itself_is_not_counted(
+def test_refusals_of_a_program_without_a_router_have_no_count(
     midspan: Midspan, network: HubNetwork, closing: list[Any]
 ) -> None:
     fleet = Fleet(network, closing, name="")
@@ -138,7 +134,7 @@ def test_a_program_that_comes_in_by_itself_is_not_counted(
 
 
 @pytest.mark.parametrize("table", [None, "rubbish", {"no type": 5}, {TWIST: None}, {LASER: ["$*#", "**"]}])
-def test_a_router_that_does_not_tell_its_commands_has_the_usual_ones(
+def test_router_that_omits_its_command_topics_has_the_default_ones(
     midspan: Midspan, network: HubNetwork, closing: list[Any], table: Any
 ) -> None:
     fleet = Fleet(network, closing)
@@ -175,7 +171,7 @@ def commander(door: Machines, name: str, tmp_path: Path, capsys: pytest.CaptureF
         ("/arm/drive", "std_msgs/Float64"),
     ],
 )
-def test_commands_published_by_a_machine_that_is_not_trusted_are_reported(
+def test_commands_published_by_an_untrusted_machine_are_reported(
     door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str], topic: str, type_name: str
 ) -> None:
     quick = ("--once", "--settle", "0")
@@ -187,7 +183,7 @@ def test_commands_published_by_a_machine_that_is_not_trusted_are_reported(
     assert (done.code, "refuses" in done.err) == (0, False)
 
 
-def test_what_a_machine_that_is_not_trusted_may_publish_is_not_reported(
+def test_allowed_topics_of_an_untrusted_machine_are_not_reported(
     door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     guest = commander(door, "guest", tmp_path, capsys)
@@ -222,7 +218,7 @@ def test_play_reports_a_machine_that_refuses_its_commands(
         assert "refuses" not in commander(door, name, tmp_path, capsys)(*command).err
 
 
-def test_commands_through_the_router_of_a_machine_that_is_not_trusted(
+def test_commands_through_the_router_of_an_untrusted_machine(
     door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The verb joins its machine's hub, whose external listener is connected to the robot's."""
@@ -238,9 +234,7 @@ def test_commands_through_the_router_of_a_machine_that_is_not_trusted(
         until(refused, "the doors are linked, and the robot's refusal is reported", 30)
 
 
-def test_commands_through_a_router_that_is_not_midspans(
-    door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_through_a_foreign_router(door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A zenoh router with TLS in the middle, configured as zenohd: `explain` reports it to the commanding machine."""
     place = f"tls/127.0.0.1:{free_port()}"
     guest = {name: str(door.folder / f"guest.{end}") for name, end in (("certificate", "pem"), ("private_key", "key"))}

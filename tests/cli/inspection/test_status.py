@@ -123,7 +123,7 @@ def test_top_as_json_is_a_line(midspan: Midspan) -> None:
     assert {d["worker"] for d in documents} == {"ros1", "ros2", "router", "gateway"}
 
 
-def test_routes_of_two_daemons_say_whose(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+def test_routes_of_two_daemons_name_their_daemon(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
     for daemon in ("robot1", "robot2"):
         document = status("ros1", daemon=daemon, routes=[route("/scan")])
         closing.append(FakeWorker(network, "ros1", daemon=daemon, status=document))
@@ -137,7 +137,7 @@ def test_routes_of_two_daemons_say_whose(midspan: Midspan, network: HubNetwork, 
     ids=["unknown keys", "no YAML", "wrong type", "missing folder"],
 )
 @pytest.mark.parametrize("words", [["status"], ["topic", "list"], ["status", "--json"]], ids=" ".join)
-def test_a_broken_file_does_not_keep_from_a_hub_that_is_named(
+def test_named_hub_is_used_despite_a_broken_file(
     network: HubNetwork, closing: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str], text: str, words: list[str],
 ) -> None:  # fmt: skip

@@ -20,7 +20,7 @@ pty = pytest.importorskip("pty")
 ROOT = Path(__file__).parents[3]
 
 
-def test_it_stays_until_ctrl_c(tmp_path: Path, network: HubNetwork, closing: list[Any]) -> None:
+def test_top_runs_until_ctrl_c(tmp_path: Path, network: HubNetwork, closing: list[Any]) -> None:
     looks = [0]
 
     def answer(_params: dict[str, Any]) -> dict[str, Any]:

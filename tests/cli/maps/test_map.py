@@ -107,7 +107,7 @@ def test_the_examples_work(midspan: Midspan, store: Store) -> None:
 
 
 @needs(OCTOMAP)
-def test_maps_in_three_dimensions_come_and_go(midspan: Midspan, store: Store) -> None:
+def test_3d_maps_are_imported_and_exported(midspan: Midspan, store: Store) -> None:
     """What OctoMap's own program wrote comes in, and it reads what goes out."""
     Octomap.of(a_tree(2).pruned()).save("ours.ot")
     subprocess.run(["convert_octree", "ours.ot", "house.bt"], check=True, capture_output=True, timeout=60)
@@ -219,7 +219,7 @@ def test_all_kinds_are_listed_and_removed(midspan: Midspan, store: Store) -> Non
     ],
     ids=lambda each: "_".join(each) if isinstance(each, list) else "",
 )
-def test_what_cannot_be_is_told(midspan: Midspan, store: Store, words: list[str], why: str) -> None:
+def test_errors_are_reported(midspan: Midspan, store: Store, words: list[str], why: str) -> None:
     Path("locations.ini").write_text("Version:\n4\nLocations:\n")
     done = midspan(*words)
     assert done.code == 1
@@ -228,7 +228,7 @@ def test_what_cannot_be_is_told(midspan: Midspan, store: Store, words: list[str]
     assert not store.replica.versions()
 
 
-def test_nothing_is_overwritten_unasked(midspan: Midspan, store: Store) -> None:
+def test_files_are_not_overwritten_without_the_option(midspan: Midspan, store: Store) -> None:
     store.put(MAP, "house", house((1.0, 1.0, 0.0)))
     store.put(LOCATION, "a", Map2DLocation("house"))
     store.use_map("house")
@@ -256,16 +256,14 @@ def test_negative_coordinates(midspan: Midspan, store: Store, *, equals: bool) -
     assert done.out == "dock: -1.500, -0.200 m, -90.0 degrees on house\n"
 
 
-def test_without_a_store_the_cure_is_told(midspan: Midspan) -> None:
+def test_missing_store_is_reported_with_its_cure(midspan: Midspan) -> None:
     done = midspan("map", "list")
     assert done.code == 1
     assert "store.enabled" in done.err
 
 
 @pytest.mark.usefixtures("moving")
-def test_where_the_robot_is_not_known_nothing_is_stored(
-    midspan: Midspan, store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unknown_robot_pose_is_not_stored(midspan: Midspan, store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(location, "PATIENCE", 0.2)
     done = midspan("location", "add", "a", "--here", "--map", "house", "--base-frame", "nobody")
     assert done.code == 1

@@ -69,7 +69,7 @@ def robot(network: HubNetwork, registry: Registry) -> Iterator[Robot]:
     fake_robot.close()
 
 
-def test_everything_stands_still(midspan: Midspan, network: HubNetwork, robot: Robot, closing: list[Any]) -> None:
+def test_halt_stops_everything(midspan: Midspan, network: HubNetwork, robot: Robot, closing: list[Any]) -> None:
     halt_requests: list[Any] = []
     closing.append(
         FakeWorker(network, "base_control", halt=lambda params: halt_requests.append(params) or {"halted": True})
@@ -87,7 +87,9 @@ def test_everything_stands_still(midspan: Midspan, network: HubNetwork, robot: R
     assert all(message["linear"]["x"] == message["angular"]["z"] == 0.0 for message in robot.heard)
 
 
-def test_what_does_not_obey_is_told(midspan: Midspan, network: HubNetwork, robot: Robot, closing: list[Any]) -> None:
+def test_halt_reports_what_does_not_stop(
+    midspan: Midspan, network: HubNetwork, robot: Robot, closing: list[Any]
+) -> None:
     def fails(_params: dict[str, Any]) -> None:
         raise RuntimeError
 
@@ -108,7 +110,9 @@ def test_nothing_to_halt(midspan: Midspan) -> None:
     assert (done.code, "nothing to halt" in done.err) == (1, True)
 
 
-def test_publishers_of_velocities_are_reason_enough(midspan: Midspan, network: HubNetwork, registry: Registry) -> None:
+def test_halt_sends_zeros_if_velocities_are_published(
+    midspan: Midspan, network: HubNetwork, registry: Registry
+) -> None:
     hub = Hub.open(network.settings("planner"))
     type_id = registry.ros2(TWIST).type_id
     publisher = hub.publisher("/far/cmd_vel", TWIST, type_id, Qos())
@@ -121,7 +125,7 @@ def test_publishers_of_velocities_are_reason_enough(midspan: Midspan, network: H
     hub.close()
 
 
-def test_over_a_slow_network_nothing_is_missed(midspan: Midspan, network: HubNetwork, registry: Registry) -> None:
+def test_halt_over_a_slow_network(midspan: Midspan, network: HubNetwork, registry: Registry) -> None:
     received: list[Any] = []
     with Hub.open(network.settings("robot")) as hub, FaultProxy(network.port) as slow:
         hub.subscription("/cmd_vel", TWIST, registry.ros2(TWIST).type_id, Qos(), received.append)
@@ -132,7 +136,7 @@ def test_over_a_slow_network_nothing_is_missed(midspan: Midspan, network: HubNet
         until(lambda: received, "zero is heard")
 
 
-def test_what_may_still_be_moving_is_not_said_to_stand(
+def test_halt_does_not_report_a_stop_that_is_uncertain(
     midspan: Midspan, network: HubNetwork, closing: list[Any], tmp_path: Path
 ) -> None:
     def halt(_params: object) -> object:

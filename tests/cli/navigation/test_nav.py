@@ -94,7 +94,7 @@ def where(goal: Any) -> tuple[float, float, float]:
     return place["position"]["x"], place["position"]["y"], pytest.approx(theta, abs=1e-6)
 
 
-def test_progress_tells_each_change_with_its_reason(capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_prints_each_change_with_its_reason(capsys: pytest.CaptureFixture[str]) -> None:
     mine, other = (base64.b64encode(bytes([number] * 16)).decode() for number in (1, 2))
     progress = GoalProgress(bytes([1] * 16), as_json=False)
     progress.refresh()
@@ -155,13 +155,13 @@ def test_no_distance_is_printed_before_it_is_known(
         (77, "", ""),
     ],
 )
-def test_codes_of_nav2_have_words(code: int, message: str, text: str) -> None:
+def test_nav2_error_codes_are_explained(code: int, message: str, text: str) -> None:
     assert reason_text(message, code) == text
     status = {"state": "aborted", "reason": message, "error_code": code}
     assert state_text(status) == (f"aborted: {text}" if text else "aborted")
 
 
-def test_an_end_with_a_code_of_nav2(rig: Rig, midspan: Midspan) -> None:
+def test_goal_that_ends_with_a_nav2_error_code(rig: Rig, midspan: Midspan) -> None:
     outcome = beside(midspan, ["1", "2", "0"], lambda: rig.planner.give_up(rig.planner.until(1), "", 208))
     assert outcome.code == 1
     assert "midspan: aborted: no path to the goal (Nav2 208)" in outcome.err
@@ -184,7 +184,7 @@ def test_to_a_place_with_progress(rig: Rig, midspan: Midspan) -> None:
     assert (lines[0], lines[-1]) == ("to 2.50, 1.00 m, 90 degrees in map", "arrived")
 
 
-def test_to_a_pose_and_an_end_that_is_none(rig: Rig, midspan: Midspan) -> None:
+def test_goto_pose_that_aborts(rig: Rig, midspan: Midspan) -> None:
     def refuse() -> None:
         goal = rig.planner.until(1)
         assert where(goal) == (-1.5, 2.0, -90.0)
@@ -196,16 +196,16 @@ def test_to_a_pose_and_an_end_that_is_none(rig: Rig, midspan: Midspan) -> None:
 
 
 def test_in_any_heading(rig: Rig, midspan: Midspan) -> None:
-    def take() -> None:
+    def reach_goal() -> None:
         goal = rig.planner.until(1)
         assert "heading" in goal.goal["behavior_tree"]
         rig.planner.reach(goal)
 
-    outcome = beside(midspan, ["1", "2"], take)
+    outcome = beside(midspan, ["1", "2"], reach_goal)
     assert (outcome.code, outcome.out.splitlines()[0]) == (0, "to 1.00, 2.00 m in map, in any heading")
 
 
-def test_ctrl_c_cancels_and_so_does_the_time_out(rig: Rig, midspan: Midspan) -> None:
+def test_ctrl_c_and_timeout_cancel_the_goal(rig: Rig, midspan: Midspan) -> None:
     def interrupt() -> None:
         rig.planner.until(1)
         os.kill(os.getpid(), signal.SIGINT)
@@ -249,7 +249,7 @@ def test_a_closed_output_cancels_the_goal(rig: Rig, midspan: Midspan) -> None:
     until(lambda: not rig.gateway.driving, "nothing drives")
 
 
-def test_a_killed_client_is_not_said_to_be_on_another_machine(rig: Rig, midspan: Midspan) -> None:
+def test_killed_client_is_not_reported_as_remote(rig: Rig, midspan: Midspan) -> None:
     goto = process(midspan, "kitchen")
     rig.planner.until(1)
     rig.state(State.MOVING)
@@ -269,7 +269,7 @@ def process(midspan: Midspan, *words: str) -> subprocess.Popen[str]:
     ("words", "why"),
     [(["moon"], "unknown location or area 'moon'"), (["1", "north"], "X Y [DEGREES]"), (["1", "nan"], "X Y [DEGREES]")],
 )
-def test_nowhere(midspan: Midspan, words: list[str], why: str) -> None:
+def test_invalid_destinations_are_reported(midspan: Midspan, words: list[str], why: str) -> None:
     outcome = midspan("goto", *words)
     assert outcome.code == 1
     assert why in outcome.err
@@ -295,7 +295,7 @@ def test_status_pause_resume_and_stop(rig: Rig, midspan: Midspan) -> None:
     until(lambda: not rig.gateway.driving, "nothing drives")
 
 
-def test_status_says_that_the_planner_is_not_there(rig: Rig, midspan: Midspan) -> None:
+def test_status_reports_a_missing_planner(rig: Rig, midspan: Midspan) -> None:
     assert "waits" not in midspan("nav", "status").out
     assert rig.ask("choose_planner", name="robot_path_planner")["success"]
     try:
@@ -311,7 +311,7 @@ def test_status_says_that_the_planner_is_not_there(rig: Rig, midspan: Midspan) -
     assert midspan("nav", "status", "--json").json()["waits"] == ""
 
 
-def test_the_path_is_told_and_drawn(rig: Rig, midspan: Midspan, tmp_path: Path) -> None:
+def test_path_is_printed_and_drawn(rig: Rig, midspan: Midspan, tmp_path: Path) -> None:
     node = rig.planner.node
     out = node.publisher("/planner/robot_goto/path", "nav_msgs/msg/Path", KEPT, priority="state")
     frames = node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos())
@@ -373,7 +373,7 @@ def test_no_gateway(
         ("", "no gateway runs on this hub: no daemon robot1 runs on this machine; on the hub: none"),
     ],
 )
-def test_the_report_of_the_daemon_tells_a_late_gateway_from_none(
+def test_daemon_status_separates_a_late_gateway_from_a_missing_one(
     network: HubNetwork,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -396,7 +396,7 @@ def test_the_report_of_the_daemon_tells_a_late_gateway_from_none(
     assert "modules" not in other.err, "the daemon of this machine is not asked about another hub"
 
 
-def test_a_gateway_that_takes_long_to_answer(network: HubNetwork, closing: list[Any]) -> None:
+def test_slow_gateway(network: HubNetwork, closing: list[Any]) -> None:
     late = threading.Event()
     with connect(Config.model_validate({"hub": network.config()})) as client:
         assert no_answer(client).startswith("no gateway is configured")
@@ -407,7 +407,7 @@ def test_a_gateway_that_takes_long_to_answer(network: HubNetwork, closing: list[
         until(lambda: no_answer(client).startswith("the gateway's worker runs"), "it is seen on the hub")
 
 
-def test_a_stop_reaches_the_planner_where_no_gateway_is(network: HubNetwork, tmp_path: Path, capsys: Any) -> None:
+def test_stop_reaches_the_planner_without_a_gateway(network: HubNetwork, tmp_path: Path, capsys: Any) -> None:
     """As while its worker is killed and has not come back."""
     file = tmp_path / "midspan.yaml"
     file.write_text(json.dumps({"hub": network.config(), "navigation": {"planner": "move_base"}}))

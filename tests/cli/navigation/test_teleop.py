@@ -37,7 +37,7 @@ def test_keys(key: str, x: float, y: float, turn: float) -> None:
     assert keys.twist(1.2) == {"linear": {"x": x, "y": y}, "angular": {"z": turn}}
 
 
-def test_a_key_that_is_let_go_stops() -> None:
+def test_released_key_stops_the_robot() -> None:
     keys = Keys(0.2, 0.5)
     keys.press("i", 1.0)
     assert keys.twist(1.0 + HOLD_SECONDS)["linear"]["x"] == 0.2
@@ -56,23 +56,23 @@ def test_faster_and_slower_within_bounds() -> None:
 
 
 @pytest.fixture
-def heard(network: HubNetwork, registry: Registry) -> Iterator[list[Any]]:
+def velocities(network: HubNetwork, registry: Registry) -> Iterator[list[Any]]:
     """Velocities on the hub: m/s forward, rad/s."""
-    velocities: list[Any] = []
+    sent: list[Any] = []
     with_type = registry.ros2(TWIST).type_id
 
-    def take(sample: Any) -> None:
+    def on_sample(sample: Any) -> None:
         message = to_json(registry, TWIST, sample.data())
-        velocities.append((message["linear"]["x"], message["angular"]["z"]))
+        sent.append((message["linear"]["x"], message["angular"]["z"]))
 
     hub = Hub.open(network.settings("base"))
-    subscription = hub.subscription("/cmd_vel", TWIST, with_type, Qos(), take)
-    yield velocities
+    subscription = hub.subscription("/cmd_vel", TWIST, with_type, Qos(), on_sample)
+    yield sent
     subscription.close()
     hub.close()
 
 
-def test_a_terminal_drives(midspan: Midspan, monkeypatch: pytest.MonkeyPatch, heard: list[Any]) -> None:
+def test_a_terminal_drives(midspan: Midspan, monkeypatch: pytest.MonkeyPatch, velocities: list[Any]) -> None:
     primary, secondary = pty.openpty()
     with os.fdopen(secondary) as terminal:
         monkeypatch.setattr("sys.stdin", terminal)
@@ -80,14 +80,14 @@ def test_a_terminal_drives(midspan: Midspan, monkeypatch: pytest.MonkeyPatch, he
         driving = threading.Thread(target=lambda: done.append(midspan("teleop")))
         driving.start()
         try:
-            until(lambda: (os.write(primary, b"i"), (0.2, 0.0) in heard)[1], "it drives")
-            until(lambda: heard[-1] == (0.0, 0.0), "it stops when no key is held")
-            until(lambda: (os.write(primary, b"\x1b[D"), (0.0, 0.5) in heard)[1], "it turns")
+            until(lambda: (os.write(primary, b"i"), (0.2, 0.0) in velocities)[1], "it drives")
+            until(lambda: velocities[-1] == (0.0, 0.0), "it stops when no key is held")
+            until(lambda: (os.write(primary, b"\x1b[D"), (0.0, 0.5) in velocities)[1], "it turns")
         finally:
             os.write(primary, b"x")
             driving.join(40)
         assert done[0].code == 0
-        until(lambda: heard[-1] == (0.0, 0.0), "it ends with zero")
+        until(lambda: velocities[-1] == (0.0, 0.0), "it ends with zero")
         assert "+0.20" in done[0].out
     os.close(primary)
 
@@ -97,7 +97,7 @@ def test_no_terminal(midspan: Midspan) -> None:
     assert (done.code, "reads keys from a terminal" in done.err) == (1, True)
 
 
-def test_a_system_without_such_terminals_is_told_before_it_joins(
+def test_teleop_without_terminal_support_fails_before_joining_the_hub(
     midspan: Midspan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     primary, secondary = pty.openpty()
@@ -110,5 +110,5 @@ def test_a_system_without_such_terminals_is_told_before_it_joins(
     assert (done.code, "a terminal of POSIX only" in done.err) == (1, True)
 
 
-def test_speeds_that_nobody_wants(midspan: Midspan) -> None:
+def test_invalid_speeds_are_rejected(midspan: Midspan) -> None:
     assert "at most 2 m/s" in midspan("teleop", "--speed", "20").err

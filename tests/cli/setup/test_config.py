@@ -34,7 +34,7 @@ def test_check_of_a_bad_file(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert (problem["line"], problem["column"], problem["key"]) == (2, 3, "log.levl")
 
 
-def test_check_uses_the_file_that_would_be_used(
+def test_check_finds_the_same_file_as_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "some.yaml"
@@ -53,7 +53,7 @@ def test_example_schema_and_reference(capsys: pytest.CaptureFixture[str]) -> Non
     assert capsys.readouterr().out == generate.reference()
 
 
-def test_migrate_writes_the_file_and_keeps_the_former(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_migrate_writes_the_file_and_keeps_a_copy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "old.yaml"
     text = "# robot\nros2:\n  build: true # long ago\n"
     file.write_text(text)
@@ -75,7 +75,7 @@ def test_migrate_writes_the_file_and_keeps_the_former(tmp_path: Path, capsys: py
     assert file.read_text() == text
 
 
-def test_migrate_tells_what_is_left(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_migrate_reports_what_remains_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "old.yaml"
     file.write_text("hub: {listen: tcp/0.0.0.0:7447}\n")
     assert main(["config", "migrate", str(file)]) == 3

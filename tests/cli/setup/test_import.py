@@ -94,7 +94,7 @@ def test_parameter_bridge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "    # peer.yaml:14, roscpp_tutorials/TwoInts on ROS 1\n    - kind: service\n" in done.out
 
 
-def test_what_ros1_bridge_has_and_midspan_does_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unsupported_settings_of_ros1_bridge_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = """\
 topics:
   - topic: /a
@@ -133,7 +133,7 @@ services_2_to_1:
         assert note.split(": ")[0] in done.out
 
 
-def test_mapping_rules_go_along(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mapping_rules_are_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     given = tmp_path / "mapping.yaml"
     given.write_text("- {ros1_package_name: a_msgs, ros2_package_name: b_msgs}\n")
     file = write(tmp_path, "topics: [{topic: /a, type: b_msgs/msg/A}]\n")
@@ -171,7 +171,7 @@ def test_a_domain_bridge_becomes_one_daemon_for_each_domain(tmp_path: Path, caps
     ]
 
 
-def test_what_domain_bridge_has_and_midspan_does_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unsupported_settings_of_domain_bridge_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = """\
 from_domain: 2
 to_domain: 3
@@ -229,7 +229,7 @@ actions:
     assert rules(domain4) == [{**add, "topic": "/domain2/add", "to": "ros2", "rename": "/add"}]
 
 
-def test_written_to_files_and_never_over_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_import_writes_files_and_overwrites_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, folder = write(tmp_path, DOMAINS), tmp_path / "out"
     done = Imported(capsys, file, "domain_bridge", "-o", str(folder))
     assert done.code == 0

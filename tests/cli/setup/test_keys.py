@@ -93,7 +93,7 @@ def test_openssl_agrees(tmp_path: Path) -> None:
     assert subprocess.run(command, cwd=tmp_path, capture_output=True, check=False).returncode != 0
 
 
-def test_nothing_is_overwritten_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_are_not_overwritten_without_the_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(tmp_path, "make", "robot1") == 0
     before = (tmp_path / "robot1.pem").read_bytes(), (tmp_path / "ca.pem").read_bytes()
     assert run(tmp_path, "make", "robot1") == 1
@@ -225,7 +225,7 @@ def test_an_expired_one_is_told(folder: Path, capsys: pytest.CaptureFixture[str]
 
 
 @pytest.mark.parametrize("which", ["robot1", "ca"])
-def test_one_that_is_not_valid_yet(
+def test_certificate_that_is_not_valid_yet(
     folder: Path, which: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for file in folder.glob("ca.*" if which == "ca" else "robot1.*"):

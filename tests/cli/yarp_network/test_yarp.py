@@ -55,15 +55,15 @@ class Owner:
     """A port that stores what it receives, and replies with it after ``got``."""
 
     def __init__(self, name: str, server: NameServer) -> None:
-        self.came: list[list[object]] = []
+        self.received: list[list[object]] = []
         self.bytes: list[bytes] = []
-        self.port = PortCore(name, on_message=self._take, naming=NameClient(server.address))
+        self.port = PortCore(name, on_message=self._on_message, naming=NameClient(server.address))
         self.port.open()
 
-    def _take(self, message: PortMessage) -> None:
+    def _on_message(self, message: PortMessage) -> None:
         values = decode(message.payload)
         self.bytes.append(bytes(message.payload))
-        self.came.append(values)
+        self.received.append(values)
         message.reply(encode(["got", *values], Profile.YARP3))
 
 
@@ -168,13 +168,13 @@ def test_writing(yarp: Yarp, owners: Callable[[str], Owner], monkeypatch: pytest
     first, second = owners("/one"), owners("/two")
     second.port.profile = Profile.YARP4
     assert yarp("write", "/w", "/one", "fast_tcp://two", "-m", "set speed 0.5", "-m", '(a b) "c d"').code == 0
-    assert first.came == [["set", "speed", 0.5], [["a", "b"], "c d"]]
-    until(lambda: second.came == first.came, "both have them")
+    assert first.received == [["set", "speed", 0.5], [["a", "b"], "c d"]]
+    until(lambda: second.received == first.received, "both have them")
     assert first.bytes[0] == encode(["set", "speed", 0.5], Profile.YARP3)
     assert second.bytes[0] == encode(["set", "speed", 0.5], Profile.YARP4)
     monkeypatch.setattr(sys, "stdin", io.StringIO("1 2\n\n3\n"))
     assert yarp("write", "...", "/one", "--yarp4").code == 0
-    assert first.came[2:] == [[1, 2], [3]]
+    assert first.received[2:] == [[1, 2], [3]]
     done = yarp("write", "/one", "-m", "x")
     assert done.code == 1
     assert "/one is in use" in done.err
@@ -206,7 +206,7 @@ def test_reading(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner])
     assert NameClient(server.address).query("/in") is None
 
 
-def test_an_end_by_a_signal(server: NameServer) -> None:
+def test_signal_ends_the_command(server: NameServer) -> None:
     """A terminated reader unregisters its name."""
     names = NameClient(server.address)
     reader = Process([sys.executable, "-m", "bridge.cli.main", "yarp", "read", "/in"], os.environ)
@@ -247,13 +247,13 @@ def test_wrong_usage(words: tuple[str, ...]) -> None:
     assert ended.value.code == 2
 
 
-def test_impatience(yarp: Yarp) -> None:
+def test_timeout_must_be_positive(yarp: Yarp) -> None:
     """A time limit is more than nothing."""
     for seconds in ("0", "-1", "nan", "inf"):
         assert "--timeout must be more than" in yarp("list", "--timeout", seconds).err
 
 
-def test_a_server_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_server_keeps_its_names_over_a_restart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It writes yarp.conf, serves, ends at SIGTERM, and remembers."""
     monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
     monkeypatch.delenv("YARP_NAMESPACE", raising=False)
@@ -275,7 +275,7 @@ def test_a_server_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert json.loads((tmp_path / "yarp.names.json").read_text())["ports"][0][0] == "/p"
 
 
-def test_a_server_that_cannot_be(yarp: Yarp, server: NameServer) -> None:
+def test_name_server_that_cannot_start(yarp: Yarp, server: NameServer) -> None:
     """Its place is taken; its number is none."""
     assert "Another one may be running there" in yarp("server").err
     assert "--port must be a number" in yarp("server", "--port", "70000").err
