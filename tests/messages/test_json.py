@@ -78,7 +78,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("name", "value", "reason"), BAD)
-def test_what_does_not_fit_names_the_field(registry: Registry, name: str, value: Any, reason: str):
+def test_invalid_value_names_its_field(registry: Registry, name: str, value: Any, reason: str):
     with pytest.raises(ConversionError, match=reason):
         from_json(registry, name, value)
 
@@ -98,12 +98,12 @@ def test_bad_bytes_are_refused(registry: Registry):
         to_json(registry, "nobody_msgs/msg/Knows", b"\0\1\0\0")
 
 
-def test_slack_of_rclpy_is_no_trouble(registry: Registry):
+def test_trailing_bytes_of_rclpy_are_accepted(registry: Registry):
     cdr = from_json(registry, "std_msgs/msg/Bool", {"data": True})
     assert to_json(registry, "std_msgs/msg/Bool", cdr + b"\xff\xff\xff") == {"data": True}
 
 
-def test_calls_go_there_and_back(registry: Registry):
+def test_service_messages_round_trip(registry: Registry):
     codec = CallCodec(registry, "nav_msgs/srv/LoadMap", registry.service_ros2("nav_msgs/srv/LoadMap").type_id)
     assert codec.request_value(codec.request({"map_url": "file:///a"})) == {"map_url": "file:///a"}
     values = codec.response_value(codec.response({"result": 3, "map": {"data": [1, -1]}}))

@@ -72,7 +72,7 @@ def test_the_header_of_a_grid_map_is_within_its_info_in_ros1():
     assert raw[:27] == struct.pack("<IIII3sd", 0, 5, 0, 3, b"map", 0.5)
 
 
-def test_tf_messages_of_old_go_to_tf2():
+def test_old_tf_messages_become_tf2_messages():
     registry = Registry()
     tf2 = registry.ros1("tf2_msgs/TFMessage").definition
     conversion = registry.ros1_to_hub("tf/tfMessage", definition=tf2)
@@ -80,7 +80,7 @@ def test_tf_messages_of_old_go_to_tf2():
     assert registry.hub_to_ros1("tf2_msgs/msg/TFMessage").target.name == "tf2_msgs/TFMessage"
 
 
-def test_nothing_is_read_before_it_is_asked_for(monkeypatch: pytest.MonkeyPatch):
+def test_definitions_are_read_on_demand(monkeypatch: pytest.MonkeyPatch):
     def refuse(*_: object) -> str:
         pytest.fail("a file was read")
 
@@ -106,7 +106,7 @@ def test_converters_are_made_once(registry: Registry):
     assert conversion is registry.ros1_to_hub("std_msgs/String", "*")
 
 
-def test_an_unknown_type_says_its_cure(registry: Registry):
+def test_unknown_type_is_reported_with_its_cure(registry: Registry):
     with pytest.raises(MessageTypeError, match="no definition of the ROS 1 type nobody_msgs/Knows") as caught:
         registry.ros1_to_hub("nobody_msgs/Knows")
     assert "types.folders" in caught.value.cure
@@ -127,7 +127,7 @@ def test_a_header_definition_outranks_the_installed_one():
     assert registry.ros1_to_hub("std_msgs/ColorRGBA", installed.type_id).source == installed
 
 
-def test_two_definitions_of_one_name_stand_beside_each_other():
+def test_two_definitions_of_one_name_coexist():
     registry = Registry()
     old, new = "int32 a\n", "int32 a\nstring b\n"
     ids = []
@@ -155,7 +155,7 @@ def test_a_definition_that_belies_its_md5_is_refused():
         Registry().ros1_to_hub("my_msgs/Thing", "f" * 32, "int32 a\n")
 
 
-def test_a_hash_that_differs_is_told(registry: Registry):
+def test_different_hash_is_reported(registry: Registry):
     with pytest.raises(MessageTypeError, match=r"has the hash RIHS01_0+ there but RIHS01_\w+ here") as caught:
         registry.hub_to_ros1("std_msgs/msg/String", "RIHS01_" + "0" * 64)
     assert "same version of std_msgs" in caught.value.cure
@@ -254,7 +254,7 @@ def test_parts_of_actions_are_known(registry: Registry):
         registry.hub_to_ros1("nav2_msgs/action/NavigateToPose_Goal")
 
 
-def test_wstring_cannot_be_said_in_ros1():
+def test_wstring_has_no_ros1_type():
     registry = Registry()
     registry.learn_ros2("my_msgs/msg/Wide", "wstring text\n")
     with pytest.raises(MessageTypeError, match="field text is a wstring"):
@@ -273,7 +273,7 @@ NO_PAIRS = [
 
 
 @pytest.mark.parametrize(("ros1", "ros2", "reason"), NO_PAIRS)
-def test_types_that_are_no_pair_say_why(tmp_path: Path, ros1: str, ros2: str, reason: str):
+def test_types_that_do_not_match_are_reported_with_the_reason(tmp_path: Path, ros1: str, ros2: str, reason: str):
     registry = with_ros2(tmp_path, ros2)
     nested = SEPARATOR + "MSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n" if "geometry" in ros1 else ""
     with pytest.raises(MessageTypeError, match=reason) as caught:
@@ -385,7 +385,7 @@ def test_prefixes_of_built_packages(tmp_path: Path):
     assert Registry(prefixes=[tmp_path]).ros2("built_msgs/msg/Thing").type_id.startswith("RIHS01_")
 
 
-def test_many_threads_may_ask_at_once():
+def test_registry_is_thread_safe():
     registry = Registry()
     names = ["std_msgs/String", "nav_msgs/Odometry", "sensor_msgs/LaserScan", "tf2_msgs/TFMessage"] * 4
     finished: list[str] = []
@@ -441,7 +441,7 @@ def test_the_hash_of_an_empty_type_is_its_definition():
         Registry().hub_to_ros1("my_robot/msg/Pong", known.type_id)
 
 
-def test_an_empty_version_stands_beside_the_installed_one(tmp_path: Path):
+def test_empty_version_coexists_with_the_installed_one(tmp_path: Path):
     folder = tmp_path / "my_robot" / "msg"
     folder.mkdir(parents=True)
     (folder / "Ping.msg").write_text("int32 number\n")

@@ -36,7 +36,7 @@ def _odometry(sec: int, nanosec: int, *values: float) -> dict[str, Any]:
     }
 
 
-def test_what_is_filled_in_is_what_would_be_written(registry: Registry) -> None:
+def test_filled_template_equals_the_serialized_message(registry: Registry) -> None:
     schema = registry.schema("nav_msgs/msg/Odometry")
     template = MessageTemplate(schema, _odometry(0, 0, *[0.0] * 13), "header.stamp", "pose.pose", "twist.twist")
     for shift in (0.0, 0.25, -1e300, math.inf):

@@ -73,7 +73,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("text", "reason"), BROKEN)
-def test_what_cannot_be_read_names_type_and_reason(text: str, reason: str):
+def test_parse_error_names_type_and_reason(text: str, reason: str):
     with pytest.raises(MessageTypeError, match=reason) as caught:
         parse(text, World.ROS2)
     assert "my_msgs/msg/Sample" in str(caught.value)
@@ -92,7 +92,7 @@ def test_a_full_definition_is_read_back_the_same():
     assert md5_sum(closure(again["my_msgs/Sample"], again)) == md5_sum(schema)
 
 
-def test_made_text_means_the_same():
+def test_generated_text_has_the_same_meaning():
     """Where a definition has no author's text, the one made from its fields has the same hash."""
     text = (
         'string<=10 a "x"\nint32[<=3] b\nOther c\nfloat64[2] d [1.5, 2]\n'

@@ -298,7 +298,7 @@ def test_an_action_known_from_headers_alone_is_derived(folders: Path):
     assert registry.ros1_action("my_acts/count_up") == topics
 
 
-def test_an_action_told_on_the_hub_is_known_by_its_parts(folders: Path):
+def test_action_announced_on_the_hub_is_known_by_its_parts(folders: Path):
     remote = Registry(folders=[folders])
     goal, result = (remote.service_ros1_to_hub(f"my_acts/action/count_up_{part}").hub for part in PARTS[:2])
     feedback = remote.ros1_to_hub("my_acts/action/count_up_FeedbackMessage").target
@@ -350,14 +350,14 @@ def test_actions_with_other_names_and_fields_cross_by_rule(folders: Path, tmp_pa
         ),
     ],
 )
-def test_a_wrong_rule_is_told(rule: str, reason: str, tmp_path: Path):
+def test_invalid_rule_is_reported(rule: str, reason: str, tmp_path: Path):
     file = tmp_path / "rules.yaml"
     file.write_text(f"- {{ros1_package_name: a, ros2_package_name: b, {rule}}}\n")
     with pytest.raises(MessageTypeError, match=reason):
         Registry(mapping_rules=[file])
 
 
-def test_an_unknown_action_says_its_cure(registry: Registry):
+def test_unknown_action_is_reported_with_its_cure(registry: Registry):
     for ask in (
         lambda: registry.action_of_ros1("nobody_acts/Do"),
         lambda: registry.ros1_action("nobody_acts/Do"),

@@ -116,7 +116,7 @@ def test_cdr_bytes_are_those_of_rclpy(registry: Registry):
 
 
 @needs_genpy
-def test_bytes_that_are_no_request_are_refused(registry: Registry):
+def test_invalid_request_bytes_are_rejected(registry: Registry):
     conversion = registry.service_ros1_to_hub("nav_msgs/GetPlan")
     for convert, wrong in ((conversion.request_to_hub, b"\1\2\3"), (conversion.response_to_side, b"\0\1\0\0\1")):
         assert convert is not None
@@ -128,7 +128,7 @@ def test_bytes_that_are_no_request_are_refused(registry: Registry):
         check_response(b"\0\1\0\0\1")
 
 
-def test_an_unknown_service_says_its_cure(registry: Registry):
+def test_unknown_service_is_reported_with_its_cure(registry: Registry):
     for ask, name in (
         (registry.service_ros1_to_hub, "nobody_srvs/Ask"),
         (registry.service_hub_to_ros1, "nobody_srvs/srv/Ask"),
@@ -146,7 +146,7 @@ def test_an_unknown_service_says_its_cure(registry: Registry):
             registry.service_hub_to_ros1(name)
 
 
-def test_another_md5_or_hash_is_told(registry: Registry):
+def test_different_md5_or_hash_is_reported(registry: Registry):
     with pytest.raises(MessageTypeError, match="has the md5 0123 there but 09fb03525b03e7ea1fd3992bafd87e16 here"):
         registry.service_ros1_to_hub("std_srvs/SetBool", "0123")
     with pytest.raises(MessageTypeError, match=r"has the hash RIHS01_00 there but RIHS01_\w{64} here"):
@@ -198,7 +198,7 @@ def test_a_service_of_ros2_alone_is_derived(tmp_path: Path):
         from_hub.request_to_hub(b"\6\0\0\0sixsix")
 
 
-def test_a_service_told_on_the_hub_is_known_by_its_hash(folders: Path):
+def test_service_announced_on_the_hub_is_known_by_its_hash(folders: Path):
     announced = Registry(folders=[folders]).service_ros1_to_hub("my_srvs/ask_me").hub
     registry = Registry()
     with pytest.raises(MessageTypeError):
@@ -218,7 +218,7 @@ def test_a_service_told_on_the_hub_is_known_by_its_hash(folders: Path):
 @pytest.mark.parametrize(
     ("definition", "reason"), [("string a\n", "1 parts"), ("---\n---\n", "3 parts"), ("a\n---\n", "line 1")]
 )
-def test_what_is_told_must_be_a_service(definition: str, reason: str):
+def test_announced_definition_must_be_a_service(definition: str, reason: str):
     with pytest.raises(MessageTypeError, match=reason):
         Registry().learn_ros2("my_srvs/srv/Ask", definition)
 
@@ -280,7 +280,7 @@ def test_services_of_one_name_that_differ_are_no_pair(folders: Path):
     assert "mapping rule" in caught.value.cure
 
 
-def test_a_package_of_idl_files_alone_will_do(tmp_path: Path, registry: Registry):
+def test_package_with_only_idl_files_suffices(tmp_path: Path, registry: Registry):
     share = tmp_path / "share" / "std_srvs" / "srv"
     share.mkdir(parents=True)
     idl = (Path(sys.prefix) / "share" / "std_srvs" / "srv" / "SetBool.idl").read_text()

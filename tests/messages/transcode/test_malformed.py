@@ -90,7 +90,7 @@ def assert_refused_or_converted(convert: Callable[[bytes], bytes], message: byte
 
 
 @pytest.mark.parametrize("name", TYPES)
-def test_what_converts_back_is_sound(name: str):
+def test_round_trip_keeps_the_message(name: str):
     convert, good = CASES[name, "to CDR"]
     to_ros1, cdr = CASES[name, "to ROS 1"]
     assert to_ros1(from_json(REGISTRY, name, to_json(REGISTRY, name, convert(good)))) == to_ros1(cdr)
@@ -149,7 +149,7 @@ def test_slack_of_empty_sequences_is_trimmed():
     assert REGISTRY.hub_check(name)(good + bytes(8)) == good
 
 
-def test_messages_are_made_normal():
+def test_messages_are_normalized():
     check = REGISTRY.hub_check("std_msgs/msg/Bool")
     assert check(b"\0\1\0\0\5") == b"\0\1\0\0\1"
     text = REGISTRY.hub_check("std_msgs/msg/String")
@@ -164,7 +164,7 @@ def test_a_string_without_nul_is_refused():
         REGISTRY.hub_check("std_msgs/msg/String")(b"\0\1\0\0\3\0\0\0abc")
 
 
-def test_anything_with_bytes_is_taken():
+def test_any_bytes_like_object_is_accepted():
     convert, good = CASES["std_msgs/msg/String", "to CDR"]
     assert convert(memoryview(good)) == convert(bytearray(good)) == convert(good)  # type: ignore[arg-type]
 

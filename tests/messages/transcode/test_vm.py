@@ -26,7 +26,7 @@ def ready(form: Any, program: ConversionProgram) -> Any:
     return form.VirtualMachine(*program.assemble(), ValueError)
 
 
-def made(form: Any, program: ConversionProgram, message: bytes, way: str) -> bytes | str:
+def outcome(form: Any, program: ConversionProgram, message: bytes, way: str) -> bytes | str:
     """Return the converted message, or the error's text."""
     try:
         converted: bytes = getattr(ready(form, program), way)(message)
@@ -36,7 +36,7 @@ def made(form: Any, program: ConversionProgram, message: bytes, way: str) -> byt
 
 
 @pytest.mark.parametrize("name", TYPES)
-def test_both_forms_make_the_same_of_damaged_messages(name: str, registry: Registry):
+def test_compiled_and_python_forms_agree_on_damaged_messages(name: str, registry: Registry):
     dice = random.Random(7)
     accepted = refused = 0
     for program, good in programs(registry, name):
@@ -70,7 +70,7 @@ def test_loops_nest_as_deep_as_a_program_may(form: Any):
 
     nest(FRAMES)
     message = struct.pack("<I", 2) + struct.pack("<I", 1) * FRAMES + b"a" + struct.pack("<I", 1) * FRAMES + b"b"
-    assert made(form, program, message, "convert") == message
+    assert outcome(form, program, message, "convert") == message
 
 
 @FORMS
@@ -88,7 +88,7 @@ def test_as_many_positions_are_kept_as_a_program_may(form: Any):
     program.emit(Instruction(Op.SEEK, link=slots[-1]))
     program.emit(Instruction(Op.COPY, size=1))
     message = bytes(range(SLOTS))
-    assert made(form, program, message, "convert") == message[-2::-1] + message[-1:]
+    assert outcome(form, program, message, "convert") == message[-2::-1] + message[-1:]
 
 
 @pytest.mark.skipif(vm.__file__.endswith(".py"), reason="Python keeps its lock")
@@ -114,7 +114,7 @@ def test_large_messages_are_converted_while_other_threads_run():
         thread.join()
 
 
-def test_what_a_run_made_is_of_the_size_that_was_measured():
+def test_output_of_another_size_is_rejected():
     """A fault of the machine would else give away memory's old content."""
     program = ConversionProgram("blob", source_cdr=False, target_cdr=False)
     program.emit(Instruction(Op.COPY, size=3))
@@ -175,6 +175,6 @@ def test_a_program_that_would_leave_its_memory_is_refused(form: Any, case: str):
 
 
 @FORMS
-def test_a_program_that_was_never_made_is_no_crash(form: Any):
+def test_uninitialized_program_does_not_crash(form: Any):
     with pytest.raises((TypeError, AttributeError)):
         form.VirtualMachine.__new__(form.VirtualMachine).convert(b"")

@@ -75,7 +75,7 @@ def test_octets_and_arrays_of_fixed_length() -> None:
 @pytest.mark.parametrize("profile", Profile)
 @pytest.mark.parametrize("name", TYPES)
 @pytest.mark.parametrize("length", [0, 2, 40])
-def test_every_field_there_and_back(name: str, profile: Profile, length: int) -> None:
+def test_every_field_round_trip(name: str, profile: Profile, length: int) -> None:
     cdr = from_json(REGISTRY, name, sample(REGISTRY.schema(name), length))
     known = codec(name, profile)
     bottle = b"".join(known.to_yarp(cdr).payload)
@@ -141,7 +141,7 @@ def test_a_bottle_with_a_byte_changed_harms_nothing(data: st.DataObject) -> None
     assert to_json(REGISTRY, "nav_msgs/msg/Path", cdr)
 
 
-def test_a_bottle_by_hand_is_taken() -> None:
+def test_handwritten_bottle_is_accepted() -> None:
     """What ``yarp write`` makes of the line ``(1 0 0) (0 0 0.5)``: integers, and lists of one type."""
     twist = codec("geometry_msgs/msg/Twist").to_hub(binary.encode([[1, 0, 0], [0, 0, 0.5]], Profile.YARP3), None, None)
     assert to_json(REGISTRY, "geometry_msgs/msg/Twist", twist)["linear"] == {"x": 1.0, "y": 0.0, "z": 0.0}
@@ -180,7 +180,7 @@ def test_the_envelope_stamps_a_header_that_has_no_time() -> None:
     assert known.to_hub(b"".join(known.to_yarp(timed).payload), None, 3_000_000_004) == timed
 
 
-def test_what_yarp_cannot_say_is_told() -> None:
+def test_values_without_a_yarp_form_are_reported() -> None:
     registry = Registry()
     registry.learn_ros2("y_msgs/msg/Wide", "wstring data")
     with pytest.raises(MessageTypeError, match="wstring"):

@@ -99,7 +99,7 @@ def test_a_wrong_bottle_is_refused(values: list[Any], error: str) -> None:
 
 
 @pytest.mark.parametrize("value", [1e300, math.inf, math.nan, -1e12, True, "now"])
-def test_a_time_that_is_none(value: Any) -> None:
+def test_invalid_time(value: Any) -> None:
     with pytest.raises(ConversionError, match=r"header\.stamp is a time in seconds"):
         back(codec("sensor_msgs/msg/JointState", "header.stamp"), "sensor_msgs/msg/JointState", [value])
 
@@ -110,7 +110,7 @@ def test_a_list_where_the_rule_has_a_constant() -> None:
 
 
 @given(st.binary(max_size=100))
-def test_any_bytes_are_refused_or_taken(junk: bytes) -> None:
+def test_any_bytes_are_rejected_or_accepted(junk: bytes) -> None:
     known = codec("sensor_msgs/msg/JointState", "name", "position", "header.stamp")
     try:
         cdr = known.to_hub(junk, None, None)
@@ -128,12 +128,12 @@ def test_any_bytes_are_refused_or_taken(junk: bytes) -> None:
         ("linear.x[0]", "no such element"),
     ],
 )
-def test_a_field_that_is_not_there(entry: str, error: str) -> None:
+def test_missing_field(entry: str, error: str) -> None:
     with pytest.raises(MessageTypeError, match=error):
         codec(TWIST, entry)
 
 
 @pytest.mark.parametrize("entry", ["", "linear..x", "rad(linear.x)", "deg(linear.x", "'a", "a b"])
-def test_what_is_no_entry(entry: str) -> None:
+def test_invalid_entries_are_rejected(entry: str) -> None:
     with pytest.raises(ValueError, match="is not a field"):
         BottleEntry.parse(entry)

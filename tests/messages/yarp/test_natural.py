@@ -73,7 +73,7 @@ def test_a_laser_scan_of_a_real_yarp() -> None:
 
 
 @pytest.mark.parametrize("profile", Profile)
-def test_a_laser_scan_there(profile: Profile) -> None:
+def test_laser_scan_to_yarp(profile: Profile) -> None:
     scan = {"header": HEADER, "angle_min": -math.pi / 2, "angle_max": math.pi / 2, "angle_increment": math.pi / 4,
             "range_min": 0.25, "range_max": 8.0, "ranges": [1.0, "Infinity", 2.5, "NaN", 3.0]}  # fmt: skip
     sent = codec(SCAN, profile).to_yarp(from_json(REGISTRY, SCAN, scan))
@@ -100,7 +100,7 @@ def test_an_image_of_a_real_yarp_byte_for_byte() -> None:
      ("bayer_rggb16", None)],
 )  # fmt: skip
 @pytest.mark.parametrize("profile", Profile)
-def test_images_there_and_back(encoding: str, kind: type[image.Image] | None, profile: Profile) -> None:
+def test_image_round_trip(encoding: str, kind: type[image.Image] | None, profile: Profile) -> None:
     pixel = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "bayer_grbg8": 1, "32FC1": 4}.get(encoding, 2)
     width, height, step = 5, 3, 5 * pixel + 3  # rows with padding
     rows = np.arange(height * step, dtype=np.uint8).reshape(height, step)
@@ -130,7 +130,7 @@ def test_big_endian_pixels_are_turned() -> None:
         {"width": 2, "height": 1, "encoding": "jpeg", "step": 2, "data": [1, 2]},
     ],
 )
-def test_images_that_are_none_are_refused(message: dict[str, Any]) -> None:
+def test_invalid_images_are_rejected(message: dict[str, Any]) -> None:
     with pytest.raises(ConversionError):
         out("sensor_msgs/msg/Image", message)
 
@@ -168,7 +168,7 @@ def test_a_cloud_laid_out_otherwise_is_copied() -> None:
 
 
 @pytest.mark.parametrize("change", [{"row_step": 10}, {"fields": [_field("x", 30)]}, {"fields": []}, {"width": 99}])
-def test_clouds_that_are_none_are_refused(change: dict[str, Any]) -> None:
+def test_invalid_clouds_are_rejected(change: dict[str, Any]) -> None:
     message = {"height": 1, "width": 1, "point_step": 16, "row_step": 16, "data": bytes(16),
                "fields": [_field("x", 0), _field("y", 4), _field("z", 8)]}  # fmt: skip
     assert out(CLOUD, message)
@@ -217,7 +217,7 @@ def test_a_bad_cloud_is_refused_by_the_name_of_its_field(change: dict[str, Any],
         [_field("rgb", 12), _field("kind", 16, 0), {**_field("signature", 16), "count": 33}],
     ],
 )
-def test_fields_that_are_there_twice_or_that_yarp_has_none_for(more: list[dict[str, Any]]) -> None:
+def test_duplicate_and_unsupported_cloud_fields(more: list[dict[str, Any]]) -> None:
     data = struct.pack("<3f4B4B", 1.0, 2.0, 3.0, 10, 20, 30, 40, 9, 9, 9, 9)
     message = {"height": 1, "width": 1, "point_step": 20, "row_step": 20, "data": data,
                "fields": [_field("x", 0), _field("y", 4), _field("z", 8), *more]}  # fmt: skip
@@ -399,7 +399,7 @@ ANY = [name for name in KINDS if name not in ("sensor_msgs/msg/Image", CLOUD, GR
 
 @pytest.mark.parametrize("name", ANY)
 @pytest.mark.parametrize("profile", Profile)
-def test_there_and_back_says_the_same_again(name: str, profile: Profile) -> None:
+def test_round_trip_keeps_every_value(name: str, profile: Profile) -> None:
     """Values that YARP's type lacks are lost the first time, and nothing else the second time."""
     first = out(name, _small(sample(REGISTRY.schema(name))), profile)
     again = out(name, back(name, first, profile), profile)
@@ -450,7 +450,7 @@ def test_bytes_changed_in_a_message_harm_nothing(data: st.DataObject) -> None:
     st.integers(0, 2**31 - 1),
     st.integers(0, 999_999_999),
 )
-def test_any_scan_there_and_back(profile: Profile, ranges: list[float], low: float, sec: int, nanosec: int) -> None:
+def test_any_scan_round_trip(profile: Profile, ranges: list[float], low: float, sec: int, nanosec: int) -> None:
     stamp = {"sec": sec, "nanosec": nanosec}
     message = {"header": {"stamp": stamp}, "angle_min": low, "angle_max": low + 0.1, "ranges": list(map(_json, ranges))}
     sent = codec(SCAN, profile).to_yarp(from_json(REGISTRY, SCAN, message))
