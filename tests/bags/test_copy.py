@@ -53,7 +53,7 @@ def copied(source: Path, target: Path, registry: Registry, **more: Any) -> Copie
         return convert(bag, target, _KINDS[target.suffix], registry, **more)
 
 
-def heard(path: Path) -> list[tuple[str, int, Any]]:
+def messages_of(path: Path) -> list[tuple[str, int, Any]]:
     """Topic, time and message of each, by rosbags."""
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as bag:
         return [(c.topic, time, bag.deserialize(raw, c.msgtype)) for c, time, raw in bag.messages()]
@@ -68,11 +68,11 @@ def test_a_bag_is_unchanged_after_all_formats(registry: Registry, tmp_path: Path
     steps = [ros1_bag(tmp_path / "a.bag"), *(tmp_path / name for name in ("b.mcap", "c.db3", "d", "e.bag"))]
     for source, target in pairwise(steps):
         assert copied(source, target, registry).messages == 21
-    first, last = heard(steps[0]), heard(steps[-1])
+    first, last = messages_of(steps[0]), messages_of(steps[-1])
     assert str(first) == str(last)  # each bag has separate classes
     assert len(first) == 21
     for path in steps[1:4]:
-        for (topic, time, message), (topic2, time2, message2) in zip(first, heard(path), strict=True):
+        for (topic, time, message), (topic2, time2, message2) in zip(first, messages_of(path), strict=True):
             assert (topic, time) == (topic2, time2)
             if topic == "/pose":
                 assert str(message.pose) == str(message2.pose)
@@ -269,7 +269,7 @@ def test_a_bag_of_ros_1_without_its_index_is_mended(tmp_path: Path) -> None:
         assert bag.unfinished
         done = cut(bag, tmp_path / "b.bag", mend=True)
     assert done.messages == 101
-    assert str(heard(tmp_path / "b.bag")) == str(heard(path))
+    assert str(messages_of(tmp_path / "b.bag")) == str(messages_of(path))
 
 
 @pytest.mark.parametrize("form", ["bag", "mcap"])
@@ -290,7 +290,7 @@ def test_a_modified_chunk_is_reported_and_the_rest_is_saved(form: str, tmp_path:
         done = cut(bag, tmp_path / f"b.{form}", mend=True)
     assert 80 < done.messages < 101
     assert [err.offset for err in done.damage] == [caught.value.offset]
-    assert len(heard(tmp_path / f"b.{form}")) == done.messages
+    assert len(messages_of(tmp_path / f"b.{form}")) == done.messages
 
 
 def test_a_folder_of_mcap_is_cut_into_one_file_of_mcap(tmp_path: Path) -> None:
@@ -302,7 +302,7 @@ def test_a_folder_of_mcap_is_cut_into_one_file_of_mcap(tmp_path: Path) -> None:
     with open_bag(tmp_path / "run") as bag:
         assert cut(bag, tmp_path / "a.mcap", BagSelection(start_ns=START + 4 * SECOND)).messages == 6
         assert cut(bag, tmp_path / "b.mcap", mend=True).messages == 10
-    assert [message.data for _, _, message in heard(tmp_path / "a.mcap")] == [f"text {n}" for n in range(4, 10)]
+    assert [message.data for _, _, message in messages_of(tmp_path / "a.mcap")] == [f"text {n}" for n in range(4, 10)]
     assert raw_of(tmp_path / "b.mcap") == raw_of(tmp_path / "run")
 
 

@@ -8,7 +8,7 @@ from bridge.doctor.causes import cause, grouped, shared
 from bridge.doctor.check import Finding, fail, merged, ok, warn
 
 
-def test_twenty_topics_with_one_trouble_are_one_line() -> None:
+def test_one_cause_for_twenty_topics_is_one_line() -> None:
     texts = [f"/t{number}: its publisher /move_base does not announce its type: refused" for number in range(20)]
     assert grouped(texts) == [f"{texts[0]} (the same for /t1, /t2, /t3, /t4, /t5 and 14 more)"]
 

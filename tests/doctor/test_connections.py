@@ -38,7 +38,7 @@ def test_a_closed_hub_is_skipped() -> None:
     assert [finding.result for finding in every(look_at_connections(around({})))] == [Result.SKIP]
 
 
-def test_it_connects(keys: Path) -> None:
+def test_successful_connection(keys: Path) -> None:
     place, wrong = f"tls/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}"
     with Machine("operator1", keys / "a", listen=[place]):
         own_status, good, bad = looked_at(keys / "a", connect=[place, wrong])
@@ -72,7 +72,7 @@ def test_a_listener_of_this_machine(keys: Path) -> None:
     assert looked_at(keys / "a", listen=[place], **far)[-1].result is Result.SKIP, "the router does not run"
 
 
-def test_the_routers_report_counts_if_the_doctor_may_not_read_the_keys(tmp_path: Path) -> None:
+def test_router_report_is_used_if_the_keys_are_unreadable(tmp_path: Path) -> None:
     places = ["tls/10.9.9.9:7448", "tls/10.9.9.8:7448"]
     reported = [report("connect", places[0], "refused", "why"), report("connect", places[1], "connected")]
     files, router = looked_at(tmp_path, *reported, connect=places)
@@ -88,7 +88,7 @@ def test_without_tls(keys: Path) -> None:
     assert (finding.result, finding.seen) == (Result.OK, f"hub.open.connect {place}: it answers")
 
 
-def test_quic_is_the_routers_to_test(keys: Path) -> None:
+def test_quic_is_tested_by_the_router(keys: Path) -> None:
     place = "quic/10.9.9.9:7448"
     assert looked_at(keys / "a", connect=[place])[-1].seen.endswith("only the router can test it")
     reported = report("connect", place, "not answering", "deadline has elapsed")

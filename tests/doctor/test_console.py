@@ -22,11 +22,11 @@ def place(folder: Path, **web: Any) -> Any:
     return around({"name": "robot1", "hub": {"open": {"keys": str(folder)}}, "web": section})
 
 
-def test_a_console_on_loopback_needs_none() -> None:
+def test_console_on_loopback_needs_no_certificate() -> None:
     assert only(look_at_certificate(around({"web": {"enabled": True}}))).result is Result.SKIP
 
 
-def test_metrics_that_others_reach_need_one_without_a_console(tmp_path: Path) -> None:
+def test_public_metrics_need_a_certificate_without_a_console(tmp_path: Path) -> None:
     open_to_all = {"enabled": True, "listen": "0.0.0.0:9480"}
     config = {"hub": {"open": {"keys": str(tmp_path)}}, "web": {"tokens": TOKENS}, "metrics": open_to_all}
     finding = only(look_at_certificate(around(config)))
@@ -34,7 +34,7 @@ def test_metrics_that_others_reach_need_one_without_a_console(tmp_path: Path) ->
     assert "the worker metrics cannot start" in finding.seen
 
 
-def test_files_that_are_missing(tmp_path: Path) -> None:
+def test_missing_files(tmp_path: Path) -> None:
     finding = only(look_at_certificate(place(tmp_path)))
     assert finding.result is Result.FAIL
     assert "there is no" in finding.seen
@@ -46,7 +46,7 @@ def test_files_that_are_missing(tmp_path: Path) -> None:
      (0, 0o600, [], "expired on"), (400, 0o644, [], "other users can read"),
      (400, 0o600, ["tablet"], "browsers warn of tablet")],
 )  # fmt: skip
-def test_files_that_are_there(tmp_path: Path, days: int, mode: int, names: list[str], seen: str) -> None:
+def test_certificate_and_key_are_examined(tmp_path: Path, days: int, mode: int, names: list[str], seen: str) -> None:
     authority = Authority(tmp_path)
     authority.make()
     authority.issue("robot1", days=days)

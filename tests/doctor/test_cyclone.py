@@ -11,7 +11,7 @@ from tests.doctor.parts import around, hub, only
 WORKER = {"worker": "ros2", "side": "ros2"}
 
 
-def test_nodes_and_what_does_not_work_are_named() -> None:
+def test_nodes_and_unsupported_features_are_named() -> None:
     report = {"nodes": ["/lamp", "/planner"], "served": ["/switch", "/go"], "called": ["/map"]}
     finding = only(cyclone.look_at_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
     assert finding.result is Result.WARN

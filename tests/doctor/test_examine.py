@@ -10,7 +10,7 @@ from bridge.doctor.checks.ros1 import in_parallel
 from tests.doctor.parts import around
 
 
-def test_one_that_hangs_and_one_that_breaks_leave_the_others_alone() -> None:
+def test_hanging_and_failing_checks_do_not_affect_others() -> None:
     never = threading.Event()
 
     def hang(_around: object) -> list[object]:

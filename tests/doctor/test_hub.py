@@ -43,7 +43,7 @@ def endpoint(
         ({"open": {"listen": ["tcp/0.0.0.0:7448"], "insecure": True}}, 2),
     ],
 )
-def test_an_open_hub_is_warned_of(section: dict[str, Any], count: int) -> None:
+def test_open_hub_causes_a_warning(section: dict[str, Any], count: int) -> None:
     assert results(hub_checks.look_at_config(around({"hub": section}))) == [Result.OK, Result.WARN][:count]
 
 
@@ -106,7 +106,7 @@ def strangers_port() -> Iterator[int]:
             connection.close()
 
 
-def test_a_program_that_speaks_no_zenoh(strangers_port: int) -> None:
+def test_port_used_by_another_program(strangers_port: int) -> None:
     finding = only(hub_checks.look_at_port(around({"hub": {"listen": f"tcp/127.0.0.1:{strangers_port}"}})))
     assert finding.result is Result.FAIL
     assert "that is not zenoh" in finding.seen
@@ -171,7 +171,7 @@ def test_bridged_endpoints_are_named_by_their_side() -> None:
     assert "midspan_ros2" not in note.text
 
 
-def test_a_node_that_hears_several_types_conflicts_with_none_of_them() -> None:
+def test_node_that_subscribes_to_several_types_has_no_conflict() -> None:
     # as BaseControl, which subscribes to /cmd_vel as Twist and as TwistStamped
     first, second = endpoint("one", "a/msg/A", "1"), endpoint("two", "a/msg/B", "2")
     both = [endpoint("base", e.type_name, e.type_hash[7], EndpointKind.SUBSCRIPTION) for e in (first, second)]
@@ -189,7 +189,7 @@ def test_a_map_server_of_ros_beside_map2d_server() -> None:
         ours = reason or f"map2d_server serves {service} on the hub already"
         return [{**entry, "direction": "out", "reason": refusal}, {**entry, "direction": "in", "reason": ours}]
 
-    def look(taken: dict[str, int], entries: list[dict[str, Any]]) -> list[Any]:
+    def check_refused(taken: dict[str, int], entries: list[dict[str, Any]]) -> list[Any]:
         server = {"worker": "map2d_server", "module": True, "zid": "ab", "taken": taken}
         services = ("/static_map", "/change_map")
         ends = [endpoint("map2d_server", "nav_msgs/srv/GetMap", "1", EndpointKind.SERVER, s) for s in services]
@@ -197,15 +197,15 @@ def test_a_map_server_of_ros_beside_map2d_server() -> None:
         return list(types.look_at_refused(around(hub=view)))
 
     both = [*refused("/static_map"), *refused("/change_map")]
-    finding = look({"/map": 1}, both)
+    finding = check_refused({"/map": 1}, both)
     assert results(finding) == [Result.OK, Result.OK]
     assert finding[1].seen.startswith("/change_map, /static_map: the map server there answers on ros1")
-    assert set(results(look({}, both))) == {Result.FAIL}  # it serves other maps than that one
-    assert set(results(look({"/map": 1}, refused("/static_map", reason="no definition")))) == {Result.FAIL}
-    assert set(results(look({"/map": 1}, refused("/other")))) == {Result.FAIL}
+    assert set(results(check_refused({}, both))) == {Result.FAIL}  # it serves other maps than that one
+    assert set(results(check_refused({"/map": 1}, refused("/static_map", reason="no definition")))) == {Result.FAIL}
+    assert set(results(check_refused({"/map": 1}, refused("/other")))) == {Result.FAIL}
 
 
-def test_a_compiler_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CXX", "no-such-compiler")
     finding = only(types.look_at_compiler(around()))
     if finding.result is not Result.SKIP:  # without rclpy nothing is built

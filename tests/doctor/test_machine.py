@@ -100,13 +100,13 @@ def test_a_worker_that_runs_out_of_descriptors() -> None:
 
 
 def test_the_state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def look(folder: Path) -> Finding:
+    def check_state(folder: Path) -> Finding:
         return only(machine.look_at_state(around({"state": folder})))
 
-    assert look(tmp_path / "later").result is Result.SKIP
-    assert look(tmp_path).result is Result.OK
+    assert check_state(tmp_path / "later").result is Result.SKIP
+    assert check_state(tmp_path).result is Result.OK
     monkeypatch.setattr(resources, "LEAST_ROOM", 1 << 60)
-    full = look(tmp_path)
+    full = check_state(tmp_path)
     assert full.result is Result.FAIL
     assert full.seen.startswith(f"the state folder {tmp_path} has ")
     assert full.cure == "free space on that disk"
@@ -134,7 +134,7 @@ SEGMENT, OTHER_SEGMENT = "fastrtps_0123456789abcdef", "fastrtps_00000000deadbeef
 
 
 @pytest.mark.parametrize("proc", [PROC, Path("/nowhere")])
-def test_who_holds_a_shared_file(tmp_path: Path, proc: Path) -> None:
+def test_holders_of_a_shared_file(tmp_path: Path, proc: Path) -> None:
     names = (SEGMENT, "12345.zenoh", "fastrtps_port7410", "somebody_elses", OTHER_SEGMENT)
     locks = {name: shm_file(tmp_path, name) for name in names}
     shm_file(tmp_path, "99.zenoh", age=0.0)
@@ -177,7 +177,7 @@ def test_another_users_fast_dds(tmp_path: Path, transport: str, result: Result) 
     assert "nobody" in finding.seen
 
 
-def test_no_room_is_said(tmp_path: Path) -> None:
+def test_full_disk_is_reported(tmp_path: Path) -> None:
     assert only(sharedmemory.look_at_size(around(shm=tmp_path / "none"))).result is Result.SKIP
     # a file system without any room: /sys is one
     if Path("/sys").is_mount():
@@ -185,7 +185,7 @@ def test_no_room_is_said(tmp_path: Path) -> None:
     assert str(tmp_path) in only(sharedmemory.look_at_size(around(shm=tmp_path))).seen
 
 
-def test_a_process_that_is_not_ours_is_left_alone() -> None:
+def test_foreign_process_is_ignored() -> None:
     with Process([sys.executable, "-c", "import sys; sys.stdin.read()"], dict(os.environ), pipes=True) as stranger:
         place = around(hub=hub({"worker": "ros1", "side": "ros1", "pid": stranger.pid}))
         until(lambda: Path(f"/proc/{stranger.pid}/cmdline").read_bytes(), "it runs")

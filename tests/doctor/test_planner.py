@@ -46,20 +46,20 @@ def test_each_reason_has_its_cure(planner: str, documents: list[dict[str, Any]],
     assert cure in finding.cure
 
 
-def test_one_whose_action_is_refused() -> None:
+def test_planner_whose_action_is_rejected() -> None:
     entry = {"direction": "in", "topic": "/move_base/goal", "reason": "no definition", "cure": "install it"}
     finding = absence(NavigationSection(planner="move_base"), "move_base", [], [{**ROS1, "refused": [entry]}])
     assert finding is not None
     assert ("cannot cross: no definition" in finding.text, finding.cure) == (True, "install it")
 
 
-def test_one_that_is_there_or_is_not_known() -> None:
+def test_running_or_unknown_planner() -> None:
     section = NavigationSection(planner="move_base")
     assert absence(section, "move_base", [server(MOVE_BASE)], [ROS1]) is None
     assert absence(section, "another", [], [ROS1]) is None
 
 
-def test_the_doctor_says_it_of_its_own_gateway() -> None:
+def test_doctor_reports_the_state_of_its_own_gateway() -> None:
     config = {"navigation": {"planner": "move_base"}}
     view = hub({**GATEWAY, "planner": "move_base"})
     mine = only(hub_checks.look_at_workers(around(config, hub=view)))
@@ -71,7 +71,7 @@ def test_the_doctor_says_it_of_its_own_gateway() -> None:
         assert (finding.seen.partition(" ")[2], finding.cure) == ("waits: the planner p is not there", "")
 
 
-def test_a_module_says_itself_what_it_waits_for() -> None:
+def test_module_reports_what_it_waits_for() -> None:
     view = hub({"worker": "robot_goto", "module": True, "state": "waiting", "text": "no scan comes"})
     finding = only(hub_checks.look_at_workers(around(hub=view)))
     assert (finding.result, finding.seen) == (Result.WARN, "robot1/robot_goto waits: no scan comes")

@@ -54,7 +54,7 @@ def register(master: RosMaster, node: str, uri: str) -> None:
 
 
 @needs_ros1
-def test_a_master_that_answers(master: RosMaster) -> None:
+def test_reachable_master(master: RosMaster) -> None:
     place = around({"ros1": {"master": master.uri}}, hub=hub(WORKER))
     finding = only(ros1.look_at_master(place))
     assert (finding.result, "1 nodes" in finding.seen) == (Result.OK, True), finding
@@ -68,7 +68,7 @@ def test_a_master_that_answers(master: RosMaster) -> None:
         ("http://127.0.0.1:{free}", "does not answer", Result.FAIL),
     ],
 )
-def test_a_master_that_does_not(master: str, words: str, result: Result) -> None:
+def test_unreachable_master(master: str, words: str, result: Result) -> None:
     uri = master.replace("{free}", str(free_port()))
     place = around({"ros1": {"master": uri}}, hub=hub(WORKER))
     finding = only(ros1.look_at_master(place))
@@ -77,14 +77,14 @@ def test_a_master_that_does_not(master: str, words: str, result: Result) -> None
     assert only(ros1.look_at_nodes(place)).result is Result.SKIP
 
 
-def test_nothing_to_look_at() -> None:
+def test_checks_are_skipped_without_ros1() -> None:
     off = around({"ros1": {"enabled": False}})
     for check in (ros1.look_at_master, ros1.look_at_environment, ros1.look_at_address, ros1.look_at_nodes):
         assert results(check(off)) == [Result.SKIP]
     assert results(ros1.look_at_packages(off)) == [Result.SKIP]
 
 
-def test_packages_that_are_missing(tmp_path: Path) -> None:
+def test_missing_packages(tmp_path: Path) -> None:
     for enabled, result in ((True, Result.FAIL), ("auto", Result.WARN)):
         place = around({"ros1": {"enabled": enabled, "packages": tmp_path}})
         finding = only(ros1.look_at_packages(place))
@@ -93,7 +93,7 @@ def test_packages_that_are_missing(tmp_path: Path) -> None:
 
 
 @needs_ros1
-def test_nodes_that_cannot_be_reached(master: RosMaster) -> None:
+def test_unreachable_nodes(master: RosMaster) -> None:
     dead = free_port()
     register(master, "/lost", f"http://{NOWHERE}:4711/")
     register(master, "/lost_too", f"http://{NOWHERE}:4712/")
@@ -124,7 +124,7 @@ def test_nodes_that_cannot_be_reached(master: RosMaster) -> None:
         ({"ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": REMOTE}, {}, Result.FAIL),
     ],
 )
-def test_the_address_that_peers_are_given(environ: dict[str, str], config: dict[str, str], result: Result) -> None:
+def test_address_announced_to_peers(environ: dict[str, str], config: dict[str, str], result: Result) -> None:
     finding = only(ros1.look_at_address(around({"ros1": config}, environ, hub=hub(WORKER))))
     assert (finding.result, bool(finding.cure)) == (result, result is Result.FAIL), finding
 

@@ -24,17 +24,17 @@ class Echo(Module):
         self.heard = 0
         self.out = host.node.publisher("/said", "std_msgs/msg/String")
         self.port = host.yarp.output(f"/{section.name}/said:o")
-        host.node.subscription("/heard", "std_msgs/msg/String", self.hear)
+        host.node.subscription("/heard", "std_msgs/msg/String", self.on_message)
         host.yarp.respond(f"/{section.name}/rpc", lambda values: ["said", *values])
-        host.yarp.input(f"/{section.name}/heard:i", lambda received: self.say(str(received.values[0])))
+        host.yarp.input(f"/{section.name}/heard:i", lambda received: self.publish(str(received.values[0])))
 
-    def hear(self, message: dict[str, Any]) -> None:
+    def on_message(self, message: dict[str, Any]) -> None:
         self.heard += 1
         if message["data"] == "break":
             raise ValueError(message["data"])
-        self.say(message["data"])
+        self.publish(message["data"])
 
-    def say(self, text: str) -> None:
+    def publish(self, text: str) -> None:
         self.out.publish({"data": self.prefix + text})
         self.port.write([self.prefix + text])
 

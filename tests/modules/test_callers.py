@@ -101,7 +101,7 @@ def test_a_native_client_is_served_again_when_the_module_is_back(
     until(lambda: not _kept(config), "a client that leaves is no longer stored")
 
 
-def test_one_that_did_not_call_meanwhile_is_served_too(config: Config, names: NameClient, modules: Modules) -> None:
+def test_client_without_a_call_meanwhile_is_served_again(config: Config, names: NameClient, modules: Modules) -> None:
     client = NativeClient("/native/rpc", names)  # which still lists the connection that ended
     try:
         until(lambda: client.connect("/echo/rpc"), "the port is there")
@@ -133,7 +133,7 @@ def test_yarp_compats_own_client_is_served_again(config: Config, names: NameClie
         until(served, "it is served again")
 
 
-def test_who_took_a_dead_clients_name_is_not_connected(config: Config, names: NameClient, modules: Modules) -> None:
+def test_successor_of_a_dead_client_name_is_not_connected(config: Config, names: NameClient, modules: Modules) -> None:
     client = NativeClient("/native/rpc", names)
     until(lambda: client.connect("/echo/rpc"), "the port is there")
     until(lambda: _kept(config), "its caller is kept")
@@ -166,7 +166,7 @@ def test_ports_that_are_closed_in_good_order_know_their_callers_again(config: Co
         client.close()
 
 
-def test_a_file_that_is_none_is_left_aside(config: Config, names: NameClient) -> None:
+def test_invalid_file_is_ignored(config: Config, names: NameClient) -> None:
     file = callers_file(worker_folder(config), "echo")
     file.parent.mkdir(parents=True)
     file.write_text('{"/echo/rpc": {"/native/rpc": ["127.0.0.1"')

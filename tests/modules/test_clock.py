@@ -41,21 +41,24 @@ def test_timers_and_stamps_follow_the_simulation(place: Place) -> None:  # noqa:
     out = place.far.advertise("/clock", CLOCK)
     done = place.far.subscribe("/sim/acknowledge", "std_msgs/Header")
 
-    def say(seconds: float) -> None:
+    def publish_clock(seconds: float) -> None:
         sec, nanosec = divmod(round(seconds * 1e9), 1_000_000_000)
         place.far.publish(out, {"clock": {"sec": sec, "nanosec": nanosec}})
 
-    until(lambda: (say(10.5), place.worker.health(), Ticking.host.clock.now_ns() > 0)[2], "the clock is received")
+    until(
+        lambda: (publish_clock(10.5), place.worker.health(), Ticking.host.clock.now_ns() > 0)[2],
+        "the clock is received",
+    )
     for second in (11, 12, 13):
         for tenth in range(6, 16):
-            say(second - 1 + tenth / 10)
+            publish_clock(second - 1 + tenth / 10)
         until(lambda s=second: Ticking.seen[-1:] == [str(s)], "a second")
     assert Ticking.seen == ["11", "12", "13"]
     until(lambda: place.far.wait(done, 1)[-1]["stamp"]["sec"] == 13, "the module is done with the time")
     assert place.far.wait(done, 1)[-1]["frame_id"] == "ticking"
-    say(2.0)
+    publish_clock(2.0)
     until(lambda: "back" in Ticking.seen, "the jump is reported")
-    say(3.0)
+    publish_clock(3.0)
     until(lambda: Ticking.seen[-1:] == ["3"], "it goes on")
 
 
@@ -65,7 +68,7 @@ def test_the_systems_clock_needs_no_simulation(place: Place) -> None:  # noqa: F
     assert abs(int(Ticking.seen[0]) - time.time()) < 5
 
 
-def test_a_clock_tells_only_a_jump_back(caplog: pytest.LogCaptureFixture) -> None:
+def test_clock_reports_only_backward_jumps(caplog: pytest.LogCaptureFixture) -> None:
     clock, jumps = RunClock(simulated=True), threading.Semaphore(0)
     withdraw = clock.on_jump(jumps.release)
     assert clock.now_ns() == 0

@@ -47,7 +47,7 @@ def far(hubs: QuickHub) -> Iterator[HubSide]:
     side.hub.close()
 
 
-def test_a_message_is_made_where_somebody_gets_it(node: ModuleNode, far: HubSide) -> None:
+def test_message_is_built_only_for_subscribers(node: ModuleNode, far: HubSide) -> None:
     publisher = node.publisher("/said", STRING)
     created: list[str] = []
 
@@ -69,7 +69,7 @@ def test_a_message_is_made_where_somebody_gets_it(node: ModuleNode, far: HubSide
     assert publisher.counters.bytes > 0
 
 
-def test_a_latched_message_is_made_for_those_who_come_later(node: ModuleNode) -> None:
+def test_latched_message_is_built_for_late_joiners(node: ModuleNode) -> None:
     created: list[bytes] = []
     publisher = node.publisher("/kept", STRING, Qos(durability=Durability.TRANSIENT_LOCAL, depth=1))
 
@@ -81,7 +81,7 @@ def test_a_latched_message_is_made_for_those_who_come_later(node: ModuleNode) ->
     assert len(created) == 1
 
 
-def test_what_is_heard_at_once_does_not_wait_for_the_module(node: ModuleNode, far: HubSide) -> None:
+def test_immediate_callbacks_do_not_wait_for_the_module(node: ModuleNode, far: HubSide) -> None:
     held, release = threading.Event(), threading.Event()
     at_once: list[int] = []
     later: list[int] = []
@@ -96,11 +96,11 @@ def test_what_is_heard_at_once_does_not_wait_for_the_module(node: ModuleNode, fa
     assert held.wait(10.0)
     out = far.advertise("/heard", "std_msgs/String")
 
-    def heard() -> bool:
+    def arrived() -> bool:
         far.publish(out, {"data": "x"})
         return bool(at_once)
 
-    until(heard, "it arrives while the module is busy")
+    until(arrived, "it arrives while the module is busy")
     assert not later
     release.set()
     until(lambda: later, "the module receives it, too")

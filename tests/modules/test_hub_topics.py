@@ -68,7 +68,7 @@ def wait_for(topics: HubTopics, key: TopicKey, publishers: int = 1) -> HubTopic:
     return until(here, f"{key.topic} has {publishers} publishers")
 
 
-def test_topics_come_with_their_sides_and_go(far: Hub, topics: HubTopics, changed: Event) -> None:
+def test_topics_appear_with_their_sides_and_disappear(far: Hub, topics: HubTopics, changed: Event) -> None:
     key = string_key("/said")
     far.set_origin(Origin("yarp", "here", "robot1"))
     publisher = far.publisher(*key, Qos())
@@ -80,7 +80,7 @@ def test_topics_come_with_their_sides_and_go(far: Hub, topics: HubTopics, change
     until(lambda: key not in topics.refresh(), "it is gone")
 
 
-def test_messages_are_heard_as_they_came(far: Hub, topics: HubTopics) -> None:
+def test_messages_arrive_unchanged(far: Hub, topics: HubTopics) -> None:
     key = string_key("/said")
     publisher = far.publisher(*key, Qos())
     received: list[HubSample] = []
@@ -98,7 +98,7 @@ def test_messages_are_heard_as_they_came(far: Hub, topics: HubTopics) -> None:
     until(lambda: not publisher.matched(), "nobody hears it")
 
 
-def test_a_latched_publisher_beside_one_that_is_not_gives_what_it_keeps_once(far: Hub, topics: HubTopics) -> None:
+def test_latched_message_arrives_once_beside_a_volatile_publisher(far: Hub, topics: HubTopics) -> None:
     key = string_key("/both")
     plain = far.publisher(*key, Qos())
     received: list[bytes] = []
@@ -115,7 +115,7 @@ def test_a_latched_publisher_beside_one_that_is_not_gives_what_it_keeps_once(far
     assert received == [text("plain"), text("kept"), text("last")]
 
 
-def test_a_name_that_is_no_zenoh_key_is_told_not_raised(far: Hub, topics: HubTopics) -> None:
+def test_invalid_zenoh_key_is_reported_not_raised(far: Hub, topics: HubTopics) -> None:
     key = string_key("/said")
     far.publisher(*key, Qos())
     topic = wait_for(topics, key)
@@ -123,7 +123,7 @@ def test_a_name_that_is_no_zenoh_key_is_told_not_raised(far: Hub, topics: HubTop
     assert "RIHS01" in topics.subscribe(bad, lambda _: None).trouble
 
 
-def test_definitions_are_those_installed_or_those_that_a_worker_tells(far: Hub, topics: HubTopics) -> None:
+def test_definitions_are_installed_or_from_a_worker(far: Hub, topics: HubTopics) -> None:
     key = string_key("/said")
     result = topics.definitions.find(*key[1:])
     assert result is not None

@@ -36,7 +36,7 @@ def test_a_call_gives_the_result_and_the_error_and_may_be_nested(loop: EventLoop
         loop.call(lambda: 1 // 0)
 
 
-def test_what_fails_does_not_end_the_thread(loop: EventLoop, caplog: pytest.LogCaptureFixture) -> None:
+def test_failed_action_does_not_end_the_thread(loop: EventLoop, caplog: pytest.LogCaptureFixture) -> None:
     loop.post(lambda: 1 // 0)
     assert loop.call(lambda: "on") == "on"
     assert "one step failed" in caplog.text
@@ -65,7 +65,7 @@ def test_a_timer_leaves_out_the_times_that_were_missed(loop: EventLoop) -> None:
     assert counted() <= (time.monotonic() - went_on) / 0.01 + 2
 
 
-def test_a_timer_that_is_closed_runs_no_more(loop: EventLoop) -> None:
+def test_closed_timer_no_longer_runs(loop: EventLoop) -> None:
     ran: list[int] = []
     done = threading.Event()
 
@@ -79,7 +79,7 @@ def test_a_timer_that_is_closed_runs_no_more(loop: EventLoop) -> None:
     assert not ran
 
 
-def test_timers_and_what_is_posted_take_turns(loop: EventLoop) -> None:
+def test_timers_and_posted_actions_alternate(loop: EventLoop) -> None:
     loop.every(1e-9, lambda: None)  # due again as soon as it has run
     assert loop.call(lambda: "its turn") == "its turn"
 
@@ -92,7 +92,7 @@ def test_timers_and_what_is_posted_take_turns(loop: EventLoop) -> None:
     assert ran.wait(40)
 
 
-def test_a_step_that_stands_still_is_told(loop: EventLoop) -> None:
+def test_blocked_step_is_reported(loop: EventLoop) -> None:
     gate, begun = threading.Event(), threading.Event()
     loop.post(lambda: (begun.set(), gate.wait(40)))
     assert begun.wait(40)
@@ -118,7 +118,7 @@ def hung(loop: EventLoop) -> str:
     return ""
 
 
-def test_a_step_that_computes_is_told_from_one_that_hangs(loop: EventLoop) -> None:
+def test_computing_step_is_distinguished_from_a_hanging_one(loop: EventLoop) -> None:
     done = threading.Event()
     loop.post(lambda: compute(done))
     try:
@@ -133,7 +133,7 @@ def test_a_step_that_computes_is_told_from_one_that_hangs(loop: EventLoop) -> No
     gate.set()
 
 
-def test_a_step_without_an_end_is_told(loop: EventLoop, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_endless_step_is_reported(loop: EventLoop, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bridge.progress.ENDLESS", 2)
     done = threading.Event()
     loop.post(lambda: compute(done))
@@ -143,7 +143,7 @@ def test_a_step_without_an_end_is_told(loop: EventLoop, monkeypatch: pytest.Monk
         done.set()
 
 
-def test_work_is_waited_for_while_it_goes_on(loop: EventLoop) -> None:
+def test_loop_waits_for_work_that_progresses(loop: EventLoop) -> None:
     done = threading.Event()
     threading.Timer(1.5, done.set).start()
     assert loop.work(lambda: (compute(done), "done")[1]) == "done", "three times what a step may stand still"
@@ -151,7 +151,7 @@ def test_work_is_waited_for_while_it_goes_on(loop: EventLoop) -> None:
         loop.work(lambda: 1 // 0)
 
 
-def test_work_behind_a_step_that_hangs_is_left_out(loop: EventLoop) -> None:
+def test_work_behind_a_hanging_step_is_skipped(loop: EventLoop) -> None:
     gate, ran = threading.Event(), list[int]()
     loop.post(lambda: gate.wait(40))
     with pytest.raises(TimeoutError, match="a loop hangs: it has been in one step for"):
@@ -161,7 +161,7 @@ def test_work_behind_a_step_that_hangs_is_left_out(loop: EventLoop) -> None:
     assert not ran
 
 
-def test_who_works_for_the_main_thread_counts_as_its_progress(loop: EventLoop) -> None:
+def test_work_for_the_main_thread_counts_as_its_progress(loop: EventLoop) -> None:
     done = threading.Event()
     with working.busy("waiting"):
         threading.Timer(1.0, done.set).start()
@@ -172,7 +172,7 @@ def test_who_works_for_the_main_thread_counts_as_its_progress(loop: EventLoop) -
     assert working.now() is None
 
 
-def test_after_the_end_nothing_is_taken() -> None:
+def test_closed_loop_accepts_no_actions() -> None:
     loop = EventLoop("an ended loop")
     loop.start()
     loop.close()
@@ -183,7 +183,7 @@ def test_after_the_end_nothing_is_taken() -> None:
     assert not ran
 
 
-def test_who_waits_for_a_loop_that_ends_is_told_at_once() -> None:
+def test_waiting_call_fails_at_once_when_the_loop_ends() -> None:
     loop = EventLoop("an ending loop")
     gate, errors = threading.Event(), list[str]()
     loop.start()
@@ -207,11 +207,11 @@ def test_who_waits_for_a_loop_that_ends_is_told_at_once() -> None:
     loop.close()
 
 
-def test_a_loop_that_ends_itself_still_answers_for_its_last_step(loop: EventLoop) -> None:
+def test_loop_that_ends_itself_finishes_its_last_step(loop: EventLoop) -> None:
     assert loop.call(lambda: (loop.close(), "the last word")[1]) == "the last word"
 
 
-def test_while_the_thread_is_busy_the_newest_alone_waits() -> None:
+def test_busy_thread_keeps_only_the_newest_value() -> None:
     loop, go_on = EventLoop("the module"), threading.Event()
     loop.start()
     taken: list[int] = []

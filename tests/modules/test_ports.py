@@ -49,7 +49,7 @@ def threads() -> set[threading.Thread]:
     return {thread for thread in threading.enumerate() if thread.name == "midspan-ports"}
 
 
-def test_ports_that_are_closed_as_their_thread_wakes_up_end_it(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_closing_ports_ends_their_waking_thread(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
     ports, wake, others = Ports(config, "test"), Held(), threads()
     monkeypatch.setattr(ports, "_wake", wake)
     monkeypatch.setattr(ports, "_open", lambda port: setattr(port, "trouble", ""))
@@ -63,7 +63,7 @@ def test_ports_that_are_closed_as_their_thread_wakes_up_end_it(config: Config, m
     assert not thread.is_alive()
 
 
-def test_who_asks_a_module_whose_thread_has_ended_is_told(config: Config) -> None:
+def test_call_to_a_module_without_a_thread_gets_an_error(config: Config) -> None:
     loop, ports = EventLoop("the thread"), Ports(config, "test")
     loop.start()
     with NameServer(port=Address(*config.yarp.place).port, gc_seconds=0):
@@ -76,7 +76,7 @@ def test_who_asks_a_module_whose_thread_has_ended_is_told(config: Config) -> Non
         ports.close()
 
 
-def test_who_connects_as_a_port_is_registered_loses_nothing(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_connection_during_port_registration_loses_nothing(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
     ports = Ports(config, "test")
     monkeypatch.setattr(ports, "_open", lambda port: port.core.is_open or port.core.open())  # it goes no further
     with NameServer(port=Address(*config.yarp.place).port, gc_seconds=0):

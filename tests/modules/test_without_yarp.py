@@ -47,7 +47,7 @@ def test_ports_that_are_switched_off_look_for_no_name_server(no_conf: Path, name
         ports.close()
 
 
-def test_where_no_file_names_a_server_nothing_is_reported_until_one_does(no_conf: Path) -> None:
+def test_without_a_configured_name_server_nothing_is_reported(no_conf: Path) -> None:
     ports = ports_of(no_conf)
     port = ports.output("/said:o")
     until(lambda: "no address of YARP" in port.trouble, "the port has looked for a name server")

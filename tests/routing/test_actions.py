@@ -79,7 +79,7 @@ def test_a_rule_moves_or_denies_the_whole_action(rule: dict, name: str | None) -
     assert decided(gate(rule)) == {part: name and f"{name}/_action/{part}" for part in PARTS}
 
 
-def test_a_default_of_deny_is_of_actions_too() -> None:
+def test_default_deny_covers_actions() -> None:
     assert set(decided(gate(default="deny")).values()) == {None}
     assert None not in decided(gate({"kind": "action"}, default="deny")).values()
 
@@ -91,7 +91,7 @@ def test_a_part_without_its_siblings_waits_for_them() -> None:
     assert "its type is unknown" in policy.why
 
 
-def test_nothing_of_a_rule_but_its_name_holds_for_parts_of_an_action() -> None:
+def test_only_the_name_of_a_rule_applies_to_parts_of_an_action() -> None:
     rule = {"topic": "/robot/**", "rate": 1, "priority": "command", "depth": 1}
     policy = gate(rule).decide("topic", "/robot/go/_action/feedback", PARTS["feedback"][1])
     assert (policy.allowed, policy.rate, policy.priority, policy.depth) == (True, None, "", None)

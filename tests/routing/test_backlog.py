@@ -43,7 +43,7 @@ def test_a_publisher_keeps_its_newest() -> None:
     assert (removed, line.dropped, line.taken()) == ([0, 0, 0, 1], 0, ["b", "c", "d"])
 
 
-def test_only_what_is_wanted_is_taken_and_what_is_put_back_keeps_its_age() -> None:
+def test_selected_messages_are_removed_and_returned_ones_keep_their_age() -> None:
     line = Line(most=100, room=1000)
     for source, message in ("xa", "yb", "xc"):
         line.backlog.add(source, message, 1)

@@ -147,7 +147,7 @@ def ring(world: World, hubs: Sequence[str]) -> list[Worker]:
     return [world.add(f"{d}/{n}", n, hub) for d, hub in zip("AB", hubs, strict=True) for n in "XY"]
 
 
-def test_alone_it_carries_once_it_is_settled(world: World) -> None:
+def test_lone_daemon_becomes_active_once_settled(world: World) -> None:
     world.add("A/X", "X", "h")
     world.add("A/Y", "Y", "h")
     assert world.until(lambda: world.reached() == pairs("XY"), 2) >= world.settle
@@ -209,7 +209,7 @@ def test_one_worker_of_the_active_daemon_dies_alone(world: World, hubs: str) -> 
     world.until(lambda: world.reached() == pairs("XY"), SILENCE + 5 * PERIOD)
 
 
-def test_one_that_stood_still_carries_nothing_before_it_has_looked(world: World) -> None:
+def test_suspended_daemon_is_inactive_until_it_has_checked(world: World) -> None:
     workers = ring(world, "hh")
     world.until(lambda: world.reached() == pairs("XY"), 5)
     still = [w for w in workers if w.active]
@@ -226,7 +226,7 @@ def test_one_that_stood_still_carries_nothing_before_it_has_looked(world: World)
     assert not any(w.active for w in still)
 
 
-def test_one_that_stood_still_alone_carries_on_in_a_new_term(world: World) -> None:
+def test_suspended_lone_daemon_continues_in_a_new_term(world: World) -> None:
     worker = world.add("A/X", "X", "h")
     world.until(lambda: worker.active, 5)
     term = worker.election.outcome.term
@@ -235,7 +235,7 @@ def test_one_that_stood_still_alone_carries_on_in_a_new_term(world: World) -> No
     assert worker.election.outcome.term == term + 1
 
 
-def test_after_a_standstill_only_what_was_said_since_counts() -> None:
+def test_only_records_received_after_a_suspension_count() -> None:
     election = Election("a", "A")
 
     def turn(now: float, heard: bytes) -> bool:
@@ -259,7 +259,7 @@ def test_other_sessions_of_its_own_network_are_not_carried(world: World) -> None
     assert not first.election.outcome.carried | second.election.outcome.carried
 
 
-def test_while_one_has_told_nothing_nothing_crosses() -> None:
+def test_unheard_daemon_delays_activation_for_a_limited_time() -> None:
     election, unheard = Election("a", "A"), Sighting("?", None, 10.0)
     for now, active in ((10.0, False), (10.0 + UNKNOWN - 0.1, False), (10.0 + UNKNOWN, True)):
         election.turn(now, int(now * NS), [unheard], HubView(), settled=True)
@@ -267,7 +267,7 @@ def test_while_one_has_told_nothing_nothing_crosses() -> None:
     assert not election.outcome.waiting
 
 
-def test_while_one_speaks_another_major_none_is_active_beside_it() -> None:
+def test_no_daemon_is_active_beside_another_major_version() -> None:
     election = Election("b", "B")
     other = json.loads(Record("a", "A", 5, {"b": 100}, frozenset("a"), "", Claim(1, held=True, first=1), {}).encode())
 
@@ -286,7 +286,7 @@ def test_while_one_speaks_another_major_none_is_active_beside_it() -> None:
     assert election.outcome.active, "it has gone"
 
 
-def test_while_it_is_unknown_whether_hubs_are_joined_nothing_crosses() -> None:
+def test_nothing_is_bridged_while_it_is_unknown_whether_hubs_are_joined() -> None:
     election = Election("b", "B")
     other = Record("a", "A", 5, {"b": 100}, frozenset("a"), "", Claim(1, held=True, first=1), {})
 
@@ -301,7 +301,7 @@ def test_while_it_is_unknown_whether_hubs_are_joined_nothing_crosses() -> None:
     assert turn(2.0 + CUT, HubView()) == (True, ""), "another hub now, whose programs no other worker serves"
 
 
-def test_hubs_that_meet_agree_on_one(world: World) -> None:
+def test_joined_hubs_agree_on_one_active_daemon(world: World) -> None:
     ring(world, "ij")
     world.until(lambda: world.reached() == pairs("XY"), 5)
     world.check = lambda: None  # type: ignore[method-assign]  # they find out when it happens, not before
@@ -313,7 +313,7 @@ def test_hubs_that_meet_agree_on_one(world: World) -> None:
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_never_two_whatever_happens(seed: int) -> None:
+def test_never_two_active_daemons(seed: int) -> None:
     """Daemons come, die and stand still at random, with slow ways and wrong clocks; each step is checked."""
     dice, world = random.Random(seed), World()
     names = (f"D{n}" for n in itertools.count())
@@ -341,7 +341,7 @@ def test_never_two_whatever_happens(seed: int) -> None:
     assert world.reached() == {pair for networks in hubs.values() for pair in itertools.permutations(networks, 2)}
 
 
-def test_a_record_says_the_same_after_its_way() -> None:
+def test_record_round_trip() -> None:
     claims = {frozenset({"x", "y"}): Claim(1, held=False, first=9)}
     record = Record("a", "A", 9, {"b": 3}, frozenset({"a", "b"}), "p", Claim(7, held=True, first=4), claims)
     assert Record.decode(record.encode()) == record
@@ -352,12 +352,12 @@ def test_a_record_says_the_same_after_its_way() -> None:
 @pytest.mark.parametrize(
     "junk", [b"", b"{}", b"[]", b"\xff", b"[" * 100_000, b'{"id":1}', b'{"role": [1, 2]}', b"null" * 100_000]
 )
-def test_junk_is_no_record(junk: bytes) -> None:
+def test_malformed_record_is_rejected(junk: bytes) -> None:
     assert Record.decode(junk) is None
 
 
 @pytest.mark.parametrize(("key", "value"), [("role", [1]), ("carries", [1]), ("acks", {"a": []}), ("crew", 1)])
-def test_a_record_with_a_bad_part_is_none(key: str, value: object) -> None:
+def test_record_with_an_invalid_part_is_rejected(key: str, value: object) -> None:
     tree = json.loads(Record("a", "A", 1, {}, frozenset(), "", None, {}).encode())
     assert Record.decode(json.dumps(tree).encode()) is not None
     assert Record.decode(json.dumps({**tree, key: value}).encode()) is None

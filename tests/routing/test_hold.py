@@ -39,7 +39,7 @@ class Gateway:
         self.hub = Hub.open(hubs.settings("gateway"))
         self._out = self.hub.publisher(HOLD, HOLD_TYPE, REGISTRY.ros2(HOLD_TYPE).type_id, LATCHED, priority="state")
 
-    def say(self, held: bool) -> None:
+    def publish(self, held: bool) -> None:
         self._out.put(from_json(REGISTRY, HOLD_TYPE, {"data": held}))
 
 
@@ -50,7 +50,7 @@ def test_only_velocities_of_the_planners_side_are_held() -> None:
     assert not held_topics(NavigationSection(planner="robot_goto"), "ros1")
 
 
-def test_what_a_gateway_says_counts_also_where_it_comes_before_the_graph_knows_it() -> None:
+def test_gateway_report_counts_before_the_graph_lists_the_gateway() -> None:
     looks, hears, present = list[Callable[[], None]](), list[Callable[[Any], None]](), list[Any]()
     graph = SimpleNamespace(watch=looks.append, publishers=lambda _topic: present)
     hub = SimpleNamespace(graph=graph, subscription=lambda *given: hears.append(given[-1]))
@@ -93,9 +93,9 @@ def test_velocities_enter_the_hub_only_while_no_gateway_holds_them(hubs: QuickHu
             return {row["topic"]: row for row in engine.status()["routes"]}["/cmd_vel"]["drops"].get("held", 0)
 
         until(drop, "it is dropped before the gateway's first message")
-        gateway.say(held=False)
+        gateway.publish(held=False)
         until(lambda: drop() and received, "it crosses")
-        gateway.say(held=True)
+        gateway.publish(held=True)
         until(lambda: hold.held, "it is held")
         before = drop()
         received.clear()

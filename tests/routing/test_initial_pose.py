@@ -45,7 +45,7 @@ def message(covariance: list[float], frame: str = "map") -> bytes:
 
 
 @pytest.mark.parametrize("frame", ["", "map", "a_map", "robot1/map"])
-def test_zeros_become_what_rviz_gives(frame: str) -> None:
+def test_zero_covariance_becomes_that_of_rviz(frame: str) -> None:
     before, after = (
         to_json(REGISTRY, POSE_TYPE, cdr) for cdr in (message([0.0] * 36, frame), filled_in(message([0.0] * 36, frame)))
     )
@@ -57,14 +57,14 @@ def test_zeros_become_what_rviz_gives(frame: str) -> None:
 
 
 @pytest.mark.parametrize("place", [0, 7, 35, 1])
-def test_what_tells_any_stays(place: int) -> None:
+def test_given_covariance_is_kept(place: int) -> None:
     covariance = [0.0] * 36
     covariance[place] = 1e-12
     assert filled_in(message(covariance)) == message(covariance)
 
 
 @pytest.mark.parametrize("length", [0, 4, 15, 16, 60, 100, 300])
-def test_what_is_cut_off_is_left_to_its_converter(length: int) -> None:
+def test_truncated_message_is_left_to_its_converter(length: int) -> None:
     cut = message([0.0] * 36)[:length]
     assert filled_in(cut) == cut
 
@@ -75,7 +75,7 @@ def test_a_frame_longer_than_the_message_is_left_to_its_converter() -> None:
     assert filled_in(bytes(bad)) == bytes(bad)
 
 
-def test_only_starts_are_touched() -> None:
+def test_only_initial_poses_are_changed() -> None:
     string = SideType("std_msgs/msg/String", "0", "")
     assert with_spread(PLAIN, "/amcl_pose") is PLAIN
     other = Conversion(string, SIDE, None)
@@ -83,12 +83,12 @@ def test_only_starts_are_touched() -> None:
     assert with_spread(PLAIN, "/robot1/initialpose").convert is filled_in
 
 
-def test_what_leaves_the_hub_is_filled_in_before_it_is_converted() -> None:
+def test_covariance_is_filled_in_before_conversion_to_a_side() -> None:
     out = HubToSideRoute(KEY, "/initialpose", None, MARKED, DECISION, JOINT).conversion.convert
     assert out is not None
     zeros = message([0.0] * 36)
     assert out(zeros) == filled_in(zeros) + b"!"
 
 
-def test_what_comes_to_the_hub_keeps_its_zeros_for_our_own_localiser_s_setting() -> None:
+def test_zero_covariance_to_the_hub_is_kept_for_our_localizer() -> None:
     assert SideToHubRoute(KEY, "/initialpose", INWARDS, DECISION, JOINT).conversion is INWARDS

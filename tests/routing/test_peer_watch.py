@@ -28,7 +28,7 @@ class World:
             side="fake",
             settled=self._settled,
             sightings=self._sightings,
-            announce=lambda data: self._take(data),
+            announce=lambda data: self._on_record(data),
         )
         members = lambda: {"b": frozenset("b")} if self.linked else {}  # noqa: E731
         graph = SimpleNamespace(members=members, origins=members, publishers=list)
@@ -39,7 +39,7 @@ class World:
         self.asked.add(since)
         return self.settled
 
-    def _take(self, data: bytes) -> None:
+    def _on_record(self, data: bytes) -> None:
         record = Record.decode(data)
         assert record is not None
         self.told.append(record)
@@ -60,7 +60,7 @@ class World:
             self.watch.turn()
 
 
-def test_who_stood_still_waits_for_its_hub_before_it_takes_another_for_a_strangers(
+def test_suspended_worker_waits_for_its_hub_before_it_judges_another(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     world = World(monkeypatch)
@@ -75,7 +75,7 @@ def test_who_stood_still_waits_for_its_hub_before_it_takes_another_for_a_strange
     assert world.watch.outcome.standing_by == "B"
 
 
-def test_after_a_short_standstill_the_hub_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hub_is_known_after_a_short_suspension(monkeypatch: pytest.MonkeyPatch) -> None:
     world = World(monkeypatch)
     world.run(2.0)
     assert world.watch.outcome.active
@@ -86,7 +86,7 @@ def test_after_a_short_standstill_the_hub_is_known(monkeypatch: pytest.MonkeyPat
     assert world.watch.outcome.active
 
 
-def test_who_was_alone_keeps_its_routes_until_it_is_known_who_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lone_worker_keeps_its_routes_until_others_are_known(monkeypatch: pytest.MonkeyPatch) -> None:
     world = World(monkeypatch)
     world.b_lives = False
     world.run(2.0)
@@ -106,7 +106,7 @@ def test_who_was_alone_keeps_its_routes_until_it_is_known_who_is_there(monkeypat
     assert world.watch.outcome == before
 
 
-def test_who_was_alone_gives_its_routes_up_where_another_came(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lone_worker_releases_its_routes_to_a_newcomer(monkeypatch: pytest.MonkeyPatch) -> None:
     world = World(monkeypatch)
     world.b_lives = False
     world.run(2.0)

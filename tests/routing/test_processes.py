@@ -27,7 +27,7 @@ def test_an_id_that_another_process_has_by_now_is_not_the_same() -> None:
     assert has_ended(f"{place} 1")
 
 
-def test_what_is_not_of_this_machine_is_not_known() -> None:
+def test_processes_of_other_machines_are_unknown() -> None:
     _, _, remainder = process_name().partition(" ")
     for name in ("", "x", "a b c", f"another-boot {remainder}", f"a b {os.getpid()} 0", "a b -1 0", "\0 \0 \0 \0"):
         assert not has_ended(name)

@@ -91,7 +91,7 @@ def test_rate_limit_meets_its_mean_though_messages_come_in_batches(monkeypatch: 
     assert min(b - a for a, b in itertools.pairwise(passed)) >= 0.5 / 30
 
 
-def test_what_carries_bytes_without_end_has_a_short_history() -> None:
+def test_types_of_unbounded_size_have_a_short_history() -> None:
     assert stream_depth("std_msgs/Header header\nuint8[] data\n") == BULK_DEPTH
     for small in ("string data\n", "float32[] ranges\n", "uint8[16] uuid\nuint8 UINT8=2 # uint8[] x\n"):
         assert stream_depth(small) == STREAM_DEPTH
@@ -119,7 +119,7 @@ def ages(clock: Clock, gate: stall.AgeGate, offset: float, count: int = 20) -> l
 
 
 @pytest.mark.parametrize("jump", [-3600.0, -1.0, 3600.0])
-def test_a_source_whose_clock_is_set_is_heard_again(monkeypatch: pytest.MonkeyPatch, jump: float) -> None:
+def test_source_is_received_again_after_its_clock_was_set(monkeypatch: pytest.MonkeyPatch, jump: float) -> None:
     clock, gate = Clock(monkeypatch), stall.AgeGate()
     ages(clock, gate, 0.0)
     after = ages(clock, gate, jump)
@@ -129,14 +129,14 @@ def test_a_source_whose_clock_is_set_is_heard_again(monkeypatch: pytest.MonkeyPa
     assert gate.age(int((clock.now + jump - 2.0) * 1e9)) > 1.9, "an old command is old on the new scale too"
 
 
-def test_setting_this_machines_clock_makes_nothing_old(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_setting_the_local_clock_makes_no_message_old(monkeypatch: pytest.MonkeyPatch) -> None:
     clock, gate = Clock(monkeypatch), stall.AgeGate()
     ages(clock, gate, 0.0)
     monkeypatch.setattr(time, "time_ns", lambda: int((clock.now + 3600) * 1e9))
     assert max(ages(clock, gate, 0.0)) < 0.01
 
 
-def test_what_piled_up_before_a_clock_was_set_back_stays_old(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_backlog_from_before_a_clock_was_set_back_stays_old(monkeypatch: pytest.MonkeyPatch) -> None:
     clock, gate = Clock(monkeypatch), stall.AgeGate()
     ages(clock, gate, 0.0)
     clock.now += 3.0
@@ -144,7 +144,7 @@ def test_what_piled_up_before_a_clock_was_set_back_stays_old(monkeypatch: pytest
     assert min(backlog) > stall.HOLD
 
 
-def test_what_piled_up_for_a_new_source_is_old(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_backlog_of_a_new_source_is_old(monkeypatch: pytest.MonkeyPatch) -> None:
     clock, gate = Clock(monkeypatch), stall.AgeGate()
     backlog = [gate.age(int((clock.now - 1.3 + n * 0.05) * 1e9)) for n in range(26)]
     assert min(backlog) > stall.HOLD
@@ -164,7 +164,7 @@ def test_a_message_that_was_overtaken_is_old(monkeypatch: pytest.MonkeyPatch) ->
     assert max(ages(clock, gate, 0.0)) < 0.01
 
 
-def test_a_worker_that_stood_still_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_suspended_worker_reports_it(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = Clock(monkeypatch)
     stall_detector = stall.StallDetector()
     for _ in range(5):
@@ -181,7 +181,7 @@ def test_a_worker_that_stood_still_says_so(monkeypatch: pytest.MonkeyPatch) -> N
     assert not stall_detector.stood_still(0.5)
 
 
-def test_the_pulse_tells_of_a_standstill_once_the_process_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pulse_reports_a_suspension_once_the_process_continues(monkeypatch: pytest.MonkeyPatch) -> None:
     clock, reported = Clock(monkeypatch), queue.SimpleQueue[float]()
     stall_detector = stall.StallDetector(reported.put)
     stall_detector.start()
@@ -193,7 +193,7 @@ def test_the_pulse_tells_of_a_standstill_once_the_process_goes_on(monkeypatch: p
         stall_detector.stop()
 
 
-def test_the_pulse_rests_where_nobody_asks_and_is_quick_again_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pulse_pauses_without_readers_and_resumes_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stall, "_REST_SECONDS", 0.0)
     stall_detector = stall.StallDetector()
     quick = stall_detector.pause
@@ -245,7 +245,7 @@ def test_static_transforms_of_another_byte_order_merge() -> None:
         transforms("a").replace(b"base\0", b"basee"),
     ],
 )
-def test_static_transforms_refuse_junk(junk: bytes) -> None:
+def test_malformed_static_transforms_are_rejected(junk: bytes) -> None:
     with pytest.raises(ValueError, match="TFMessage"):
         StaticTransforms().merge(junk)
 
@@ -274,7 +274,7 @@ def line(text: str) -> bytes:
 
 @pytest.mark.parametrize("latched", [True, False])
 @pytest.mark.parametrize("standby", [True, False])
-def test_what_comes_before_its_publisher_may_pass(latched: bool, standby: bool) -> None:
+def test_messages_before_their_publisher_are_bridged_once_it_is_known(latched: bool, standby: bool) -> None:
     registry, network = Registry(), FakeNetwork()
     type_ = registry.ros2(STRING)
     durability = Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE
@@ -307,7 +307,7 @@ def test_what_comes_before_its_publisher_may_pass(latched: bool, standby: bool) 
 
 
 @pytest.mark.parametrize("latched", [True, False])
-def test_state_that_the_side_tells_without_a_lease_crosses_with_the_next(latched: bool) -> None:
+def test_state_received_without_a_lease_is_bridged_with_the_next(latched: bool) -> None:
     registry, topic = Registry(), "/state"
     type_ = registry.ros2(STRING)
     conversion, policy = Conversion(type_, type_, None), RoutePolicy(allowed=True, why="", name=topic)
@@ -334,7 +334,7 @@ def test_state_that_the_side_tells_without_a_lease_crosses_with_the_next(latched
 
 
 @pytest.mark.parametrize("count", [0, 200])
-def test_a_quick_stream_is_left_ten_seconds_after_its_last_listener(
+def test_fast_stream_is_unsubscribed_ten_seconds_after_its_last_subscriber(
     monkeypatch: pytest.MonkeyPatch, count: int
 ) -> None:
     now = [100.0]
@@ -375,7 +375,7 @@ TWIST = "geometry_msgs/msg/Twist"
 
 
 @pytest.mark.parametrize(("topic", "kept"), [("/cmd_vel", 0), ("/odom_twist", 1)])
-def test_only_what_is_no_command_waits_for_its_source(topic: str, kept: int) -> None:
+def test_commands_do_not_wait_for_their_source(topic: str, kept: int) -> None:
     registry, network = Registry(), FakeNetwork()
     type_: SideType = registry.ros2(TWIST)
     conversion, policy = Conversion(type_, type_, None), RoutePolicy(allowed=True, why="", name=topic)
@@ -448,7 +448,7 @@ def test_a_rate_means_the_same_in_both_directions(priority: str, latched: bool, 
         assert (route.counters.messages, route.counters.drops["rate"]) == ((1, 2) if thinned else (3, 0))
 
 
-def test_what_never_came_is_told_with_its_place() -> None:
+def test_lost_messages_are_reported_with_their_place() -> None:
     counters = Counters()
     counters.missed(0, lambda: "nowhere")
     assert counters.as_dict()["error"] == ""
@@ -459,7 +459,7 @@ def test_what_never_came_is_told_with_its_place() -> None:
     assert counters.as_dict()["error"] == "something else"
 
 
-def test_an_error_is_worth_one_log_line_for_each_change(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_error_is_logged_once_per_change(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 1000.0
     monkeypatch.setattr("bridge.routing.counters.time", SimpleNamespace(monotonic=lambda: now))
     counters = Counters()

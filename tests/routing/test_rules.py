@@ -106,9 +106,7 @@ def test_the_cure_of_a_rule_that_a_section_makes_names_the_section() -> None:
         ([], {"default": "deny"}, "ros1"),
     ],
 )
-def test_the_cure_of_what_no_rule_denies_is_a_rule_that_allows_it(
-    entries: list[dict], section: dict, origin: str
-) -> None:
+def test_cure_without_a_denying_rule_is_an_allow_rule(entries: list[dict], section: dict, origin: str) -> None:
     for topic in ("/scan", "/rosout"):
         denied = rules(*entries, **section).leave(origin, "ros2", topic, STRING, elsewhere=True)
         if denied.allowed:
@@ -123,7 +121,7 @@ def test_the_cure_of_what_no_rule_denies_is_a_rule_that_allows_it(
                 )
 
 
-def test_what_another_daemon_let_in_needs_a_rule_of_an_allow_list() -> None:
+def test_topics_admitted_by_another_daemon_need_an_allow_rule() -> None:
     def leaves(topic: str, default: str) -> bool:
         compiled = rules({"topic": "/scan"}, default=default)
         return compiled.leave("ros1", "ros2", topic, STRING, elsewhere=True).allowed

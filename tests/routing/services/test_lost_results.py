@@ -16,7 +16,7 @@ from bridge.messages.values import MessageReader, unknown_result
         ("nav2_msgs/action/Wait", {"total_elapsed_time": {"sec": 0, "nanosec": 0}}),
     ],
 )
-def test_it_is_unknown_with_the_reason_if_the_result_has_room_for_it(action: str, result: dict[str, object]) -> None:
+def test_lost_result_is_unknown_with_its_reason(action: str, result: dict[str, object]) -> None:
     registry, name = Registry(), f"{action}_GetResult"
     _, response = registry.service_schemas(name)
     reply = MessageReader(response, unknown_result(registry, name)("the bridge stood still")).message()
