@@ -89,7 +89,7 @@ class FilesBag(Bag):
         heads: list[tuple[int, int, BagMessage, Iterator[BagMessage]]] = []
         while later or heads:
             while later and (not heads or later[0].start_ns <= heads[0][0]):
-                messages = self._of(later.popleft(), wanted, start_ns, end_ns)
+                messages = self._messages_of(later.popleft(), wanted, start_ns, end_ns)
                 if (first := next(messages, None)) is not None:
                     heapq.heappush(heads, (first.time_ns, -len(later), first, messages))
             if not heads:
@@ -103,7 +103,7 @@ class FilesBag(Bag):
         if self._broken and self._on_damage is None:
             raise self._broken[0]
 
-    def _of(
+    def _messages_of(
         self, part: Bag, wanted: set[BagTopic] | None, start_ns: int | None, end_ns: int | None
     ) -> Iterator[BagMessage]:
         try:

@@ -164,7 +164,7 @@ def _accepted(tree: Tree) -> tuple[Tree, list[_Flaw]]:
     flaws: list[_Flaw] = []
     while (reason := _refused(tree)) and len(flaws) < _MOST:
         path = _culprit(tree, reason)
-        flaws.append((path, _explained(_at(tree, path), path, reason)))
+        flaws.append((path, _explained(_value_at(tree, path), path, reason)))
         if not path:
             return {}, flaws
         # a list's item may need what is wrong with it
@@ -182,7 +182,7 @@ def _culprit(tree: Tree, reason: str) -> KeyPath:
 
 
 def _refused_part(tree: Tree, path: KeyPath, reason: str) -> str | int | None:
-    node = _at(tree, path)
+    node = _value_at(tree, path)
     if isinstance(node, dict):
         for key in node:
             if _refused(_without(tree, (*path, key))) not in (reason, f"missing field `{key}`"):
@@ -194,7 +194,7 @@ def _refused_part(tree: Tree, path: KeyPath, reason: str) -> str | int | None:
     return None
 
 
-def _at(tree: Any, path: KeyPath) -> Any:
+def _value_at(tree: Any, path: KeyPath) -> Any:
     for part in path:
         tree = tree[part]
     return tree
@@ -210,7 +210,7 @@ def _with(tree: Any, path: KeyPath, value: Any) -> Any:
 
 
 def _without(tree: Tree, path: KeyPath) -> Tree:
-    parent = _at(tree, path[:-1]).copy()
+    parent = _value_at(tree, path[:-1]).copy()
     del parent[path[-1]]
     shortened: Tree = _with(tree, path[:-1], parent)
     return shortened

@@ -126,13 +126,13 @@ class EventLoop:
     def every(self, seconds: float, action: Action) -> Timer:
         """Run an action periodically; missed times are skipped."""
         timer = Timer(self, seconds, action, again=True)
-        self._put(time.monotonic() + seconds, timer)
+        self._schedule(time.monotonic() + seconds, timer)
         return timer
 
     def after(self, seconds: float, action: Action) -> Timer:
         """Run an action once, after a delay in seconds."""
         timer = Timer(self, seconds, action, again=False)
-        self._put(time.monotonic() + seconds, timer)
+        self._schedule(time.monotonic() + seconds, timer)
         return timer
 
     def close(self, seconds: float = 2.0) -> None:
@@ -166,7 +166,7 @@ class EventLoop:
             self._calls.discard(call)
         return waits
 
-    def _put(self, due: float, timer: Timer) -> None:
+    def _schedule(self, due: float, timer: Timer) -> None:
         with self._condition:
             if not self._closed:
                 heapq.heappush(self._timers, (due, next(self._numbers), timer))
@@ -267,14 +267,14 @@ class ClockTimer:
         self._due: int | None = None
         self._last = 0
         self.closed = False
-        self._withdraw = clock.on_time(self._heard)
+        self._withdraw = clock.on_time(self._on_time)
 
     def close(self) -> None:
         """Cancel the timer."""
         self.closed = True
         self._withdraw()
 
-    def _heard(self, now: int) -> None:
+    def _on_time(self, now: int) -> None:
         if self._due is None or now < self._last:
             self._due = now + self._period
         self._last = now

@@ -219,7 +219,7 @@ def test_two_daemons_on_one_network() -> None:
         {"daemon": name, "worker": "ros1", "side": "ros1", "network": network, "state": state}
         for name, network, state in (("a", "n1", "running"), ("b", "n1", "standby"), ("c", "n2", "running"))
     ]
-    assert Result.FAIL not in results(bridges.look(around(off, hub=hub(*documents))))
+    assert Result.FAIL not in results(bridges.check(around(off, hub=hub(*documents))))
     documents[1]["state"] = "running"
-    finding = next(f for f in bridges.look(around(off, hub=hub(*documents))) if f.result is Result.FAIL)
+    finding = next(f for f in bridges.check(around(off, hub=hub(*documents))) if f.result is Result.FAIL)
     assert "a and b are both active on the ros1 network n1" in finding.seen

@@ -170,7 +170,7 @@ def test_other_bridges_on_the_master(master: RosMaster, living: str, tmp_path: P
     def place() -> CheckContext:
         return around(config, hub=hub({**WORKER, "pid": 99}))
 
-    assert Result.WARN not in results(bridges.look(place()))
+    assert Result.WARN not in results(bridges.check(place()))
 
     entry = {"owner": "x", "daemon": "robot2", "node": "/midspan", "uri": living, "pid": 4711}
     dead = {**entry, "node": "/midspan_dead", "uri": f"http://127.0.0.1:{free_port()}/"}
@@ -178,7 +178,7 @@ def test_other_bridges_on_the_master(master: RosMaster, living: str, tmp_path: P
     for name, value in (("other", entry), ("dead", dead), ("own", own_entry)):
         master.call("setParam", f"/midspan/nodes/{name}", value)
     register(master, "/ros_bridge", living)
-    finding = bridges.look(place())
+    finding = bridges.check(place())
     texts = {f.seen: f.result for f in finding if f.result is not Result.SKIP}
     assert sorted(texts.values()) == [Result.FAIL, Result.WARN, Result.WARN], texts
     assert any("/ros_bridge looks like another bridge" in seen for seen in texts)

@@ -347,7 +347,7 @@ def test_invalid_samples_on_the_hub(siege: Siege) -> None:
         for side, count in zip(sides, before, strict=True):
             assert why in siege.route(side, topic, "out", **{reason: count + 1})["error"]
 
-    refused(lambda: raw.put(good), "bad", "without the attachment")
+    refused(lambda: raw.put(good), "bad", "without rmw_zenoh's attachment")
     refused(lambda: raw.put(good, attachment=b"nonsense"), "bad", "attachment of 8 bytes")
     refused(lambda: raw.put(good, attachment=b"\xff" * 33), "bad", "GID of 255 bytes")
     for junk in (b"", b"\0\1\0\0\xff\xff\xff\x7f", good[:-2], b"\0\0\0\0\0\0\0\5good\0", good + bytes(100)):

@@ -261,7 +261,7 @@ class YarpGraph:
                 self._inspect(naming, name)
         self.nodes, self.trouble = nodes, trouble
 
-    def forget(self, name: str) -> None:
+    def discard(self, name: str) -> None:
         """Discard the facts about a port whose connection ended: another program may reuse its name."""
         self.known.pop(name, None)
 

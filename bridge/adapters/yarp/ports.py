@@ -233,7 +233,7 @@ class OwnPorts:
     def _on_event(self, name: str, core: PortCore, event: ConnectionEvent) -> None:
         port, peer = self.own.get(name), event.route.source if event.incoming else event.route.target
         if not event.up:
-            self._graph.forget(peer)
+            self._graph.discard(peer)
         elif port is not None:
             link = port.links.get(peer)
             if link is not None and link.profile is not None:

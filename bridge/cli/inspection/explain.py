@@ -130,13 +130,13 @@ def _namesakes(names: DaemonNames) -> list[Note]:
 def _decisions(everything: Sequence[Decision], topic: str) -> list[Decision]:
     """Return the decisions on a topic; if it has another name on the hub, also those on that name."""
 
-    def of(name: str) -> list[Decision]:
+    def known_as(name: str) -> list[Decision]:
         return [d for d in everything if any(name in (known, split(known)[0]) for known in (d.topic, d.hub_topic))]
 
-    decisions = of(topic)
+    decisions = known_as(topic)
     renamed = {d.hub_topic for d in decisions if d.decision == "bridged" and d.direction == "in"} - {topic}
     for name in sorted(renamed):
-        decisions += [d for d in of(name) if d.direction == "out" and d not in decisions]
+        decisions += [d for d in known_as(name) if d.direction == "out" and d not in decisions]
     return decisions
 
 

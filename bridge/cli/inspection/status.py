@@ -131,7 +131,7 @@ def show(console: Console, documents: Sequence[Document], refused: Sequence[Refu
         common = shared({str(document.get("worker")): texts(document.get("warnings")) for document in workers})
         for document in workers:
             _show_worker(console, document, common)
-            for refusal in _of(document, refused):
+            for refusal in _refusals_of(document, refused):
                 console.print(Text(f"           {clean(refusal.text)}", "yellow"))
                 console.print(Text(f"             cure: {clean(refusal.cure)}"))
         for warning, names in common.values():
@@ -143,13 +143,13 @@ def show(console: Console, documents: Sequence[Document], refused: Sequence[Refu
         console.print("no routes: nothing is published that would cross; 'midspan topic list -v' shows what there is")
 
 
-def _of(document: Document, refused: Sequence[Refusal]) -> list[Refusal]:
+def _refusals_of(document: Document, refused: Sequence[Refusal]) -> list[Refusal]:
     """Return the refusals of a router's external listener."""
     return [r for r in refused if document.get("side") == "router" and document.get("daemon") == r.daemon]
 
 
 def _with_refusals(document: Document, refused: Sequence[Refusal]) -> Document:
-    found = [dataclasses.asdict(refusal) for refusal in _of(document, refused)]
+    found = [dataclasses.asdict(refusal) for refusal in _refusals_of(document, refused)]
     return {**document, "refused_commands": found} if found else document
 
 

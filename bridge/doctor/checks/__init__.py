@@ -22,7 +22,7 @@ CHECKS: tuple[Check, ...] = (
     Check("wheels", "libraries that have no wheel on this system", machine.look_at_wheels),
     *(check for side in all_sides() if side.checks for check in imported(side.checks)),
     *cyclone.CHECKS,
-    Check("two-bridges", "other bridges on the same networks", bridges.look, seconds=15.0),
+    Check("two-bridges", "other bridges on the same networks", bridges.check, seconds=15.0),
     Check("types", "message types that could not be used", types.look_at_refused),
     Check("type-hash", "definitions that differ between machines", types.look_at_hashes),
     Check("compiler", "the compiler for missing message packages (`midspan interfaces build`)", types.look_at_compiler),

@@ -27,7 +27,7 @@ FOREIGN = re.compile(r"(ros1?|ros_1|dynamic|static|parameter|simple)_bridge(_.*)
 _CURE_FOREIGN = "stop the other bridge, or deny its topics in routing.rules"
 
 
-def look(context: CheckContext) -> Findings:
+def check(context: CheckContext) -> Findings:
     """Check the hub, ROS 1 and ROS 2."""
     findings = [*_on_hub(context), *_on_ros1(context), *_on_ros2(context)]
     if any(finding.result in ("warn", "fail") for finding in findings):

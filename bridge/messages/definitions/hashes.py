@@ -39,10 +39,10 @@ def _md5_text(schema: Schema) -> str:
     def text(name: str) -> str:
         definition = schema.types[name]
         lines = [f"{c.base} {c.name}={c.text}" for c in definition.constants]
-        lines += [f"{of(f.type.base)} {f.name}" if f.type.nested else f"{f.type} {f.name}" for f in definition.fields]
+        lines += [f"{md5(f.type.base)} {f.name}" if f.type.nested else f"{f.type} {f.name}" for f in definition.fields]
         return "\n".join(lines)
 
-    def of(name: str) -> str:
+    def md5(name: str) -> str:
         if name not in sums:
             sums[name] = _md5(text(name))
         return sums[name]

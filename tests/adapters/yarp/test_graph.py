@@ -88,7 +88,7 @@ class Discarding:
     __hash__ = None  # type: ignore[assignment]
 
     def __eq__(self, _: object) -> bool:
-        self._graph.forget(self._name)
+        self._graph.discard(self._name)
         return True
 
 
