@@ -2,7 +2,8 @@
 
     python scripts/house.py            prints the figures
     python scripts/house.py --check    also prints the violations and fails if there are any: import cycles, large
-                                       files, tests without an assertion
+                                       files, tests without an assertion, too many phrases and vague names of
+                                       `scripts/language.py`
 
 In tests, it counts accesses to private attributes, and lists the tests that neither assert nor call a helper whose
 name implies an assertion.
@@ -243,6 +244,7 @@ def main() -> int:
     if not check:
         return 0
     violations = wrong(files) + [f"{test} asserts nothing" for test in assertless(ROOT)]
+    violations += language.wrong(language.measure(ROOT), ROOT)
     print("\n".join(violations), end="\n" if violations else "")
     return 1 if violations else 0
 
