@@ -236,7 +236,7 @@ def test_move_base_and_a_robot_on_yarp(fresh: Begin) -> None:
     site = fresh(from_file("yarp_robot_move_base.yaml"))
     site.until_it_waits(
         "gateway waits: the planner move_base is not there: no node serves its action /move_base on ROS 1 .start",
-        "/baseControl/control:i is not there",
+        "waiting for /baseControl/control:i, to connect it to",
     )
     site.robot()
     site.ros1("ros1_map_server.py", APARTMENT)

@@ -79,7 +79,7 @@ def test_both_ends_report_a_foreign_authority(short: Path, run: list[str]) -> No
         assert len(operator.lines("hub.open.connect")) == 1
         assert len(robot.lines("hub.open.listen")) <= 2, "refused, and refused by the other machine"
         operator.process.stop()
-        until(lambda: robot.lines("no machine is refused anymore"), "the robot clears the report")
+        until(lambda: robot.lines("no machine is refused any longer"), "the robot clears the report")
         assert robot.endpoint()["state"] == "listening"
         joined = Daemon(short, "operator1", short / "a", run, connect=[place])
         with joined.process:
