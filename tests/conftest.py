@@ -87,8 +87,10 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         cache.set("midspan/seed", session.config.getoption("randomly_seed", None))  # for scripts/unsteady.py
     os.environ[_MARK] = _run
     _at_start.update(_threads())
-    # a shell ignores Ctrl-C in background jobs, and every program that a test starts would inherit that
+    # a shell ignores Ctrl-C in background jobs, nohup SIGHUP; every program that a test starts would inherit that
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
