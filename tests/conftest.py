@@ -89,8 +89,9 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     _at_start.update(_threads())
     # a shell ignores Ctrl-C in background jobs, nohup SIGHUP; every program that a test starts would inherit that
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
-        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    hangup = getattr(signal, "SIGHUP", None)
+    if hangup is not None and signal.getsignal(hangup) is signal.SIG_IGN:
+        signal.signal(hangup, signal.SIG_DFL)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
