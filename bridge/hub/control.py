@@ -113,7 +113,7 @@ class Control:
         except HubError as err:
             return self._error(str(err))
         except Exception as err:
-            # whatever the handler met, the asker gets an answer and the thread lives on
+            # a failed handler must neither leave the query without an answer nor end the thread
             _log.warning("question %s failed", query.key_expr, exc_info=True)
             return self._error(str(err) or type(err).__name__)
 

@@ -1,4 +1,4 @@
-"""The daemon that answers on the control plane, by which two daemons with one name can be told apart."""
+"""The identity of a daemon in its control-plane answers, which distinguishes two daemons with the same name."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class DaemonIdentity:
 
     @property
     def place(self) -> str:
-        """For people."""
+        """The state folder and the machine, as text."""
         return f"state folder {self.folder} on {self.machine}"
 
     def as_dict(self) -> dict[str, str]:

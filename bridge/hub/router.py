@@ -258,7 +258,7 @@ class RouterWorker(Worker):
         return self._session
 
     def _standby_warning(self, config: Config) -> str:
-        """Return what other daemons with this daemon's name are at the router that is used, for the state's text."""
+        """Return the warning about other daemons of this name at the router in use, to append to the state's text."""
         if self._watch is None:
             try:
                 self._watch = zenoh.open(client_session_config(config.hub.listen, config.hub.zenoh, _ANSWER_SECONDS))
