@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-TOOLS = {"clock", "concurrency", "progress", "resources", "shipped", "sides", "state_file", "worker"}
+TOOLS = {"clock", "concurrency", "progress", "resources", "shipped", "sides", "state_file", "state_machine", "worker"}
 """Single modules next to the parts, which import only ``config`` and each other from ``bridge``."""
 
 BELOW = {
@@ -125,7 +125,13 @@ def test_the_simulator_imports_only_the_hub_the_module_host_and_yarp_compat() ->
 
 def test_navigation_imports_only_the_hub_the_store_and_the_module_host() -> None:
     below = {"bridge.clock", "bridge.config", "bridge.hub", "bridge.messages", "bridge.modules", "bridge.stores"}
-    below |= {"bridge.concurrency", "bridge.kernels", "bridge.routing.stall", "bridge.routing.processes"}
+    below |= {
+        "bridge.concurrency",
+        "bridge.kernels",
+        "bridge.state_machine",
+        "bridge.routing.stall",
+        "bridge.routing.processes",
+    }
     allowed = {*below, "bridge.tf", "bridge.worker", "navigation", "yarp_compat"}
     wrong = {
         f"{file.relative_to(ROOT)} imports {name}"

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from bridge.messages.actions import GoalState
 from bridge.modules.action_server import Goal
 from bridge.modules.clients import SentGoal
-from navigation.gateway.machine import DRIVE, DriveEvent, DriveState, Machine
+from bridge.state_machine import Machine
+from navigation.gateway.machine import DRIVE, DriveEvent, DriveState
 from navigation.gateway.targets import Target
 
 

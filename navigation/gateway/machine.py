@@ -7,10 +7,9 @@ is. `navigation.gateway.words` derives every answer to a client from these state
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping
 from enum import Enum
-from typing import Generic, TypeVar
+
+from bridge.state_machine import Table
 
 
 class PlannerState(Enum):
@@ -116,11 +115,6 @@ class StopEvent(Enum):
     EXPIRE = "nothing has confirmed it for long"
 
 
-S = TypeVar("S", bound=Enum)
-E = TypeVar("E", bound=Enum)
-Table = Mapping[S, Mapping[E, S]]
-
-
 def _planner() -> Table[PlannerState, PlannerEvent]:
     state, event = PlannerState, PlannerEvent
     reachable = {event.LOST: state.UNREACHABLE, event.NO_GOALS: state.IDLE, event.GOALS: state.DRIVING}
@@ -183,25 +177,3 @@ def _stop() -> Table[StopState, StopEvent]:
 
 
 PLANNER, DRIVE, STOP = _planner(), _drive(), _stop()
-
-
-class Machine(Generic[S, E]):
-    """One machine: its state, and since when (monotonic seconds)."""
-
-    def __init__(self, table: Table[S, E], state: S) -> None:
-        self._table = table
-        self.state = state
-        self.since = time.monotonic()
-
-    def on(self, event: E) -> bool:
-        """Handle an event; whether it changed the state."""
-        following = self._table[self.state].get(event, self.state)
-        if following is self.state:
-            return False
-        self.state, self.since = following, time.monotonic()
-        return True
-
-    @property
-    def age(self) -> float:
-        """Seconds since the state was entered."""
-        return time.monotonic() - self.since

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 from bridge.messages.actions import names
 from bridge.modules.host import Host
+from bridge.state_machine import Machine
 from navigation.gateway.contact import Contact
-from navigation.gateway.machine import PLANNER, Machine, PlannerEvent, PlannerState
+from navigation.gateway.machine import PLANNER, PlannerEvent, PlannerState
 
 ABSENT_SECONDS = 2.0
 """A planner that does not appear for this time after its side's worker has joined is not running there."""

@@ -6,7 +6,8 @@ import queue
 import time
 from collections.abc import Callable
 
-from navigation.gateway.machine import STOP, Machine, StopEvent, StopState
+from bridge.state_machine import Machine
+from navigation.gateway.machine import STOP, StopEvent, StopState
 from navigation.gateway.motion import Motion, VelocityWatch
 
 LATE_SECONDS = 1.0

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
+from bridge.state_machine import Machine
 from navigation.gateway.machine import (
     DRIVE,
     PLANNER,
     STOP,
     DriveEvent,
     DriveState,
-    Machine,
     PlannerEvent,
     PlannerState,
     StopEvent,

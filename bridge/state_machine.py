@@ -1,0 +1,37 @@
+"""State machines whose transitions are a table: states and events are enums.
+
+An event that a state does not list leaves it as it is. ARCHITECTURE.md draws the tables of the tree.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from enum import Enum
+from typing import Generic, TypeVar
+
+S = TypeVar("S", bound=Enum)
+E = TypeVar("E", bound=Enum)
+Table = Mapping[S, Mapping[E, S]]
+
+
+class Machine(Generic[S, E]):
+    """One machine: its state, and since when (monotonic seconds)."""
+
+    def __init__(self, table: Table[S, E], state: S) -> None:
+        self._table = table
+        self.state = state
+        self.since = time.monotonic()
+
+    def on(self, event: E) -> bool:
+        """Handle an event; whether it changed the state."""
+        following = self._table[self.state].get(event, self.state)
+        if following is self.state:
+            return False
+        self.state, self.since = following, time.monotonic()
+        return True
+
+    @property
+    def age(self) -> float:
+        """Seconds since the state was entered."""
+        return time.monotonic() - self.since
