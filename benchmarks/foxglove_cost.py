@@ -110,7 +110,7 @@ def until_listening(port: int) -> None:
     raise TimeoutError(f"no server on port {port}")
 
 
-class Child:
+class Program:
     """A process, and the line with which it reported that it is ready."""
 
     def __init__(self, command: Sequence[str], ready: str) -> None:
@@ -130,18 +130,18 @@ class Child:
 
 
 @contextmanager
-def running(command: Sequence[str], ready: str = "") -> Iterator[Child]:
+def running(command: Sequence[str], ready: str = "") -> Iterator[Program]:
     """Run a process until the end of the context."""
-    child = Child(command, ready)
+    program = Program(command, ready)
     try:
-        yield child
+        yield program
     finally:
-        child.popen.send_signal(signal.SIGTERM)
+        program.popen.send_signal(signal.SIGTERM)
         try:
-            child.popen.wait(10)
+            program.popen.wait(10)
         except subprocess.TimeoutExpired:
-            child.popen.kill()
-            child.popen.wait()
+            program.popen.kill()
+            program.popen.wait()
 
 
 def role(*arguments: object) -> list[str]:
@@ -149,17 +149,17 @@ def role(*arguments: object) -> list[str]:
     return ["-m", "benchmarks.foxglove_cost", "--role", *map(str, arguments)]
 
 
-def cpu(child: Child, seconds: float) -> float:
+def cpu(program: Program, seconds: float) -> float:
     """Measure a process's load, in percent of a core."""
-    before = child.process.cpu_times()
+    before = program.process.cpu_times()
     time.sleep(seconds)
-    after = child.process.cpu_times()
+    after = program.process.cpu_times()
     return 100.0 * (after.user + after.system - before.user - before.system) / seconds
 
 
-def pss(child: Child) -> float:
+def pss(program: Program) -> float:
     """Return a process's PSS, in megabytes."""
-    return float(child.process.memory_full_info().pss) / 1e6
+    return float(program.process.memory_full_info().pss) / 1e6
 
 
 def publish(router: str, size: str, rate: str) -> None:

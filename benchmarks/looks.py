@@ -32,7 +32,7 @@ FEW = 50
 UP_SECONDS = 120.0
 
 
-class Beside:
+class EngineUnderLoad:
     """An engine between a number of endpoints."""
 
     def __init__(self, hubs: HubNetwork, count: int, registry: Registry) -> None:
@@ -112,11 +112,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     registry, few, rows = Registry(), dict[tuple[str, str], float](), list[Row]()
     for count in (FEW, *args.endpoints):
         with HubNetwork() as hubs:
-            beside = Beside(hubs, count, registry)
+            engine = EngineUnderLoad(hubs, count, registry)
             try:
-                durations = {"one changed": beside.change(args.times), "nothing changed": beside.idle(2 * args.times)}
+                durations = {"one changed": engine.change(args.times), "nothing changed": engine.idle(2 * args.times)}
             finally:
-                beside.close()
+                engine.close()
         for change, took in durations.items():
             cuts = statistics.quantiles(took, n=100, method="inclusive")
             for figure, seconds in (("p50", cuts[49]), ("p99", cuts[98])):

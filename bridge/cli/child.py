@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import sys
 
-from bridge.daemon.begin import begin
+from bridge.daemon.heartbeat import start_heartbeat
 
 if __name__ == "__main__":
-    heart = begin()
+    heartbeat = start_heartbeat()
     try:
         from bridge.cli.main import main
 
         sys.exit(main())
     finally:
-        heart.close()
+        heartbeat.close()

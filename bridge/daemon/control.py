@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bridge.daemon import protocol
-from bridge.daemon.begin import begin
+from bridge.daemon.heartbeat import start_heartbeat
 from bridge.progress import working
 
 logger = logging.getLogger("midspan.worker")
@@ -35,12 +35,12 @@ Commands = queue.SimpleQueue[protocol.Command | Hangup]
 class DaemonPipe:
     """Reads commands from the standard input and writes reports to the standard output.
 
-    It replaces both descriptors (`begin` replaces the output), so that programs started by the worker do not inherit
-    the daemon's pipes.
+    It replaces both descriptors (`start_heartbeat` replaces the output), so that programs started by the worker do not
+    inherit the daemon's pipes.
     """
 
     def __init__(self) -> None:
-        self.heart = begin()
+        self.heartbeat = start_heartbeat()
         self._input = os.dup(0)
         null = os.open(os.devnull, os.O_RDONLY)
         os.dup2(null, 0)
@@ -81,7 +81,7 @@ class DaemonPipe:
 
     def report(self, report: protocol.Report) -> None:
         """Write one report. Errors are ignored: the reading thread detects a daemon that has exited."""
-        self.heart.write(protocol.encode_report(report))
+        self.heartbeat.write(protocol.encode_report(report))
 
 
 def end_process_after(seconds: float) -> None:

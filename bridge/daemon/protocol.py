@@ -31,7 +31,7 @@ from typing import Any, Literal, NamedTuple, get_args
 from pydantic import ValidationError
 
 from bridge.config.model import Config
-from bridge.daemon.begin import busy_line
+from bridge.daemon.heartbeat import busy_line
 from bridge.progress import Busy
 from bridge.worker import Health
 

@@ -23,7 +23,7 @@ from bridge.state_file import state_folder
 
 
 class Phase(Enum):
-    """State of a worker slot."""
+    """State of a worker's process."""
 
     OFF = "off"
     UNAVAILABLE = "not available"

@@ -19,7 +19,7 @@ from bridge.daemon.log_query import KeptLines, LogServer
 from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.notify import Notifier
 from bridge.daemon.query import Phase, QueryServer
-from bridge.daemon.slot import Slot, Timing
+from bridge.daemon.worker_process import Timing, WorkerProcess
 from bridge.daemon.workers import worker_kinds
 from bridge.resources import folder_trouble, raise_open_files
 from bridge.state_file import state_folder
@@ -65,8 +65,8 @@ class Supervisor:
         self._notify = Notifier(environ)
         self._cores = cores or usable_cores()
         timing = timing or Timing()
-        self.slots = [
-            Slot(self.loop, kind, timing, standing=kind.name in standing, first=self._first)
+        self.workers = [
+            WorkerProcess(self.loop, kind, timing, standing=kind.name in standing, first=self._first)
             for kind in worker_kinds(environ).values()
         ]
         self._stops = 0
@@ -138,31 +138,31 @@ class Supervisor:
     def _begin(self, config: Config) -> None:
         self._announced = False
         self._ready_at = time.monotonic() + READY_AFTER
-        for slot in self.slots:
-            slot.configure(config)
+        for worker in self.workers:
+            worker.configure(config)
 
     def _first(self) -> str:
         """Return the workers that must finish starting before another process may start, "" if it may start now.
 
-        Starting all at once only slows every one of them, restarted ones included. The order of the slots decides: the
-        router, the sides, then the modules and the simulator.
+        Starting all at once only slows every one of them, restarted ones included. The order of the workers decides:
+        the router, the sides, then the modules and the simulator.
         """
-        starting = [slot.name for slot in self.slots if slot.comes_up]
+        starting = [worker.name for worker in self.workers if worker.comes_up]
         return " and ".join(starting) if len(starting) >= self._cores else ""
 
     def _step(self) -> None:
         interval = self._notify.watchdog_interval
-        due = min(slot.due for slot in self.slots) - time.monotonic()
+        due = min(worker.due for worker in self.workers) - time.monotonic()
         self.loop.step(max(0.0, min(STEP, due, interval / 2 if interval else STEP)))
         now = time.monotonic()
         step = now - self._stepped
         self._stepped = now
-        for slot in self.slots:
+        for worker in self.workers:
             if step > SUSPENDED_AFTER:
-                slot.forgive(step)
-            slot.tick()
+                worker.forgive(step)
+            worker.tick()
         self._notify.feed_watchdog()
-        if not self._announced and (now > self._ready_at or all(slot.settled for slot in self.slots)):
+        if not self._announced and (now > self._ready_at or all(worker.settled for worker in self.workers)):
             self._announced = True
             self._status_sent = 0.0
             self._send_status(now)
@@ -185,17 +185,17 @@ class Supervisor:
     def status(self) -> str:
         """Return the state of all workers in one line."""
         parts = []
-        for slot in self.slots:
-            if slot.phase is Phase.OFF:
+        for worker in self.workers:
+            if worker.phase is Phase.OFF:
                 continue
-            if slot.phase is Phase.UP and slot.text.startswith(("waiting", "standby")):
-                text = f"{slot.name} {slot.text}"
+            if worker.phase is Phase.UP and worker.text.startswith(("waiting", "standby")):
+                text = f"{worker.name} {worker.text}"
             else:
-                text = f"{slot.name} {slot.phase.value}" + (f": {slot.text}" if slot.text else "")
-            if slot.phase is Phase.STARTING:
-                text += f" ({time.monotonic() - slot.since:.0f} s)"
-            if slot.restarts:
-                text += f" (restarted {slot.restarts}x)"
+                text = f"{worker.name} {worker.phase.value}" + (f": {worker.text}" if worker.text else "")
+            if worker.phase is Phase.STARTING:
+                text += f" ({time.monotonic() - worker.since:.0f} s)"
+            if worker.restarts:
+                text += f" (restarted {worker.restarts}x)"
             parts.append(text)
         if self._trouble:
             parts.append(self._trouble)
@@ -214,17 +214,17 @@ class Supervisor:
             "status": self.status(),
             "workers": [
                 {
-                    "worker": slot.name,
-                    "phase": slot.phase.value,
-                    "text": slot.text,
-                    "since": round(time.monotonic() - slot.since, 1),
-                    "still": round(slot.still, 1),
-                    "beat": None if slot.beat_at is None else round(time.monotonic() - slot.beat_at, 2),
-                    "pid": slot.pid,
-                    "restarts": slot.restarts,
-                    "ended": slot.ended,
+                    "worker": worker.name,
+                    "phase": worker.phase.value,
+                    "text": worker.text,
+                    "since": round(time.monotonic() - worker.since, 1),
+                    "still": round(worker.still, 1),
+                    "beat": None if worker.beat_at is None else round(time.monotonic() - worker.beat_at, 2),
+                    "pid": worker.pid,
+                    "restarts": worker.restarts,
+                    "ended": worker.ended,
                 }
-                for slot in self.slots
+                for worker in self.workers
             ],
         }
 
@@ -264,40 +264,40 @@ class Supervisor:
         self._notify.stopping()
         self._notify.status("stopping")
         begun = time.monotonic()
-        for slot in self.slots:
-            if slot.is_service:
-                slot.release()
-        bridges = [slot for slot in self.slots if not slot.kind.outlives]
-        last = [slot for slot in self.slots if slot.kind.outlives]
+        for worker in self.workers:
+            if worker.is_service:
+                worker.release()
+        bridges = [worker for worker in self.workers if not worker.kind.outlives]
+        last = [worker for worker in self.workers if worker.kind.outlives]
         for group, until, left in ((bridges, 3.3, 2.8), (last, STOP_SECONDS, 1.0)):
-            for slot in group:
-                slot.stop("the daemon stops", left)
+            for worker in group:
+                worker.stop("the daemon stops", left)
             self._wait_for_end(group, begun + until)
         self._kill_the_rest()
         logger.info("stopped after %.1f s", time.monotonic() - begun)
 
-    def _wait_for_end(self, group: list[Slot], end: float) -> None:
-        while not all(slot.idle for slot in group) and time.monotonic() < end:
+    def _wait_for_end(self, group: list[WorkerProcess], end: float) -> None:
+        while not all(worker.idle for worker in group) and time.monotonic() < end:
             if self._stops > 1:
-                for slot in group:
-                    slot.kill()
-            self._step_slots([slot for slot in self.slots if not slot.idle])
+                for worker in group:
+                    worker.kill()
+            self._step_workers([worker for worker in self.workers if not worker.idle])
 
-    def _step_slots(self, slots: list[Slot]) -> None:
+    def _step_workers(self, workers: list[WorkerProcess]) -> None:
         self.loop.step(0.05)
-        for slot in slots:
-            slot.tick()
+        for worker in workers:
+            worker.tick()
         self._notify.feed_watchdog()
 
     def _kill_the_rest(self) -> None:
         """Kill the remaining workers: an earlier SIGKILL may not have been sent if this process was suspended."""
-        remaining = [slot for slot in self.slots if not slot.idle]
-        for slot in remaining:
-            slot.kill()
+        remaining = [worker for worker in self.workers if not worker.idle]
+        for worker in remaining:
+            worker.kill()
         end = time.monotonic() + KILLED_SECONDS
-        while not all(slot.idle for slot in remaining) and time.monotonic() < end:
-            self._step_slots(remaining)
-        for slot in remaining:
-            if not slot.idle:
-                logger.error("%s: process %d does not exit, even after SIGKILL", slot.name, slot.pid)
-                slot.release()
+        while not all(worker.idle for worker in remaining) and time.monotonic() < end:
+            self._step_workers(remaining)
+        for worker in remaining:
+            if not worker.idle:
+                logger.error("%s: process %d does not exit, even after SIGKILL", worker.name, worker.pid)
+                worker.release()

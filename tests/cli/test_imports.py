@@ -60,5 +60,5 @@ def test_worker_loads_no_libraries_of_the_command_line_or_other_sides(worker: st
         others -= {"dartpy", "yaml"}  # what it simulates with, and its plans' files
     if worker == "router":
         others |= {"numpy", "bridge.messages.registry"}
-    modules = loaded(f"import bridge.cli.daemon.run, bridge.daemon.process, {_WORKERS[worker]}") & others
+    modules = loaded(f"import bridge.cli.daemon.run, bridge.daemon.worker_main, {_WORKERS[worker]}") & others
     assert not modules

@@ -24,7 +24,7 @@ OWN_FOLDER = Path(__file__).parent / "own"
 """Types without a folder for the bridge, if the side's protocol suffices to describe them: an empty message."""
 
 PEER_FOLDERS = (CUSTOM_FOLDER, OWN_FOLDER)
-IMPORTS = ("bridge.cli.daemon.run", "bridge.daemon.process", "bridge.adapters.worker")
+IMPORTS = ("bridge.cli.daemon.run", "bridge.daemon.worker_main", "bridge.adapters.worker")
 """The imports of a worker of each side."""
 
 CUSTOM_TYPES = ("contract_msgs/Thing", "octomap_msgs/Octomap", "own_msgs/Ping")

@@ -50,7 +50,7 @@ class Daemon:
         return self.midspan("run", "--config", str(self.file), *options, env=env)
 
     def quick(self, cores: int, **limits: float) -> Process:
-        """Start a daemon with other limits (`bridge.daemon.slot.Timing`), as on a machine with this number of cores."""
+        """Start a daemon with other limits (`Timing`), as on a machine with this number of cores."""
         options = [f"{name}={seconds}" for name, seconds in limits.items()]
         command = [sys.executable, "-m", "tests.daemon.quick", str(self.file), str(cores), *options]
         process = Process(command, self.env, imports=DAEMON)

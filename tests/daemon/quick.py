@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 
 from bridge.daemon import log
-from bridge.daemon.slot import Timing
 from bridge.daemon.supervisor import Supervisor
+from bridge.daemon.worker_process import Timing
 
 
 def main() -> None:

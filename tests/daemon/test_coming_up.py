@@ -12,8 +12,8 @@ import pytest
 from bridge.config.model import Config
 from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.query import Phase, ask_daemon
-from bridge.daemon.slot import Slot, Timing
 from bridge.daemon.supervisor import Supervisor
+from bridge.daemon.worker_process import Timing, WorkerProcess
 from bridge.daemon.workers import worker_kinds
 from bridge.progress import Busy
 from tests.daemon.daemon import Daemon, alive
@@ -69,8 +69,8 @@ def test_a_worker_that_computes_instead_of_reporting_is_not_killed(daemon: Daemo
     assert daemon.pids("ros1") == [first], process.output()
 
 
-class _Line:
-    """A link without a process."""
+class _Unconnected:
+    """A channel without a process."""
 
     pid, owner = 0, "daemon"
 
@@ -84,12 +84,12 @@ class _Line:
 @pytest.mark.parametrize(("seconds", "phase"), [(499.0, Phase.UP), (501.0, Phase.PAUSED)])
 def test_a_worker_in_an_endless_loop_is_killed(seconds: float, phase: Phase, caplog: pytest.LogCaptureFixture) -> None:
     loop = SelectorLoop()
-    slot = Slot(loop, worker_kinds({})["ros1"], Timing(heartbeat=50.0))
-    slot.link, slot.phase = _Line(), Phase.UP  # type: ignore[assignment]
+    worker = WorkerProcess(loop, worker_kinds({})["ros1"], Timing(heartbeat=50.0))
+    worker.channel, worker.phase = _Unconnected(), Phase.UP  # type: ignore[assignment]
     for used in (0.0, seconds):
-        slot.on_report(Busy("reporting its state", used, 0))
-        slot.tick()
-    assert slot.phase is phase
+        worker.on_report(Busy("reporting its state", used, 0))
+        worker.tick()
+    assert worker.phase is phase
     assert ("ros1 is in an endless loop: reporting its state has computed for 501 s" in caplog.text) is (
         phase is Phase.PAUSED
     )
@@ -148,7 +148,7 @@ def test_only_a_running_worker_is_reported_as_running(daemon: Daemon) -> None:
 
 
 class _Slow:
-    """A slot whose process is killed in time, and exits shortly after the last check of its group."""
+    """A worker whose process is killed in time, and exits shortly after the last check of its group."""
 
     name, pid, is_service, phase = "slow", 1, False, Phase.STOPPING
 
@@ -180,7 +180,7 @@ def test_a_process_that_exits_late_is_not_reported_as_surviving_sigkill(
 
     supervisor = Supervisor(daemon.file, environ=daemon.env)
     monkeypatch.setattr("bridge.daemon.supervisor.time", type("Time", (), {"monotonic": lambda: clock[0]}))
-    monkeypatch.setattr(supervisor, "slots", [_Slow(clock)])
+    monkeypatch.setattr(supervisor, "workers", [_Slow(clock)])
     monkeypatch.setattr(supervisor.loop, "step", step)
     supervisor._end()
     assert "even after SIGKILL" not in caplog.text

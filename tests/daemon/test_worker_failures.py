@@ -6,8 +6,8 @@ import pytest
 
 from bridge.config.model import Config
 from bridge.daemon.control import Commands
-from bridge.daemon.process import Child, RunEnd
 from bridge.daemon.protocol import Failed, Report
+from bridge.daemon.worker_main import RunEnd, WorkerLoop
 from bridge.hub.errors import HubConfigError, HubError
 from bridge.worker import Health, Worker, WorkerFailedError
 
@@ -34,7 +34,7 @@ class FailingWorker(Worker):
 
 
 def run(worker: Worker, reports: list[Report]) -> RunEnd:
-    return Child(worker, Commands(), reports.append).run(Config())
+    return WorkerLoop(worker, Commands(), reports.append).run(Config())
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ import psutil
 import pytest
 
 from bridge.config.model import Config
-from bridge.daemon import process, protocol
+from bridge.daemon import protocol, worker_main
 from bridge.daemon.control import Commands
 from bridge.daemon.protocol import NewConfig, Report, Stop, encode_command
 from bridge.daemon.workers import supervised_command
@@ -119,10 +119,10 @@ def test_the_heartbeat_thread_ends_before_python_does() -> None:
     """Python 3.11 sometimes crashes on exit if a daemon thread runs at that time (seen once: signal 11)."""
     code = """
 import os, threading
-from bridge.daemon.begin import begin
-heart = begin()
-assert "heart" in {thread.name for thread in threading.enumerate()}
-heart.close()
+from bridge.daemon.heartbeat import start_heartbeat
+heartbeat = start_heartbeat()
+assert "heartbeat" in {thread.name for thread in threading.enumerate()}
+heartbeat.close()
 os.write(2, " ".join(sorted(thread.name for thread in threading.enumerate())).encode())
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
@@ -412,7 +412,7 @@ def test_heartbeats_are_rarer_if_the_text_does_not_change(monkeypatch: pytest.Mo
         if not texts:
             commands.put(Stop())
 
-    process.Child(Reporting(texts), commands, report).run(Config())
+    worker_main.WorkerLoop(Reporting(texts), commands, report).run(Config())
     first, second, third = (later - earlier for earlier, later in itertools.pairwise(at))
     assert max(first, second) < 4.0, "something new"
     assert third >= 4.0, "the same again"

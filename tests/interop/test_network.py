@@ -126,7 +126,7 @@ def pair(running: Pair) -> Iterator[Pair]:
         yield running
 
 
-class Crossing:
+class BridgedTopic:
     """A topic from a program on one machine to a program on the other."""
 
     def __init__(self, sender: Peer, receiver: Peer, topic: str, type_: str = STRING, **qos: Any) -> None:
@@ -174,11 +174,11 @@ def test_topics_cross_in_both_directions_including_latched_ones(pair: Pair) -> N
         assert receiver.wait(late, 1, 30) == [{"data": "kept"}]
 
 
-def stream(crossing: Crossing, seconds: float, stop: Callable[[], bool] = lambda: False) -> None:
+def stream(topic: BridgedTopic, seconds: float, stop: Callable[[], bool] = lambda: False) -> None:
     """Send the time as a command, 20 times per second."""
     end = time.monotonic() + seconds
     while time.monotonic() < end and not stop():
-        crossing.send(time.monotonic())
+        topic.send(time.monotonic())
         time.sleep(0.05)
 
 
@@ -187,7 +187,7 @@ def stream(crossing: Crossing, seconds: float, stop: Callable[[], bool] = lambda
 def test_a_link_is_cut_and_restored(pair: Pair, seconds: float) -> None:
     ros1, ros2 = pair.ros1, pair.ros2
     name = f"/cut_{int(seconds)}"
-    drive = Crossing(ros2, ros1, "/cmd_vel", TWIST)
+    drive = BridgedTopic(ros2, ros1, "/cmd_vel", TWIST)
     drive.until_crosses(60)
     numbers, counted = ros1.advertise(f"{name}/numbers", STRING), ros2.subscribe(f"{name}/numbers", STRING)
     publish_until_received(ros1, numbers, ros2, counted, "0")
@@ -231,7 +231,7 @@ def test_a_link_is_cut_and_restored(pair: Pair, seconds: float) -> None:
 @pytest.mark.thorough
 def test_commands_from_an_untrusted_machine_are_refused(pair: Pair) -> None:
     ros1, ros2 = pair.ros1, pair.ros2
-    drive = Crossing(ros2, ros1, "/cmd_vel", TWIST)
+    drive = BridgedTopic(ros2, ros1, "/cmd_vel", TWIST)
     drive.until_crosses(60)
     pair.trust("another_machine")
     try:

@@ -27,7 +27,7 @@ _TESTS = SERVER.parents[1]
 PYTHONS = (sys.executable, "/usr/bin/python3")
 """Midspan's interpreter, and that of ROS 1."""
 
-DAEMON = ("bridge.config.load", "bridge.daemon.process", "bridge.daemon.supervisor")
+DAEMON = ("bridge.config.load", "bridge.daemon.worker_main", "bridge.daemon.supervisor")
 """Imports of `midspan run` and of a single worker. A forked daemon starts its workers as usual."""
 
 _AT_START = ("PYTHON", "LD_", "_ROS_WHEELS", "MALLOC_", "GLIBC_", "MIDSPAN_")

@@ -92,12 +92,12 @@ def register_worker(parser: argparse.ArgumentParser) -> None:
 
 def run_worker(args: argparse.Namespace) -> int:
     """Run the worker until it is asked to stop."""
-    from bridge.daemon.process import Process
+    from bridge.daemon.worker_main import WorkerMain
     from bridge.metrics.on_demand import DiagnosticsOnDemand
 
     kind = worker_kinds()[args.side]
     if args.supervised:
-        ended = Process(kind, DiagnosticsOnDemand, control=args.control).run_supervised()
+        ended = WorkerMain(kind, DiagnosticsOnDemand, control=args.control).run_supervised()
         # The daemon's SIGTERM may arrive after its stop command, when Python has already removed its handlers.
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         return ended
@@ -109,10 +109,10 @@ def run_worker(args: argparse.Namespace) -> int:
 
 def run_alone(kind: WorkerKind, config: Config, load: Callable[[], Config], *, control: bool = False) -> int:
     """Run a worker in this process without the daemon; return the exit code."""
-    from bridge.daemon.process import Process
+    from bridge.daemon.worker_main import WorkerMain
     from bridge.metrics.on_demand import DiagnosticsOnDemand
 
-    code = Process(kind, DiagnosticsOnDemand, control=control).run_alone(config, load)
+    code = WorkerMain(kind, DiagnosticsOnDemand, control=control).run_alone(config, load)
     if code is None:
         logging.getLogger("midspan").info("restarting")
         _go_on_as([sys.executable, *sys.orig_argv[1:]], os.environ)

@@ -21,8 +21,8 @@ from bridge import resources, state_file
 from bridge.adapters.memory import few_heaps
 from bridge.config.model import Config
 from bridge.daemon import log, protocol
-from bridge.daemon.begin import dump_stacks_on_signal
 from bridge.daemon.control import Commands, ControlServer, DaemonPipe, Hangup
+from bridge.daemon.heartbeat import dump_stacks_on_signal
 from bridge.daemon.notify import Notifier
 from bridge.daemon.succession import Successor, succeed
 from bridge.daemon.workers import WorkerKind
@@ -59,7 +59,7 @@ class Companion(Protocol):
         """Stop, before the worker stops."""
 
 
-class Child:
+class WorkerLoop:
     """The main loop of one worker.
 
     ``report`` must not block for long; ``load`` loads the configuration upon SIGHUP, None if the daemon sends it;
@@ -201,7 +201,7 @@ def install_signals(commands: Commands) -> None:
         signal.signal(signal.SIGHUP, lambda _number, _frame: commands.put(Hangup()))
 
 
-class Process:
+class WorkerMain:
     """The process of one worker; with a control socket (``control``) it outlives its daemon.
 
     ``companion`` creates the companion of a worker with a given name.
@@ -235,7 +235,7 @@ class Process:
             logger.error("cannot work here: %s", err)  # noqa: TRY400  the daemon reads it from stderr
             return protocol.EXIT_CANNOT_WORK
         relay.relay_to(server.relay)
-        pipe.heart.send_to(server.report)
+        pipe.heartbeat.send_to(server.report)
         try:
             return self._run(config, server.report) or 0
         finally:
@@ -291,10 +291,10 @@ class Process:
             working.at(f"loading the code of {self._kind.name}")
             worker = self._kind.create()
             companion = self._companion(worker, self._kind.name)
-            child = Child(
+            loop = WorkerLoop(
                 worker, self._commands, report, load=load, end_for_restart=load is not None, companion=companion
             )
-            outcome = child.run(config)
+            outcome = loop.run(config)
         except Exception:
             logger.exception("%s failed", self._kind.name)
             return 1

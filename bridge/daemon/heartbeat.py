@@ -35,7 +35,7 @@ def busy_line(busy: Busy) -> bytes:
     return json.dumps({"busy": busy.text, "used": busy.used, "read": busy.read}).encode() + b"\n"
 
 
-class Heart:
+class Heartbeat:
     """The thread that sends the reports of the current step.
 
     It reserves the standard output for reports: other output of this process goes to stderr, and programs that the
@@ -50,7 +50,7 @@ class Heart:
         self._send: Callable[[Busy], None] = lambda busy: self.write(busy_line(busy))
         self._send(Busy(FIRST_STEP, 0.0, 0))
         self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="heart", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
         self._thread.start()
 
     def write(self, line: bytes) -> None:
@@ -79,8 +79,8 @@ class Heart:
 
 
 @functools.cache
-def begin() -> Heart:
-    """Start to report on the standard output; return the process's only `Heart`. Call from the main thread."""
+def start_heartbeat() -> Heartbeat:
+    """Start to report on the standard output; return the process's only `Heartbeat`. Call from the main thread."""
     dump_stacks_on_signal()
     working.begin(FIRST_STEP)
-    return Heart()
+    return Heartbeat()

@@ -15,11 +15,11 @@ from bridge import state_file
 from bridge.concurrency import Backoff
 from bridge.config.model import Config
 from bridge.daemon import protocol
-from bridge.daemon.begin import DUMP_STACKS
-from bridge.daemon.link import Exit, OutlivingLink, PipeLink, WorkerLink, kill_group
+from bridge.daemon.heartbeat import DUMP_STACKS
 from bridge.daemon.lock import Lock
 from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.query import Phase
+from bridge.daemon.worker_channel import Exit, PipeChannel, SocketChannel, WorkerChannel, kill_group
 from bridge.daemon.workers import WorkerKind
 from bridge.progress import ENDLESS, Busy, Movement
 from bridge.worker import Health
@@ -56,11 +56,11 @@ class Timing:
     exit_poll: float = 0.05
 
 
-class Slot:
+class WorkerProcess:
     """Runs and monitors one worker.
 
     A ``standing`` worker is run by a separate service: the daemon adopts it and never starts it. ``first`` returns the
-    workers that must finish starting before this one, "" if none. ``link`` is the connection to its process.
+    workers that must finish starting before this one, "" if none. ``channel`` is the connection to its process.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Slot:
         self._standing = standing
         self._first = first
         self._backoff = Backoff()
-        self.link: WorkerLink | None = None
+        self.channel: WorkerChannel | None = None
         self._config: Config | None = None
         self._env: dict[str, str] = {}
         self._failure = ""
@@ -106,12 +106,12 @@ class Slot:
     @property
     def pid(self) -> int:
         """Process id, 0 if no process is attached."""
-        return self.link.pid if self.link is not None else 0
+        return self.channel.pid if self.channel is not None else 0
 
     @property
     def idle(self) -> bool:
         """Whether no process is attached."""
-        return self.link is None
+        return self.channel is None
 
     @property
     def still(self) -> float:
@@ -131,7 +131,7 @@ class Slot:
     @property
     def is_service(self) -> bool:
         """Whether a separate service runs the worker."""
-        return self._standing or (self.link is not None and self.link.owner == "service")
+        return self._standing or (self.channel is not None and self.channel.owner == "service")
 
     # -- configuration -------------------------------------------------------------------------------------------------
 
@@ -141,21 +141,21 @@ class Slot:
         enabled = self.kind.enabled(config)
         missing = self.kind.missing(config) if enabled == "auto" else ""
         if enabled is False or missing:
-            if self.link is not None:
+            if self.channel is not None:
                 self.stop(missing or "disabled by the configuration")
             else:
                 self._enter_idle()
             return
         if self.phase is Phase.STOPPING:
             self._then_start = True
-        elif self.link is None:
+        elif self.channel is None:
             self._backoff.reset()
             self._launch()
         elif old is None or self.kind.config_part(old) != self.kind.config_part(config):
             self._reconfigure(config)
 
     def _reconfigure(self, config: Config) -> None:
-        assert self.link is not None
+        assert self.channel is not None
         try:
             same = not self._env or self.kind.child_environment(config) == self._env
         except RuntimeError:
@@ -164,7 +164,7 @@ class Slot:
             self._restart("its environment has changed")
             return
         self.reloading = True
-        self.link.send(protocol.NewConfig(config))
+        self.channel.send(protocol.NewConfig(config))
 
     def _enter_idle(self) -> None:
         """Enter the phase of a worker without a process, with the reason."""
@@ -205,26 +205,26 @@ class Slot:
             self._cannot_work(str(err))
 
     def _adopt(self, config: Config) -> bool:
-        link = OutlivingLink(self._loop, self, self.kind, config)
-        if not link.adopt():
+        channel = SocketChannel(self._loop, self, self.kind, config)
+        if not channel.adopt():
             return False
-        self.link, self._env = link, {}
+        self.channel, self._env = channel, {}
         self._enter(Phase.STARTING)
-        link.send(protocol.NewConfig(config))
+        channel.send(protocol.NewConfig(config))
         return True
 
     def _spawn(self, config: Config, lock: Lock) -> None:
         self._env = self.kind.child_environment(config)
         if self.kind.outlives:
-            outliving = OutlivingLink(self._loop, self, self.kind, config)
-            outliving.spawn(self.kind, config, self._env, lock)
-            self.link = outliving
+            channel = SocketChannel(self._loop, self, self.kind, config)
+            channel.spawn(self.kind, config, self._env, lock)
+            self.channel = channel
         else:
-            self.link = PipeLink(self._loop, self, self.kind, self._env, lock)
-            self.link.send(protocol.NewConfig(config))
+            self.channel = PipeChannel(self._loop, self, self.kind, self._env, lock)
+            self.channel.send(protocol.NewConfig(config))
         self._enter(Phase.STARTING)
         self._spawned = True
-        logger.info("%s started as process %d", self.name, self.link.pid)
+        logger.info("%s started as process %d", self.name, self.channel.pid)
 
     def _wait_for(self, lock: Lock) -> None:
         """Wait for an earlier daemon's worker to exit; kill it after the stop limit."""
@@ -293,7 +293,7 @@ class Slot:
     def on_exit(self, ended: Exit) -> None:
         """Handle the exit of the worker's process."""
         self._standing = self.is_service
-        self.link = None
+        self.channel = None
         self.reloading = False
         now = time.monotonic()
         if self.phase is Phase.STOPPING:
@@ -315,8 +315,8 @@ class Slot:
 
     def tick(self) -> None:
         """Check limits, and start what is due; called several times a second."""
-        if self.link is not None:
-            self.link.poll()
+        if self.channel is not None:
+            self.channel.poll()
         now = time.monotonic()
         match self.phase:
             case Phase.STARTING | Phase.UP:
@@ -347,8 +347,8 @@ class Slot:
         elif still > limit and not self._asked:
             self._asked = True
             handles_signal = self.phase is Phase.UP or self.text  # before its first report the signal would kill it
-            if handles_signal and self.link is not None and self.link.pid and DUMP_STACKS is not None:
-                self.link.kill(DUMP_STACKS)
+            if handles_signal and self.channel is not None and self.channel.pid and DUMP_STACKS is not None:
+                self.channel.kill(DUMP_STACKS)
 
     def _silence(self, limit: float) -> str:
         if self.phase is Phase.UP:
@@ -367,28 +367,28 @@ class Slot:
         self._movement.moved += seconds
 
     def _kill(self, why: str) -> None:
-        if self._killed or self.link is None:
+        if self._killed or self.channel is None:
             return
         self._killed = True
         self._failure = why
-        logger.error("%s %s; killing process %d", self.name, why, self.link.pid)
+        logger.error("%s %s; killing process %d", self.name, why, self.channel.pid)
         self.kill()
 
     def kill(self) -> None:
         """Send SIGKILL."""
-        if self.link is None:
+        if self.channel is None:
             return
-        if self.link.pid:
-            self.link.kill(signal.SIGKILL)
+        if self.channel.pid:
+            self.channel.kill(signal.SIGKILL)
         else:
             # adopted, but its process id is unknown: the lock names it once this connection is closed
-            self.link.detach()
+            self.channel.detach()
             self.on_exit(Exit(None))
 
     # -- stopping ------------------------------------------------------------------------------------------------------
 
     def _restart(self, why: str) -> None:
-        if self.is_service and self.link is not None:  # it restarts by itself and is then adopted again
+        if self.is_service and self.channel is not None:  # it restarts by itself and is then adopted again
             logger.info("%s restarts: %s", self.name, why)
             self._enter(Phase.STOPPING, why)
             self._due = time.monotonic() + self._timing.stop
@@ -399,22 +399,22 @@ class Slot:
     def stop(self, why: str, seconds: float | None = None) -> None:
         """Ask the worker to stop; `tick` sends SIGKILL after ``seconds`` (by default the limit)."""
         self._then_start = False
-        if self.link is None:
+        if self.channel is None:
             self._enter(Phase.OFF)
             return
         if self.phase is not Phase.STOPPING:
             logger.info("stopping %s: %s", self.name, why)
             self._killed = False
             self._enter(Phase.STOPPING, why)
-            self.link.send(protocol.Stop())
-            self.link.kill(signal.SIGTERM)
+            self.channel.send(protocol.Stop())
+            self.channel.kill(signal.SIGTERM)
         self._due = time.monotonic() + (self._timing.stop if seconds is None else seconds)
 
     def release(self) -> None:
         """Disconnect from a worker that continues without this daemon."""
-        if self.link is not None:
-            self.link.detach()
-            self.link = None
+        if self.channel is not None:
+            self.channel.detach()
+            self.channel = None
         self._enter(Phase.OFF)
 
 

@@ -47,17 +47,17 @@ class Exit:
             return f"killed by signal {-self.code}"
 
 
-class LinkListener(Protocol):
-    """Callbacks of a link, on the daemon's loop."""
+class ChannelListener(Protocol):
+    """Callbacks of a channel, on the daemon's loop."""
 
     def on_report(self, report: protocol.Report) -> None:
         """Handle a report of the worker."""
 
     def on_exit(self, ended: Exit) -> None:
-        """Handle the exit of the worker's process; the link is closed by now."""
+        """Handle the exit of the worker's process; the channel is closed by now."""
 
 
-class WorkerLink(ABC):
+class WorkerChannel(ABC):
     """The daemon's connection to one worker process.
 
     Attributes:
@@ -65,7 +65,7 @@ class WorkerLink(ABC):
         owner: who started the process, and will stop it.
     """
 
-    def __init__(self, loop: SelectorLoop, listener: LinkListener) -> None:
+    def __init__(self, loop: SelectorLoop, listener: ChannelListener) -> None:
         self.pid = 0
         self.owner: protocol.Owner = "daemon"
         self._loop = loop
@@ -83,7 +83,7 @@ class WorkerLink(ABC):
 
     @abstractmethod
     def detach(self) -> None:
-        """Close the link and leave the process running."""
+        """Close the channel and leave the process running."""
 
     @abstractmethod
     def _writer(self) -> int:
@@ -148,11 +148,11 @@ def kill_group(pid: int, number: signal.Signals) -> None:
             os.kill(pid, number)
 
 
-class PipeLink(WorkerLink):
+class PipeChannel(WorkerChannel):
     """A child connected by pipes: it stops when this daemon exits, even if the daemon is killed."""
 
     def __init__(
-        self, loop: SelectorLoop, listener: LinkListener, kind: WorkerKind, env: Mapping[str, str], lock: Lock
+        self, loop: SelectorLoop, listener: ChannelListener, kind: WorkerKind, env: Mapping[str, str], lock: Lock
     ) -> None:
         super().__init__(loop, listener)
         self._process = subprocess.Popen(
@@ -221,10 +221,10 @@ class PipeLink(WorkerLink):
 _LAST_OUTPUT = 4096
 
 
-class OutlivingLink(WorkerLink):
+class SocketChannel(WorkerChannel):
     """A worker with a control socket, started by this daemon, by an earlier one, or by a separate service."""
 
-    def __init__(self, loop: SelectorLoop, listener: LinkListener, kind: WorkerKind, config: Config) -> None:
+    def __init__(self, loop: SelectorLoop, listener: ChannelListener, kind: WorkerKind, config: Config) -> None:
         super().__init__(loop, listener)
         self._path = state_file.control_socket(config, kind.name)
         self._output = state_file.worker_output(config, kind.name)
