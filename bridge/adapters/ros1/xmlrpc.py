@@ -1,0 +1,383 @@
+"""A bounded XML-RPC server for the APIs of ROS 1 nodes and of the master.
+
+One thread serves all connections, a small pool makes the calls. Connections, bodies, nesting, threads and time are
+limited, so that no client, slow or hostile, keeps others from being served. It replies to the clients of ROS 1 as the
+server of ``rosgraph.xmlrpc`` does, that of Python: HTTP/1.1 with persistent connections, ``system.multicall``, and a
+fault for an unknown method.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import http
+import logging
+import math
+import selectors
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+from xmlrpc.client import INTERNAL_ERROR, INVALID_METHOD_PARAMS, METHOD_NOT_FOUND, Fault
+
+from bridge.adapters.ros1.xmlrpc_request import (
+    DEFAULT_LIMITS,
+    SLOWEST,
+    Head,
+    HttpError,
+    Limits,
+    decode_call,
+    encode_response,
+    parse_head,
+)
+from bridge.concurrency import WorkerPool
+
+_log = logging.getLogger(__name__)
+
+Method = Callable[..., object]
+
+_PIECE = 64 * 1024
+_BACKLOG = 512
+_TICK = 1.0
+_JOIN_SECONDS = 1.0
+_KEEPALIVE = (("TCP_KEEPIDLE", 60), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 9))
+
+
+class _Connection:
+    """One client's connection.
+
+    ``deadline`` is on the monotonic clock: of the request that is arriving, or of the response that is being sent.
+    ``charged`` are the bytes that count for the limit of all requests. While ``served``, a thread makes its call.
+    """
+
+    def __init__(self, sock: socket.socket, deadline: float) -> None:
+        self.sock = sock
+        self.received = bytearray()
+        self.outgoing = memoryview(b"")
+        self.head: Head | None = None
+        self.deadline = deadline
+        self.idle_since = time.monotonic()
+        self.charged = 0
+        self.served = False
+        self.persistent = True
+        self.events = 0
+
+    @property
+    def idle(self) -> bool:
+        """Whether no request is arriving or being served."""
+        return not (self.received or self.served or self.outgoing or self.head)
+
+
+class XmlRpcServer:
+    """An XML-RPC server that calls ``methods`` by name, with the parameters of each request.
+
+    A method runs on a thread of the pool; calls of one connection are made in order, those of several at the same time.
+    An `xmlrpc.client.Fault` that it raises is the reply; any other exception is logged, and reported as a fault.
+
+    Args:
+        methods: by name.
+        address: on which it listens; "" for all of IPv4, "::" for all of IPv6 and IPv4.
+        port: 0 for any free one.
+        name: of its threads.
+        limits: see `Limits`.
+
+    Attributes:
+        port: on which it listens.
+
+    Raises:
+        OSError: it cannot listen there.
+    """
+
+    def __init__(
+        self, methods: Mapping[str, Method], address: str = "127.0.0.1", port: int = 0, *,
+        name: str = "midspan-xmlrpc", limits: Limits = DEFAULT_LIMITS,
+    ) -> None:  # fmt: skip
+        self._methods, self._limits, self._name = methods, limits, name
+        self._failed: set[str] = set()
+        self._listener = _listen(address, port)
+        self.port: int = self._listener.getsockname()[1]
+        self._selector = selectors.DefaultSelector()
+        self._wake_read, self._wake_write = socket.socketpair()
+        self._wake_read.setblocking(False)
+        self._wake_write.setblocking(False)
+        self._selector.register(self._wake_read, selectors.EVENT_READ)
+        self._accepting = self._scarce = False
+        self._connections: set[_Connection] = set()
+        self._buffered = 0
+        self._responses: deque[tuple[_Connection, bytes]] = deque()
+        self._pool = WorkerPool(limits.threads, f"{name}-call")
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    @property
+    def connections(self) -> int:
+        """Number of open connections."""
+        return len(self._connections)
+
+    def start(self) -> None:
+        """Start to serve."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop serving, and close all connections. Safe to call twice, and in a method that the server calls."""
+        self._stopping = True
+        self._pool.close()
+        if self._thread.is_alive():
+            self._wake()
+            if self._thread is not threading.current_thread():
+                self._thread.join(_JOIN_SECONDS)
+        elif self._thread.ident is None:
+            self._close_sockets()
+
+    # -- the thread of the connections ---------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        self._accept(enabled=True)
+        check = time.monotonic() + _TICK
+        while not self._stopping:
+            for key, events in self._selector.select(_TICK):
+                if key.fileobj is self._listener:
+                    self._accept_clients()
+                elif isinstance(key.data, _Connection):
+                    if key.data in self._connections:  # an earlier event may have closed it
+                        self._on_ready(key.data, events)
+                else:
+                    with contextlib.suppress(BlockingIOError):
+                        self._wake_read.recv(4096)
+            self._send_responses()
+            if (now := time.monotonic()) >= check:
+                check = now + _TICK
+                self._expire(now)
+        self._send_responses()
+        self._close_sockets()
+
+    def _close_sockets(self) -> None:
+        for connection in list(self._connections):
+            self._close(connection)
+        self._listener.close()
+        self._selector.close()
+        self._wake_read.close()
+        self._wake_write.close()
+
+    def _wake(self) -> None:
+        with contextlib.suppress(OSError):  # full: it wakes anyway; closed: the server ended meanwhile
+            self._wake_write.send(b"w")
+
+    def _accept(self, *, enabled: bool) -> None:
+        if enabled != self._accepting:
+            self._accepting = enabled
+            if enabled:
+                self._selector.register(self._listener, selectors.EVENT_READ)
+            else:
+                self._selector.unregister(self._listener)
+
+    def _accept_clients(self) -> None:
+        while len(self._connections) < self._limits.connections or self._close_idle():
+            try:
+                sock, _ = self._listener.accept()
+            except BlockingIOError:
+                return
+            except OSError as err:  # no descriptor is left: others wait in the backlog until the next check
+                if not self._scarce:
+                    _log.warning("%s: cannot accept a connection: %s", self._name, err.strerror)
+                self._scarce = True
+                break
+            self._scarce = False
+            _configure(sock)
+            connection = _Connection(sock, time.monotonic() + self._limits.seconds)
+            self._connections.add(connection)
+            self._watch(connection, selectors.EVENT_READ)
+        self._accept(enabled=False)
+
+    def _close_idle(self) -> bool:
+        idle = [connection for connection in self._connections if connection.idle]
+        if idle:
+            self._close(min(idle, key=lambda connection: connection.idle_since))
+        return bool(idle)
+
+    def _expire(self, now: float) -> None:
+        for connection in [c for c in self._connections if c.deadline <= now]:
+            self._close(connection)
+        self._accept(enabled=True)
+
+    def _watch(self, connection: _Connection, events: int) -> None:
+        if events == connection.events:
+            return
+        if not connection.events:
+            self._selector.register(connection.sock, events, connection)
+        elif not events:
+            self._selector.unregister(connection.sock)
+        else:
+            self._selector.modify(connection.sock, events, connection)
+        connection.events = events
+
+    def _close(self, connection: _Connection) -> None:
+        self._watch(connection, 0)
+        self._connections.discard(connection)
+        self._buffered -= connection.charged
+        connection.charged = 0
+        connection.sock.close()
+        self._accept(enabled=not self._stopping and not self._scarce)
+
+    def _on_ready(self, connection: _Connection, events: int) -> None:
+        try:
+            if events & selectors.EVENT_WRITE:
+                self._send(connection)
+            elif self._receive(connection):
+                self._advance(connection)
+        except HttpError as err:
+            self._reject(connection, err.status)
+        except OSError:
+            self._close(connection)
+
+    def _receive(self, connection: _Connection) -> bool:
+        """Read what has arrived; return False if there is nothing to process."""
+        try:
+            data = connection.sock.recv(_PIECE)
+        except BlockingIOError:
+            return False
+        if not data:
+            self._close(connection)
+            return False
+        if connection.idle:
+            connection.deadline = time.monotonic() + self._limits.seconds
+        connection.received += data
+        connection.charged += len(data)
+        self._buffered += len(data)
+        if self._buffered > self._limits.buffered:
+            largest = max((c for c in self._connections if not c.served), key=lambda c: c.charged)
+            self._reject(largest, http.HTTPStatus.SERVICE_UNAVAILABLE)
+            return largest is not connection
+        return True
+
+    def _advance(self, connection: _Connection) -> None:
+        """Serve a request if it is complete; raises `HttpError` if it is invalid."""
+        if connection.head is None:
+            end = connection.received.find(b"\r\n\r\n", 0, self._limits.head)
+            if end < 0:
+                if len(connection.received) >= self._limits.head:
+                    raise HttpError(http.HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE)
+                return
+            connection.head = parse_head(bytes(connection.received[:end]), self._limits.body)
+            del connection.received[: end + 4]
+            connection.deadline += connection.head.length / SLOWEST
+            if connection.head.wants_continue and not connection.received:
+                connection.sock.send(b"HTTP/1.1 100 Continue\r\n\r\n")
+        head = connection.head
+        if len(connection.received) < head.length:
+            return
+        body = bytes(connection.received[: head.length])
+        del connection.received[: head.length]
+        connection.head, connection.served, connection.persistent = None, True, head.persistent
+        connection.deadline = math.inf
+        self._watch(connection, 0)
+        self._pool.submit(lambda: self._serve(connection, body))
+
+    def _reject(self, connection: _Connection, status: http.HTTPStatus) -> None:
+        connection.persistent = False
+        connection.received.clear()
+        line = f"HTTP/1.1 {status.value} {status.phrase}\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
+        self._respond(connection, line.encode())
+
+    def _send_responses(self) -> None:
+        while self._responses:
+            connection, response = self._responses.popleft()
+            connection.served = False
+            if connection in self._connections:
+                self._respond(connection, response)
+
+    def _respond(self, connection: _Connection, response: bytes) -> None:
+        connection.outgoing = memoryview(response)
+        connection.deadline = time.monotonic() + self._limits.seconds + len(response) / SLOWEST
+        try:
+            self._send(connection)
+        except OSError:
+            self._close(connection)
+
+    def _send(self, connection: _Connection) -> None:
+        with contextlib.suppress(BlockingIOError):
+            connection.outgoing = connection.outgoing[connection.sock.send(connection.outgoing) :]
+        if connection.outgoing:
+            self._watch(connection, selectors.EVENT_WRITE)
+            return
+        if not connection.persistent:
+            self._close(connection)
+            return
+        left = len(connection.received)
+        self._buffered += left - connection.charged
+        connection.charged = left
+        connection.idle_since = time.monotonic()
+        connection.deadline = connection.idle_since + self._limits.seconds if left else math.inf
+        self._watch(connection, selectors.EVENT_READ)
+        try:
+            self._advance(connection)  # the next request may have arrived already
+        except HttpError as err:
+            self._reject(connection, err.status)
+
+    # -- the threads of the pool ---------------------------------------------------------------------------------------
+
+    def _serve(self, connection: _Connection, body: bytes) -> None:
+        method = ""
+        try:
+            method, params = decode_call(body, self._limits)
+            response = encode_response(self._call(method, params))
+        except Exception as err:
+            response = encode_response(self._fault(method, err))
+        option = "" if connection.persistent else "Connection: close\r\n"
+        head = f"HTTP/1.1 200 OK\r\n{option}Content-Type: text/xml\r\nContent-Length: {len(response)}\r\n\r\n"
+        self._responses.append((connection, head.encode() + response))
+        self._wake()
+
+    def _call(self, method: str, params: Sequence[Any]) -> object:
+        if method == "system.multicall":
+            return [self._call_one(call) for call in params[0]]
+        function = self._methods.get(method)
+        if function is None:
+            raise Fault(METHOD_NOT_FOUND, f'method "{method}" is not supported')
+        return function(*params)
+
+    def _call_one(self, call: dict[str, Any]) -> object:
+        """Make one call of ``system.multicall``; its failure does not prevent the others."""
+        method = ""
+        try:
+            method, params = call["methodName"], call["params"]
+            if method != "system.multicall":
+                return [self._call(method, params)]
+            fault = Fault(INVALID_METHOD_PARAMS, "system.multicall cannot be nested")
+        except Exception as err:
+            fault = self._fault(method, err)
+        return {"faultCode": fault.faultCode, "faultString": fault.faultString}
+
+    def _fault(self, method: str, err: Exception) -> Fault:
+        if isinstance(err, Fault):
+            return err
+        if method in self._methods and method not in self._failed:  # once for each: clients can cause it at any rate
+            self._failed.add(method)
+            _log.warning("%s: %s failed", self._name, method, exc_info=err)
+        return Fault(INTERNAL_ERROR, f"{type(err).__name__}: {err}")
+
+
+def _listen(address: str, port: int) -> socket.socket:
+    listener = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if address == "::":
+            listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 0)
+        listener.bind((address, port))
+        listener.listen(_BACKLOG)
+        listener.setblocking(False)
+    except OSError:
+        listener.close()
+        raise
+    return listener
+
+
+def _configure(sock: socket.socket) -> None:
+    sock.setblocking(False)
+    with contextlib.suppress(OSError):  # macOS: the client has closed the connection meanwhile
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)  # so that the loss of a client's machine is noticed
+        for name, value in _KEEPALIVE:
+            if hasattr(socket, name):
+                sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)

@@ -1,0 +1,153 @@
+"""Requests and responses of an XML-RPC server: HTTP headers and XML, checked against limits."""
+
+from __future__ import annotations
+
+import http
+import xmlrpc.client
+from dataclasses import dataclass
+from typing import Any
+from xml.parsers import expat
+
+_PATHS = ("/", "/RPC2")
+"""Python's clients replace an empty path by /RPC2."""
+
+_INVALID = (expat.ExpatError, xmlrpc.client.Error, ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
+"""Exceptions that Python's XML-RPC parser raises for invalid documents."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits of a server.
+
+    Attributes:
+        connections: open at once; beyond that, the one that has been idle longest is closed.
+        body: bytes of one request.
+        buffered: bytes of all requests that are being received or served.
+        head: bytes of a request's HTTP header.
+        depth: nested arrays and structures.
+        values: number of values in one request.
+        seconds: for a whole request to arrive, and for a whole response to be accepted; longer for large ones.
+        threads: that make calls.
+    """
+
+    connections: int = 1024
+    body: int = 16 * 2**20
+    buffered: int = 64 * 2**20
+    head: int = 16 * 1024
+    depth: int = 64
+    values: int = 200_000
+    seconds: float = 10.0
+    threads: int = 4
+
+
+DEFAULT_LIMITS = Limits()
+
+SLOWEST = 100_000
+"""Bytes per second by which the time for a request or a response grows with its size."""
+
+
+class _Decoder(xmlrpc.client.Unmarshaller):
+    """Python's decoder, with limits."""
+
+    def __init__(self, limits: Limits) -> None:
+        super().__init__()
+        self._depth_limit, self._values_left = limits.depth, limits.values
+        self._depth = 0
+
+    def start(self, tag: str, attrs: dict[str, str]) -> None:
+        """Handle a start tag."""
+        if tag in ("array", "struct"):
+            self._depth += 1
+            if self._depth > self._depth_limit:
+                raise ValueError(f"values are nested deeper than {self._depth_limit} levels")
+        elif tag == "value":
+            self._values_left -= 1
+            if self._values_left < 0:
+                raise ValueError("too many values in one request")
+        super().start(tag, attrs)
+
+    def end(self, tag: str) -> None:
+        """Handle an end tag."""
+        if tag in ("array", "struct"):
+            self._depth -= 1
+        super().end(tag)
+
+
+def decode_call(body: bytes, limits: Limits) -> tuple[str, tuple[Any, ...]]:
+    """Return method and parameters of a request; raises `xmlrpc.client.Fault` if it is invalid."""
+    decoder = _Decoder(limits)
+    decoder.xml(None, None)  # the parser decodes
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    parser.StartElementHandler = decoder.start
+    parser.EndElementHandler = decoder.end
+    parser.CharacterDataHandler = decoder.data
+    parser.StartDoctypeDeclHandler = _refuse_doctype
+    try:
+        parser.Parse(body, True)
+        params = decoder.close()
+    except _INVALID as err:
+        raise xmlrpc.client.Fault(xmlrpc.client.NOT_WELLFORMED_ERROR, f"not an XML-RPC request: {err}") from None
+    method = decoder.getmethodname()
+    if not isinstance(method, str):
+        raise xmlrpc.client.Fault(xmlrpc.client.INVALID_XMLRPC, "not an XML-RPC request: it names no method")
+    return method, params
+
+
+def _refuse_doctype(*_: object) -> None:
+    raise ValueError("a document type declaration is not accepted")  # with it, entities could expand without limit
+
+
+class HttpError(Exception):
+    """A request that is answered with an HTTP status; the connection is closed."""
+
+    def __init__(self, status: http.HTTPStatus) -> None:
+        super().__init__(status.phrase)
+        self.status = status
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """The parts of an HTTP header that matter: size of the body, whether the connection persists after the response."""
+
+    length: int
+    persistent: bool
+    wants_continue: bool
+
+
+def parse_head(data: bytes, limit: int) -> Head:
+    """Parse an HTTP header; raises `HttpError`."""
+    lines = data.decode("latin-1").split("\r\n")
+    words = lines[0].split()
+    if len(words) != 3 or not words[2].startswith("HTTP/1."):
+        raise HttpError(http.HTTPStatus.BAD_REQUEST)
+    if words[0] != "POST":
+        raise HttpError(http.HTTPStatus.NOT_IMPLEMENTED)
+    if words[1] not in _PATHS:
+        raise HttpError(http.HTTPStatus.NOT_FOUND)
+    fields: dict[str, str] = {}
+    for line in lines[1:]:
+        name, colon, value = line.partition(":")
+        name = name.lower()
+        if not colon or (name == "content-length" and name in fields):
+            raise HttpError(http.HTTPStatus.BAD_REQUEST)
+        fields[name] = value.strip()
+    if fields.get("content-encoding", "identity").lower() != "identity":
+        raise HttpError(http.HTTPStatus.NOT_IMPLEMENTED)
+    size = fields.get("content-length", "")
+    if not size or "transfer-encoding" in fields:
+        raise HttpError(http.HTTPStatus.LENGTH_REQUIRED)
+    if not (size.isascii() and size.isdigit()):
+        raise HttpError(http.HTTPStatus.BAD_REQUEST)
+    if len(size) > 12 or int(size) > limit:
+        raise HttpError(http.HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+    option = fields.get("connection", "").lower()
+    persistent = option != "close" and (words[2] != "HTTP/1.0" or option == "keep-alive")
+    return Head(int(size), persistent, fields.get("expect", "").lower() == "100-continue")
+
+
+def encode_response(result: object) -> bytes:
+    """Return the XML of a response; raises `TypeError` or `OverflowError` if XML-RPC lacks the value's type."""
+    fault = isinstance(result, xmlrpc.client.Fault)
+    text = xmlrpc.client.dumps(result if fault else (result,), methodresponse=True)  # type: ignore[arg-type]
+    return text.encode("utf-8", "xmlcharrefreplace")
