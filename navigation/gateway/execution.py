@@ -159,7 +159,7 @@ class Execution:
             # this goal replaces the planner's earlier goals, which are also canceled
             self._order.drop(f"{MAY_MOVE}: {drive.client} gave another goal")
         drive.machine.on(DriveEvent.SEND)
-        drive.released, drive.sent_at, drive.reason = False, now, ""
+        drive.released, drive.path_canceled, drive.sent_at, drive.reason = False, False, now, ""
         drive.sent = self._link.send(
             drive.target.goal(self._planner, robot_pose(self._frames)),
             lambda sent, result, reason: self._on_end(drive, sent, result, reason),
@@ -183,6 +183,7 @@ class Execution:
         if drive.sent is not None:
             self._link.end(drive.sent)
         if not self._link.foreign:
+            drive.path_canceled |= self._link.may_move
             self._link.end_motion()
 
     def stop_drive(self, reason: str) -> None:
@@ -320,10 +321,11 @@ class Execution:
         """The planner itself ended the goal."""
         code = int(result.get("error_code", 0))
         reason = nav2_errors.reason_text(str(result.get("error_msg", "")) or message, code)
-        if sent.status is GoalState.SUCCEEDED:
+        succeeded = sent.status is GoalState.SUCCEEDED
+        if drive.state in _STOPPING and (drive.path_canceled or not succeeded):
+            return  # `advance` confirms the stop or pause; Nav2 counts a canceled path as one that reached the goal
+        if succeeded:
             self._on_reached(drive)
-        elif drive.state in _STOPPING:
-            return  # expected: `advance` confirms the stop or pause
         elif sent.accepted is False:
             self._on_rejected(drive)
         elif sent.status is GoalState.CANCELED:

@@ -415,4 +415,4 @@ def test_heartbeats_are_rarer_if_the_text_does_not_change(monkeypatch: pytest.Mo
     worker_main.WorkerLoop(Reporting(texts), commands, report).run(Config())
     first, second, third = (later - earlier for earlier, later in itertools.pairwise(at))
     assert max(first, second) < 4.0, "something new"
-    assert third >= 4.0, "the same again"
+    assert third > 3.5, "the same again: the interval begins before the report is written"

@@ -167,7 +167,8 @@ def test_work_behind_a_hanging_step_is_skipped(loop: EventLoop) -> None:
     assert not ran
 
 
-def test_work_for_the_main_thread_counts_as_its_progress(loop: EventLoop) -> None:
+def test_work_for_the_main_thread_counts_as_its_progress(loop: EventLoop, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bridge.progress.BUSY_SECONDS", 0.0)
     with working.busy("waiting"):
         loop.work(lambda: use_processor(0.2))
         busy = working.now()

@@ -210,6 +210,9 @@ class Node:
         self._changed()
 
     def _message(self, datagram: dict[str, Any]) -> None:
+        program = self.programs.get(str(datagram["from"]).partition(".")[0])
+        if "number" in datagram and (program is None or datagram["from"] not in program.ends):
+            return  # its next hello, which lists the number, has it requested again
         with self._lock:
             ends = [e for e in self._ends.values() if e.topic == datagram["topic"] and e.take]
             receivers = [e.take for e in ends if self._is_new(e, datagram)]

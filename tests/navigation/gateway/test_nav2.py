@@ -177,6 +177,32 @@ def test_a_client_that_cancels_its_goal_has_the_controllers_goal_canceled_too(
     robot.rig.state(State.IDLE)
 
 
+def test_a_goal_that_nav2_counts_as_reached_when_its_path_is_canceled_ends_canceled(
+    robot: Scene, controller: Controller
+) -> None:
+    robot.planner.cancels = False
+    client_goal = robot.drive()
+    client_goal.cancel()
+    assert controller.canceled.wait(20)
+    controller.end()
+    robot.planner.end(GoalState.SUCCEEDED)
+    robot.base.speed = 0.0
+    assert client_goal.end()[0] == "CANCELED"
+    robot.rig.state(State.IDLE)
+
+
+def test_a_pause_does_not_end_a_goal_that_nav2_counts_as_reached(robot: Scene, controller: Controller) -> None:
+    robot.planner.cancels = False
+    robot.drive()
+    pause = robot.begin("pause")
+    assert controller.canceled.wait(20)
+    controller.end()
+    robot.planner.end(GoalState.SUCCEEDED)
+    robot.base.speed = 0.0
+    assert confirmed(pause) == ""
+    robot.rig.state(State.PAUSED)
+
+
 def test_a_pause_is_not_confirmed_before_the_controllers_goal_has_ended(
     robot: Scene, controller: Controller, monkeypatch: pytest.MonkeyPatch
 ) -> None:
