@@ -26,7 +26,7 @@ demo: setup ## a simulated R1 sent to rooms by YARP, ROS 1 and ROS 2 clients (ST
 	@$(BIN)/midspan demo $(if $(PNG),--png '$(PNG)') $(if $(filter-out 0,$(STAY)),--stay) $(if $(JSON),--json '$(JSON)')
 
 mix: setup ## clients of all four sides over three kinds of planners (JSON=FILE writes the table)
-	@$(BIN)/python -m tests.interop.mix_table $(if $(JSON),--json '$(JSON)')
+	@$(BIN)/python -m tests.peers.navigation.mix_table $(if $(JSON),--json '$(JSON)')
 
 test: setup ## test Midspan on this machine with the real middlewares (ARGS='tests/hub -k latched' for some tests)
 	@$(forget); $(pytest) -n 6 -m 'not thorough and not long' $(ARGS) || $(go_on); $(again)

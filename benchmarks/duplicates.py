@@ -17,7 +17,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
-from tests.interop.several import Several, flows, pour, ring, triangle
+from tests.peers.daemon.several import Several, flows, pour, ring, triangle
 
 CASES = {"ring": ring, "triangle": triangle}
 HUBS = {"joined": True, "apart": False}

@@ -24,11 +24,11 @@ import psutil
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
-from tests.interop.deployment import Deployment
-from tests.support.peer import Peer
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.peer import Peer
+from tests.peers.ros1.network import ROS1_PYTHON
+from tests.peers.ros2.network import ros2_environment, ros2_python
 from tests.support.ports import free_port
-from tests.support.ros1 import ROS1_PYTHON
-from tests.support.ros2 import ros2_environment, ros2_python
 from tests.support.wait import until
 
 PROGRAMS = Path(__file__).parent / "frameload"

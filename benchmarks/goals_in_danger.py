@@ -25,9 +25,9 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
-from tests.interop.calls_table import ROS1, ROS2, SUCCEEDED, Pair
-from tests.interop.deployment import Deployment
-from tests.support.peer import Peer
+from tests.peers.daemon.calls_table import ROS1, ROS2, SUCCEEDED, Pair
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.peer import Peer
 from tests.support.wait import until
 
 SECONDS = 60.0

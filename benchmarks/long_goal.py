@@ -15,8 +15,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
-from tests.interop.calls_table import ROS1, ROS2, SUCCEEDED, Pair
-from tests.interop.deployment import Deployment
+from tests.peers.daemon.calls_table import ROS1, ROS2, SUCCEEDED, Pair
+from tests.peers.daemon.deployment import Deployment
 
 WAYS = {"ROS 2 client, ROS 1 server": (ROS1, ROS2), "ROS 1 client, ROS 2 server": (ROS2, ROS1)}
 SLACK = 30.0

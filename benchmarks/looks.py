@@ -23,8 +23,8 @@ from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.routing.edge import MadeBy
 from bridge.routing.engine import Engine
-from tests.support.fake import FakeEdge, FakeNetwork
-from tests.support.hub import HubNetwork
+from tests.peers.fake import FakeEdge, FakeNetwork
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 TYPE = "std_msgs/msg/String"

@@ -37,7 +37,7 @@ from navigation.mapper3d.layer import UPDATE, LayerPublisher
 from navigation.mapper3d.space import OPTICAL, FieldOfView, SensorPose, Space
 from navigation.maps.grid_map import GRID_MAP, HEIGHTS
 from navigation.messages import GRID
-from tests.support.quick_hub import QuickHub
+from tests.peers.hub.quick import QuickHub
 
 WIDTH, HEIGHT, RATE = 640, 480, 5.0
 FOCUS = WIDTH / 2 / math.tan(math.radians(87.0) / 2)

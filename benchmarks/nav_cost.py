@@ -22,7 +22,7 @@ import psutil
 import yaml
 
 from benchmarks.rows import Row, add_json_option, report
-from tests.support.chain import Chain
+from tests.peers.navigation.chain import Chain
 
 _ENOUGH = {"modules": 40.0, "sim": 25.0, "yarp": 10.0, "router": 5.0, "daemon": 2.0}
 """Limits, percent of a core."""

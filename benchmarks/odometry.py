@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
 from bridge.hub.wire.qos import Qos
-from tests.support.chain import Chain
+from tests.peers.navigation.chain import Chain
 from tests.support.wait import until
 
 LINEAR, ANGULAR = 0.30, 0.4

@@ -37,7 +37,7 @@ from bridge.messages.registry import Registry
 from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 
-_SUPPORT = Path(__file__).parents[1] / "tests" / "support"
+_PEERS = Path(__file__).parents[1] / "tests" / "peers"
 _TYPE = "nav2_msgs/action/NavigateToPose"  # move_base's too, on the hub
 _LOOK_SECONDS = 0.002
 _IDLE_SECONDS = 10.0
@@ -59,8 +59,8 @@ class Side:
 
 
 SIDES = (
-    Side("ros1", "move_base on ROS 1", "/move_base", "ros1_move_base.py", (0.0, 5.0)),
-    Side("ros2", "Nav2 on ROS 2", "/navigate_to_pose", "ros2_nav2.py", (0.0, 25.0)),
+    Side("ros1", "move_base on ROS 1", "/move_base", "ros1/move_base.py", (0.0, 5.0)),
+    Side("ros2", "Nav2 on ROS 2", "/navigate_to_pose", "ros2/nav2.py", (0.0, 25.0)),
 )
 
 
@@ -129,7 +129,7 @@ class Bench(Processes):
 
     def start_planner(self) -> float:
         """Start the planner, and return the moment at which it was registered."""
-        program = str(_SUPPORT / self.side.program)
+        program = str(_PEERS / self.side.program)
         self.launch(
             "planner", f"benchmarks.returned.{self.side.key}", "planner", program, system=self.side.key == "ros1"
         )

@@ -17,9 +17,9 @@ if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
-from tests.interop.deployment import Deployment
-from tests.interop.square import Program, driven
 from tests.interop.test_base import Robot, RosLike, YarpProgram, connected, moved
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.navigation.square import Program, driven
 
 ALLOWED, DRIFT = 0.05, 0.01
 

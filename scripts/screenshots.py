@@ -20,9 +20,9 @@ from PIL import Image
 from selenium.webdriver import Chrome, ChromeOptions
 from selenium.webdriver.chrome.service import Service
 
+from tests.peers.browser.page import TestPage
+from tests.peers.browser.robot import WebRobot
 from tests.support.wait import until
-from tests.web.page import TestPage
-from tests.web.robot import WebRobot
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "operate" / "console"
 VIEWS = ("drive", "places", "status", "topics//scan", "frames", "system")

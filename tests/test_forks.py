@@ -130,6 +130,6 @@ def test_programs_end_with_who_forked_them(start: Start) -> None:
 
 
 def test_only_programs_of_the_tests_are_forked_unasked() -> None:
-    assert forks.can_fork([sys.executable, str(Path(__file__).parent / "support" / "ros2_peer.py")])
+    assert forks.can_fork([sys.executable, str(Path(__file__).parent / "peers" / "ros2" / "peer.py")])
     assert not forks.can_fork([sys.executable, "-c", "pass"])
     assert not forks.can_fork(["/usr/bin/python3", "/usr/bin/roscore"])

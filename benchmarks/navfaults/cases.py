@@ -20,7 +20,7 @@ from benchmarks.navfaults.outcome import Outcome
 from benchmarks.navfaults.two_machines import TwoMachines
 from bridge.messages.actions import GoalState
 from navigation.status import Fault as Why
-from tests.support.chain import Chain, SentGoal
+from tests.peers.navigation.chain import Chain, SentGoal
 
 Make = Callable[[Chain], AbstractContextManager[object]]
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import yaml
 
-from tests.interop.deployment import MIDSPAN
-from tests.support.chain import Chain
+from tests.peers.daemon.deployment import MIDSPAN
+from tests.peers.navigation.chain import Chain
 from tests.support.netns import Cable, Machine
 from tests.support.process import Process
 

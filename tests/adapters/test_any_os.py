@@ -17,13 +17,13 @@ from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide
 from tests.contract.side import PeerLike
+from tests.peers.hub.quick import QuickHub
+from tests.peers.yarp.programs import Definitions, Names, YarpProgram
+from tests.peers.zenoh.programs import Ros2ddsBridge, Router
 from tests.support.hidden import HIDE, LIBRARIES, NAME, is_windows_name
 from tests.support.process import Process
-from tests.support.quick_hub import QuickHub
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
-from tests.support.yarp_programs import Definitions, Names, YarpProgram
-from tests.support.zenoh_programs import Ros2ddsBridge, Router
 
 ROOT = Path(__file__).parents[2]
 STRING = "std_msgs/String"

@@ -18,9 +18,9 @@ from bridge.hub.session import Hub
 from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
 from bridge.routing.edge import MadeBy
-from tests.support.calls import Calling, Serving
-from tests.support.fake import FakeEdge, FakeNetwork
-from tests.support.quick_hub import QuickHub
+from tests.peers.fake import FakeEdge, FakeNetwork
+from tests.peers.hub.calls import Calling, Serving
+from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until
 
 REGISTRY = Registry()

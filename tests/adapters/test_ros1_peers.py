@@ -7,7 +7,7 @@ import pytest
 
 from bridge.adapters import ros1_peers
 from bridge.adapters.ros1_peers import RefusedError, Ros1ProtocolError, UnreachableError
-from tests.adapters.ros1.servers import node, tcp_server, until_closed
+from tests.peers.ros1.servers import node, tcp_server, until_closed
 from tests.support.ports import free_port
 
 

@@ -12,10 +12,10 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
+from tests.peers.ros1.network import ROS1_PYTHON, ros1_environment
 from tests.support.missing import ROS1, need
-from tests.support.ros1 import ROS1_PYTHON, ros1_environment
 
-PROGRAM = Path(__file__).parents[1] / "support" / "ros1_bag.py"
+PROGRAM = Path(__file__).parents[1] / "peers" / "ros1" / "bag.py"
 
 Message = tuple[str, str, Any]
 """Topic, type and the reader's object, or mappings."""

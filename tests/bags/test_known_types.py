@@ -19,7 +19,7 @@ from bridge.messages.registry import Registry
 from tests.bags.foreign import CDR, TIME, Recorded, foreign_mcap, humble_db3
 from tests.bags.stock import rosbag, rosbags
 from tests.bags.written import ROS2, START, STRING, value
-from tests.support.ros1 import needs_ros1
+from tests.peers.ros1.network import needs_ros1
 
 DRIVE, RANGE, SEPARATOR = "my_robot/msg/Drive", "sensor_msgs/msg/Range", "=" * 80
 OLD_DRIVE, NEW_DRIVE = "float32 speed\nfloat32 angle\n", "float32 angle\nfloat32 speed\n"

@@ -28,9 +28,9 @@ from bridge.messages.registry import Registry
 from tests.bags import written
 from tests.bags.playing import NS, START, Said, transform, write_bag
 from tests.contract.hubside import HubSide
-from tests.support.peer import stop_all
+from tests.peers.hub.quick import QuickHub
+from tests.peers.peer import stop_all
 from tests.support.process import Process
-from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
 
 TEXT, TWIST, TF = "std_msgs/String", "geometry_msgs/Twist", "tf2_msgs/TFMessage"

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from tests.modules.place import Place
+from tests.peers.hub.modules import Place
+from tests.peers.yarp.joints import Joints
 from tests.support.wait import until
-from tests.yarp_compat.dev.controlboard.joints import Joints
 from yarp_compat.dev.controlboard import modes
 from yarp_compat.dev.controlboard.server import ControlBoardServer
 from yarp_compat.naming.server import NameServer

@@ -13,8 +13,8 @@ import pytest
 
 from bridge.cli.main import main
 from bridge.messages.registry import Registry
-from tests.cli.workers import EngineWorker, FakeWorker, config_file
-from tests.support.hub import HubNetwork
+from tests.peers.daemon.workers import EngineWorker, FakeWorker, config_file
+from tests.peers.hub.network import HubNetwork
 
 _DOMAINS = itertools.count(1)
 

@@ -12,10 +12,10 @@ import pytest
 
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
-from tests.cli.workers import config_file
 from tests.contract.hubside import HubSide
+from tests.peers.daemon.workers import config_file
+from tests.peers.hub.quick import QuickHub
 from tests.support.hidden import HIDE, LIBRARIES, NAME
-from tests.support.quick_hub import QuickHub
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = """

@@ -18,8 +18,8 @@ from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
 from bridge.tf.stamped import Stamped, write
 from tests.cli.conftest import Midspan
-from tests.cli.workers import EngineWorker
-from tests.support.hub import HubNetwork
+from tests.peers.daemon.workers import EngineWorker
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -21,9 +21,9 @@ from tests.contract.ros2side import Ros2Side
 from tests.contract.side import CUSTOM_FOLDER, OWN_FOLDER, PEER_FOLDERS, Bridge, Side
 from tests.contract.yarpside import YarpSide
 from tests.contract.zenohside import Ros1KeysSide, Ros2ddsSide
-from tests.support.hub import HubNetwork
+from tests.peers.hub.network import HubNetwork
+from tests.peers.hub.quick import QuickHub
 from tests.support.lane import LANE
-from tests.support.quick_hub import QuickHub
 
 SIDES: dict[str, type[Any]] = {
     "fake": FakeSide,

@@ -17,9 +17,9 @@ from bridge.routing.engine import Engine
 from bridge.state_file import lane_folder
 from tests.contract.hubside import ros2_name, service_name
 from tests.contract.side import PEER_FOLDERS, Side
-from tests.support.calls import Calling, Serving
-from tests.support.fake import FakeEdge, FakeNetwork, Reader, Server, Writer
-from tests.support.hub import HubNetwork
+from tests.peers.fake import FakeEdge, FakeNetwork, Reader, Server, Writer
+from tests.peers.hub.calls import Calling, Serving
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 
@@ -67,7 +67,7 @@ class FakePeer:
             return list(self._heard[endpoint])
 
     def ask(self, do: str, **params: Any) -> dict[str, Any]:
-        """Execute the commands for services; see `tests.support.peer`."""
+        """Execute the commands for services; see `tests.peers.peer`."""
         if do == "serve":
             number, name = next(self._ids), service_name(params["type"])
             serving = self._servings[number] = Serving(self._registry, name, params)

@@ -13,7 +13,7 @@ from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from tests.contract.side import PeerLike
-from tests.support.calls import Calling, Serving
+from tests.peers.hub.calls import Calling, Serving
 from tests.support.wait import until
 
 

@@ -16,7 +16,7 @@ from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from tests.contract.hubside import ros2_name
 from tests.contract.side import PEER_FOLDERS, Side, WorkerProcess
-from tests.support.hub import HubNetwork
+from tests.peers.hub.network import HubNetwork
 
 PACKAGE = Path(__file__).parents[2] / "examples" / "own_side"
 sys.path.append(str(PACKAGE))

@@ -10,7 +10,7 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide
-from tests.support.zenoh_rmw import RmwNode
+from tests.peers.zenoh.rmw import RmwNode
 
 
 class RmwSide(HubSide):

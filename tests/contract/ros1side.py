@@ -9,9 +9,9 @@ from bridge.adapters.ros1.environment import worker_environment
 from bridge.config.model import Config
 from bridge.messages.registry import Registry
 from tests.contract.side import CUSTOM_TYPES, PEER_FOLDERS, Side, WorkerProcess
-from tests.support.hub import HubNetwork
-from tests.support.peer import Peer
-from tests.support.ros1 import RosMaster
+from tests.peers.hub.network import HubNetwork
+from tests.peers.peer import Peer
+from tests.peers.ros1.network import RosMaster
 
 
 class Ros1Side(Side):

@@ -13,10 +13,10 @@ from bridge.interfaces.builder import build
 from bridge.interfaces.cache import environment
 from bridge.interfaces.folders import read_folders
 from tests.contract.side import PEER_FOLDERS, Side, WorkerProcess
-from tests.support.hub import HubNetwork
+from tests.peers.hub.network import HubNetwork
+from tests.peers.peer import Peer
+from tests.peers.ros2.network import ROS2_PEER, SHORT_LEASE, ros2_domain, ros2_environment, ros2_python
 from tests.support.missing import ROS2, need
-from tests.support.peer import Peer
-from tests.support.ros2 import ROS2_PEER, SHORT_LEASE, ros2_domain, ros2_environment, ros2_python
 
 
 class Ros2Side(Side):

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from bridge.config.model import Config
-from tests.support.peer import stop_all
+from tests.peers.peer import stop_all
 from tests.support.process import Process
 from tests.support.wait import until
 
@@ -31,7 +31,7 @@ CUSTOM_TYPES = ("contract_msgs/Thing", "octomap_msgs/Octomap", "own_msgs/Ping")
 
 
 class PeerLike(Protocol):
-    """A program on the side; see ``tests.support.peer``."""
+    """A program on the side; see ``tests.peers.peer``."""
 
     def advertise(self, topic: str, type_: str, **qos: Any) -> int: ...
     def subscribe(self, topic: str, type_: str, **qos: Any) -> int: ...

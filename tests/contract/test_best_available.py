@@ -12,12 +12,12 @@ from bridge.hub.wire.qos import BEST_AVAILABLE_NS, Durability, Qos, Reliability
 from bridge.messages.json import from_json, to_json
 from tests.contract.hubside import HubSide
 from tests.contract.side import Bridge, Side
-from tests.support.hub import HubNetwork
-from tests.support.peer import Peer
-from tests.support.ros2 import ros2_environment, ros2_python
+from tests.peers.hub.network import HubNetwork
+from tests.peers.peer import Peer
+from tests.peers.ros2.network import ros2_environment, ros2_python
 from tests.support.wait import until
 
-PROGRAM = Path(__file__).parents[1] / "support" / "ros2_best_available.py"
+PROGRAM = Path(__file__).parents[1] / "peers" / "ros2" / "best_available.py"
 STRING, TWIST = "std_msgs/msg/String", "geometry_msgs/msg/Twist"
 OPEN = Qos(Reliability.BEST_AVAILABLE, Durability.BEST_AVAILABLE, deadline_ns=BEST_AVAILABLE_NS)
 

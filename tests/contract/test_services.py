@@ -9,7 +9,7 @@ import pytest
 from tests.contract.conftest import SIDES
 from tests.contract.hubside import HubSide
 from tests.contract.side import Bridge, PeerLike, Side
-from tests.support.peer import Peer
+from tests.peers.peer import Peer
 from tests.support.wait import until
 
 SET = "std_srvs/SetBool"

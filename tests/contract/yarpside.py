@@ -10,9 +10,9 @@ from bridge.adapters.worker import NetworkBridge, make_edges
 from bridge.config.model import Config
 from bridge.messages.registry import Registry
 from tests.contract.side import PEER_FOLDERS, Side
-from tests.support.hub import HubNetwork
+from tests.peers.hub.network import HubNetwork
+from tests.peers.yarp.programs import Definitions, Names, YarpProgram
 from tests.support.wait import until
-from tests.support.yarp_programs import Definitions, Names, YarpProgram
 
 
 class YarpBridge:

@@ -1,4 +1,4 @@
-"""The zenoh dialects of the contract suite: bridges like zenoh's plugins, see `tests.support.zenoh_programs`.
+"""The zenoh dialects of the contract suite: bridges like zenoh's plugins, see `tests.peers.zenoh.programs`.
 
 The adapter runs in the test's process, since it needs no middleware but zenoh.
 """
@@ -16,10 +16,10 @@ from bridge.adapters.zenoh import edge, ros1_discovery
 from bridge.config.model import Config
 from bridge.messages.registry import Registry
 from tests.contract.side import PEER_FOLDERS, Side
-from tests.support.hub import HubNetwork
+from tests.peers.hub.network import HubNetwork
+from tests.peers.zenoh.programs import Ros1Bridge, Ros2ddsBridge, Router, service_texts
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
-from tests.support.zenoh_programs import Ros1Bridge, Ros2ddsBridge, Router, service_texts
 
 PERIOD = 0.25
 """Seconds between beacons of the ros1 dialect, for all bridges: the plugin's period of 1 s makes the suite slow."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.daemon.daemon import Daemon
+from tests.peers.daemon.daemon import Daemon
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from bridge.daemon.supervisor import Supervisor
 from bridge.daemon.worker_process import Timing, WorkerProcess
 from bridge.daemon.workers import worker_kinds
 from bridge.progress import Busy
-from tests.daemon.daemon import Daemon, alive
+from tests.peers.daemon.daemon import Daemon, alive
 from tests.support.wait import until
 
 pytestmark = pytest.mark.thorough

@@ -14,7 +14,7 @@ import pytest
 from bridge.config.model import Config
 from bridge.daemon.log_query import OWN, KeptLines, LogServer, ask_log
 from bridge.daemon.loop import SelectorLoop
-from tests.daemon.daemon import Daemon
+from tests.peers.daemon.daemon import Daemon
 from tests.support.wait import until
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from bridge.daemon.notify import Notifier
-from tests.daemon.daemon import Daemon
+from tests.peers.daemon.daemon import Daemon
 from tests.support.process import Process, is_stopped
 from tests.support.wait import until
 
@@ -105,7 +105,7 @@ def test_watchdog_is_fed_unless_the_daemon_is_stopped(daemon: Daemon, systemd: S
 
 def test_watchdog_is_not_fed_if_only_the_loop_hangs(daemon: Daemon, systemd: Systemd) -> None:
     ticks, hangs = daemon.folder / "ticks", daemon.folder / "hangs"
-    command = [sys.executable, "-m", "tests.daemon.hanging", str(daemon.file), str(ticks), str(hangs)]
+    command = [sys.executable, "-m", "tests.peers.daemon.hanging", str(daemon.file), str(ticks), str(hangs)]
     process = Process(command, {**daemon.env, **systemd.env})
     daemon.processes.append(process)
     systemd.expect("READY=1")

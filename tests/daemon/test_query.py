@@ -13,7 +13,7 @@ import pytest
 from bridge.config.model import Config
 from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.query import QueryServer, ask_daemon
-from tests.daemon.daemon import Daemon
+from tests.peers.daemon.daemon import Daemon
 from tests.support.descriptors import no_descriptors
 from tests.support.wait import until
 

@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from tests.daemon.daemon import Daemon, alive
+from tests.peers.daemon.daemon import Daemon, alive
 from tests.support.process import Process
 from tests.support.wait import until
 

@@ -9,7 +9,7 @@ import time
 import psutil
 import pytest
 
-from tests.daemon.daemon import Daemon, alive, exited
+from tests.peers.daemon.daemon import Daemon, alive, exited
 from tests.support.wait import until
 
 WORKERS = ("router", "ros1", "ros2")

@@ -17,8 +17,8 @@ from bridge.daemon.units import start_hint, unit_of, units_in_use
 from bridge.doctor.check import Result
 from bridge.doctor.checks.hub import look_at_services
 from bridge.doctor.daemon_state import Life, daemon_state
-from tests.cli.daemons import RobotDaemon
 from tests.doctor.parts import around, every, only
+from tests.peers.daemon.robot_daemon import RobotDaemon
 from tests.support.wait import until
 
 

@@ -23,7 +23,7 @@ from bridge.daemon.control import Commands
 from bridge.daemon.protocol import NewConfig, Report, Stop, encode_command
 from bridge.daemon.workers import supervised_command
 from bridge.worker import Health, Worker
-from tests.daemon.daemon import Daemon, alive, exited
+from tests.peers.daemon.daemon import Daemon, alive, exited
 from tests.support.wait import until
 
 pytestmark = pytest.mark.thorough
@@ -361,10 +361,10 @@ def test_the_router_stores_its_log_for_the_next_daemon(daemon: Daemon) -> None:
 
 
 def test_a_crash_of_the_router_while_starting_is_logged(daemon: Daemon) -> None:
-    daemon.env["MIDSPAN_WORKERS"] = "router=tests.daemon.fakes:Nothing"
+    daemon.env["MIDSPAN_WORKERS"] = "router=tests.peers.daemon.fakes:Nothing"
     daemon.configure("ros1: {enabled: false}\nros2: {enabled: false}\n")
     process = daemon.start()
-    daemon.expect_output(process, "AttributeError: module 'tests.daemon.fakes' has no attribute 'Nothing'")
+    daemon.expect_output(process, "AttributeError: module 'tests.peers.daemon.fakes' has no attribute 'Nothing'")
     daemon.expect_output(process, "router ended with exit code 1")
 
 

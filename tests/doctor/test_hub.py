@@ -21,7 +21,7 @@ from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind, Origin
 from bridge.hub.wire.qos import Qos
 from tests.doctor.parts import around, hub, only, results
-from tests.support.hub import HubNetwork
+from tests.peers.hub.network import HubNetwork
 from tests.support.ports import free_port
 
 

@@ -14,8 +14,8 @@ from bridge.doctor.check import Result
 from bridge.doctor.checks import bridges, ros1
 from bridge.doctor.context import CheckContext
 from tests.doctor.parts import around, hub, only, results
+from tests.peers.ros1.network import RosMaster, needs_ros1
 from tests.support.ports import free_port
-from tests.support.ros1 import RosMaster, needs_ros1
 
 NOWHERE = "no-such-host.invalid"
 REMOTE = "http://192.0.2.1:11311"

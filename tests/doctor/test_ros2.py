@@ -13,10 +13,10 @@ from bridge.daemon.workers import worker_kinds
 from bridge.doctor.check import Result
 from bridge.doctor.checks import bridges, ros2
 from tests.doctor.parts import around, hub, only, results
+from tests.peers.peer import Peer
+from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.missing import ROS2, needs
-from tests.support.peer import Peer
 from tests.support.process import Process
-from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.wait import until
 
 OTHER_MIDSPAN = """

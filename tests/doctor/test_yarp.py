@@ -10,8 +10,8 @@ import pytest
 from bridge.doctor.check import Finding, Result
 from bridge.doctor.checks import yarp
 from tests.doctor.parts import around, hub, only
+from tests.peers.yarp.programs import Names
 from tests.support.ports import free_port
-from tests.support.yarp_programs import Names
 
 
 @pytest.fixture

@@ -9,14 +9,14 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests.examples.deployment import PLANNER, Examples, run
-from tests.interop.deployment import Deployment
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.daemon.examples import PLANNER, Examples, run
+from tests.peers.ros1.network import ROS1_PYTHON
+from tests.peers.ros2.network import ros2_environment, ros2_python
 from tests.support.process import Process
-from tests.support.ros1 import ROS1_PYTHON
-from tests.support.ros2 import ros2_environment, ros2_python
 from tests.support.wait import until
 
-SUPPORT = Path(__file__).parents[1] / "support"
+PEERS = Path(__file__).parents[1] / "peers"
 SIDES = ("yarp", "rospy", "rclpy", "zenoh")
 
 
@@ -25,9 +25,9 @@ def start(place: Examples, planner: str) -> Process | None:
     deployment = place.deployment
     program = None
     if planner == "move_base":
-        program = Process([ROS1_PYTHON, SUPPORT / "ros1_move_base.py", "2.0", "0.5"], deployment.master.env)
+        program = Process([ROS1_PYTHON, PEERS / "ros1" / "move_base.py", "2.0", "0.5"], deployment.master.env)
     elif planner == "nav2":
-        program = Process([ros2_python(), SUPPORT / "ros2_nav2.py", "2.0", "0.5"], ros2_environment())
+        program = Process([ros2_python(), PEERS / "ros2" / "nav2.py", "2.0", "0.5"], ros2_environment())
     deployment.configure(**place.sections(planner))
     deployment.hang_up()
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.examples.deployment import EXAMPLES, PLACES, Examples, run
-from tests.interop.deployment import Deployment
-from tests.support.ros1 import needs_ros1
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.daemon.examples import EXAMPLES, PLACES, Examples, run
+from tests.peers.ros1.network import needs_ros1
 
 pytestmark = needs_ros1
 

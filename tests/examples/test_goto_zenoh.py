@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from tests.examples.deployment import EXAMPLES
+from tests.peers.daemon.examples import EXAMPLES
 from tests.support.ports import free_port
 
 Status = dict[str, Any]

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.examples.deployment import EXAMPLES
-from tests.modules.place import Place
+from tests.peers.daemon.examples import EXAMPLES
+from tests.peers.hub.modules import Place
 from tests.support.wait import until
 from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer

@@ -17,10 +17,10 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos, Reliability
 from bridge.messages.registry import Registry
 from bridge.routing.edge import MadeBy
-from tests.cli.workers import EngineWorker
-from tests.hub.parts import HASH, LATCHED, Subscriber, advertise, see_each_other
+from tests.peers.daemon.workers import EngineWorker
+from tests.peers.hub.endpoints import HASH, LATCHED, Subscriber, advertise, see_each_other
+from tests.peers.hub.network import HubNetwork
 from tests.support.faults import FaultProxy
-from tests.support.hub import HubNetwork
 from tests.support.ports import free_port
 from tests.support.wait import until
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.goals_in_danger import DANGERS, STATES, WAYS, Scene
-from tests.interop.deployment import Deployment
+from tests.peers.daemon.deployment import Deployment
 
 pytestmark = [pytest.mark.thorough, pytest.mark.alone]
 

@@ -15,8 +15,8 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide, ros2_name
-from tests.foxglove.app import App
-from tests.support.quick_hub import QuickHub
+from tests.peers.browser.foxglove_app import App
+from tests.peers.hub.quick import QuickHub
 
 
 class Desk:

@@ -12,7 +12,7 @@ from bridge.foxglove.channels import MOST_EARLY, TopicChannel
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.modules.hub_topics import HubTopic, TopicKey
 from tests.foxglove.conftest import Desk
-from tests.hub.parts import LATCHED, STREAM, endpoint
+from tests.peers.hub.endpoints import LATCHED, STREAM, endpoint
 from tests.support.wait import until
 
 

@@ -22,10 +22,10 @@ from bridge.foxglove.visitors import MARK
 from bridge.foxglove.worker import Live, SdkLog
 from bridge.hub.security.certificates import Authority
 from bridge.hub.security.tokens import new_token
-from tests.foxglove.app import App
 from tests.foxglove.conftest import Desk
 from tests.foxglove.test_channels import cdr
 from tests.foxglove.test_publishing import DRIVE, wait_for_status
+from tests.peers.browser.foxglove_app import App
 from tests.support.wait import until
 
 ANNA, HALL = new_token(), new_token()

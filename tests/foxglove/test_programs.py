@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from tests.foxglove.app import App
 from tests.foxglove.test_parameters import read_parameters
-from tests.interop.deployment import Deployment
-from tests.support.peer import Peer
+from tests.peers.browser.foxglove_app import App
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.peer import Peer
+from tests.peers.ros2.network import ros2_environment, ros2_python
 from tests.support.ports import free_port
-from tests.support.ros2 import ros2_environment, ros2_python
 from tests.support.wait import until
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-PARAMETERS = Path(__file__).parents[1] / "support" / "ros2_parameters.py"
+PARAMETERS = Path(__file__).parents[1] / "peers" / "ros2" / "parameters.py"
 RULES = [{"ros1": "/nav/controller", "node": "/controller_server", "owner": "ros2"}]
 STRING = "std_msgs/String"
 

@@ -10,8 +10,8 @@ import pytest
 from bridge.messages.json import from_json
 from bridge.web.verbs import hold
 from navigation.status import State
-from tests.foxglove.app import App
 from tests.foxglove.conftest import Desk
+from tests.peers.browser.foxglove_app import App
 from tests.support.wait import until
 
 DRIVE: dict[str, Any] = {"foxglove": {"drive": True}}

@@ -16,8 +16,8 @@ from bridge.stores.client import StoreClient
 from bridge.stores.kinds import AREA, CURRENT, LOCATION, MAP
 from bridge.stores.store import THE_MAP, Store, Write
 from bridge.web.feeds import maps
-from tests.foxglove.app import App
 from tests.foxglove.conftest import Desk
+from tests.peers.browser.foxglove_app import App
 from tests.stores.parts import Shared
 from tests.support.wait import until
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation

@@ -7,9 +7,9 @@ import pytest
 from bridge.foxglove import services
 from bridge.messages.json import CallCodec
 from bridge.messages.registry import Registry
-from tests.foxglove.app import App
 from tests.foxglove.conftest import Desk
 from tests.foxglove.test_publishing import DRIVE
+from tests.peers.browser.foxglove_app import App
 from tests.support.wait import until
 
 SET_BOOL = "std_srvs/srv/SetBool"

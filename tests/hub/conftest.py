@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.support.hub import HubNetwork
+from tests.peers.hub.network import HubNetwork
 
 
 @pytest.fixture(scope="module")

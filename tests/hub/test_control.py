@@ -9,7 +9,7 @@ import pytest
 
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.session import Hub
-from tests.support.hub import HubNetwork
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 

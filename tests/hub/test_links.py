@@ -14,7 +14,7 @@ import pytest
 
 from bridge.hub import links
 from bridge.hub.session import Hub
-from tests.support.quick_hub import QuickHub
+from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until
 
 

@@ -11,8 +11,8 @@ import pytest
 
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
-from tests.hub.parts import LATCHED, STREAM, Subscriber, advertise, matched, see_each_other
-from tests.support.hub import ROOT, HubNetwork
+from tests.peers.hub.endpoints import LATCHED, STREAM, Subscriber, advertise, matched, see_each_other
+from tests.peers.hub.network import ROOT, HubNetwork
 from tests.support.wait import until
 
 pytestmark = pytest.mark.thorough

@@ -17,7 +17,7 @@ import zenoh
 from bridge.hub import opening
 from bridge.hub.opening import lock_trouble, open_session, room_trouble
 from bridge.hub.zenoh_config import client_session_config, make_config, session_tree
-from tests.support.hub import ROOT
+from tests.peers.hub.network import ROOT
 from tests.support.ports import free_port
 
 SWITCH = "transport/shared_memory/enabled"

@@ -14,8 +14,8 @@ from bridge.hub.errors import HubConfigError, HubError
 from bridge.hub.router import RouterInfo, RouterWorker, port_held, probe_router
 from bridge.hub.session import Hub
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
-from tests.hub.parts import LATCHED, Subscriber, advertise, matched, see_each_other
-from tests.support.hub import HubNetwork
+from tests.peers.hub.endpoints import LATCHED, Subscriber, advertise, matched, see_each_other
+from tests.peers.hub.network import HubNetwork
 from tests.support.ports import free_port
 from tests.support.wait import until
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from tests.support.hub import HubNetwork
+from tests.peers.hub.network import HubNetwork
 
 PROGRAM = """
 import sys, threading, time

@@ -12,7 +12,7 @@ import pytest
 
 from bridge.hub import shared_memory
 from bridge.hub.zenoh_config import POOL
-from tests.support.hub import HubNetwork
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 

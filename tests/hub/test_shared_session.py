@@ -16,7 +16,7 @@ from bridge.hub.wire.qos import Qos
 from tests.hub.endpoints.test_sdk import STRING, STRING_HASH
 from tests.hub.endpoints.test_services import HASH as SERVICE_HASH
 from tests.hub.endpoints.test_services import SERVICE, Serving, call, client
-from tests.hub.parts import (
+from tests.peers.hub.endpoints import (
     BEST_EFFORT_LATCHED,
     HASH,
     LATCHED,
@@ -27,7 +27,7 @@ from tests.hub.parts import (
     matched,
     see_each_other,
 )
-from tests.support.hub import HubNetwork
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 EACH_QOS = pytest.mark.parametrize(

@@ -12,9 +12,9 @@ import pytest
 from bridge.interfaces import BuildError, activate, build, environment
 from bridge.interfaces.cache import SITE, members
 from tests.interfaces.packages import PACKAGES
+from tests.peers.peer import Peer
+from tests.peers.ros2.network import ROS2_PEER, ros2_environment, ros2_python
 from tests.support.missing import COMPILER, needs
-from tests.support.peer import Peer
-from tests.support.ros2 import ROS2_PEER, ros2_environment, ros2_python
 
 pytestmark = pytest.mark.thorough
 

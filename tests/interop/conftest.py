@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.interop.deployment import Deployment
+from tests.peers.daemon.deployment import Deployment
 
 
 @pytest.fixture

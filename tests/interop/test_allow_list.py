@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.interop.deployment import Deployment
 from tests.interop.test_life import TWIST, twist
 from tests.interop.test_topics import cross
+from tests.peers.daemon.deployment import Deployment
 from tests.support.wait import until
 
 pytestmark = pytest.mark.thorough

@@ -19,8 +19,8 @@ import zenoh
 from bridge.adapters.ros1.handshake import encode
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from bridge.hub.zenoh_config import make_config, session_tree
-from tests.adapters.ros1.servers import publisher, until_closed
-from tests.interop.deployment import Deployment
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.ros1.servers import publisher, until_closed
 from tests.support.wait import until
 
 pytestmark = pytest.mark.thorough

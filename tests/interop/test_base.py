@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from tests.contract.hubside import HubSide
-from tests.interop.deployment import Deployment
-from tests.interop.square import Pose, Program, driven, pose_of
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.navigation.square import Pose, Program, driven, pose_of
 from tests.support.ports import free_port
 from tests.support.wait import until
 from yarp_compat.dev.basecontrol import MobileBaseVelocity, OdometryData

@@ -17,14 +17,14 @@ from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.server.buffer_server import ACTION, FRAMES, BufferServer
-from tests.interop.deployment import Deployment
-from tests.support.peer import Peer
-from tests.support.ros1 import ROS1_PYTHON
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.peer import Peer
+from tests.peers.ros1.network import ROS1_PYTHON
 from tests.support.wait import until
 
 pytestmark = pytest.mark.thorough
 
-CLIENT = Path(__file__).parents[1] / "tf" / "buffer_client.py"
+CLIENT = Path(__file__).parents[1] / "peers" / "ros1" / "buffer_client.py"
 S = 1_000_000_000
 START = 1_790_000_000 * S
 SUCCEEDED = 4

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 
 from tests.contract.side import CUSTOM_FOLDER, PeerLike
-from tests.interop.deployment import Deployment
-from tests.support.peer import Peer
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.peer import Peer
+from tests.peers.yarp.programs import Definitions, Names, YarpProgram
 from tests.support.wait import until
-from tests.support.yarp_programs import Definitions, Names, YarpProgram
 
 pytestmark = [pytest.mark.long, pytest.mark.alone, pytest.mark.timeout(300)]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tests.interop import calls_table
-from tests.interop.deployment import Deployment
+from tests.peers.daemon import calls_table
+from tests.peers.daemon.deployment import Deployment
 
 
 def test_services_and_actions_cross_between_each_pair_of_sides(

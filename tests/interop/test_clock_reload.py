@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.interop.deployment import Deployment
+from tests.peers.daemon.deployment import Deployment
 from tests.support.wait import until
 
 CLOCK, NOBODY = "rosgraph_msgs/Clock", "no message on /clock"

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.chain import Chain
+from tests.peers.navigation.chain import Chain
 from tests.support.process import Process
 from tests.support.shifted_clock import ShiftedClock
 from tests.support.wait import until

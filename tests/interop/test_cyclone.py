@@ -14,11 +14,11 @@ import zenoh
 from bridge.hub.endpoints.calls import UnsentCallError
 from bridge.hub.wire.keys import topic_key
 from bridge.messages.registry import Registry
-from tests.adapters.ros2.calls import SET_BOOL, Ends, Service
 from tests.adapters.ros2.conftest import string, text
-from tests.interop.deployment import Deployment
-from tests.interop.hub_actions import HubActions
-from tests.support.cyclone import CyclonePeer
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.hub.actions import HubActions
+from tests.peers.hub.raw_calls import SET_BOOL, Ends, Service
+from tests.peers.ros2.cyclone import CyclonePeer
 from tests.support.ports import free_port
 from tests.support.wait import until
 from yarp_compat.naming import connections

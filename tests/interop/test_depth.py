@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from sim import messages
-from tests.interop.deployment import Deployment
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.yarp.programs import Names
 from tests.support.wait import until
-from tests.support.yarp_programs import Names
 from yarp_compat.naming import connections
 from yarp_compat.pythonic import Reader
 from yarp_compat.sig.image import ImageFloat

@@ -23,11 +23,11 @@ from bridge.daemon.query import Phase, ask_daemon
 from bridge.doctor.checks import CHECKS
 from tests.cli.conftest import Midspan
 from tests.docs.test_documents import configurations
-from tests.interop.deployment import MIDSPAN
+from tests.peers.daemon.deployment import MIDSPAN
+from tests.peers.ros1.network import ROS1_PYTHON, RosMaster, needs_ros1
+from tests.peers.ros2.network import SHORT_LEASE, ros2_domain, ros2_environment, ros2_python
 from tests.support.ports import free_port
 from tests.support.process import Process
-from tests.support.ros1 import ROS1_PYTHON, RosMaster, needs_ros1
-from tests.support.ros2 import SHORT_LEASE, ros2_domain, ros2_environment, ros2_python
 from tests.support.wait import until
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
@@ -36,7 +36,7 @@ from yarp_compat.pythonic import Reader, Writer
 
 pytestmark = [needs_ros1, pytest.mark.long]
 ROOT = Path(__file__).parents[2]
-CONFIGS, SUPPORT = ROOT / "configs", ROOT / "tests" / "support"
+CONFIGS, PEERS = ROOT / "configs", ROOT / "tests" / "peers"
 APARTMENT = str(CONFIGS / "apartment" / "apartment.yaml")
 MACHINE_CHECKS = {"kernels", "wheels", "compiler", "clock", "shm-users", "shm-size", "shm-litter", "descriptors"}
 VOLATILE = ("daemon", "types", "type-hash", "keys")
@@ -82,11 +82,11 @@ class Fresh:
         self.stack.enter_context(Process([*MIDSPAN, "run", "--config", self.file], os.environ | self.shell))
 
     def ros1(self, script: str, *words: str) -> None:
-        self.stack.enter_context(Process([ROS1_PYTHON, SUPPORT / script, *words], self._master.env))
+        self.stack.enter_context(Process([ROS1_PYTHON, PEERS / script, *words], self._master.env))
 
     def ros2(self, script: str, *words: str) -> None:
         environment = {**ros2_environment(), **SHORT_LEASE}
-        self.stack.enter_context(Process([ros2_python(), SUPPORT / script, *words], environment))
+        self.stack.enter_context(Process([ros2_python(), PEERS / script, *words], environment))
 
     def robot(self) -> None:
         """The ports of a robot on YARP."""
@@ -220,7 +220,7 @@ def test_map_server_and_map2d_server_together(fresh: Begin) -> None:
         "robot_path_planner waits: waiting for a map",
         "robot_goto waits: .*waiting for a map",
     )
-    site.ros1("ros1_map_server.py", APARTMENT)
+    site.ros1("ros1/map_server.py", APARTMENT)
     site.until_all_is_well()
     findings = [f["seen"] for f in site.doctor("types")]
     until(lambda: any("/change_map, /static_map: the map server" in text for text in findings), str(findings), 0.0)
@@ -239,9 +239,9 @@ def test_move_base_and_a_robot_on_yarp(fresh: Begin) -> None:
         "waiting for /baseControl/control:i, to connect it to",
     )
     site.robot()
-    site.ros1("ros1_map_server.py", APARTMENT)
-    site.ros1("ros1_amcl.py")
-    site.ros1("ros1_move_base.py", "2.0", "5.0")
+    site.ros1("ros1/map_server.py", APARTMENT)
+    site.ros1("ros1/amcl.py")
+    site.ros1("ros1/move_base.py", "2.0", "5.0")
     site.until_all_is_well(ALL_CHECKS)
 
 
@@ -250,7 +250,7 @@ def test_nav2(fresh: Begin) -> None:
     site.until_it_waits(
         "gateway waits: the planner nav2 is not there: no node serves its action /navigate_to_pose on ROS 2"
     )
-    site.ros2("ros2_nav2.py", "2.0", "5.0")
+    site.ros2("ros2/nav2.py", "2.0", "5.0")
     site.until_all_is_well()
 
 

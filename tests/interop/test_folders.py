@@ -13,10 +13,10 @@ import pytest
 
 from bridge.interfaces.builder import build
 from bridge.interfaces.cache import environment
-from tests.interop.deployment import Deployment
 from tests.interop.test_topics import cross
-from tests.support.peer import Peer
-from tests.support.ros2 import ROS2_PEER, ros2_environment, ros2_python
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.peer import Peer
+from tests.peers.ros2.network import ROS2_PEER, ros2_environment, ros2_python
 
 FOLDER = {
     "msg/Inner.msg": "Header header\nint32 x\n",  # ROS 1 syntax

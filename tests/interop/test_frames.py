@@ -10,8 +10,8 @@ import numpy as np
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.errors import TransformError
 from bridge.tf.transform import Transform
-from tests.interop.deployment import Deployment
-from tests.support.peer import Peer
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.peer import Peer
 from tests.support.ports import free_port
 from tests.support.wait import until
 from yarp_compat.dev.frametransform_client import TransformClient

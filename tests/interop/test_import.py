@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.interop.deployment import MIDSPAN, Deployment
 from tests.interop.test_topics import cross
-from tests.support.peer import Peer
+from tests.peers.daemon.deployment import MIDSPAN, Deployment
+from tests.peers.peer import Peer
+from tests.peers.ros2.network import ROS2_PEER, new_domain, ros2_environment, ros2_python
 from tests.support.ports import free_port
 from tests.support.process import Process
-from tests.support.ros2 import ROS2_PEER, new_domain, ros2_environment, ros2_python
 from tests.support.wait import until
 
 pytestmark = pytest.mark.thorough

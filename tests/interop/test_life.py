@@ -7,8 +7,8 @@ import signal
 
 import pytest
 
-from tests.interop.deployment import Deployment
 from tests.interop.test_topics import cross
+from tests.peers.daemon.deployment import Deployment
 from tests.support.lane import LANE
 from tests.support.process import is_stopped
 from tests.support.wait import until

@@ -18,8 +18,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.interop.deployment import MIDSPAN, Deployment
-from tests.support.peer import Peer
+from tests.peers.daemon.deployment import MIDSPAN, Deployment
+from tests.peers.peer import Peer
 from tests.support.process import Process
 from tests.support.wait import until
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import psutil
 import pytest
 
-from tests.interop.deployment import Deployment
+from tests.peers.daemon.deployment import Deployment
 from tests.support.wait import until
 
 pytestmark = pytest.mark.thorough

@@ -6,8 +6,8 @@ from collections import Counter
 
 import pytest
 
-from tests.interop.calls_table import ABORTED, CANCELED, ROS1, ROS2, SUCCEEDED, Pair
-from tests.interop.deployment import Deployment
+from tests.peers.daemon.calls_table import ABORTED, CANCELED, ROS1, ROS2, SUCCEEDED, Pair
+from tests.peers.daemon.deployment import Deployment
 
 pytestmark = pytest.mark.thorough
 

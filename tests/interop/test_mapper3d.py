@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from navigation.mapper3d.octomaps import cloud_message
-from tests.interop.deployment import Deployment
 from tests.interop.test_maps import asked
+from tests.peers.daemon.deployment import Deployment
 from tests.support.wait import until
 from yarp_compat.octree import OcTree
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from navigation.maps.grid import from_grid
-from tests.interop.deployment import Deployment
-from tests.support.peer import Peer
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.peer import Peer
 from tests.support.ports import free_port
 from tests.support.wait import until
 from yarp_compat.dev.map2d_client import Map2DClient

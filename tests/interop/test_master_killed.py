@@ -18,14 +18,14 @@ from bridge.messages.registry import Registry
 from bridge.modules.clients import ActionClient, SentGoal
 from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
-from tests.interop.deployment import Deployment
-from tests.support.peer import Peer
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.peer import Peer
+from tests.peers.ros1.network import ROS1_PYTHON
 from tests.support.process import Process
-from tests.support.ros1 import ROS1_PYTHON
 from tests.support.wait import until
 
 ACTION, TYPE, TWIST = "/move_base", "nav2_msgs/action/NavigateToPose", "geometry_msgs/msg/Twist"
-STAND_IN = Path(__file__).parents[1] / "support" / "ros1_move_base.py"
+STAND_IN = Path(__file__).parents[1] / "peers" / "ros1" / "move_base.py"
 SECONDS = 40.0
 FAR = {"header": {"frame_id": "map"}, "pose": {"position": {"x": 800.0}, "orientation": {"w": 1.0}}}
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.interop import mix_table
-from tests.interop.deployment import Deployment
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.navigation import mix_table
 
 
 @pytest.mark.timeout(300)  # 55 to 95 s on an idle machine, with a fault of each kind

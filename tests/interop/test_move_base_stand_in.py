@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from tests.navigation.gateway.rig import pose
-from tests.support.peer import Peer
+from tests.peers.navigation.gateway import pose
+from tests.peers.peer import Peer
+from tests.peers.ros1.network import ROS1_PYTHON, RosMaster
 from tests.support.process import Process
-from tests.support.ros1 import ROS1_PYTHON, RosMaster
 from tests.support.wait import until
 
 pytestmark = pytest.mark.thorough
@@ -70,7 +70,7 @@ class Direct:
 
 @pytest.fixture
 def direct() -> Iterator[Direct]:
-    program = Path(__file__).parents[1] / "support" / "ros1_move_base.py"
+    program = Path(__file__).parents[1] / "peers" / "ros1" / "move_base.py"
     with RosMaster() as master, Process([ROS1_PYTHON, program, "5.0", "0.3"], master.env), master.peer() as peer:
         yield Direct(peer)
 

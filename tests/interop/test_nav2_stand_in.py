@@ -1,4 +1,4 @@
-"""The stand-ins for Nav2 behave like its sources, and like measurements of it; see `tests/support/ros2_nav2.py`."""
+"""The stand-ins for Nav2 behave like its sources, and like measurements of it; see `tests/peers/ros2/nav2.py`."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from tests.interop.mix_truth import Base, Nav2
-from tests.navigation.gateway.rig import pose
-from tests.support.peer import Peer
-from tests.support.ros2 import ROS2_PEER, ros2_environment, ros2_python
+from tests.peers.navigation.gateway import pose
+from tests.peers.navigation.mix_truth import Base, Nav2
+from tests.peers.peer import Peer
+from tests.peers.ros2.network import ROS2_PEER, ros2_environment, ros2_python
 from tests.support.wait import until
 
 pytestmark = pytest.mark.thorough

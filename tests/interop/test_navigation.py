@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from bridge.messages.actions import GoalState
-from tests.support.chain import Chain
+from tests.peers.navigation.chain import Chain
 from tests.support.wait import until
 
 VIEWS = Path(__file__).parents[2] / "configs" / "views"

@@ -14,11 +14,11 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.interop.deployment import Deployment
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.ros1.network import ROS1_PYTHON
+from tests.peers.ros2.network import SHORT_LEASE, ros2_domain, ros2_environment, ros2_python
 from tests.support.ports import free_port
 from tests.support.process import Process
-from tests.support.ros1 import ROS1_PYTHON
-from tests.support.ros2 import SHORT_LEASE, ros2_domain, ros2_environment, ros2_python
 from tests.support.wait import until
 from yarp_compat.dev.inavigation2d import NavigationStatusEnum
 from yarp_compat.dev.locations import Map2DLocation
@@ -33,7 +33,7 @@ from yarp_compat.sig.matrix import Matrix
 pytestmark = pytest.mark.thorough
 
 ROOT = Path(__file__).parents[2]
-CONFIGS, SUPPORT = ROOT / "configs", ROOT / "tests" / "support"
+CONFIGS, PEERS = ROOT / "configs", ROOT / "tests" / "peers"
 APARTMENT = str(CONFIGS / "apartment" / "apartment.yaml")
 SPEED, PATIENCE = "2.0", "5.0"
 SECONDS = 40.0
@@ -57,7 +57,7 @@ class Site:
         deployment.start(**config)
 
     def program(self, python: Any, script: str, *words: str, **env: str) -> None:
-        self.deployment.keep(Process([python, SUPPORT / script, *words], env))
+        self.deployment.keep(Process([python, PEERS / script, *words], env))
 
     def client(self) -> Navigation2DClient:
         """A YARP program that only uses places."""
@@ -112,9 +112,9 @@ def assert_goes(client: Navigation2DClient, place: str) -> None:
 def test_a_yarp_robot_is_driven_by_move_base_and_localized_by_amcl(site: Site) -> None:
     environment = site.deployment.master.env
     wheels = site.reader("/baseControl/control:i")
-    site.program(ROS1_PYTHON, "ros1_map_server.py", APARTMENT, **environment)
-    site.program(ROS1_PYTHON, "ros1_amcl.py", **environment)
-    site.program(ROS1_PYTHON, "ros1_move_base.py", SPEED, PATIENCE, **environment)
+    site.program(ROS1_PYTHON, "ros1/map_server.py", APARTMENT, **environment)
+    site.program(ROS1_PYTHON, "ros1/amcl.py", **environment)
+    site.program(ROS1_PYTHON, "ros1/move_base.py", SPEED, PATIENCE, **environment)
     client = site.client()
     until_the_map_is_known(client)
     until(lambda: site.reaches("/baseControl/control:i"), "velocities cross", SECONDS, every=0.2)
@@ -140,8 +140,8 @@ def test_a_yarp_robot_is_driven_by_move_base_and_localized_by_amcl(site: Site) -
 @pytest.mark.parametrize("site", ["nav2.yaml"], indirect=True)
 def test_nav2_drives_for_a_client_of_yarp(site: Site) -> None:
     environment = {**ros2_environment(), **SHORT_LEASE}
-    site.program(ROS1_PYTHON, "ros1_map_server.py", APARTMENT, **site.deployment.master.env)
-    site.program(ros2_python(), "ros2_nav2.py", SPEED, PATIENCE, **environment)
+    site.program(ROS1_PYTHON, "ros1/map_server.py", APARTMENT, **site.deployment.master.env)
+    site.program(ros2_python(), "ros2/nav2.py", SPEED, PATIENCE, **environment)
     client = site.client()
     until_the_map_is_known(client)
     assert_goes(client, "bedroom")

@@ -18,20 +18,20 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.interop.deployment import MIDSPAN
+from tests.peers.daemon.deployment import MIDSPAN
+from tests.peers.peer import Peer
+from tests.peers.ros1.network import ROS1_PEER, ROS1_PYTHON, ros1_environment
+from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.missing import ROS1, ROS2, needs
 from tests.support.netns import Cable, Machine, need_namespaces
-from tests.support.peer import Peer
 from tests.support.process import Process
-from tests.support.ros1 import ROS1_PEER, ROS1_PYTHON, ros1_environment
-from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.wait import until
 
 pytestmark = [needs(ROS1), needs(ROS2)]
 
 ROOT = Path(__file__).parents[2]
 STRING, TWIST = "std_msgs/String", "geometry_msgs/Twist"
-GUEST = ROOT / "tests" / "support" / "network_guest.py"
+GUEST = ROOT / "tests" / "peers" / "hub" / "guest.py"
 STALE = 0.6
 """Seconds after which a command is too old: twice the configured timeout, to allow for a busy machine."""
 

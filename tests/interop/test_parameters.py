@@ -10,13 +10,13 @@ import pytest
 
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
-from tests.interop.deployment import Deployment
-from tests.support.hub_parameters import HubParameters
-from tests.support.peer import Peer
-from tests.support.ros2 import ros2_environment, ros2_python
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.hub.parameters import HubParameters
+from tests.peers.peer import Peer
+from tests.peers.ros2.network import ros2_environment, ros2_python
 from tests.support.wait import until
 
-PROGRAM = Path(__file__).parents[1] / "support" / "ros2_parameters.py"
+PROGRAM = Path(__file__).parents[1] / "peers" / "ros2" / "parameters.py"
 RULES = [
     {"ros1": "/robot", "node": "/ns/robot_parameters", "owner": "ros1"},
     {"ros1": "/nav/controller", "node": "/controller_server", "owner": "ros2"},

@@ -13,10 +13,10 @@ import pytest
 from bridge.bags.play.services import PAUSE, STEP
 from tests.bags.playing import NS, START, Said, stamp, transform, write_bag
 from tests.contract.side import CUSTOM_FOLDER
-from tests.interop.deployment import MIDSPAN, Deployment
+from tests.peers.daemon.deployment import MIDSPAN, Deployment
+from tests.peers.yarp.programs import Definitions, Names, YarpProgram
 from tests.support.process import Process
 from tests.support.wait import until
-from tests.support.yarp_programs import Definitions, Names, YarpProgram
 
 SCAN, TF, TWIST, GRID = "sensor_msgs/LaserScan", "tf2_msgs/TFMessage", "geometry_msgs/Twist", "nav_msgs/OccupancyGrid"
 SECONDS = 4.0

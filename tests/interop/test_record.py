@@ -19,12 +19,12 @@ from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
 from tests.bags.stock import member, rosbag, rosbags
 from tests.contract.side import CUSTOM_FOLDER
-from tests.interop.deployment import MIDSPAN, Deployment
-from tests.interop.hub_actions import HubActions
-from tests.record.robot import Contents, read
+from tests.peers.daemon.deployment import MIDSPAN, Deployment
+from tests.peers.hub.actions import HubActions
+from tests.peers.hub.recorded_robot import Contents, read
+from tests.peers.yarp.programs import Definitions, Names, YarpProgram
 from tests.support.process import Process
 from tests.support.wait import until
-from tests.support.yarp_programs import Definitions, Names, YarpProgram
 
 STRING = "std_msgs/String"
 NAVIGATE, FEEDBACK = "nav2_msgs/NavigateToPose", "move_base_msgs/MoveBaseActionFeedback"

@@ -8,8 +8,8 @@ import pytest
 
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import to_json
-from tests.interop.deployment import Deployment
-from tests.interop.hub_actions import HubActions
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.hub.actions import HubActions
 from tests.support.wait import until
 
 STRING, TWIST = "std_msgs/String", "geometry_msgs/Twist"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.interop.several import Daemon, Flow, Several, flows, pour, quiet, ring, triangle
+from tests.peers.daemon.several import Daemon, Flow, Several, flows, pour, quiet, ring, triangle
 from tests.support.wait import until
 
 pytestmark = [pytest.mark.thorough, pytest.mark.alone]

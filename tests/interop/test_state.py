@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tests.interop.deployment import Deployment
+from tests.peers.daemon.deployment import Deployment
 from tests.support.wait import until
 
 STRING = "std_msgs/String"

@@ -7,10 +7,10 @@ import signal
 
 import pytest
 
-from tests.interop.deployment import Deployment
-from tests.interop.mix import MOVE_BASE, NAV2, Mix
-from tests.interop.mix_clients import ROS1, ROS2, YARP, ZENOH, RosClient, ZenohClient
-from tests.interop.mix_faults import STANDS_SECONDS, Watch, start_driving
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.navigation.mix import MOVE_BASE, NAV2, Mix
+from tests.peers.navigation.mix_clients import ROS1, ROS2, YARP, ZENOH, RosClient, ZenohClient
+from tests.peers.navigation.mix_faults import STANDS_SECONDS, Watch, start_driving
 
 STRICT = 0.01
 """Seconds, as the processes record times after the event."""

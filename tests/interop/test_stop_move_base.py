@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from tests.interop.deployment import Deployment
-from tests.interop.mix import MOVE_BASE, OWN, Mix
-from tests.interop.mix_clients import COMMAND, ROS1, ROS2, SECONDS, YARP, ZENOH, RosClient, ZenohClient
-from tests.interop.mix_faults import (
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.navigation.mix import MOVE_BASE, OWN, Mix
+from tests.peers.navigation.mix_clients import COMMAND, ROS1, ROS2, SECONDS, YARP, ZENOH, RosClient, ZenohClient
+from tests.peers.navigation.mix_faults import (
     AWAY,
     FAULTS,
     STANDS_SECONDS,

@@ -8,11 +8,11 @@ import time
 
 import pytest
 
-from tests.interop.deployment import Deployment
-from tests.interop.mix import NAV2, OWN, Mix
-from tests.interop.mix_clients import COMMAND, ROS1, ROS2, SECONDS, YARP, ZENOH, RosClient, ZenohClient
-from tests.interop.mix_faults import AWAY, STANDS_SECONDS, UNCONFIRMED, Watch, kill_workers, start_driving
-from tests.navigation.gateway.rig import pose
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.navigation.gateway import pose
+from tests.peers.navigation.mix import NAV2, OWN, Mix
+from tests.peers.navigation.mix_clients import COMMAND, ROS1, ROS2, SECONDS, YARP, ZENOH, RosClient, ZenohClient
+from tests.peers.navigation.mix_faults import AWAY, STANDS_SECONDS, UNCONFIRMED, Watch, kill_workers, start_driving
 from tests.support.wait import until
 
 ALL = (YARP, ROS1, ROS2, ZENOH)

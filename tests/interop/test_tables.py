@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.interop.deployment import Deployment
 from tests.interop.test_mapper3d import value
+from tests.peers.daemon.deployment import Deployment
 from tests.support.missing import DART, need
 from tests.support.ports import free_port
 from tests.support.wait import until

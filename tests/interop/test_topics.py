@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from bridge.messages.registry import Registry
-from tests.interop.deployment import Deployment
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.ros1.network import ROS1_PYTHON
 from tests.support.lane import LANE
-from tests.support.ros1 import ROS1_PYTHON
 from tests.support.wait import until
 
 STRING = "std_msgs/String"

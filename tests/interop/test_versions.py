@@ -14,12 +14,12 @@ import pytest
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide
-from tests.interop.older import ROOT, STORE, WORKER, OtherStore, older_tree, python
+from tests.peers.daemon.older import ROOT, STORE, WORKER, OtherStore, older_tree, python
+from tests.peers.hub.quick import QuickHub
+from tests.peers.zenoh.programs import Ros2ddsBridge, Router, service_texts
 from tests.support.process import Process
-from tests.support.quick_hub import QuickHub
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
-from tests.support.zenoh_programs import Ros2ddsBridge, Router, service_texts
 
 pytestmark = pytest.mark.thorough
 

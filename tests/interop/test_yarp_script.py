@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from tests.interop.deployment import Deployment
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.yarp.script import output_lines, start
 from tests.support.ports import free_port
 from tests.support.wait import until
-from tests.support.yarp_script import output_lines, start
 
 
 def test_a_script_exchanges_messages_with_ros1_and_ros2(deployment: Deployment) -> None:

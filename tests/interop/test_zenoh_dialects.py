@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.interop.deployment import Deployment
 from tests.interop.test_topics import cross
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.zenoh.programs import JsonProgram, Ros1Bridge, Ros2ddsBridge
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
-from tests.support.zenoh_programs import JsonProgram, Ros1Bridge, Ros2ddsBridge
 
 PAGE = Path(__file__).parents[2] / "docs" / "sides" / "zenoh.md"
 STRING, GRID = "std_msgs/String", "nav_msgs/OccupancyGrid"

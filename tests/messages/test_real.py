@@ -12,8 +12,8 @@ from bridge.messages.definitions.schema import Schema, Shape
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
-from tests.messages.peers import genpy, needs_genpy, rclpy, text
 from tests.messages.samples import genpy_types, sample
+from tests.peers.codecs import genpy, needs_genpy, rclpy, text
 
 LENGTHS = (0, 1, 2, 3)
 RENAMED = {"std_msgs/Time", "std_msgs/Duration", "rosgraph_msgs/Log"}

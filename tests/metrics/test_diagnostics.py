@@ -29,14 +29,14 @@ from bridge.metrics.parts import Level, PartStatus, parts
 from bridge.worker import Health, Worker
 from tests.adapters.yarp.conftest import YarpPort
 from tests.contract.hubside import HubSide
-from tests.interop.deployment import MIDSPAN, Deployment
 from tests.metrics.documents import route, side, snapshot
+from tests.peers.daemon.deployment import MIDSPAN, Deployment
+from tests.peers.hub.quick import QuickHub
+from tests.peers.yarp.programs import Names
 from tests.support.forks import DAEMON
 from tests.support.ports import free_port
 from tests.support.process import Process
-from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
-from tests.support.yarp_programs import Names
 
 ARRAY = "diagnostic_msgs/DiagnosticArray"
 

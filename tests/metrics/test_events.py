@@ -19,13 +19,13 @@ from bridge.stores.client import StoreClient
 from bridge.stores.kinds import LOCATION
 from bridge.stores.store import Write
 from bridge.stores.wire import prefix
-from tests.interop.deployment import MIDSPAN
-from tests.navigation.gateway.rig import ClientGoal, Planner, Program, pose
+from tests.peers.daemon.deployment import MIDSPAN
+from tests.peers.navigation.gateway import ClientGoal, Planner, Program, pose
+from tests.peers.yarp.programs import Names
 from tests.support.forks import DAEMON
 from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
-from tests.support.yarp_programs import Names
 from yarp_compat.dev.locations import Map2DLocation
 
 OFF = {"enabled": False}

@@ -21,7 +21,7 @@ from prometheus_client.parser import text_string_to_metric_families as parse
 from bridge.config.load import load
 from bridge.daemon.query import ask_daemon
 from bridge.metrics.families import FAMILIES
-from tests.interop.deployment import Deployment
+from tests.peers.daemon.deployment import Deployment
 from tests.support.missing import PROMETHEUS, needs, prometheus_tool
 from tests.support.ports import free_port
 from tests.support.process import Process

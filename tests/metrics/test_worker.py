@@ -23,7 +23,7 @@ from bridge.hub.security.tokens import new_token
 from bridge.hub.session import Hub
 from bridge.web.metrics_worker import MetricsWorker
 from tests.metrics.documents import route, side
-from tests.support.quick_hub import QuickHub
+from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until
 from tests.web.conftest import Desk
 

@@ -18,7 +18,7 @@ from bridge.modules.action_server import Goal
 from bridge.modules.clients import CANCEL_AGAIN, ActionClient, ModuleClient
 from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
-from tests.support.quick_hub import QuickHub
+from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until
 
 BOOL, LOOKUP = "std_srvs/srv/SetBool", "tf2_msgs/action/LookupTransform"

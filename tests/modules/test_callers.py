@@ -16,10 +16,10 @@ from bridge.callers import Callers, callers_file
 from bridge.config.model import Config
 from bridge.modules.ports import Ports
 from bridge.state_file import worker_folder
+from tests.peers.yarp.native_client import NativeClient
 from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
-from tests.support.yarp_native import NativeClient
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address

@@ -11,7 +11,7 @@ from pathlib import Path
 import yaml
 
 from bridge.hub.session import Hub
-from tests.support.quick_hub import QuickHub
+from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until
 
 ROOT = Path(__file__).parents[2]
@@ -20,7 +20,7 @@ COMMAND = [sys.executable, "-m", "bridge.cli.main", "module"]
 
 def _config(folder: Path, endpoint: str) -> Path:
     file = folder / "midspan.yaml"
-    modules = [{"name": "echo", "factory": "tests.modules.echo:Echo"}]
+    modules = [{"name": "echo", "factory": "tests.peers.hub.echo:Echo"}]
     yarp = {"address": "127.0.0.1:9"}
     tree = {
         "name": "here",

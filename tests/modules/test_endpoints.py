@@ -15,7 +15,7 @@ from bridge.messages.registry import Registry
 from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from tests.contract.hubside import HubSide
-from tests.support.quick_hub import QuickHub
+from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until
 
 STRING = "std_msgs/msg/String"

@@ -13,7 +13,7 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.registry import Registry
 from bridge.modules.hub_topics import HubTopic, HubTopics, TopicKey
-from tests.support.quick_hub import QuickHub
+from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until
 
 STRING = "std_msgs/msg/String"

@@ -15,10 +15,10 @@ from bridge.daemon.worker_process import Timing
 from bridge.modules import worker as modules_worker
 from bridge.modules.module import Module
 from bridge.modules.worker import Running
-from tests.modules.place import STRING, Place
+from tests.peers.hub.modules import STRING, Place
 from tests.support.wait import until
 
-ECHO = {"name": "echo", "factory": "tests.modules.echo:Echo"}
+ECHO = {"name": "echo", "factory": "tests.peers.hub.echo:Echo"}
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ import pytest
 
 from bridge.config.model import Config
 from bridge.modules.ports import Ports
-from tests.cli.daemons import OFF, RobotDaemon
-from tests.modules.place import Place
+from tests.peers.daemon.robot_daemon import OFF, RobotDaemon
+from tests.peers.hub.modules import Place
 from tests.support.ports import free_port
 from tests.support.wait import until
 from yarp_compat.naming.server import NameServer

@@ -10,14 +10,14 @@ from typing import Any
 import pytest
 
 from bridge.modules.worker import ModulesWorker
-from tests.modules.place import STRING, Place
+from tests.peers.hub.modules import STRING, Place
 from tests.support.wait import until
 from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Client, Reader, Writer
 from yarp_compat.wire.generation import Generation
 
-ECHO = "tests.modules.echo:Echo"
+ECHO = "tests.peers.hub.echo:Echo"
 
 
 @pytest.fixture
@@ -189,7 +189,7 @@ def test_a_module_that_cannot_start_affects_no_other_and_is_started_again(place:
     subscription = place.far.subscribe("/said", STRING)
     bad = [
         {"name": "nowhere", "factory": "tests.modules.nowhere:Module"},
-        {"name": "nothing", "factory": "tests.modules.echo:NoModule"},
+        {"name": "nothing", "factory": "tests.peers.hub.echo:NoModule"},
         echo("refuses", refuse=True),
     ]
     place.worker.start(place.config(*bad, echo()))

@@ -12,9 +12,9 @@ import yarp_compat as yarp
 from bridge.hub.wire.qos import Qos
 from bridge.stores.kinds import MAP
 from navigation.status import State
-from tests.navigation.gateway.rig import Rig
+from tests.peers.navigation.gateway import Rig
+from tests.peers.yarp.network import network_of
 from tests.support.wait import until
-from tests.support.yarp_network import network_of
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.naming import connections

@@ -25,8 +25,8 @@ from bridge.record import triggers
 from bridge.record.places import PREFIX
 from bridge.record.worker import RecordWorker
 from tests.contract.hubside import HubSide
-from tests.record.robot import Robot, config, read
-from tests.support.quick_hub import QuickHub
+from tests.peers.hub.quick import QuickHub
+from tests.peers.hub.recorded_robot import Robot, config, read
 from tests.support.wait import until
 
 STATUS = "midspan_msgs/msg/NavigationStatus"

@@ -10,8 +10,8 @@ from bridge.record import triggers
 from bridge.record.places import PREFIX
 from bridge.record.worker import RecordWorker
 from navigation.status import State
-from tests.navigation.gateway.rig import ClientGoal, Rig, pose
-from tests.record.robot import config, read
+from tests.peers.hub.recorded_robot import config, read
+from tests.peers.navigation.gateway import ClientGoal, Rig, pose
 from tests.support.wait import until
 
 

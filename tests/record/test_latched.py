@@ -10,7 +10,7 @@ from bridge.modules.hub_topics import TopicKey
 from bridge.record import latched
 from bridge.record.arrivals import RecordedMessage, TopicCounts
 from bridge.record.latched import LatchedState
-from tests.hub.parts import LATCHED, STREAM, TYPE, endpoint
+from tests.peers.hub.endpoints import LATCHED, STREAM, TYPE, endpoint
 
 GID = b"g" * 16
 

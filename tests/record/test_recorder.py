@@ -22,8 +22,8 @@ from bridge.record import recorder as record_recorder
 from bridge.record.arrivals import ArrivalQueue, RecordedMessage, TopicCounts
 from bridge.record.places import PREFIX, BagFolder, Files, KeptFolder
 from bridge.record.ring import Ring
-from tests.record.robot import Robot, await_topics, await_written, read, recording
-from tests.support.quick_hub import QuickHub
+from tests.peers.hub.quick import QuickHub
+from tests.peers.hub.recorded_robot import Robot, await_topics, await_written, read, recording
 from tests.support.wait import until
 
 PARTS = {

@@ -12,8 +12,8 @@ from bridge.messages.registry import Registry
 from bridge.routing.edge import Endpoint
 from bridge.routing.engine import Engine
 from bridge.routing.stall import StallDetector
-from tests.support.fake import FakeEdge, FakeNetwork
-from tests.support.hub import HubNetwork
+from tests.peers.fake import FakeEdge, FakeNetwork
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 

@@ -17,8 +17,8 @@ from bridge.messages.registry import Registry
 from bridge.routing.edge import MadeBy
 from bridge.routing.engine import Engine
 from bridge.routing.hold import Hold, held_topics
-from tests.support.fake import FakeEdge, FakeNetwork
-from tests.support.quick_hub import QuickHub
+from tests.peers.fake import FakeEdge, FakeNetwork
+from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until
 
 TWIST = "geometry_msgs/msg/Twist"

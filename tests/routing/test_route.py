@@ -34,8 +34,8 @@ from bridge.routing.route import EngineContext
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.side_to_hub import SideToHubRoute
 from bridge.routing.stall import StallDetector
-from tests.support.fake import FakeEdge, FakeNetwork
-from tests.support.hub import HubNetwork
+from tests.peers.fake import FakeEdge, FakeNetwork
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 STORE = get_typestore(Stores.ROS2_JAZZY)

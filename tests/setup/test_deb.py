@@ -15,18 +15,18 @@ from pathlib import Path
 import pytest
 
 from scripts import deb, dist, manual
+from tests.peers.ros1.network import ROS1_CORE, ROS1_PYTHON, ros1_environment
 from tests.setup.machine import ROOT
 from tests.support.debian import Tree
 from tests.support.missing import COMPILER, DEBIAN, ROS1, need
 from tests.support.process import Process
-from tests.support.ros1 import ROS1_CORE, ROS1_PYTHON, ros1_environment
 from tests.support.wait import until
 
 MASTER = "http://localhost:11311"
 NEXT = "99.0.0"
 """The version to upgrade to."""
 
-GAP = ROOT / "tests" / "support" / "zenoh_gap.py"
+GAP = ROOT / "tests" / "peers" / "hub" / "gap.py"
 SECOND = "name: second\nhub: {listen: tcp/127.0.0.1:7448}\nros1: {enabled: false}\nros2: {domain: 9}\n"
 """Configuration of a second daemon on the same machine."""
 

@@ -20,6 +20,8 @@ from packaging.requirements import Requirement
 
 from bridge import kernels
 from scripts import dist
+from tests.peers.yarp.programs import Definitions, Names, YarpProgram
+from tests.peers.zenoh.programs import Ros2ddsBridge, Router
 from tests.setup.installed import Installed
 from tests.setup.machine import ROOT
 from tests.support.missing import COMPILER, need
@@ -27,8 +29,6 @@ from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
-from tests.support.yarp_programs import Definitions, Names, YarpProgram
-from tests.support.zenoh_programs import Ros2ddsBridge, Router
 
 COMPILED, PURE, COMPAT = "midspan-*-cp311-abi3-manylinux*.whl", "midspan-*-none-any.whl", "yarp_compat-*-none-any.whl"
 INNER = ("packaging/debian/", "packaging/yarp_compat/")

@@ -15,7 +15,7 @@ from sim import robot
 from sim.base import BasePose, Twist
 from sim.environment import SimError
 from sim.simulation import Simulation
-from tests.sim.floors import INSIDE, drive, simulation, turn_wheels
+from tests.peers.sim.floors import INSIDE, drive, simulation, turn_wheels
 
 REACH = robot.load("r1").body.radius
 

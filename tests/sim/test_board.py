@@ -12,9 +12,9 @@ from bridge.config.sections.sim import SimSection
 from sim.base import Twist
 from sim.board import WheelBoard
 from sim.simulation import Simulation
+from tests.peers.yarp.network import network_of
 from tests.sim.test_hub import Place
 from tests.support.wait import until
-from tests.support.yarp_network import network_of
 from yarp_compat.dev.controlboard import modes
 from yarp_compat.dev.controlboard.board import answer
 from yarp_compat.dev.returnvalue import CallFailed

@@ -19,7 +19,7 @@ from sim.depth import DepthCamera
 from sim.plan import Box, Floor, Plan, load_plan
 from sim.simulation import Simulation
 from sim.world import solids_of
-from tests.sim.floors import drive, simulation
+from tests.peers.sim.floors import drive, simulation
 
 NONE = np.zeros((0, 8))
 WALL = np.array([(4.1, 0.0, 1.0, 0.0, 2.0, 40.0, -20.0, 20.0)])

@@ -14,7 +14,7 @@ from bridge.stores.service import read_files
 from sim import export
 from sim.export import draw
 from sim.plan import load_plan
-from tests.sim.floors import simulation
+from tests.peers.sim.floors import simulation
 from yarp_compat.dev.extras import Extras, extras_file
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.dev.places import Places

@@ -7,7 +7,7 @@ import pytest
 
 from sim import environment
 from sim.environment import SimError
-from tests.sim.floors import simulation, turn_wheels
+from tests.peers.sim.floors import simulation, turn_wheels
 
 
 def test_a_silent_laser_publishes_no_scans_until_the_fault_is_removed() -> None:

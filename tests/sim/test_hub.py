@@ -18,8 +18,8 @@ from sim import messages
 from sim.depth import DepthCamera
 from sim.simulator import SimWorker
 from tests.contract.hubside import HubSide
+from tests.peers.hub.quick import QuickHub
 from tests.support.ports import free_port
-from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
 
 WHEELS = ["mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint"]

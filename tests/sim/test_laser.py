@@ -14,7 +14,7 @@ from sim.laser import Laser, reference
 from sim.laser_kernel import cast
 from sim.pieces import Piece
 from sim.plan import load_plan
-from tests.sim.floors import drive, simulation
+from tests.peers.sim.floors import drive, simulation
 
 NOTHING = np.zeros((0, 3))
 

@@ -16,7 +16,7 @@ from sim.environment import SimError, ready
 from sim.pieces import Walker
 from sim.plan import Box, Floor, Person, load_plan, rectangles
 from sim.simulation import Simulation
-from tests.sim.floors import INSIDE, drive, simulation
+from tests.peers.sim.floors import INSIDE, drive, simulation
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import yarp_compat as yarp
+from tests.peers.yarp.network import network_of
 from tests.sim.test_hub import Place
 from tests.support.wait import until
-from tests.support.yarp_network import network_of
 from yarp_compat.dev.basecontrol import IOdometry2DMsgs, OdometryData
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.rangefinder import DeviceStatus, IRangefinder2DMsgs, LaserScan2D

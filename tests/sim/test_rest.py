@@ -12,7 +12,7 @@ from sim.base import BasePose, Twist
 from sim.plan import Box
 from sim.sensors import WheelEncoders
 from sim.simulation import Simulation
-from tests.sim.floors import drive, simulation, turn_wheels
+from tests.peers.sim.floors import drive, simulation, turn_wheels
 
 ROBOTS = ("r1", "ikart_v1")
 

@@ -12,7 +12,7 @@ import pytest
 from bridge.stores.kinds import LOCATION
 from bridge.stores.replica import Replica
 from bridge.stores.store import Store
-from tests.support.hub import ROOT
+from tests.peers.hub.network import ROOT
 from tests.support.process import Process
 
 WRITER = Path(__file__).with_name("writer.py")

@@ -16,7 +16,7 @@ from bridge.modules.module import Module
 from bridge.modules.shared import Shared
 from bridge.modules.worker import ModulesWorker
 from bridge.stores.kinds import LOCATION
-from tests.modules.place import Place
+from tests.peers.hub.modules import Place
 from tests.stores.test_store import KITCHEN
 from tests.support.wait import until
 

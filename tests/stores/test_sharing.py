@@ -23,9 +23,9 @@ from bridge.stores.kinds import AREA, BEHAVIOUR, LOCATION, MAP, PATH
 from bridge.stores.replica import StoreLimits
 from bridge.stores.store import Write
 from bridge.stores.wire import prefix
+from tests.peers.hub.quick import QuickHub
 from tests.stores.parts import Shared
 from tests.stores.test_store import KITCHEN, grid
-from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
 from yarp_compat.dev.extras import AreaBehaviour
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DPath

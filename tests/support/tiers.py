@@ -13,7 +13,7 @@ MIDDLEWARE = (
     "bridge.hub.session", "bridge.interfaces.builder", "bridge.interfaces.cache", "multiprocessing", "rclpy", "rospy",
     "subprocess", "zenoh",
 )  # fmt: skip
-DRIVING = ("benchmarks.closedloop.drive", "tests.navigation.robot_goto.scene")
+DRIVING = ("benchmarks.closedloop.drive", "tests.peers.navigation.scene")
 """Test files that import one of these or of `MIDDLEWARE`, directly or indirectly, are not fast."""
 
 _FOLLOWED = {"benchmarks", "examples", "tests"}

@@ -14,8 +14,8 @@ from bridge.messages.values import MessageWriter
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.errors import FrameRefusal, TransformError
 from bridge.tf.intake import Sample
+from tests.peers.ros1 import trees
 from tests.support.wait import until
-from tests.tf import trees
 
 S = 1_000_000_000
 START = 1_790_000_000 * S

@@ -22,8 +22,8 @@ from bridge.messages.values import MessageWriter
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.errors import TransformError
 from bridge.tf.layout import DONE
+from tests.peers.ros1 import trees
 from tests.support.uncompiled import uncompiled
-from tests.tf import trees
 
 S = 1_000_000_000
 START = 1_790_000_000 * S

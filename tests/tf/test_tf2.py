@@ -15,12 +15,12 @@ import pytest
 
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.errors import TransformError
-from tests.support.ros1 import ROS1_PYTHON, needs_ros1, ros1_environment
-from tests.tf import trees
+from tests.peers.ros1 import trees
+from tests.peers.ros1.network import ROS1_PYTHON, needs_ros1, ros1_environment
 
 TREES = int(os.environ.get("MIDSPAN_TF_TREES", "10000"))
 TOLERANCE = 1e-9
-PEER = Path(__file__).with_name("tf2_peer.py")
+PEER = Path(__file__).parents[1] / "peers" / "ros1" / "tf2_peer.py"
 NAMES = {
     "LookupError_": "LookupException",
     "ConnectivityError": "ConnectivityException",

@@ -14,8 +14,8 @@ from bridge.messages.registry import Registry
 from bridge.stores.store import Store
 from bridge.web.worker import Console
 from tests.contract.hubside import HubSide
+from tests.peers.hub.quick import QuickHub
 from tests.stores.parts import Shared
-from tests.support.quick_hub import QuickHub
 
 
 class Desk:

@@ -23,9 +23,9 @@ from bridge.web.serving import access
 from bridge.web.serving.access import COOKIE, Access, Grant, WrongTokens, stored_secret
 from bridge.web.serving.scarce_log import ScarceLog
 from bridge.web.serving.server import hosts
+from tests.peers.browser.page import TestPage
 from tests.support.wait import until
 from tests.web.conftest import Desk
-from tests.web.page import TestPage
 from tests.web.test_bounds import connect, is_closed
 from tests.web.test_console import Base, hold
 from tests.web.test_server import ask

@@ -22,10 +22,10 @@ from bridge.web.serving.console import MOST_PAGES_OF_ADDRESS
 from bridge.web.serving.scarce_log import ScarceLog
 from bridge.web.verbs import verbs
 from bridge.web.verbs.verbs import PageVerb, VerbError
+from tests.peers.browser.hostile import client_frame, opening
+from tests.peers.browser.page import TestPage
 from tests.support.wait import until
 from tests.web.conftest import Desk
-from tests.web.hostile import client_frame, opening
-from tests.web.page import TestPage
 from tests.web.test_server import ask
 
 

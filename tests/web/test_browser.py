@@ -21,10 +21,10 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webelement import WebElement
 
 from navigation.maps.grid_map import to_grid_map
+from tests.peers.browser.page import TestPage
+from tests.peers.browser.robot import WebRobot
 from tests.support import wait
 from tests.support.missing import BROWSER, DART, need
-from tests.web.page import TestPage
-from tests.web.robot import WebRobot
 from yarp_compat.dev.mapgrid import MapFlag
 
 FREE = (6.0, 4.8)

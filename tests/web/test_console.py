@@ -18,10 +18,10 @@ from bridge.modules.action_server import Goal
 from bridge.web.verbs import verbs
 from bridge.web.verbs.hold import HOLD_SECONDS
 from navigation.messages import NAVIGATE
-from tests.navigation.gateway.rig import Program
+from tests.peers.browser.page import TestPage
+from tests.peers.navigation.gateway import Program
 from tests.support.wait import until
 from tests.web.conftest import Desk
-from tests.web.page import TestPage
 
 TF = "tf2_msgs/TFMessage"
 

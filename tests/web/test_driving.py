@@ -13,9 +13,9 @@ from bridge.messages.actions import names, types
 from navigation.gateway.telemetry import PATH
 from navigation.messages import NAVIGATE
 from navigation.status import NO_GOAL, STATUS, PlannerStatus, State, status_message
-from tests.navigation.gateway.rig import Program, pose
+from tests.peers.browser.page import TestPage
+from tests.peers.navigation.gateway import Program, pose
 from tests.web.conftest import Desk
-from tests.web.page import TestPage
 
 GOAL, OTHER = bytes([1] * 16), bytes([2] * 16)
 STRAIGHT, DETOUR = [0.0, 0.0, 4.0, 0.0], [0.0, 0.0, 0.0, 3.0, 4.0, 0.0]

@@ -12,8 +12,8 @@ from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide
 from tests.fuzz.mutate import Mutator
 from tests.fuzz.targets.web import WORDS, conversations, give, requests
+from tests.peers.browser.hostile import HostileConsole
 from tests.support.wait import until
-from tests.web.hostile import HostileConsole
 
 INPUTS = 250
 

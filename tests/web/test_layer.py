@@ -10,8 +10,8 @@ import pytest
 from bridge.web.feeds.layers import MOST_TINTED, tint
 from navigation.maps.grid_map import to_grid_map
 from navigation.pose import Pose
+from tests.peers.browser.page import TestPage
 from tests.web.conftest import Desk
-from tests.web.page import TestPage
 
 NAN = float("nan")
 ORIGIN = {"position": {"x": 1.0, "y": 2.0, "z": 0.0}, "orientation": {"w": 1.0}}

@@ -12,10 +12,10 @@ from selenium.webdriver import Chrome, ChromeOptions, Keys
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 
+from tests.peers.browser.page import TestPage
+from tests.peers.browser.proxy import WEB, Proxy
 from tests.support.missing import BROWSER, need
 from tests.support.wait import until
-from tests.web.page import TestPage
-from tests.web.proxy import WEB, Proxy
 from tests.web.test_access import DRIVE, WATCH, GuardedDesk
 
 

@@ -17,8 +17,8 @@ from bridge.stores.store import Store, Write
 from bridge.web.verbs import map_files
 from bridge.web.verbs.map_files import Transfers, root_files, unpacked
 from bridge.web.verbs.verbs import VerbError
+from tests.peers.browser.page import TestPage
 from tests.web.conftest import Desk
-from tests.web.page import TestPage
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 

@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.peers.browser.page import TestPage
 from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
-from tests.web.page import TestPage
 
 PAGE = Path(__file__).parents[2] / "docs" / "operate" / "console.md"
 MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]

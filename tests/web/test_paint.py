@@ -14,8 +14,8 @@ from bridge.stores.store import Store, Write
 from bridge.web.feeds.map_pictures import CLEAR, TILE, Pictures, flags_picture, occupancy_picture
 from bridge.web.verbs.paint import MOST_CELLS, MOST_PIECES, MOST_RUNS, Run, paint, runs_of
 from bridge.web.verbs.verbs import VerbError
+from tests.peers.browser.page import TestPage
 from tests.web.conftest import Desk
-from tests.web.page import TestPage
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapgrid import UNKNOWN, MapFlag, MapGrid2D
 

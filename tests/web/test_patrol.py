@@ -14,10 +14,10 @@ from bridge.modules.services import Answer
 from bridge.web.verbs import patrol
 from navigation.messages import NAVIGATE
 from navigation.status import NO_GOAL, STATUS, PlannerStatus, State, status_message
-from tests.navigation.gateway.rig import Program, pose
+from tests.peers.browser.page import TestPage
+from tests.peers.navigation.gateway import Program, pose
 from tests.support.wait import until
 from tests.web.conftest import Desk
-from tests.web.page import TestPage
 
 PLACES = {"a": 1.0, "b": 2.0, "c": 3.0}
 

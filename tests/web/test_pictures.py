@@ -14,9 +14,9 @@ from PIL import Image
 from bridge.messages.errors import ConversionError
 from bridge.web.feeds import pictures
 from bridge.web.feeds.pictures import decode
+from tests.peers.browser.page import TestPage
 from tests.support.wait import until
 from tests.web.conftest import Desk
-from tests.web.page import TestPage
 
 RED = (200, 30, 10)
 

@@ -10,8 +10,8 @@ import pytest
 
 from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, PATH
 from bridge.stores.store import Store, Write
+from tests.peers.browser.page import TestPage
 from tests.web.conftest import Desk
-from tests.web.page import TestPage
 from yarp_compat.dev.extras import AreaBehaviour
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D

@@ -1,4 +1,4 @@
-"""The published JSON Schema, against which `tests.web.page.TestPage` checks the messages of all other tests."""
+"""The published JSON Schema, against which `peers.browser.page.TestPage` checks the messages of all other tests."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from tests.web import protocol
+from tests.peers.browser import protocol
 from tests.web.conftest import Desk
 
 DOCS = Path(__file__).parents[2] / "docs" / "operate"
@@ -19,7 +19,7 @@ TEXT = (DOCS / "console_protocol.md").read_text()
 
 
 def test_the_schema_is_up_to_date() -> None:
-    hint = f"python -m tests.web.protocol > {SCHEMA.relative_to(DOCS.parents[1])}"
+    hint = f"python -m tests.peers.browser.protocol > {SCHEMA.relative_to(DOCS.parents[1])}"
     assert SCHEMA.read_text() == protocol.text(), hint
     assert f"({SCHEMA.name})" in TEXT
 

@@ -12,8 +12,8 @@ from websockets.exceptions import InvalidStatus
 from bridge.hub.security.certificates import Authority
 from bridge.stores.kinds import MAP
 from bridge.stores.store import Store
+from tests.peers.browser.proxy import WEB, Proxy
 from tests.web.conftest import Desk
-from tests.web.proxy import WEB, Proxy
 from tests.web.test_paint import house
 
 ANNA = {"Authorization": f"Basic {base64.b64encode(b'anna:secret').decode()}"}

@@ -8,9 +8,9 @@ import pytest
 
 from bridge.hub.wire.qos import Durability
 from bridge.web.verbs import sending
+from tests.peers.browser.page import TestPage
 from tests.support.wait import until
 from tests.web.conftest import Desk
-from tests.web.page import TestPage
 
 
 @pytest.fixture(autouse=True)

@@ -11,8 +11,8 @@ from websockets.exceptions import InvalidStatus
 
 from bridge.web.serving.console import WebServer
 from bridge.web.serving.server import refusal
+from tests.peers.browser.page import TestPage
 from tests.web.conftest import Desk
-from tests.web.page import TestPage
 
 OWN = frozenset({"127.0.0.1:8480", "localhost:8480"})
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.yarp_script import SCRIPTS
+from tests.peers.yarp.script import SCRIPTS
 from yarp_compat import check
 from yarp_compat.script_names import NameUse, names_of
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
+from tests.peers.yarp.map_server import KeptMaps
+from tests.peers.yarp.script import output_lines, start
 from tests.support.ports import free_port
-from tests.support.yarp_script import output_lines, start
 from tests.yarp_compat.dev.drivers.test_cameras_and_models import Camera
 from tests.yarp_compat.dev.drivers.test_sensors import SCAN, Battery, Laser
-from tests.yarp_compat.dev.keptmaps import KeptMaps
 from yarp_compat.dev.battery import BatteryData
 from yarp_compat.dev.inavigation2d import Navigation2DServer
 from yarp_compat.dev.localization2d import Localization2DServer

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import yarp_compat as yarp
+from tests.peers.yarp.script import SCRIPTS, output_lines, start
 from tests.support.ports import free_port
-from tests.support.yarp_script import SCRIPTS, output_lines, start
 from yarp_compat.naming.server import NameServer
 
 OUTPUTS = {

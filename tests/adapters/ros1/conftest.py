@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.adapters.ros1.parts import EdgeUnderTest, edge_on
-from tests.support.ros1 import RosMaster
+from tests.peers.ros1.adapter import EdgeUnderTest, edge_on
+from tests.peers.ros1.network import RosMaster
 
 
 @pytest.fixture(scope="module")

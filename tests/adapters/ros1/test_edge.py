@@ -12,9 +12,9 @@ import pytest
 
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD, encode, read_header
 from bridge.adapters.ros1_peers import DeadlineSocket
-from tests.adapters.ros1.parts import edge_on, string, text
-from tests.adapters.ros1.servers import publisher, tcp_server, until_closed
-from tests.support.ros1 import needs_ros1
+from tests.peers.ros1.adapter import edge_on, string, text
+from tests.peers.ros1.network import needs_ros1
+from tests.peers.ros1.servers import publisher, tcp_server, until_closed
 from tests.support.wait import until
 
 pytestmark = needs_ros1

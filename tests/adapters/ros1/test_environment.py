@@ -10,7 +10,7 @@ import pytest
 from bridge.adapters.ros1.environment import PLACES, available, is_local, packages_folder, worker_environment
 from bridge.config.model import Config
 from bridge.config.sections.ros import Ros1Section
-from tests.support.ros1 import needs_ros1
+from tests.peers.ros1.network import needs_ros1
 
 
 @pytest.fixture

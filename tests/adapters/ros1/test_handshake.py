@@ -8,7 +8,7 @@ import pytest
 
 from bridge.adapters.ros1.handshake import MAX_HEADER, connect, connect_service, decode, encode
 from bridge.adapters.ros1_peers import ExhaustedError, RefusedError, Ros1Error, Ros1ProtocolError, UnreachableError
-from tests.adapters.ros1.servers import node, publisher, tcp_server, until_closed
+from tests.peers.ros1.servers import node, publisher, tcp_server, until_closed
 from tests.support.descriptors import no_descriptors
 from tests.support.ports import free_port
 

@@ -7,8 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from tests.adapters.ros1.parts import AT_ONCE, EdgeUnderTest, edge_on, text
-from tests.support.ros1 import RosMaster, needs_ros1
+from tests.peers.ros1.adapter import AT_ONCE, EdgeUnderTest, edge_on, text
+from tests.peers.ros1.network import RosMaster, needs_ros1
 from tests.support.wait import until
 
 pytestmark = needs_ros1

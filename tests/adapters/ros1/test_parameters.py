@@ -30,9 +30,9 @@ from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.messages.values import MessageReader
 from bridge.routing.rules import RuleSet
-from tests.adapters.ros1.parts import edge_on
-from tests.support.hub import HubNetwork
-from tests.support.ros1 import RosMaster, needs_ros1
+from tests.peers.hub.network import HubNetwork
+from tests.peers.ros1.adapter import edge_on
+from tests.peers.ros1.network import RosMaster, needs_ros1
 from tests.support.wait import until
 
 REGISTRY = Registry()

@@ -14,8 +14,8 @@ from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion, SideType
 from bridge.routing.edge import Endpoint, Kind
-from tests.support.peer import Peer
-from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
+from tests.peers.peer import Peer
+from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.wait import until
 
 

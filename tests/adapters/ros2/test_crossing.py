@@ -21,8 +21,8 @@ from bridge.adapters.ros2.environment import worker_environment
 from bridge.config.model import Config
 from bridge.routing.edge import Kind, MadeBy
 from tests.adapters.ros2.conftest import RunningEdge
-from tests.support.peer import Peer
-from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment
+from tests.peers.peer import Peer
+from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment
 from tests.support.wait import until
 
 ROOT = Path(__file__).parents[3]
@@ -51,7 +51,7 @@ class Programs:
         if os.geteuid() == 0:
             os.chown(state, user, -1)
         text = json.dumps(config.model_dump(mode="json", by_alias=True, exclude_unset=True))
-        return self._start(["-m", "tests.adapters.ros2.edge_program", text, str(state)], env, user, mounts)
+        return self._start(["-m", "tests.peers.ros2.adapter_program", text, str(state)], env, user, mounts)
 
     def _start(self, args: list[str], env: dict[str, str], user: int, mounts: int | None) -> Peer:
         env = {**env, "HOME": str(self.folder), "ROS_LOG_DIR": str(self.folder / f"log-{user}")}

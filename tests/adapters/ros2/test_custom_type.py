@@ -13,7 +13,7 @@ from bridge.interfaces.builder import build
 from bridge.interfaces.cache import environment
 from bridge.messages.registry import Registry
 from tests.adapters.ros2.conftest import RunningEdge
-from tests.support.peer import Peer
+from tests.peers.peer import Peer
 from tests.support.wait import until
 
 DEFINITION = """

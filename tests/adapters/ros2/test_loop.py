@@ -16,7 +16,7 @@ from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.routing.edge import Kind
 from tests.adapters.ros2.conftest import RunningEdge, text
-from tests.support.peer import Peer
+from tests.peers.peer import Peer
 from tests.support.wait import until
 
 STRING = "std_msgs/msg/String"

@@ -14,7 +14,7 @@ from bridge.messages.errors import ConversionError, MessageTypeError
 from bridge.routing.edge import Kind
 from tests.adapters.ros2.conftest import RunningEdge, string, text
 from tests.adapters.ros2.graph.test_graph import marked_profile
-from tests.support.peer import Peer
+from tests.peers.peer import Peer
 from tests.support.wait import until
 
 MARKER = {

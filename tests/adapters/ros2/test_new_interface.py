@@ -14,9 +14,9 @@ from bridge.adapters.ros2.edge import Ros2Edge
 from bridge.adapters.ros2.environment import worker_environment
 from bridge.config.model import Config
 from bridge.messages.registry import Registry
+from tests.peers.peer import Peer
+from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.netns import Cable, Machine, need_namespaces
-from tests.support.peer import Peer
-from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.wait import until
 
 ROOT = Path(__file__).parents[3]
@@ -43,7 +43,7 @@ def edge(machine: Machine, state: Path) -> Peer:
     section = {"domain": ros2_domain(), "localhost_only": False, "transport": "udp"}
     config = Config.model_validate({"ros2": section})
     env = {**worker_environment(config, os.environ), "PYTHONPATH": str(ROOT), "HOME": str(state)}
-    return program(machine, env, "-m", "tests.adapters.ros2.edge_program", json.dumps({"ros2": section}), str(state))
+    return program(machine, env, "-m", "tests.peers.ros2.adapter_program", json.dumps({"ros2": section}), str(state))
 
 
 def test_an_edge_ends_when_a_network_appears_and_its_successor_uses_it(

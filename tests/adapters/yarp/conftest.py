@@ -14,9 +14,9 @@ from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide
 from tests.contract.yarpside import YarpBridge
-from tests.support.quick_hub import QuickHub
+from tests.peers.hub.quick import QuickHub
+from tests.peers.yarp.programs import Definitions, Names, YarpProgram
 from tests.support.wait import until
-from tests.support.yarp_programs import Definitions, Names, YarpProgram
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.ports.message import PortMessage

@@ -22,8 +22,8 @@ from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
 from bridge.routing.edge import MadeBy
 from tests.adapters.yarp.conftest import YarpPort
+from tests.peers.yarp.programs import Names
 from tests.support.wait import until
-from tests.support.yarp_programs import Names
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.wire.binary import encode

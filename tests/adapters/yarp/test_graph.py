@@ -10,8 +10,8 @@ import pytest
 
 from bridge.adapters.yarp.graph import KnownPort, NodePort, YarpGraph
 from bridge.messages.registry import Registry
+from tests.peers.yarp.programs import Names
 from tests.support.wait import until
-from tests.support.yarp_programs import Names
 from yarp_compat.os.ports.nested import LATCHED
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.contact import PortContact

@@ -18,9 +18,9 @@ from tests.adapters.yarp.conftest import Place
 from tests.contract.hubside import HubSide
 from tests.contract.side import WorkerProcess
 from tests.contract.yarpside import YarpBridge
-from tests.support.exchange import exchange, until_all_receive
+from tests.peers.daemon.exchange import exchange, until_all_receive
+from tests.peers.hub.quick import QuickHub
 from tests.support.ports import free_port
-from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
 from yarp_compat.naming import config as conf
 from yarp_compat.naming.client import NameClient

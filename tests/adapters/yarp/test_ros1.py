@@ -10,10 +10,10 @@ import pytest
 
 from bridge.adapters.yarp.graph import Ros1Ports
 from tests.adapters.yarp.conftest import Place
+from tests.peers.ros1.network import RosMaster, needs_ros1
+from tests.peers.yarp.name_server import RealNameServer
 from tests.support.ports import free_port
-from tests.support.ros1 import RosMaster, needs_ros1
 from tests.support.wait import until
-from tests.support.yarp_name_server import RealNameServer
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.ports.message import PortMessage

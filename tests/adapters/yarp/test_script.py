@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from tests.adapters.yarp.conftest import Place
+from tests.peers.yarp.script import output_lines, start
 from tests.support.wait import until
-from tests.support.yarp_script import output_lines, start
 
 
 def test_yarp_script_publishes_and_subscribes(place: Place) -> None:

@@ -18,8 +18,8 @@ from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from bridge.routing.edge import MadeBy
 from tests.adapters.yarp.conftest import Place
+from tests.peers.yarp.native_client import NativeClient
 from tests.support.wait import until
-from tests.support.yarp_native import NativeClient
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import PortError
 from yarp_compat.pythonic import Client, Server

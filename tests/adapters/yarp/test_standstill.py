@@ -18,10 +18,10 @@ from bridge.messages.registry import Registry
 from tests.adapters.yarp.conftest import Place
 from tests.contract.hubside import HubSide
 from tests.contract.side import WorkerProcess
+from tests.peers.hub.quick import QuickHub
+from tests.peers.yarp.programs import YarpProgram
 from tests.support.process import is_stopped
-from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
-from tests.support.yarp_programs import YarpProgram
 
 pytestmark = pytest.mark.thorough
 

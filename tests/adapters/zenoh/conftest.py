@@ -17,11 +17,11 @@ from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from tests.contract.hubside import HubSide
 from tests.contract.zenohside import PERIOD, ZenohBridge
-from tests.support.quick_hub import QuickHub
+from tests.peers.hub.quick import QuickHub
+from tests.peers.zenoh.actions import TEXTS
+from tests.peers.zenoh.programs import JsonProgram, Ros1Bridge, Ros2ddsBridge, Router, service_texts
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
-from tests.support.zenoh_actions import TEXTS
-from tests.support.zenoh_programs import JsonProgram, Ros1Bridge, Ros2ddsBridge, Router, service_texts
 
 ROS1, ROS2 = Messages(ros1=True, texts=service_texts()), Messages(ros1=False, texts=service_texts() | TEXTS)
 

@@ -11,8 +11,8 @@ from zenoh import ext
 from bridge.adapters.zenoh.ros2dds_topics import is_later
 from bridge.hub.zenoh_compat import SOURCE_NUMBERS
 from tests.adapters.zenoh.conftest import Place
+from tests.peers.zenoh.programs import open_session
 from tests.support.wait import until
-from tests.support.zenoh_programs import open_session
 
 STRING = "std_msgs/String"
 LAST = SOURCE_NUMBERS - 1

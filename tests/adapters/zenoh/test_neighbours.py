@@ -6,7 +6,7 @@ import time
 
 from bridge.adapters.zenoh.neighbours import DISCOVERY_SECONDS, KeyNeighbours
 from tests.adapters.zenoh.conftest import Place
-from tests.support.zenoh_programs import open_session
+from tests.peers.zenoh.programs import open_session
 
 
 def test_the_end_of_a_discovery_period_is_reported_once_however_late(place: Place) -> None:

@@ -17,8 +17,8 @@ from bridge.hub.errors import HubWireError
 from bridge.routing.edge import Kind
 from tests.adapters.zenoh.conftest import Place, cross
 from tests.contract.zenohside import PERIOD
+from tests.peers.zenoh.programs import Beacon, open_session
 from tests.support.wait import until
-from tests.support.zenoh_programs import Beacon, open_session
 
 STRING = "std_msgs/String"
 KEY = "7374645f6d7367732f537472696e67/992ce8a1687cec8c8bd883ec73ca41d1/*/chatter"

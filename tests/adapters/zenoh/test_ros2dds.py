@@ -14,8 +14,8 @@ from bridge.hub.errors import HubWireError
 from bridge.hub.wire.qos import Durability, History, Qos, Reliability
 from bridge.routing.edge import Kind
 from tests.adapters.zenoh.conftest import ROS2, Place, cross
+from tests.peers.zenoh.programs import open_session
 from tests.support.wait import until
-from tests.support.zenoh_programs import open_session
 
 STRING = "std_msgs/String"
 HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"

@@ -8,8 +8,8 @@ import pytest
 
 from bridge.messages.actions import GoalState
 from tests.adapters.zenoh.conftest import Place
+from tests.peers.zenoh.actions import ACTION, CANCELED, SUCCEEDED, ActionClient, ActionServer
 from tests.support.wait import until
-from tests.support.zenoh_actions import ACTION, CANCELED, SUCCEEDED, ActionClient, ActionServer
 
 SIDE = "zenoh_ros2dds"
 ID = {"goal_id": {"uuid": list(range(16))}}

@@ -11,9 +11,9 @@ from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.routing.edge import Kind
 from tests.adapters.zenoh.conftest import Place
+from tests.peers.zenoh.actions import ACTION
+from tests.peers.zenoh.programs import Ros2ddsBridge, open_session
 from tests.support.wait import until
-from tests.support.zenoh_actions import ACTION
-from tests.support.zenoh_programs import Ros2ddsBridge, open_session
 
 SERVICES = {"send_goal": f"{ACTION}_SendGoal", "cancel_goal": "action_msgs/srv/CancelGoal"}
 RESULT = {"get_result": f"{ACTION}_GetResult"}

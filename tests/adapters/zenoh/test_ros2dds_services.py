@@ -12,9 +12,9 @@ from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from tests.adapters.zenoh.conftest import Place
 from tests.contract.hubside import HubSide
-from tests.support.quick_hub import QuickHub
+from tests.peers.hub.quick import QuickHub
+from tests.peers.zenoh.programs import Ros2ddsBridge
 from tests.support.wait import until
-from tests.support.zenoh_programs import Ros2ddsBridge
 
 SET, TRIGGER = "std_srvs/SetBool", "std_srvs/Trigger"
 SIDE = "zenoh_ros2dds"

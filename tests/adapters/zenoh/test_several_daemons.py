@@ -8,8 +8,8 @@ from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from tests.adapters.zenoh.conftest import Place
 from tests.contract.hubside import HubSide
-from tests.support.exchange import exchange, until_all_receive
-from tests.support.quick_hub import QuickHub
+from tests.peers.daemon.exchange import exchange, until_all_receive
+from tests.peers.hub.quick import QuickHub
 
 STRING = "std_msgs/String"
 JSON = {"dialect": "json", "keys": [{"key": "json/both", "topic": "/both", "type": "std_msgs/msg/String"}]}

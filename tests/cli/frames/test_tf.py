@@ -17,8 +17,8 @@ from bridge.messages.registry import Registry
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.stamped import Stamped, write
 from tests.cli.conftest import Midspan, Outcome
-from tests.cli.workers import EngineWorker, FakeWorker
-from tests.support.hub import HubNetwork
+from tests.peers.daemon.workers import EngineWorker, FakeWorker
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 TF = "tf2_msgs/msg/TFMessage"

@@ -17,8 +17,8 @@ from bridge.modules.action_server import Goal
 from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from tests.cli.conftest import Midspan, Outcome
-from tests.cli.workers import FakeWorker
-from tests.support.hub import HubNetwork
+from tests.peers.daemon.workers import FakeWorker
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 BOOL, LOOKUP = "std_srvs/srv/SetBool", "tf2_msgs/action/LookupTransform"

@@ -15,9 +15,9 @@ from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from bridge.routing.edge import MadeBy
 from tests.cli.conftest import Midspan
-from tests.cli.workers import LATCHED, EngineWorker, FakeWorker
-from tests.support.fake import Writer
-from tests.support.hub import HubNetwork
+from tests.peers.daemon.workers import LATCHED, EngineWorker, FakeWorker
+from tests.peers.fake import Writer
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 STRING = "std_msgs/msg/String"

@@ -15,13 +15,13 @@ from typing import Any
 import pytest
 import zenoh
 
-from tests.cli.daemons import RobotDaemon
+from tests.peers.daemon.robot_daemon import RobotDaemon
 from tests.support.ports import free_port
 from tests.support.wait import until
 
 DOWN = "the daemon robot is not running, although its router is (process {router})"
 UNRESPONSIVE = "the router of robot (process {router}) listens at tcp/127.0.0.1:{port}, but accepts no connection"
-STAND_IN = "tests.cli.stand_in:Modules"
+STAND_IN = "tests.peers.daemon.stand_in:Modules"
 Start = Callable[..., RobotDaemon]
 
 NEED_THE_GATEWAY = (["nav", "status"], ["nav", "pause"], ["nav", "show"], ["goto", "kitchen"], ["goto", "-1.5", "2"])

@@ -11,8 +11,8 @@ import pytest
 
 from bridge.doctor.checks import CHECKS
 from tests.cli.conftest import Midspan
-from tests.cli.workers import FakeWorker, config_file, status
-from tests.support.hub import HubNetwork
+from tests.peers.daemon.workers import FakeWorker, config_file, status
+from tests.peers.hub.network import HubNetwork
 from tests.support.ports import free_port
 
 NO_ROS: dict[str, Any] = {"ros1": {"enabled": False}, "ros2": {"enabled": False}}

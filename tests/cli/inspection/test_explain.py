@@ -14,8 +14,8 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
 from tests.cli.conftest import Midspan
-from tests.cli.workers import EngineWorker, FakeWorker, config_file, route, status
-from tests.support.hub import HubNetwork
+from tests.peers.daemon.workers import EngineWorker, FakeWorker, config_file, route, status
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 STRING = "std_msgs/msg/String"

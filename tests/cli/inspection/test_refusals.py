@@ -17,9 +17,9 @@ from bridge.hub.wire.qos import Qos
 from bridge.hub.zenoh_config import make_config, router_tree
 from tests.bags.playing import Said, write_bag
 from tests.cli.conftest import Midspan, Outcome
-from tests.cli.workers import FakeWorker, config_file, route, status
-from tests.hub.machines import Machines, make_keys
-from tests.support.hub import HubNetwork
+from tests.peers.daemon.workers import FakeWorker, config_file, route, status
+from tests.peers.hub.machines import Machines, make_keys
+from tests.peers.hub.network import HubNetwork
 from tests.support.ports import free_port
 from tests.support.wait import until
 

@@ -9,8 +9,8 @@ import pytest
 
 from bridge.cli.main import main
 from tests.cli.conftest import Midspan
-from tests.cli.workers import EngineWorker, FakeWorker, config_file, route, status
-from tests.support.hub import HubNetwork
+from tests.peers.daemon.workers import EngineWorker, FakeWorker, config_file, route, status
+from tests.peers.hub.network import HubNetwork
 from tests.support.ports import free_port
 
 REFUSED = {

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from tests.cli.workers import FakeWorker, config_file, route, status
-from tests.support.hub import HubNetwork
+from tests.peers.daemon.workers import FakeWorker, config_file, route, status
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 pty = pytest.importorskip("pty")

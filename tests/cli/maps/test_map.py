@@ -23,9 +23,9 @@ from bridge.stores.store import Store
 from bridge.tf.stamped import TF, TF_TYPE, Stamped, write
 from tests.cli.conftest import Midspan
 from tests.cli.test_docs import examples
-from tests.cli.workers import EngineWorker
+from tests.peers.daemon.workers import EngineWorker
+from tests.peers.hub.network import HubNetwork
 from tests.stores.parts import Shared
-from tests.support.hub import HubNetwork
 from tests.support.missing import OCTOMAP, needs
 from tests.yarp_compat.test_octree import a_tree
 from yarp_compat.dev.extras import AreaBehaviour, MapLink

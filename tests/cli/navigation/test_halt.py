@@ -21,9 +21,9 @@ from bridge.modules.action_server import Goal
 from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from tests.cli.conftest import Midspan, config_file
-from tests.cli.workers import FakeWorker
+from tests.peers.daemon.workers import FakeWorker
+from tests.peers.hub.network import HubNetwork
 from tests.support.faults import FaultProxy
-from tests.support.hub import HubNetwork
 from tests.support.wait import until
 
 LOOKUP = "tf2_msgs/action/LookupTransform"

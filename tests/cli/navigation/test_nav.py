@@ -33,9 +33,9 @@ from bridge.stores.kinds import AREA, LOCATION, MAP
 from navigation.nav2_errors import reason_text
 from navigation.status import State
 from tests.cli.conftest import Midspan, Outcome
-from tests.cli.workers import FakeWorker, config_file
-from tests.navigation.gateway.rig import ClientGoal, Planner, Program, Rig, pose
-from tests.support.hub import HubNetwork
+from tests.peers.daemon.workers import FakeWorker, config_file
+from tests.peers.hub.network import HubNetwork
+from tests.peers.navigation.gateway import ClientGoal, Planner, Program, Rig, pose
 from tests.support.wait import until
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
 from yarp_compat.dev.mapgrid import MapGrid2D

@@ -16,7 +16,7 @@ from bridge.hub.wire.qos import Qos
 from bridge.messages.json import to_json
 from bridge.messages.registry import Registry
 from tests.cli.conftest import Midspan, Outcome
-from tests.support.hub import HubNetwork
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 TWIST = "geometry_msgs/msg/Twist"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from tests.fuzz.target import JSON_WORDS, Subject, Target, scratch, texts
 
 if TYPE_CHECKING:
-    from tests.web.hostile import HostileConsole
+    from tests.peers.browser.hostile import HostileConsole
 
 _CUT = b"\x1e"
 _HOST = b"HOST"
@@ -16,7 +16,7 @@ _HOST = b"HOST"
 
 def _web() -> Subject:
     """Up to 40 requests or frames; the console survives them, and no robot drives unless a page holds the control."""
-    from tests.web.hostile import HostileConsole
+    from tests.peers.browser.hostile import HostileConsole
 
     console = HostileConsole(scratch())
     atexit.register(console.close)

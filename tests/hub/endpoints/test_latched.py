@@ -16,7 +16,7 @@ from bridge.hub.endpoints.latched import HEARTBEAT
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from bridge.hub.wire.qos import History, Qos
-from tests.hub.parts import (
+from tests.peers.hub.endpoints import (
     BEST_EFFORT_LATCHED,
     HASH,
     LATCHED,
@@ -27,7 +27,7 @@ from tests.hub.parts import (
     matched,
     see_each_other,
 )
-from tests.support.hub import HubNetwork
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 EACH_LATCHED = pytest.mark.parametrize("qos", [LATCHED, BEST_EFFORT_LATCHED], ids=["reliable", "best effort"])

@@ -18,7 +18,7 @@ from bridge.hub.wire.keys import topic_key
 from bridge.hub.wire.qos import History, Qos
 from bridge.hub.zenoh_compat import SOURCE_NUMBERS, source_infos
 from bridge.hub.zenoh_config import LEASE_MS
-from tests.hub.parts import (
+from tests.peers.hub.endpoints import (
     BEST_EFFORT_LATCHED,
     HASH,
     LATCHED,
@@ -29,9 +29,9 @@ from tests.hub.parts import (
     matched,
     see_each_other,
 )
-from tests.support.hub import HubNetwork
+from tests.peers.hub.network import HubNetwork
+from tests.peers.zenoh.rmw import RmwPublisher, RmwSubscription, subscribe
 from tests.support.wait import until
-from tests.support.zenoh_rmw import RmwPublisher, RmwSubscription, subscribe
 
 BLOCKING = replace(STREAM, history=History.KEEP_ALL)
 EACH_QOS = pytest.mark.parametrize(

@@ -12,9 +12,9 @@ import pytest
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos, Reliability
-from tests.hub.parts import LATCHED, STREAM, matched
-from tests.support.hub import HubNetwork
-from tests.support.peer import Peer
+from tests.peers.hub.endpoints import LATCHED, STREAM, matched
+from tests.peers.hub.network import HubNetwork
+from tests.peers.peer import Peer
 from tests.support.wait import until
 
 STRING = "std_msgs/msg/String"

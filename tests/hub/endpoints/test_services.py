@@ -14,8 +14,8 @@ from bridge.hub.endpoints.calls import Abandon, CallError, Done
 from bridge.hub.endpoints.services import HubClient, abandon_key
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key, unpack_attachment
-from tests.hub.parts import see_each_other
-from tests.support.hub import HubNetwork
+from tests.peers.hub.endpoints import see_each_other
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 SERVICE, HASH = "std_srvs/srv/SetBool", "RIHS01_" + "5e" * 32

@@ -12,8 +12,8 @@ from bridge.hub.endpoints.calls import Abandon, CallError, Done
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from bridge.messages.values import MessageReader, MessageWriter
-from tests.support.hub import HubNetwork
-from tests.support.peer import Peer
+from tests.peers.hub.network import HubNetwork
+from tests.peers.peer import Peer
 from tests.support.wait import until
 
 SERVICE = "std_srvs/srv/SetBool"

@@ -16,8 +16,8 @@ from bridge.hub.errors import HubClosedError, HubError, HubWireError
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from bridge.hub.wire.qos import History
-from tests.hub.parts import HASH, LATCHED, STREAM, TYPE, Subscriber, advertise, matched
-from tests.support.hub import HubNetwork
+from tests.peers.hub.endpoints import HASH, LATCHED, STREAM, TYPE, Subscriber, advertise, matched
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 

@@ -19,8 +19,8 @@ from bridge.hub.graph.tokens import EndpointKind, EndpointToken, gid_of, parse_t
 from bridge.hub.graph.view import HubGraph
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import BEST_AVAILABLE_NS, Durability, Qos, Reliability
-from tests.hub.parts import HASH
-from tests.support.hub import HubNetwork
+from tests.peers.hub.endpoints import HASH
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 RELIABLE, BEST_EFFORT = Reliability.RELIABLE, Reliability.BEST_EFFORT

@@ -11,8 +11,8 @@ import pytest
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import BRIDGE_ENCLAVE, EndpointKind, NodeToken, Origin, node_key
 from bridge.hub.session import Hub
-from tests.hub.parts import HASH, LATCHED, STREAM, TYPE, Subscriber, advertise
-from tests.support.hub import HubNetwork
+from tests.peers.hub.endpoints import HASH, LATCHED, STREAM, TYPE, Subscriber, advertise
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 

@@ -14,9 +14,9 @@ from bridge.hub.lane import folder
 from bridge.hub.lane.wire import DATA, HEAD, MARK, PART, PIECE
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment
-from tests.hub.lane.parts import goes_by, subscription, whole
-from tests.hub.parts import STREAM, Subscriber, advertise, matched
-from tests.support.hub import HubNetwork
+from tests.peers.hub.endpoints import STREAM, Subscriber, advertise, matched
+from tests.peers.hub.lane import goes_by, subscription, whole
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 

@@ -12,12 +12,12 @@ from bridge.hub.lane.wire import BOUND
 from bridge.hub.session import Hub, HubSession
 from bridge.hub.wire.keys import topic_key
 from bridge.hub.wire.qos import History, Qos
-from tests.hub.lane.parts import goes_by, subscription, whole
-from tests.hub.parts import HASH, LATCHED, TYPE, Subscriber, advertise, matched
-from tests.support.hub import HubNetwork
-from tests.support.peer import Peer
+from tests.peers.hub.endpoints import HASH, LATCHED, TYPE, Subscriber, advertise, matched
+from tests.peers.hub.lane import goes_by, subscription, whole
+from tests.peers.hub.network import HubNetwork
+from tests.peers.peer import Peer
+from tests.peers.zenoh.rmw import RmwSubscription
 from tests.support.wait import until
-from tests.support.zenoh_rmw import RmwSubscription
 
 
 @pytest.fixture

@@ -17,8 +17,8 @@ from bridge.hub.router import RouterWorker
 from bridge.hub.security.certificates import Authority
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key
-from tests.hub.machines import FLOAT, Machines, make_keys
-from tests.hub.parts import HASH, LATCHED, TYPE, Subscriber, advertise, matched, see_each_other
+from tests.peers.hub.endpoints import HASH, LATCHED, TYPE, Subscriber, advertise, matched, see_each_other
+from tests.peers.hub.machines import FLOAT, Machines, make_keys
 from tests.support.ports import free_port
 from tests.support.wait import until
 

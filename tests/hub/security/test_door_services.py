@@ -11,8 +11,8 @@ from bridge.hub.endpoints.services import abandon_key
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from tests.hub.endpoints.test_services import Called, Serving
-from tests.hub.machines import Machines, make_keys
-from tests.hub.parts import HASH, Subscriber, advertise, matched
+from tests.peers.hub.endpoints import HASH, Subscriber, advertise, matched
+from tests.peers.hub.machines import Machines, make_keys
 from tests.support.wait import until
 
 COMMANDS = {

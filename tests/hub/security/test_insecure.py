@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.hub import ROOT, ROUTER_PROGRAM
+from tests.peers.hub.network import ROOT, ROUTER_PROGRAM
 from tests.support.netns import Cable, Machine, need_namespaces
 from tests.support.wait import until
 

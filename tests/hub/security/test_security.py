@@ -10,8 +10,8 @@ import pytest
 from bridge.hub.errors import HubError
 from bridge.hub.router import probe_router
 from bridge.hub.session import Hub
-from tests.hub.parts import LATCHED, Subscriber, advertise, matched, see_each_other
-from tests.support.hub import HubNetwork
+from tests.peers.hub.endpoints import LATCHED, Subscriber, advertise, matched, see_each_other
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 

@@ -23,8 +23,8 @@ from bridge.hub.lane import folder
 from bridge.hub.lane.wire import VERSION
 from bridge.hub.session import Hub
 from bridge.hub.wire.version import MAJOR, WIRE, refusal
-from tests.hub.parts import HASH, STREAM, TYPE
-from tests.support.hub import HubNetwork
+from tests.peers.hub.endpoints import HASH, STREAM, TYPE
+from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 LATER = f"{MAJOR}.12345"

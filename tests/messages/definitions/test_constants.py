@@ -16,7 +16,7 @@ from bridge.messages.definitions.schema import Constant, Definition, World
 from bridge.messages.definitions.text import own_text, parse_definition, split_parts
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
-from tests.messages.peers import SYSTEM_PYTHON, needs_genpy
+from tests.peers.codecs import SYSTEM_PYTHON, needs_genpy
 from tests.support.missing import ROS2, needs
 
 CONSTANTS = [
@@ -37,7 +37,7 @@ CONSTANTS = [
 
 def genmsg(items: list[dict[str, str]]) -> list[dict[str, Any]]:
     """What ``genmsg_peer.py`` answers."""
-    peer = Path(__file__).with_name("genmsg_peer.py")
+    peer = Path(__file__).parents[2] / "peers" / "ros1" / "genmsg_peer.py"
     done = subprocess.run(
         [SYSTEM_PYTHON, peer], input=json.dumps(items), capture_output=True, text=True, timeout=60, check=False
     )

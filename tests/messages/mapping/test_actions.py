@@ -15,8 +15,8 @@ from bridge.messages.definitions.parts import STATUS_TEXT
 from bridge.messages.errors import ConversionError, MessageTypeError
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
-from tests.messages.peers import genpy, needs_genpy, rclpy, text
 from tests.messages.samples import sample
+from tests.peers.codecs import genpy, needs_genpy, rclpy, text
 
 PARTS = ("SendGoal", "GetResult", "FeedbackMessage")
 MESSAGES = ("SendGoal_Request", "SendGoal_Response", "GetResult_Request", "GetResult_Response", "FeedbackMessage")

@@ -16,8 +16,8 @@ from bridge.messages.errors import ConversionError, MessageTypeError
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import ServiceConversion
-from tests.messages.peers import genpy, needs_genpy, rclpy, text
 from tests.messages.samples import GENPY, sample
+from tests.peers.codecs import genpy, needs_genpy, rclpy, text
 
 KNOWN_MD5 = {  # seen on the wire of a running navigation stack
     "nav_msgs/GetMap": "6cdd0a18e0aff5b0a3ca2326a89b54ff",

@@ -15,7 +15,7 @@ import pytest
 from bridge.hub.session import Hub, HubSettings
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json, to_json
-from tests.modules.place import Place
+from tests.peers.hub.modules import Place
 from tests.support.faults import FaultProxy
 from tests.support.wait import until
 from yarp_compat.dev.basecontrol import MobileBaseVelocity, MobileBaseVelocityControl, Odometry2DClient

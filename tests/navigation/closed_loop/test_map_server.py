@@ -10,14 +10,14 @@ import yaml
 
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.actions import GoalState
-from tests.support.chain import Chain
+from tests.peers.navigation.chain import Chain
+from tests.peers.ros1.network import ROS1_PYTHON, RosMaster, needs_ros1
 from tests.support.process import Process
-from tests.support.ros1 import ROS1_PYTHON, RosMaster, needs_ros1
 from tests.support.wait import until
 
 ROOT = Path(__file__).parents[3]
 KEPT = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-MAP_SERVER = ROOT / "tests" / "support" / "ros1_map_server.py"
+MAP_SERVER = ROOT / "tests" / "peers" / "ros1" / "map_server.py"
 
 
 @pytest.mark.thorough

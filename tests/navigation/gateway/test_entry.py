@@ -18,8 +18,8 @@ from bridge.messages.actions import GoalState, names
 from bridge.modules.worker import ModulesWorker
 from navigation.status import State
 from tests.doctor.parts import around, every, hub
-from tests.navigation.gateway.rig import ClientGoal, Rig, pose
-from tests.support.rmw_action_server import RmwActionServer
+from tests.peers.navigation.gateway import ClientGoal, Rig, pose
+from tests.peers.zenoh.rmw_action_server import RmwActionServer
 from tests.support.wait import until
 
 NODE = "/bt_navigator"

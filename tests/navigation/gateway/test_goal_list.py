@@ -9,7 +9,7 @@ import pytest
 from bridge.messages.actions import GoalState
 from navigation.gateway import goal_list
 from navigation.gateway.goal_list import EARLY_SECONDS, EMPTY_SECONDS, GoalList
-from tests.navigation.gateway.simulated_hub import Clock
+from tests.peers.navigation.simulated_hub import Clock
 
 SERVER, OTHER = b"server", b"other"
 GOAL, NEXT = b"first goal", b"second goal"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.navigation.gateway import world
+from tests.peers.navigation import world
 
 FOUND = (9, 26, 32, 104, 327, 330, 335, 544, 3037, 3115, 3574, 4470, 4532, 6042, 6171, 6660, 7170, 7688)
 """Seeds that found a fault, or a gap in the model, once."""

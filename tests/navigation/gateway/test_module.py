@@ -11,7 +11,7 @@ import pytest
 from bridge.stores.kinds import AREA, LOCATION, MAP
 from navigation.gateway import choice, execution
 from navigation.status import Fault, State
-from tests.navigation.gateway.rig import ClientGoal, Rig, pose
+from tests.peers.navigation.gateway import ClientGoal, Rig, pose
 from tests.support.faults import FaultProxy
 from tests.support.wait import until
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation

@@ -13,9 +13,9 @@ from bridge.modules.action_server import Goal
 from navigation.gateway import gateway as gateway_module
 from navigation.gateway.machine import DriveState
 from navigation.status import Fault, State
-from tests.navigation.gateway.driving import MAY_MOVE, SPEED, Scene, scene
-from tests.navigation.gateway.rig import Program, Rig
-from tests.support.calls import Calling
+from tests.peers.hub.calls import Calling
+from tests.peers.navigation.driving import MAY_MOVE, SPEED, Scene, scene
+from tests.peers.navigation.gateway import Program, Rig
 from tests.support.wait import until
 
 PLANNER = "nav2"

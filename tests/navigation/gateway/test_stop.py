@@ -20,8 +20,8 @@ from bridge.modules.host import Host
 from navigation.gateway import execution, goal_list, stop
 from navigation.gateway.module import GatewayModule
 from navigation.status import Fault, State
-from tests.navigation.gateway.odometry import Odometry
-from tests.navigation.gateway.rig import LATCHED, REGISTRY, ClientGoal, Planner, Rig, pose
+from tests.peers.navigation.gateway import LATCHED, REGISTRY, ClientGoal, Planner, Rig, pose
+from tests.peers.navigation.odometry import Odometry
 from tests.support.faults import FaultProxy
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient

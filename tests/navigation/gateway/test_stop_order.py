@@ -22,7 +22,7 @@ from navigation.gateway.stop import (
     StopWaiters,
 )
 from navigation.pose import Pose
-from tests.navigation.gateway.simulated_hub import Clock
+from tests.peers.navigation.simulated_hub import Clock
 
 TICK = 0.1
 LONG = 600.0

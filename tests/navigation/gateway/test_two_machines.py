@@ -10,8 +10,8 @@ import pytest
 
 from bridge.config.model import Config
 from bridge.modules.worker import ModulesWorker
-from tests.hub.machines import Machines, make_keys
-from tests.navigation.gateway.rig import ClientGoal, Planner, Program, pose
+from tests.peers.hub.machines import Machines, make_keys
+from tests.peers.navigation.gateway import ClientGoal, Planner, Program, pose
 from tests.support.wait import until
 
 

@@ -13,8 +13,8 @@ from navigation.gateway import gateway as gateway_module
 from navigation.gateway.foreign import GoalMark
 from navigation.gateway.machine import PlannerState
 from navigation.status import Fault, State
-from tests.navigation.gateway.driving import MAY_MOVE, Scene, scene
-from tests.navigation.gateway.rig import ClientGoal, Rig, pose
+from tests.peers.navigation.driving import MAY_MOVE, Scene, scene
+from tests.peers.navigation.gateway import ClientGoal, Rig, pose
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs, NavigationStatusEnum

@@ -11,7 +11,7 @@ from bridge.hub.wire.qos import Qos
 from bridge.stores.kinds import MAP
 from navigation.maps.grid import to_grid
 from navigation.status import State
-from tests.navigation.gateway.rig import LATCHED, ClientGoal, Rig, pose
+from tests.peers.navigation.gateway import LATCHED, ClientGoal, Rig, pose
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import (

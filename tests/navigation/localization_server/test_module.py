@@ -20,8 +20,8 @@ from navigation.localization_server.module import LocalizationServer
 from navigation.maps.grid import from_grid, same_walls, to_grid, yaw_of
 from navigation.messages import pose_message
 from navigation.pose import Pose, wrapped
-from tests.modules.place import Place
-from tests.navigation.localization_server.robot import LATCHED, Robot
+from tests.peers.hub.modules import Place
+from tests.peers.sim.laboratory import LATCHED, Robot
 from tests.support.wait import until
 from yarp_compat.dev.basecontrol import OdometryData
 from yarp_compat.dev.localization2d import Localization2DClient, LocalizationStatusEnum

@@ -23,7 +23,7 @@ from navigation.map2d_server.publishers import topic_of
 from navigation.maps.grid import from_grid
 from navigation.maps.masks import flags_from
 from tests.contract.hubside import HubSide
-from tests.modules.place import Place
+from tests.peers.hub.modules import Place
 from tests.support.wait import until
 from yarp_compat.dev.extras import AreaBehaviour
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath

@@ -13,7 +13,7 @@ import pytest
 
 from bridge.clock import SYSTEM_CLOCK
 from bridge.stores.kinds import MAP
-from tests.modules.place import Place
+from tests.peers.hub.modules import Place
 from tests.support.wait import until
 from yarp_compat.dev.basecontrol import OdometryData
 from yarp_compat.dev.mapflag import MapFlag

@@ -15,7 +15,7 @@ from bridge.stores.kinds import MAP, MAP3D
 from navigation.clouds import MOST_POINTS, read_points
 from navigation.mapper3d.octomaps import cloud_message
 from navigation.maps.grid_map import values_at
-from tests.modules.place import Place
+from tests.peers.hub.modules import Place
 from tests.support.wait import until
 from yarp_compat import octree
 from yarp_compat.dev.mapflag import MapFlag

@@ -11,7 +11,7 @@ from navigation.pose import Pose
 from navigation.robot_goto.driver import MAX_RETREAT, Driver
 from navigation.status import Fault, PlannerStatus, State
 from sim.plan import Box, Person
-from tests.navigation.robot_goto.scene import Scene
+from tests.peers.navigation.scene import Scene
 
 
 def box(x, y, length=0.4, width=0.4, degrees=0.0):

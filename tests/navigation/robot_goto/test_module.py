@@ -26,8 +26,8 @@ from navigation.pose import Pose
 from navigation.status import Fault, State
 from sim.laser import reference
 from tests.navigation.robot_goto.test_obstacles import surface
-from tests.navigation.served import STATUS, Program, Served
 from tests.navigation.uncompiled import uncompiled
+from tests.peers.navigation.served import STATUS, Program, Served
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs, NavigationMapTypeEnum, NavigationStatusEnum

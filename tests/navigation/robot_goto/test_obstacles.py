@@ -10,7 +10,7 @@ from navigation.pose import Pose
 from navigation.robot_goto.obstacles import CloudWindow, Obstacles
 from navigation.status import Fault, State
 from sim.pieces import Piece
-from tests.navigation.robot_goto.scene import Scene
+from tests.peers.navigation.scene import Scene
 
 CLOUD, LAYER = ObstacleSection(topic="/points", type="cloud"), ObstacleSection(topic="/layer")
 EYE = np.array((0.1, 0.0, 1.1))

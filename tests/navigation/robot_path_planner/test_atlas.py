@@ -13,8 +13,8 @@ from bridge.stores.store import Store
 from navigation.goals import MapPlace
 from navigation.pose import Pose
 from navigation.robot_path_planner.atlas import StoreAtlas, leg
-from tests.navigation.robot_path_planner.floors import SETTINGS, floor
 from tests.navigation.robot_path_planner.test_path import area
+from tests.peers.navigation.floors import SETTINGS, floor
 from yarp_compat.dev.extras import AreaBehaviour, MapLink
 from yarp_compat.dev.locations import Map2DLocation
 

@@ -25,10 +25,10 @@ from bridge.stores.kinds import MAP
 from navigation.constraints import Constraints
 from navigation.maps.grid import to_grid, yaw_of
 from navigation.status import Fault, PlannerStatus, State, status_message
-from tests.modules.place import Place
-from tests.navigation.robot_path_planner.floors import ROOMS, floor
-from tests.navigation.served import ACTION, STATUS, Program, Served
 from tests.navigation.uncompiled import uncompiled
+from tests.peers.hub.modules import Place
+from tests.peers.navigation.floors import ROOMS, floor
+from tests.peers.navigation.served import ACTION, STATUS, Program, Served
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import (

@@ -17,7 +17,7 @@ from navigation.robot_path_planner.atlas import Leg, LinkedPlaces, leg
 from navigation.robot_path_planner.ground import Clutter, Ground, Zone
 from navigation.robot_path_planner.path import PlannedPath, blocked, plan_path, sampled
 from navigation.status import Fault, PlanError
-from tests.navigation.robot_path_planner.floors import ROOMS, SETTINGS, floor, paint
+from tests.peers.navigation.floors import ROOMS, SETTINGS, floor, paint
 from yarp_compat.dev.extras import AreaBehaviour
 from yarp_compat.dev.locations import Map2DArea
 from yarp_compat.dev.mapflag import MapFlag

@@ -9,7 +9,7 @@ import pytest
 
 from navigation.robot_path_planner.ground import Ground
 from navigation.robot_path_planner.ports import goal_of_click
-from tests.navigation.robot_path_planner.floors import floor
+from tests.peers.navigation.floors import floor
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ from navigation.goals import MapPlace
 from navigation.pose import Pose
 from navigation.robot_path_planner.ground import Ground, Zone
 from navigation.status import Fault, State
-from tests.navigation.robot_path_planner.floors import ROOMS, SETTINGS, Drive, floor, paint
 from tests.navigation.robot_path_planner.test_path import LIFT, Two, area
+from tests.peers.navigation.floors import ROOMS, SETTINGS, Drive, floor, paint
 from yarp_compat.dev.extras import AreaBehaviour
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D

@@ -24,9 +24,9 @@ from bridge.routing.edge import MadeBy
 from bridge.routing.engine import Engine
 from bridge.routing.peer_watch import Lease
 from bridge.routing.services import route as service_route
-from tests.support.calls import Calling, Serving
-from tests.support.fake import FakeEdge, FakeNetwork
-from tests.support.quick_hub import QuickHub
+from tests.peers.fake import FakeEdge, FakeNetwork
+from tests.peers.hub.calls import Calling, Serving
+from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until
 
 SET, GO = "std_srvs/srv/SetBool", "nav2_msgs/action/NavigateToPose"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.yarp_compat.dev.keptmaps import KeptMaps
+from tests.peers.yarp.map_server import KeptMaps
 from tests.yarp_compat.dev.written import Bytes, Returning, listed, text
 from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
 from yarp_compat.dev.imap2d import IMap2DMsgs

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.yarp_compat.dev.keptmaps import KeptMaps
+from tests.peers.yarp.map_server import KeptMaps
 from tests.yarp_compat.dev.test_imap2d import KITCHEN, PATH, small_map
 from tests.yarp_compat.dev.test_inavigation2d import COVARIANCE, FAILED, LOCALIZED, Planner
 from tests.yarp_compat.ports.conftest import MakePort, make_port, naming

@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
+from tests.peers.yarp.processes import library, processes
 from tests.support.wait import until
-from tests.support.yarp_processes import library, processes
 from tests.yarp_compat.dev.interfaces import All
 from tests.yarp_compat.dev.releases import RELEASES, Release
 from tests.yarp_compat.dev.test_transcripts import exchanges, parse_request

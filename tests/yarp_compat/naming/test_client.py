@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from tests.peers.yarp.scripted import Scripted
 from tests.support.ports import free_port
-from tests.yarp_compat.naming.scripted import Scripted
 from tests.yarp_compat.transcripts import Talk, read
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient

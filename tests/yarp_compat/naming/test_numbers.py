@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from tests.peers.yarp.name_server import RealNameServer
 from tests.support.ports import free_port
 from tests.support.wait import until
-from tests.support.yarp_name_server import RealNameServer
 from tests.yarp_compat.naming.test_restart import are_registered
 from yarp_compat.naming import client as client_module
 from yarp_compat.naming.allocation import LAST_OFFSET, numbers_outside

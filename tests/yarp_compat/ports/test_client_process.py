@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.yarp_processes import library, processes
+from tests.peers.yarp.processes import library, processes
 from yarp_compat.ports.client_process import loaded_release
 from yarp_compat.wire.generation import Generation
 

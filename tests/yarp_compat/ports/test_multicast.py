@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from tests.peers.yarp.name_server import RealNameServer
 from tests.support.ports import free_port
 from tests.support.wait import until
-from tests.support.yarp_name_server import RealNameServer
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.ports.datagrams import SendingGroup

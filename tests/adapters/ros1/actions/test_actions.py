@@ -11,9 +11,9 @@ from bridge.adapters.ros1.actions.states import Ros1State
 from bridge.adapters.ros1.actions.wire import ZERO
 from bridge.adapters.ros1.graph.probe import HOLD_SECONDS
 from bridge.messages.actions import CancelCode, GoalState
-from tests.adapters.ros1.hub_actions import PARTS, SECONDS, TYPES, HubClient, new_uuid, peer_on
-from tests.adapters.ros1.parts import edge_on
-from tests.support.ros1 import RosMaster, needs_ros1
+from tests.peers.ros1.adapter import edge_on
+from tests.peers.ros1.hub_actions import PARTS, SECONDS, TYPES, HubClient, new_uuid, peer_on
+from tests.peers.ros1.network import RosMaster, needs_ros1
 from tests.support.wait import until
 
 pytestmark = needs_ros1

@@ -9,7 +9,7 @@ from bridge.adapters.ros1.actions.states import Ros1State
 from bridge.adapters.ros1.actions.wire import ZERO, GoalId, GoalInfo, RosTime
 from bridge.hub.endpoints.calls import CallError
 from bridge.messages.actions import CancelCode, GoalState
-from tests.adapters.ros1.actions.client_world import (
+from tests.peers.ros1.client_world import (
     ANY,
     EMPTY,
     World,

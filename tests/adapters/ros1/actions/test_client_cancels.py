@@ -7,7 +7,7 @@ from bridge.adapters.ros1.actions.client import CONNECT_SECONDS
 from bridge.adapters.ros1.actions.states import Ros1State
 from bridge.adapters.ros1.actions.wire import ZERO, GoalId, RosTime
 from bridge.messages.actions import CancelCode
-from tests.adapters.ros1.actions.client_world import World, cancelled, name
+from tests.peers.ros1.client_world import World, cancelled, name
 
 
 @pytest.fixture

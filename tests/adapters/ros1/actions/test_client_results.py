@@ -6,7 +6,7 @@ from bridge.adapters.ros1.actions import goal as goal_module
 from bridge.adapters.ros1.actions.client import RESULT_SECONDS
 from bridge.adapters.ros1.actions.states import Ros1State
 from bridge.messages.actions import GoalState
-from tests.adapters.ros1.actions.client_world import EMPTY, World, accepted, reason, result, status, uuid
+from tests.peers.ros1.client_world import EMPTY, World, accepted, reason, result, status, uuid
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from bridge.adapters.ros1.actions.client import RESULT_SECONDS, SHOWN_SECONDS
 from bridge.adapters.ros1.actions.states import TO_ROS2, Ros1State
 from bridge.messages.actions import GoalState
-from tests.adapters.ros1.actions.client_world import (
+from tests.peers.ros1.client_world import (
     EMPTY,
     World,
     accepted,

@@ -10,9 +10,9 @@ import pytest
 from bridge.adapters.ros1.actions import states, wire
 from bridge.adapters.ros1.actions.states import Ros1State
 from bridge.messages.actions import CancelCode, GoalState
-from tests.adapters.ros1.hub_actions import SECONDS, HubClient, Served, peer_on
-from tests.adapters.ros1.parts import edge_on, string, text
-from tests.support.ros1 import RosMaster, needs_ros1
+from tests.peers.ros1.adapter import edge_on, string, text
+from tests.peers.ros1.hub_actions import SECONDS, HubClient, Served, peer_on
+from tests.peers.ros1.network import RosMaster, needs_ros1
 from tests.support.wait import until
 
 pytestmark = needs_ros1

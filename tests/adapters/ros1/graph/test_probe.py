@@ -13,7 +13,7 @@ from bridge.adapters.ros1.graph.state import Registration
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD, decode, encode, read_exactly
 from bridge.adapters.ros1.peer_pool import PeerPool
 from bridge.concurrency import DelayedCalls
-from tests.adapters.ros1.servers import node, publisher, tcp_server, until_closed
+from tests.peers.ros1.servers import node, publisher, tcp_server, until_closed
 from tests.support.ports import free_port
 from tests.support.wait import until
 

@@ -8,7 +8,7 @@ import pytest
 
 from bridge.adapters.ros1.graph.state import MasterReader, Registration
 from bridge.adapters.ros1_peers import Ros1Error, XmlRpcClient
-from tests.adapters.ros1.servers import node
+from tests.peers.ros1.servers import node
 
 
 class Master:

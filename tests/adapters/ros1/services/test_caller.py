@@ -19,7 +19,7 @@ from bridge.adapters.ros1.peer_pool import PeerPool
 from bridge.adapters.ros1.services.caller import MAX_CALLS, Ros1Caller
 from bridge.hub.endpoints.calls import CallError
 from bridge.messages.transcode.conversion import SideType
-from tests.adapters.ros1.servers import tcp_server, until_closed
+from tests.peers.ros1.servers import tcp_server, until_closed
 from tests.support.descriptors import no_descriptors
 from tests.support.ports import free_port
 from tests.support.wait import until

@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from tests.adapters.ros1.parts import AT_ONCE, edge_on
-from tests.adapters.ros1.servers import tcp_server, until_closed
-from tests.support.ros1 import RosMaster, needs_ros1
+from tests.peers.ros1.adapter import AT_ONCE, edge_on
+from tests.peers.ros1.network import RosMaster, needs_ros1
+from tests.peers.ros1.servers import tcp_server, until_closed
 from tests.support.wait import until
 
 pytestmark = needs_ros1

@@ -14,8 +14,8 @@ from bridge.hub.graph.tokens import Origin
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.routing.edge import Kind, MadeBy
 from tests.adapters.ros2.conftest import RunningEdge
-from tests.support.peer import Peer
-from tests.support.ros2 import SHORT_LEASE
+from tests.peers.peer import Peer
+from tests.peers.ros2.network import SHORT_LEASE
 from tests.support.wait import until
 
 

@@ -10,7 +10,7 @@ import pytest
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.routing.edge import Kind
 from tests.adapters.ros2.conftest import RunningEdge
-from tests.support.peer import Peer
+from tests.peers.peer import Peer
 
 TYPE = "nav2_msgs/NavigateToPose"
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6

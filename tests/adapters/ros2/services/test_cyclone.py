@@ -14,10 +14,10 @@ from bridge.adapters.ros2.services import matching
 from bridge.hub.endpoints.calls import CallError, UnsentCallError
 from bridge.hub.wire.qos import Qos
 from bridge.routing.edge import Kind
-from tests.adapters.ros2.calls import SET_BOOL, Asked, Ends, Service, answering
 from tests.adapters.ros2.conftest import RunningEdge, string, text
-from tests.support.cyclone import CyclonePeer
-from tests.support.peer import Peer
+from tests.peers.hub.raw_calls import SET_BOOL, Asked, Ends, Service, answering
+from tests.peers.peer import Peer
+from tests.peers.ros2.cyclone import CyclonePeer
 from tests.support.wait import until
 
 TYPE = "std_srvs/SetBool"

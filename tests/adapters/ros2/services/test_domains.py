@@ -13,9 +13,9 @@ import pytest
 from bridge.adapters.ros2.environment import worker_environment
 from bridge.config.model import Config
 from tests.contract.side import WorkerProcess
-from tests.support.peer import Peer
-from tests.support.quick_hub import QuickHub
-from tests.support.ros2 import new_domain, ros2_domain
+from tests.peers.hub.quick import QuickHub
+from tests.peers.peer import Peer
+from tests.peers.ros2.network import new_domain, ros2_domain
 
 ACTION = "nav2_msgs/NavigateToPose"
 SECONDS = 40.0

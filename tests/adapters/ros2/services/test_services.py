@@ -15,10 +15,10 @@ from bridge.messages.definitions.hashes import rihs01
 from bridge.messages.errors import ConversionError, MessageTypeError
 from bridge.messages.registry import Registry
 from bridge.routing.edge import Kind, MadeBy
-from tests.adapters.ros2.calls import ECHO, SET_BOOL, Asked, Ends, Service, answering
 from tests.adapters.ros2.conftest import RunningEdge
 from tests.adapters.ros2.graph.test_graph import marked_profile
-from tests.support.peer import Peer
+from tests.peers.hub.raw_calls import ECHO, SET_BOOL, Asked, Ends, Service, answering
+from tests.peers.peer import Peer
 from tests.support.wait import until
 
 Peers = Callable[..., Peer]

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.routing.edge import Kind
 from tests.adapters.ros2.conftest import RunningEdge, string
-from tests.support.peer import Peer
+from tests.peers.peer import Peer
 from tests.support.wait import until
 
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import yarp_compat as yarp
+from tests.peers.yarp.joints import AXES, Joints
 from tests.support.wait import until
-from tests.yarp_compat.dev.controlboard.joints import AXES, Joints
 from tests.yarp_compat.os.conftest import name_server
 from yarp_compat.dev.controlboard.server import ControlBoardServer
 from yarp_compat.naming.client import NameClient

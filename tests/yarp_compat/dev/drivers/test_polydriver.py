@@ -7,8 +7,8 @@ import logging
 import pytest
 
 import yarp_compat as yarp
+from tests.peers.yarp.map_server import KeptMaps
 from tests.yarp_compat.dev.drivers.conftest import Serve
-from tests.yarp_compat.dev.keptmaps import KeptMaps
 from yarp_compat.dev.drivers import registry
 
 MAPS = "(device map2D_nwc_yarp) (local /mine) (remote /maps)"

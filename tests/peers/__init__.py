@@ -1,0 +1,1 @@
+"""Programs, stand-ins and rigs that tests drive, by middleware."""

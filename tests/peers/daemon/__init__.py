@@ -1,0 +1,1 @@
+"""Real daemons, with real or fake workers."""

@@ -1,0 +1,106 @@
+"""A real daemon with a router, a store and a gateway, without sides, and the command line."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from bridge.config.load import load
+from bridge.daemon.query import ask_daemon
+from tests.peers.daemon.routers import end_router
+from tests.support.forks import DAEMON
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.wait import until
+
+OFF = {side: {"enabled": False} for side in ("ros1", "ros2", "yarp", "zenoh")}
+MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]
+
+
+class RobotDaemon:
+    """The daemon ``robot``; ``stand_in`` is the class of a stand-in for its worker ``modules``.
+
+    Attributes:
+        env: the environment of the daemon and the commands.
+    """
+
+    def __init__(self, folder: Path, stand_in: str = "", **sections: Any) -> None:
+        self.folder, self.file, self.port = folder, folder / "midspan.yaml", free_port()
+        self.env = {**os.environ, "FAKE_FOLDER": str(folder), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
+        if stand_in:
+            self.env["MIDSPAN_WORKERS"] = f"modules={stand_in}"
+        self.configure(**sections)
+        self._processes: list[Process] = []
+        self.daemon: Process | None = None
+
+    def configure(self, **sections: Any) -> None:
+        """Write the configuration file."""
+        config = {
+            "name": "robot",
+            "state": str(self.folder / "state"),
+            "hub": {"listen": f"tcp/127.0.0.1:{self.port}"},
+            "navigation": {"planner": "robot_goto"},
+            "modules": {"map2d_server": {"enabled": True}},
+            **OFF,
+            **sections,
+        }
+        self.file.write_text(json.dumps(config))
+
+    def start(self) -> None:
+        """Start the daemon."""
+        self.daemon = self.process("run")
+
+    def process(self, *words: str) -> Process:
+        """Start a command that is stopped after the test."""
+        process = Process([*MIDSPAN, *words, "--config", str(self.file)], self.env, imports=DAEMON)
+        self._processes.append(process)
+        return process
+
+    def worker(self, name: str) -> dict[str, Any]:
+        """Return the daemon's report of a worker, empty if the daemon does not run."""
+        report = ask_daemon(load(self.file)) or {"workers": []}
+        return next((dict(worker) for worker in report["workers"] if worker["worker"] == name), {})
+
+    def until_phase(self, worker: str, phase: str, restarts: int = 0) -> dict[str, Any]:
+        """Wait until a worker is in a phase, after a number of restarts."""
+
+        def reached() -> dict[str, Any] | None:
+            report = self.worker(worker)
+            return report if report.get("phase") == phase and report["restarts"] >= restarts else None
+
+        report: dict[str, Any] = until(reached, f"{worker} is {phase}", 40)
+        return report
+
+    def kill(self) -> int:
+        """Kill the daemon only, and wait until its workers have exited; return the process id of its router."""
+        assert self.daemon is not None
+        router, modules = self.worker("router")["pid"], self.worker("modules").get("pid", 0)
+        os.kill(self.daemon.pid, signal.SIGKILL)
+        self.daemon.popen.wait(20)
+        until(lambda: not modules or not psutil.pid_exists(modules), "the other workers have exited", 20)
+        return int(router)
+
+    def __call__(self, *words: str) -> subprocess.CompletedProcess[str]:
+        """Run a command, and return its output and exit code."""
+        command = [*MIDSPAN, *words, "--config", str(self.file)]
+        return subprocess.run(command, env=self.env, capture_output=True, text=True, timeout=60, check=False)
+
+    def close(self) -> None:
+        """Stop all processes, including a router that has outlived its daemon."""
+        workers = [
+            psutil.Process(process.pid).children() for process in self._processes if process.popen.poll() is None
+        ]
+        for process in self._processes:
+            process.signal(signal.SIGCONT)
+            process.stop()
+        for pid in {child.pid for children in workers for child in children}:
+            if psutil.pid_exists(pid):
+                os.kill(pid, signal.SIGKILL)
+        end_router(self.folder / "state")

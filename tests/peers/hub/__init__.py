@@ -1,0 +1,1 @@
+"""Sessions, nodes and programs on the hub."""

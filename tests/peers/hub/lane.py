@@ -1,0 +1,39 @@
+"""What the tests of the lane share."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+
+from bridge.hub.endpoints.lane_subscription import LaneSubscription
+from tests.peers.hub.endpoints import Subscriber
+from tests.support.wait import until
+
+
+def subscription(heard: Subscriber) -> LaneSubscription:
+    """A subscription that has a lane."""
+    assert isinstance(heard.subscription, LaneSubscription)
+    return heard.subscription
+
+
+def goes_by(heard: Subscriber, way: str, why: str = "") -> None:
+    """Wait until all comes one way, and for a reason."""
+    chosen = subscription(heard)
+
+    def so() -> bool:
+        return chosen.way == way and chosen.settled and why in chosen.why
+
+    try:
+        until(so, f"{chosen.topic} goes by {way} {why}")
+    except AssertionError as err:
+        err.add_note(f"it goes by {chosen.way} ({chosen.why}), settled: {chosen.settled}")
+        raise
+
+
+def whole(texts: list[str]) -> None:
+    """Numbers came without a gap, none twice, in order."""
+    numbers = [int(text) for text in texts]
+    missing = sorted(set(range(numbers[0], numbers[-1] + 1)) - set(numbers))
+    twice = sorted(number for number, count in Counter(numbers).items() if count > 1)
+    back = [after for before, after in pairwise(numbers) if after < before]
+    assert (missing, twice, back) == ([], [], []), f"of {len(numbers)} missing {missing}, twice {twice}, behind {back}"

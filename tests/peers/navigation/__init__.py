@@ -1,0 +1,1 @@
+"""Planners, clients and robots around the gateway."""

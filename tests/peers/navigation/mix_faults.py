@@ -1,0 +1,295 @@
+"""What clients receive while a part of the path to the planner fails, and stops are requested meanwhile.
+
+The reference is the base's own program (`tests.peers.navigation.mix_truth`): no client may receive "ok" to a stop, or
+a state that means an end, while the planner moves the base.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from tests.peers.navigation.mix import MOVE_BASE, NAV2, Mix
+from tests.peers.navigation.mix_clients import ROS1, ROS2, SECONDS, SILENT, YARP, ZENOH, Client, RosClient, ZenohClient
+from tests.peers.navigation.mix_truth import JERK_SECONDS, UNTRUE_SECONDS, Word, stood, untrue
+from tests.support.process import is_stopped
+from tests.support.wait import until
+
+AWAY = 800.0
+"""Meters along x: farther than any drive of these tests."""
+
+STANDS_SECONDS = 9.0
+"""The base stands within this time after a stop that is sent while the planner can be reached."""
+
+LOST_SECONDS = 8.0
+"""A reply that has not arrived after this time was lost with the gateway."""
+
+STOP_AFTER = 0.5
+"""Seconds after a fault at which a stop is requested."""
+
+UNCONFIRMED = "may still be moving"
+"""Part of the reply to each stop that is not confirmed."""
+
+MAY_MOVE = "aborted, and may still be moving"
+"""An end that does not claim that the robot stands."""
+
+_POLL = 0.05
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault.
+
+    Attributes:
+        begin: causes it. end: repairs it, if the daemon does not. planner: the planner in use. stop_after: seconds
+        until a stop is requested. client_dies: whether it loses a goal of the planner's own client. gateway_dies:
+        whether calls fail for a while. stopped: whether all clients request a stop, also of a goal of the planner's own
+    client; otherwise only the goal's client does, and the planner's own client cancels its goal later. clients: those
+    that `make mix` tests it with.
+    """
+
+    begin: Callable[[Mix], None]
+    end: Callable[[Mix], None] = lambda _mix: None
+    planner: str = MOVE_BASE
+    stop_after: float = STOP_AFTER
+    client_dies: bool = False
+    gateway_dies: bool = False
+    stopped: bool = False
+    clients: tuple[str, ...] = (YARP, ROS1, ROS2, ZENOH)
+
+
+def _kill(mix: Mix) -> None:
+    mix.planner.signal(signal.SIGKILL)
+    mix.planner.popen.wait()
+
+
+def _hang(mix: Mix) -> None:
+    mix.planner.signal(signal.SIGSTOP)
+    until(lambda: is_stopped(mix.planner.pid), "the planner hangs")
+
+
+def kill_workers(*workers: str) -> Callable[[Mix], None]:
+    """Return a `begin` that kills workers of the daemon at once."""
+
+    def kill(mix: Mix) -> None:
+        for pid in [mix.pid(worker) for worker in workers]:
+            os.kill(pid, signal.SIGKILL)
+
+    return kill
+
+
+FAULTS = {
+    "planner dies": Fault(_kill, lambda mix: mix.restart(), client_dies=True),
+    "planner hangs": Fault(_hang, lambda mix: mix.planner.signal(signal.SIGCONT)),
+    "ros1 worker dies": Fault(kill_workers("ros1")),
+    "modules die": Fault(kill_workers("gateway"), gateway_dies=True),
+    "master dies": Fault(
+        lambda mix: mix.kill_master(), lambda mix: mix.restart_ros1(), stopped=True, clients=(ROS1, ZENOH)
+    ),
+    "ros1 and modules die": Fault(
+        kill_workers("ros1", "gateway"), gateway_dies=True, stopped=True, clients=(YARP, ROS1)
+    ),
+    "bt_navigator gives up": Fault(
+        lambda mix: mix.planner.give_up(),
+        planner=NAV2,
+        stop_after=1.0,
+        client_dies=True,
+        stopped=True,
+        clients=(YARP, ROS2),
+    ),
+    "bt_navigator dies": Fault(
+        lambda mix: mix.planner.kill("bt_navigator"),
+        lambda mix: mix.restart_navigator(),
+        planner=NAV2,
+        client_dies=True,
+        stopped=True,
+        clients=(YARP, ROS2),
+    ),
+}
+
+
+@dataclass
+class Watch:
+    """Follows what clients receive, and what the base does. Times are seconds after the fault.
+
+    Attributes:
+        client: whose goal it is; "" for a goal that no client of the mix follows.
+        own: whether it is the planner's own client: the end of its goal is then the planner's report. words: the states
+    that each client received, in order. texts: the gateway's states with their reasons, for people. answers: the
+    replies to stops by client: the time, and "" or the reason. allowance: seconds that the base may move after a
+    reported end.
+    """
+
+    mix: Mix
+    client: str
+    own: bool = False
+    allowance: float = UNTRUE_SECONDS
+    began: float = field(default_factory=time.monotonic)
+    words: dict[str, list[Word]] = field(default_factory=dict)
+    texts: list[Word] = field(default_factory=list)
+    answers: dict[str, tuple[float, str]] = field(default_factory=dict)
+    untrue: float = 0.0
+    trouble: list[str] = field(default_factory=list)
+    _read: int = 0
+
+    def __post_init__(self) -> None:
+        self.base = self.mix.base
+        self._read = len(self.mix.statuses)
+        if self._read:
+            self._note("status", self.began, self.mix.status()[0])
+
+    def poll(self) -> None:
+        """Record what clients have received since the last call."""
+        for at, status in self.mix.statuses[self._read :]:
+            self._read += 1
+            state, reason = str(status["state"]), str(status["reason"])
+            if state == "aborted" and UNCONFIRMED in reason:
+                state = MAY_MOVE
+            self._note("status", at, state, f"{state}: {reason}" if reason else state)
+        self._note(YARP, 0.0, self.mix.clients[YARP].seen())
+        if self.client in ("", YARP) or self.own:
+            return
+        client = self.mix.clients[self.client]
+        end = client.end()
+        if end == "aborted" and UNCONFIRMED in (client.why() or ""):
+            end = MAY_MOVE
+        self._note(self.client, client.ended_at() if end else 0.0, end or client.seen())
+
+    def _note(self, who: str, at: float, word: str, text: str = "") -> None:
+        texts = self.words.setdefault(who, [])
+        at = at or time.monotonic()
+        if who == "status":
+            self.texts.append((at, text or word))
+        if not texts or texts[-1][1] != word:
+            texts.append((max(at, self.began), word))
+
+    def until(self, condition: Callable[[], object], what: str, seconds: float = SECONDS) -> None:
+        """Poll until a condition holds."""
+
+        def holds() -> object:
+            self.poll()
+            return condition()
+
+        try:
+            until(holds, what, seconds, _POLL)
+        except AssertionError as err:
+            raise AssertionError(f"{err}; {self}") from None
+
+    def ask(self, word: str, clients: Sequence[str], *, lost: bool = False) -> None:
+        """Let clients request a stop, a pause or a resume, all at once; return when all have their replies.
+
+        With ``lost``, a reply may be lost with the gateway: rclpy's client waits for it forever.
+        """
+        calls = {name: self.mix.callers[name].ask(word) for name in clients}
+        end = time.monotonic() + LOST_SECONDS
+
+        def answered() -> bool:
+            return all(answer() is not None for answer in calls.values()) or (lost and time.monotonic() > end)
+
+        self.until(answered, f"every {word} is answered")
+        self.answers = {name: answer() or (time.monotonic(), SILENT) for name, answer in calls.items()}
+        if word == "resume":
+            return
+        for name, (at, answer) in self.answers.items():
+            wrong = stood(self.base, at) if not answer else ""
+            if wrong:
+                self.trouble.append(f"{name} received ok to a {word}: {wrong}")
+
+    def close(self) -> None:
+        """Compare the received states with the base's motion; raises `AssertionError`."""
+        end = time.monotonic()
+        for client, states in self.words.items():
+            seconds = untrue([entry for entry in states if entry[1] != SILENT], self.base, end)
+            self.untrue = max(self.untrue, seconds)
+            if seconds > self.allowance:
+                self.trouble.append(f"{client} received that the robot stands while it moved for {seconds:.2f} s")
+        for name, (at, answer) in self.answers.items():
+            moved = 0.0 if answer else self.base.moved(at, end)
+            if moved > JERK_SECONDS and not stood(self.base, at):
+                self.trouble.append(f"{name} received ok, and the base moved for {moved:.2f} s after it")
+        self.trouble = list(dict.fromkeys(self.trouble))
+        assert not self.trouble, f"{'; '.join(self.trouble)}; {self}"
+
+    def __str__(self) -> str:
+        changes = [(moves, at - self.began) for moves, at in self.base.changes(self.began)]
+        base = ", ".join(f"{'moves' if moves else 'stands'} {at:.1f}" for moves, at in changes)
+        parts = [f"base: {base}", f"untrue for {self.untrue:.2f} s"]
+        for name, (at, answer) in self.answers.items():
+            parts.append(f"{name} answered at {at - self.began:.1f}: {answer or 'ok'}")
+        for client, states in {**self.words, "status": self.texts}.items():
+            parts.append(f"{client}: {', '.join(f'{at - self.began:.2f} {state}' for at, state in states)}")
+        return "; ".join(parts)
+
+
+def start_driving(mix: Mix, client: Client, progress: int = 5) -> None:
+    """Send a client's goal, and wait until the base moves and this many progress reports have arrived."""
+    client.goto(AWAY)
+
+    def drives() -> object:
+        if client.end() == "canceled":
+            client.goto(AWAY)  # the last stop was for all goals, and reached an unreachable planner only now
+        return mix.base.moves and mix.state() == "moving" and client.progress() >= progress
+
+    until(drives, "it moves", SECONDS, _POLL)
+
+
+def attempt(mix: Mix, fault: Fault, name: str, watches: list[Watch], *, own: bool) -> str:
+    """Let one client drive until a fault, and return the mark. The watch is added to ``watches``."""
+    client = mix.clients[name]
+    start_driving(mix, client)
+    watch = Watch(mix, name, own=own)
+    watches.append(watch)
+    fault.begin(mix)
+    watch.until(lambda: time.monotonic() > watch.began + fault.stop_after, "the fault lasts for a while")
+    if own and not fault.stopped:
+        _check_own(watch, client, fault)
+    else:
+        _stop(watch, client, fault)
+    watch.until(mix.back, "everything is back")
+    watch.until(lambda: not mix.driving() and mix.state() in ("idle", "aborted"), "nothing drives")
+    watch.until(lambda: not mix.base.moves, "it stands")
+    watch.close()
+    if not own and isinstance(client, RosClient | ZenohClient):
+        assert client.ends() == 1, f"its goal had {client.ends()} ends"
+    if fault.gateway_dies or fault.stopped:
+        _again(mix, client)
+    return "own" if own else "yes"
+
+
+def _again(mix: Mix, client: Client) -> None:
+    """Drive and cancel as without a fault."""
+    client.goto(AWAY)
+    until(lambda: mix.base.moves, "it drives again", SECONDS)
+    client.cancel()
+    until(lambda: client.end() == "canceled" and not mix.base.moves, "it stands again", SECONDS)
+
+
+def _stop(watch: Watch, client: Client, fault: Fault) -> None:
+    """Request stops at once; the fault ends after their replies."""
+    callers = (
+        (YARP, ROS2, ZENOH) if fault.planner == MOVE_BASE else (YARP, ROS1, ROS2, ZENOH)
+    )  # clients that can reach services
+    watch.ask("stop", callers if fault.stopped else [watch.client], lost=fault.gateway_dies)
+    for name, (_, answer) in watch.answers.items():
+        if answer and answer != "not ok":  # YARP has no text
+            assert UNCONFIRMED in answer or (fault.gateway_dies and SILENT in answer), f"{name}: {answer}"
+    if fault.stopped:
+        watch.until(lambda: not watch.base.moves, "the stop reaches the planner", STANDS_SECONDS)
+    fault.end(watch.mix)
+    if not watch.own:
+        watch.until(client.end, "its goal has an end")
+
+
+def _check_own(watch: Watch, client: Client, fault: Fault) -> None:
+    """Check that a client of the planner itself sees the same as without Midspan."""
+    assert client.end() == "", "its goal ended"
+    fault.end(watch.mix)
+    if fault.client_dies:
+        assert client.end() != "succeeded", "its goal ended"
+        return
+    watch.until(watch.mix.back, "everything is back")
+    client.cancel()
+    watch.until(lambda: client.end() == "canceled", "its goal is canceled")

@@ -1,0 +1,280 @@
+"""A real rospy program with actionlib's clients and servers, driven by JSON lines like `tests.peers.peer`.
+
+Runs on the system's Python. Actions are ``actionlib/TestAction`` (goal, feedback and result an int32 each) unless
+another type is named. Usage: action_peer.py NODE
+
+A goal's number determines what an ``ActionServer`` here does with it: see `OUTCOMES`. A held goal waits for ``finish``.
+A cancel request ends a goal as canceled, unless its thousands digit is odd.
+"""
+# ruff: noqa: A002, ANN003, ANN204, ARG002  # parameters are named as in the commands; it runs without Midspan
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+
+import actionlib
+import roslib.message
+import rospy
+from actionlib.action_client import CommState
+from actionlib_msgs.msg import GoalID
+from shutdown import shut_down
+
+OUTCOMES = ("succeed", "abort", "reject", "preempt", "hold")
+"""The outcome of a goal, by its number modulo 10; goals with any other number are held."""
+
+
+def action_class(type):
+    return roslib.message.get_message_class(type + "Action")
+
+
+def to_plain(value):
+    """Convert a message to values for JSON."""
+    return {n: to_plain(getattr(value, n)) for n in value.__slots__} if hasattr(value, "__slots__") else value
+
+
+class Server:
+    """An actionlib.ActionServer that acts according to the goals' numbers."""
+
+    def __init__(self, name, type):
+        self.type, self.handles, self.seen = type, {}, []
+        self.lock = threading.Lock()
+        self.server = actionlib.ActionServer(name, action_class(type), self.on_goal, self.on_cancel, auto_start=False)
+        self.server.start()
+
+    def on_goal(self, handle):
+        goal_id, goal = handle.get_goal_id().id, handle.get_goal()
+        number = getattr(goal, "goal", None)
+        with self.lock:
+            self.handles[goal_id] = handle
+            self.seen.append((goal_id, to_plain(goal) if number is None else number))
+        if number is None:
+            handle.set_accepted()
+            return
+        outcome = OUTCOMES[number % 10] if number % 10 < len(OUTCOMES) else "hold"
+        if outcome == "reject":
+            handle.set_rejected(self.result(-number), "no")
+            return
+        handle.set_accepted("yes")
+        handle.publish_feedback(self.message("Feedback", feedback=number))
+        if outcome != "hold":
+            self.finish(goal_id, outcome)
+
+    def finish(self, id, outcome):
+        handle = self.handles[id]
+        result = self.result(handle.get_goal().goal)
+        {"succeed": handle.set_succeeded, "abort": handle.set_aborted, "preempt": handle.set_canceled}[outcome](
+            result, outcome
+        )
+
+    def on_cancel(self, handle):
+        if handle.get_goal().goal < 1_000_000:
+            handle.set_canceled(self.result(handle.get_goal().goal), "cancelled")
+
+    def message(self, part, **fields):
+        return roslib.message.get_message_class(self.type + part)(**fields)
+
+    def result(self, number):
+        return self.message("Result", result=number)
+
+
+class Simple:
+    """An actionlib.SimpleActionServer whose goals run until they are preempted or finished by number."""
+
+    def __init__(self, name, type):
+        self.type, self.done = type, threading.Event()
+        self.server = actionlib.SimpleActionServer(name, action_class(type), self.execute, auto_start=False)
+        self.server.start()
+
+    def execute(self, goal):
+        result = roslib.message.get_message_class(self.type + "Result")
+        while not rospy.is_shutdown():
+            if self.server.is_preempt_requested():
+                self.server.set_preempted(result())
+                return
+            if self.done.wait(0.01):
+                self.done.clear()
+                self.server.set_succeeded(result(), "Goal reached.")
+                return
+
+    def finish(self, id, outcome):
+        self.done.set()
+
+
+class Client:
+    """An actionlib.ActionClient that records the states of its goals."""
+
+    def __init__(self, name, type):
+        self.type, self.goals, self.ready = type, {}, threading.Condition()
+        self.client = actionlib.ActionClient(name, action_class(type))
+
+    def send(self, number, key):
+        record: dict = {"feedback": [], "states": [], "done": 0, "handle": None}
+        self.goals[key] = record
+
+        def changed(handle) -> None:
+            with self.ready:
+                record["states"].append(CommState.to_string(handle.get_comm_state()))
+                if handle.get_comm_state() == CommState.DONE:
+                    record["done"] += 1
+                self.ready.notify_all()
+
+        def on_feedback(handle, feedback) -> None:
+            with self.ready:
+                record["feedback"].append(feedback.feedback)
+                self.ready.notify_all()
+
+        goal = roslib.message.get_message_class(self.type + "Goal")(goal=number)
+        record["handle"] = self.client.send_goal(goal, changed, on_feedback)
+
+    def outcome(self, key):
+        record = self.goals[key]
+        handle = record["handle"]
+        result = handle.get_result()
+        return {
+            "id": handle.comm_state_machine.action_goal.goal_id.id,
+            "state": handle.get_goal_status(), "text": handle.get_goal_status_text(), "done": record["done"],
+            "result": None if result is None else result.result,
+            "feedback": record["feedback"], "states": record["states"],
+        }  # fmt: skip
+
+
+class Flood:
+    """Goals without an actionlib client, which is too slow for a thousand."""
+
+    def __init__(self, name, type):
+        self.goal = roslib.message.get_message_class(type + "ActionGoal")
+        self.results = {}
+        self.publisher = rospy.Publisher(name + "/goal", self.goal, queue_size=0)
+        result = roslib.message.get_message_class(type + "ActionResult")
+        rospy.Subscriber(name + "/result", result, self.on_result, buff_size=1 << 22)
+
+    def on_result(self, message):
+        self.results.setdefault(message.status.goal_id.id, []).append([message.status.status, message.result.result])
+
+    def send(self, count):
+        for number in range(count):
+            message = self.goal()
+            message.goal_id = GoalID(id=f"g{number}", stamp=rospy.Time(1 + number))
+            message.goal.goal = number
+            self.publisher.publish(message)
+
+
+class Peer:
+    """Executes the commands."""
+
+    def __init__(self):
+        self.parts = {}
+
+    def add(self, part):
+        self.parts[len(self.parts) + 1] = part
+        return {"id": len(self.parts)}
+
+    def do_server(self, name, type="actionlib/Test", simple=False, **_):
+        return self.add((Simple if simple else Server)(name, type))
+
+    def do_goals(self, id, count=1, seconds=40.0, **_):
+        end = time.monotonic() + seconds
+        while len(self.parts[id].seen) < count and time.monotonic() < end:
+            time.sleep(0.01)
+        return {"goals": self.parts[id].seen}
+
+    def do_finish(self, id, goal="", outcome="succeed", **_):
+        self.parts[id].finish(goal, outcome)
+        return {}
+
+    def do_finish_all(self, id, **_):
+        """End the held goals, each according to its number's hundreds digit."""
+        server = self.parts[id]
+        for goal_id, number in list(server.seen):
+            server.finish(goal_id, ("succeed", "abort", "preempt")[number // 100 % 3])
+        return {}
+
+    def do_stop_server(self, id, **_):
+        self.parts[id].server.stop()
+        return {}
+
+    def do_client(self, name, type="actionlib/Test", **_):
+        return self.add(Client(name, type))
+
+    def do_wait_for_server(self, id, seconds=40.0, **_):
+        return {"there": self.parts[id].client.wait_for_server(rospy.Duration(seconds))}
+
+    def do_send(self, id, numbers, **_):
+        for number in numbers:
+            self.parts[id].send(number, number)
+        return {}
+
+    def do_outcomes(self, id, numbers, seconds=40.0, state="DONE", **_):
+        """Return the outcomes of goals, once each is in a state of the client or the time is over."""
+        client = self.parts[id]
+        with client.ready:
+            client.ready.wait_for(lambda: all(state in client.goals[n]["states"] for n in numbers), seconds)
+        return {"outcomes": [client.outcome(n) for n in numbers]}
+
+    def do_cancel(self, id, number=None, before=None, **_):
+        client = self.parts[id]
+        if number is not None:
+            client.goals[number]["handle"].cancel()
+        elif before is not None:
+            client.client.cancel_goals_at_and_before_time(rospy.Time(*before))
+        else:
+            client.client.cancel_all_goals()
+        return {}
+
+    def do_cancel_id(self, id, goal, **_):
+        self.parts[id].client.pub_cancel.publish(GoalID(id=goal))
+        return {}
+
+    def do_raw_goal(self, id, number, goal="", stamp=(0, 0), **_):
+        """Send an ActionGoal with a given id and stamp."""
+        client = self.parts[id]
+        message = client.client.ActionGoal()
+        message.goal_id = GoalID(id=goal, stamp=rospy.Time(*stamp))
+        message.goal.goal = number
+        client.client.pub_goal.publish(message)
+        return {}
+
+    def do_flood(self, name, count, type="actionlib/Test", **_):
+        flood = Flood(name, type)
+        while not flood.publisher.impl.has_connection("/midspan"):  # a probe connects earlier
+            time.sleep(0.01)
+        flood.send(count)
+        return self.add(flood)
+
+    def do_results(self, id, count, seconds=60.0, **_):
+        end = time.monotonic() + seconds
+        while len(self.parts[id].results) < count and time.monotonic() < end:
+            time.sleep(0.01)
+        return {"results": self.parts[id].results}
+
+    def do_status(self, id, **_):
+        status = self.parts[id].client.last_status_msg
+        return {"goals": [[s.goal_id.id, s.status, s.text] for s in status.status_list] if status else None}
+
+    def do_exit(self, **_):
+        return {}
+
+
+def main():
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # keeps rospy's output apart from the answers
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    rospy.init_node(sys.argv[1], disable_signals=True)
+    peer = Peer()
+    for line in sys.stdin:
+        command = json.loads(line)
+        name = command.pop("do")
+        try:
+            answer = {"ok": True, **getattr(peer, "do_" + name)(**command)}
+        except Exception as err:
+            answer = {"ok": False, "error": f"{type(err).__name__}: {err}"}
+        answers.write(json.dumps(answer) + "\n")
+        if name == "exit":
+            break
+    shut_down()
+
+
+main()

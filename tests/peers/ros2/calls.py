@@ -1,0 +1,307 @@
+"""Services and actions of the rclpy program `tests.peers.ros2.peer`; see `tests.peers.peer` for the commands."""
+
+from __future__ import annotations
+
+import importlib
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.task import Future
+
+Fill = Callable[[Any, dict[str, Any]], Any]
+Plain = Callable[[Any], Any]
+
+
+def type_class(name: str, folder: str) -> Any:
+    """Return the class of a service or action spelled ``package/Name``."""
+    package, _, short = name.rpartition("/")
+    return getattr(importlib.import_module(f"{package}.{folder}"), short)
+
+
+class Serving:
+    """A service with one answer to all requests, or none if it has an ``error``, as ROS 2 has no error replies."""
+
+    def __init__(self, node: Any, params: dict[str, Any], profile: Any, fill: Fill, plain: Plain) -> None:
+        self.node, self.fill, self.plain = node, fill, plain
+        self.reply, self.error = params.get("reply") or {}, params.get("error", "")
+        self.echo = params.get("echo", {})
+        self.requests: list[Any] = []
+        self.arrived = threading.Condition()
+        self.held: Any = Future()
+        if not params.get("held"):
+            self.held.set_result(None)
+        if self.error:
+            self.held = Future()
+        self.handle = node.create_service(
+            type_class(params["type"], "srv"),
+            params["service"],
+            self.asked,
+            qos_profile=profile,
+            callback_group=ReentrantCallbackGroup(),
+        )
+
+    async def asked(self, request: Any, response: Any) -> Any:
+        with self.arrived:
+            self.requests.append(self.plain(request))
+            self.arrived.notify_all()
+        if not self.held.done():
+            await self.held
+        for target, source in self.echo.items():
+            setattr(response, target, getattr(request, source))
+        return self.fill(response, self.reply)
+
+    def wait(self, count: int, seconds: float) -> list[Any]:
+        with self.arrived:
+            self.arrived.wait_for(lambda: len(self.requests) >= count, seconds)
+            return list(self.requests)
+
+    def release(self) -> None:
+        if not self.error and not self.held.done():
+            self.held.set_result(None)
+            self.node.executor.wake()  # setting a future's result does not wake the executor
+
+    def drop(self) -> None:
+        self.node.destroy_service(self.handle)
+
+
+class Calling:
+    """Concurrent calls of one service, with their replies in the order of the calls."""
+
+    def __init__(self, client: Any, requests: list[Any], plain: Plain) -> None:
+        self.plain = plain
+        self.done = threading.Event()
+        self.at = 0.0
+        self.left = len(requests)
+        self.lock = threading.Lock()
+        self.futures = [client.call_async(request) for request in requests]
+        for future in self.futures:
+            future.add_done_callback(self.on_reply)
+
+    def on_reply(self, _future: Any) -> None:
+        with self.lock:
+            self.left -= 1
+            if not self.left:
+                self.at = time.monotonic()
+                self.done.set()
+
+    def result(self, seconds: float) -> dict[str, Any]:
+        done = self.done.wait(seconds)
+        replies = [self.plain(future.result()) if future.done() else None for future in self.futures]
+        return {"done": done, "reply": replies[0], "replies": replies, "error": "", "at": self.at}
+
+    def drop(self) -> None:
+        """Do nothing: the client stays for other calls."""
+
+
+def depths(profile: Any, *parts: str) -> dict[str, Any]:
+    """Return a profile for each of these parts of an action."""
+    return {f"{part}_qos_profile": profile for part in parts}
+
+
+class Acting:
+    """An action server: each goal gives its feedback, waits if it is held, and ends with the given outcome."""
+
+    def __init__(self, node: Any, params: dict[str, Any], profile: Any, fill: Fill, plain: Plain) -> None:
+        self.node, self.fill, self.plain = node, fill, plain
+        self.type = type_class(params["type"], "action")
+        self.feedback, self.result = params.get("feedback") or [], params.get("result") or {}
+        self.outcome, self.held, self.keeps = params.get("outcome", "succeed"), params.get("held"), params.get("keeps")
+        self.times, self.period = params.get("times", 1), params.get("period", 0.0)
+        self.goals: list[Any] = []
+        self.arrived = threading.Condition()
+        self.waits: dict[bytes, Any] = {}
+        self.name = params["action"]
+        self.handle = ActionServer(
+            node,
+            self.type,
+            self.name,
+            self.execute,
+            **depths(profile, "goal_service", "result_service", "cancel_service", "feedback_pub"),
+            goal_callback=lambda _goal: GoalResponse.REJECT if self.outcome == "reject" else GoalResponse.ACCEPT,
+            cancel_callback=self.cancelled,
+        )
+
+    async def execute(self, handle: Any) -> Any:
+        with self.arrived:
+            self.goals.append(self.plain(handle.request))
+            self.arrived.notify_all()
+        if self.period:
+            threading.Thread(target=self.work, args=(handle,), daemon=True).start()
+        else:
+            self.work(handle)
+        if self.held or self.period:
+            await self.waits.setdefault(bytes(handle.goal_id.uuid), Future())
+        if handle.is_cancel_requested:
+            handle.canceled()
+        elif self.outcome == "abort":
+            handle.abort()
+        else:
+            handle.succeed()
+        return self.fill(self.type.Result(), self.result)
+
+    def work(self, handle: Any) -> None:
+        self._matched()
+        due = time.monotonic()
+        for _ in range(self.times):
+            for fields in self.feedback:
+                handle.publish_feedback(self.fill(self.type.Feedback(), fields))
+            due += self.period
+            time.sleep(max(0.0, due - time.monotonic()))
+        if self.period and not self.held:
+            self.end(bytes(handle.goal_id.uuid))
+
+    def _matched(self) -> None:
+        """Wait for a subscriber to feedback: a goal can arrive before its client's subscription is discovered."""
+        end = time.monotonic() + 5.0
+        feedback = self.node.resolve_topic_name(self.name) + "/_action/feedback"
+        while self.feedback and not self.node.count_subscribers(feedback) and time.monotonic() < end:
+            time.sleep(0.01)
+
+    def cancelled(self, handle: Any) -> Any:
+        if self.keeps:
+            return CancelResponse.REJECT
+        self.end(bytes(handle.goal_id.uuid))
+        return CancelResponse.ACCEPT
+
+    def end(self, goal: bytes) -> None:
+        wait = self.waits.setdefault(goal, Future())
+        if not wait.done():
+            wait.set_result(None)
+        self.node.executor.wake()  # setting a future's result does not wake the executor
+
+    def wait(self, count: int, seconds: float) -> list[Any]:
+        with self.arrived:
+            self.arrived.wait_for(lambda: len(self.goals) >= count, seconds)
+            return list(self.goals)
+
+    def release(self) -> None:
+        self.held = False
+        for goal in list(self.waits):
+            self.end(goal)
+
+    def drop(self) -> None:
+        self.release()
+        self.handle.destroy()
+
+
+def on_executor(node: Any, work: Callable[[], None]) -> None:
+    """Run a function on the thread that handles replies, and wait for it.
+
+    rclpy's action client (7.1) sends a request before it registers that it waits for the reply. If another thread
+    handles the reply in between, it is dropped as unexpected, and the request never completes.
+    """
+    done = threading.Event()
+
+    def run() -> None:
+        try:
+            work()
+        finally:
+            done.set()
+
+    node.executor.create_task(run)
+    done.wait(20.0)
+
+
+class Goal:
+    """A goal of an action client, with its feedback and result."""
+
+    def __init__(self, node: Any, client: ActionClient, goal: Any, plain: Plain) -> None:
+        self.node, self.plain = node, plain
+        self.handle: Any = None
+        self.state: dict[str, Any] = {"accepted": None, "feedback": [], "status": 0, "result": None, "cancel": None}
+        self.state |= {"ends": 0, "ended_at": 0.0}
+        self.news = threading.Condition()
+
+        def send() -> None:
+            client.send_goal_async(goal, feedback_callback=self.on_feedback).add_done_callback(self.answered)
+
+        on_executor(node, send)
+
+    def update(self, **news: Any) -> None:
+        with self.news:
+            self.state.update(news)
+            self.news.notify_all()
+
+    def on_feedback(self, message: Any) -> None:
+        self.update(feedback=[*self.state["feedback"], self.plain(message.feedback)])
+
+    def answered(self, future: Any) -> None:
+        self.handle = future.result()
+        self.update(accepted=self.handle.accepted)
+        if self.handle.accepted:
+            self.ask()
+
+    def ask(self) -> None:
+        """Request the result."""
+        self.handle.get_result_async().add_done_callback(self.ended)
+
+    def ended(self, future: Any) -> None:
+        answer = future.result()
+        changed = answer.status != self.state["status"]  # the same result may be requested again
+        at = time.monotonic() if changed else self.state["ended_at"]
+        ends = self.state["ends"] + changed
+        self.update(status=answer.status, result=self.plain(answer.result), ends=ends, ended_at=at)
+
+    def cancel(self) -> None:
+        def on_answer(future: Any) -> None:
+            answer = future.result()
+            self.update(cancel=[answer.return_code, len(answer.goals_canceling)])
+
+        on_executor(self.node, lambda: self.handle.cancel_goal_async().add_done_callback(on_answer))
+
+    def wait(self, until: dict[str, Any], seconds: float) -> dict[str, Any]:
+        """Return the state, once each field of ``until`` has its value (feedback: at least that many)."""
+
+        def reached() -> bool:
+            state = {**self.state, "feedback": len(self.state["feedback"])}
+            return all(state[k] >= v if k == "feedback" else state[k] == v for k, v in until.items())
+
+        with self.news:
+            self.news.wait_for(reached, seconds)
+            return dict(self.state)
+
+    def drop(self) -> None:
+        """Do nothing: the client stays for other calls."""
+
+
+class Calls:
+    """The service and action commands of the peer."""
+
+    def __init__(self, node: Any, profile: Callable[[dict[str, Any]], Any], fill: Fill, plain: Plain) -> None:
+        self.node, self.profile, self.fill, self.plain = node, profile, fill, plain
+        self.clients: dict[tuple[str, str], Any] = {}
+        self.action_clients: dict[tuple[str, str], ActionClient] = {}
+
+    def serve(self, params: dict[str, Any]) -> Serving:
+        return Serving(self.node, params, self.profile(params), self.fill, self.plain)
+
+    def client(self, params: dict[str, Any]) -> Any:
+        key = params["service"], params["type"]
+        if key not in self.clients:
+            profile = self.profile(params)
+            self.clients[key] = self.node.create_client(type_class(key[1], "srv"), key[0], qos_profile=profile)
+        return self.clients[key]
+
+    def call(self, params: dict[str, Any]) -> Calling:
+        type_ = type_class(params["type"], "srv")
+        requests = params.get("requests") or [params.get("request") or {}]
+        client = self.client(params)
+        assert client.wait_for_service(params.get("seconds", 40.0)), f"no server of {params['service']}"
+        return Calling(client, [self.fill(type_.Request(), fields) for fields in requests], self.plain)
+
+    def send_goal(self, params: dict[str, Any]) -> Goal:
+        key = params["action"], params["type"]
+        type_ = type_class(key[1], "action")
+        if key not in self.action_clients:
+            parts = depths(self.profile(params), "goal_service", "result_service", "cancel_service", "feedback_sub")
+            self.action_clients[key] = ActionClient(self.node, type_, key[0], **parts)
+        client = self.action_clients[key]
+        assert client.wait_for_server(params.get("seconds", 40.0)), f"no server of {params['action']}"
+        return Goal(self.node, client, self.fill(type_.Goal(), params.get("goal") or {}), self.plain)
+
+    def act(self, params: dict[str, Any]) -> Acting:
+        return Acting(self.node, params, self.profile(params), self.fill, self.plain)

@@ -1,0 +1,231 @@
+"""A Cyclone DDS program that a test drives by JSON lines, as `tests.peers.peer` does; it uses the `cyclonedds` wheel.
+
+Payloads are CDR in hex, with their encapsulation header, so the program needs no message packages. Like
+rmw_cyclonedds_cpp, its readers accept payloads of any size, and requests and replies carry 16 bytes behind the
+encapsulation header: the client's id and the number of the request (rmw_cyclonedds_cpp, serdata.hpp).
+
+Commands: ``advertise`` topic, type -> id; ``subscribe`` topic, type -> id; ``publish`` id, payload; ``wait`` id, count,
+seconds -> payloads; ``serve`` service, type, reply -> id; ``requests`` id -> payloads of all requests as received;
+``call`` service, type, request -> id, once a server has matched; ``result`` id, seconds -> reply ("" without one);
+``act`` action, type, reply -> id: three services and two topics; ``exit``.
+Types are spelled ``package/Name`` for topics and services alike, ``package/action/Name_Feedback`` for parts of actions.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from cyclonedds.core import Listener
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.types import uint8
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+HEADER = slice(4, 20)
+RELIABLE = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(100))
+LATCHED = Qos(Policy.Durability.TransientLocal, base=RELIABLE)
+
+
+class Bytes(bytes):
+    """A payload; the wheel sets ``sample_info`` on samples."""
+
+
+def raw_type(name: str) -> Any:
+    """Return a type with this DDS name whose samples are bytes."""
+
+    @dataclass
+    class Raw(IdlStruct, typename=name):
+        byte: uint8
+
+    def serialize(self: Any, *_args: Any, **_options: Any) -> bytes:
+        payload: bytes = self.byte
+        return payload
+
+    Raw.serialize = serialize  # type: ignore[method-assign]
+    Raw.deserialize = staticmethod(lambda data, *_args, **_options: Bytes(data))  # type: ignore[method-assign,assignment]
+    return Raw
+
+
+def dds_type(name: str, kind: str) -> str:
+    """Return ``package::msg::dds_::Name_`` of ``package/Name``; ``kind`` is used if the name has none."""
+    package, *middle, short = name.split("/")
+    return f"{package}::{middle[0] if middle else kind}::dds_::{short}_"
+
+
+class Reader(Listener):  # type: ignore[misc]
+    """A reader that stores all payloads, and hands each to ``received``."""
+
+    def __init__(self, peer: Peer, topic: str, type_: str, qos: Qos, received: Callable[[bytes], None] = len) -> None:
+        super().__init__()
+        self.payloads: list[bytes] = []
+        self._received, self._arrived = received, threading.Condition()
+        self.end = DataReader(peer.participant, peer.topic(topic, type_), qos=qos, listener=self)
+
+    def on_data_available(self, reader: Any) -> None:
+        """Store what has arrived; runs on a thread of Cyclone DDS."""
+        for payload in reader.take(N=1000):
+            if isinstance(payload, Bytes):
+                with self._arrived:
+                    self.payloads.append(bytes(payload))
+                    self._arrived.notify_all()
+                self._received(bytes(payload))
+
+    def wait(self, count: int, seconds: float) -> list[bytes]:
+        """Return all payloads, after ``count`` have arrived or the time is over."""
+        with self._arrived:
+            self._arrived.wait_for(lambda: len(self.payloads) >= count, seconds)
+            return list(self.payloads)
+
+
+class Writer:
+    """A writer of payloads."""
+
+    def __init__(self, peer: Peer, topic: str, type_: str, qos: Qos) -> None:
+        described = peer.topic(topic, type_)
+        self._make = described.data_type
+        self.end = DataWriter(peer.participant, described, qos=qos)
+
+    def write(self, payload: bytes) -> None:
+        """Publish one payload."""
+        self.end.write(self._make(byte=payload))
+
+    def matched(self) -> int:
+        """Return the number of matched readers."""
+        return len(self.end.get_matched_subscriptions())
+
+
+class Server:
+    """A service: answers each request with the same reply, under the request's header."""
+
+    def __init__(self, peer: Peer, service: str, type_: str, reply: bytes) -> None:
+        self._reply = reply
+        self._writer = Writer(peer, f"rr{service}Reply", dds_type(f"{type_}_Response", "srv"), RELIABLE)
+        self.reader = Reader(peer, f"rq{service}Request", dds_type(f"{type_}_Request", "srv"), RELIABLE, self._answer)
+
+    def _answer(self, request: bytes) -> None:
+        if len(request) >= HEADER.stop:
+            self._writer.write(self._reply[:4] + request[HEADER] + self._reply[4:])
+
+
+class Client:
+    """One call of a service."""
+
+    def __init__(self, peer: Peer, service: str, type_: str) -> None:
+        self._header = os.urandom(8) + struct.pack("<q", 1)
+        self._reader = Reader(peer, f"rr{service}Reply", dds_type(f"{type_}_Response", "srv"), RELIABLE)
+        self.writer = Writer(peer, f"rq{service}Request", dds_type(f"{type_}_Request", "srv"), RELIABLE)
+
+    def call(self, request: bytes) -> None:
+        """Send the request once a server has matched."""
+        end = time.monotonic() + 30
+        while not self.writer.matched():
+            if time.monotonic() > end:
+                raise TimeoutError("no server has matched")
+            time.sleep(0.02)
+        self.writer.write(request[:4] + self._header + request[4:])
+
+    def reply(self, seconds: float) -> bytes:
+        """Return the reply without its header, b"" if none arrives."""
+        end = time.monotonic() + seconds
+        count = 0
+        while True:
+            payloads = self._reader.wait(count + 1, max(0.0, end - time.monotonic()))
+            matching = [payload for payload in payloads if payload[HEADER] == self._header]
+            if matching or len(payloads) == count:
+                return matching[0][:4] + matching[0][HEADER.stop :] if matching else b""
+            count = len(payloads)
+
+
+class Peer:
+    """The participant, and the commands that use it."""
+
+    def __init__(self, domain: int) -> None:
+        self.participant = DomainParticipant(domain)
+        self._topics: dict[str, Topic] = {}
+        self._ends: dict[int, Any] = {}
+        self._count = 0
+
+    def topic(self, name: str, type_: str) -> Topic:
+        """Return the topic, which is created once."""
+        if name not in self._topics:
+            self._topics[name] = Topic(self.participant, name, raw_type(type_))
+        return self._topics[name]
+
+    def _add(self, end: Any) -> dict[str, Any]:
+        self._count += 1
+        self._ends[self._count] = end
+        return {"id": self._count}
+
+    def advertise(self, topic: str, type: str) -> dict[str, Any]:  # noqa: A002
+        return self._add(Writer(self, f"rt{topic}", dds_type(type, "msg"), RELIABLE))
+
+    def subscribe(self, topic: str, type: str) -> dict[str, Any]:  # noqa: A002
+        return self._add(Reader(self, f"rt{topic}", dds_type(type, "msg"), RELIABLE))
+
+    def publish(self, id: int, payload: str) -> dict[str, Any]:  # noqa: A002
+        self._ends[id].write(bytes.fromhex(payload))
+        return {}
+
+    def wait(self, id: int, count: int, seconds: float) -> dict[str, Any]:  # noqa: A002
+        return {"payloads": [payload.hex() for payload in self._ends[id].wait(count, seconds)]}
+
+    def serve(self, service: str, type: str, reply: str) -> dict[str, Any]:  # noqa: A002
+        return self._add(Server(self, service, type, bytes.fromhex(reply)))
+
+    def requests(self, id: int) -> dict[str, Any]:  # noqa: A002
+        server = self._ends[id]
+        servers = server if isinstance(server, list) else [server]
+        return {"payloads": [request.hex() for served in servers for request in served.reader.wait(0, 0)]}
+
+    def act(self, action: str, type: str, reply: str) -> dict[str, Any]:  # noqa: A002
+        services = {"send_goal": f"{type}_SendGoal", "get_result": f"{type}_GetResult"}
+        services["cancel_goal"] = "action_msgs/CancelGoal"
+        prefix = f"{action}/_action/"
+        servers = [Server(self, prefix + name, part, bytes.fromhex(reply)) for name, part in services.items()]
+        Writer(self, f"rt{prefix}feedback", dds_type(f"{type}_FeedbackMessage", "msg"), RELIABLE)
+        status = Writer(self, f"rt{prefix}status", dds_type("action_msgs/GoalStatusArray", "msg"), LATCHED)
+        self._add(status)
+        return self._add(servers)
+
+    def call(self, service: str, type: str, request: str) -> dict[str, Any]:  # noqa: A002
+        client = Client(self, service, type)
+        client.call(bytes.fromhex(request))
+        return self._add(client)
+
+    def result(self, id: int, seconds: float) -> dict[str, Any]:  # noqa: A002
+        return {"reply": self._ends[id].reply(seconds).hex()}
+
+
+def execute(peer: Peer, command: Mapping[str, Any]) -> dict[str, Any]:
+    """Execute one command."""
+    params = dict(command)
+    try:
+        return {"ok": True, **getattr(peer, params.pop("do"))(**params)}
+    except Exception as err:
+        return {"ok": False, "error": f"{type(err).__name__}: {err}"}
+
+
+def main() -> None:
+    """Execute the commands from standard input until it ends."""
+    peer = Peer(int(os.environ["ROS_DOMAIN_ID"]))
+    for line in sys.stdin:
+        command = json.loads(line)
+        if command["do"] == "exit":
+            break
+        print(json.dumps(execute(peer, command)), flush=True)
+
+
+if __name__ == "__main__":
+    main()

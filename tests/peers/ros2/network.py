@@ -1,0 +1,59 @@
+"""ROS 2 for the tests: a domain for each test process, and the environment of real rclpy programs on it."""
+
+from __future__ import annotations
+
+import functools
+import os
+import socket
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from bridge.adapters.ros2.environment import worker_environment
+from bridge.config.model import Config
+from bridge.demo.sandbox import hold_domain
+from tests.support.missing import ROS2, need
+
+ROS2_PEER = Path(__file__).with_name("peer.py")
+"""The program that `tests.peers.peer.Peer` drives on the ROS 2 side; run it with `sys.executable`."""
+
+SHORT_LEASE = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("short_lease.xml"))}
+"""Environment of a program whose death is detected after 2 s; Fast DDS's default is 20 s."""
+
+_held: list[socket.socket] = []
+
+
+@functools.cache
+def ros2_domain() -> int:
+    """Return this test process's ROS domain."""
+    return new_domain()
+
+
+def new_domain() -> int:
+    """Return a ROS domain that no other test process or demo uses, reserved until this process exits."""
+    hold, domain = hold_domain()
+    _held.append(hold)
+    return domain
+
+
+def ros2_environment(**extra: str) -> dict[str, str]:
+    """Return an environment for native ROS 2 programs on this process's domain: default settings, this machine only."""
+    environment: Mapping[str, str] = os.environ
+    env = worker_environment(Config.model_validate({"ros2": {"domain": ros2_domain()}}), environment)
+    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "PYTHONPATH"):
+        env.pop(name, None)
+    logs = Path(tempfile.gettempdir()) / f"midspan-test-ros2-log-{os.getuid()}"
+    env |= {
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOG_DIR": str(logs),
+        "PYTHONUNBUFFERED": "1",
+        **extra,
+    }
+    return env
+
+
+def ros2_python() -> Path:
+    """Return the interpreter with rclpy; skips the test if there is none."""
+    need(ROS2)
+    return Path(sys.executable)

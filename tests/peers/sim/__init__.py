@@ -1,0 +1,1 @@
+"""Simulated bases and floors."""

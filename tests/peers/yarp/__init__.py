@@ -1,0 +1,1 @@
+"""YARP: name servers, programs, scripts and devices."""

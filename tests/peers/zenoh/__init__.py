@@ -1,0 +1,1 @@
+"""Plain zenoh programs, bridges like zenoh's plugins, and rmw_zenoh nodes."""
