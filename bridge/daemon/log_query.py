@@ -9,12 +9,14 @@ import socket
 from collections import deque
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bridge import state_file
 from bridge.config.model import Config
-from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.query import QueryServer, ask_socket
+
+if TYPE_CHECKING:
+    from yarp_compat.selector_loop import SelectorLoop
 
 OWN = "daemon"
 """The ``worker`` of the daemon's own lines."""

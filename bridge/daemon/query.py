@@ -14,12 +14,14 @@ import socket
 from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bridge import state_file
 from bridge.config.model import Config
-from bridge.daemon.loop import SelectorLoop
 from bridge.state_file import state_folder
+
+if TYPE_CHECKING:
+    from yarp_compat.selector_loop import SelectorLoop
 
 
 class Phase(Enum):

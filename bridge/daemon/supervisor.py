@@ -16,13 +16,13 @@ from bridge.config.model import Config
 from bridge.daemon import log
 from bridge.daemon.lock import Lock
 from bridge.daemon.log_query import KeptLines, LogServer
-from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.notify import Notifier
 from bridge.daemon.query import Phase, QueryServer
 from bridge.daemon.worker_process import Timing, WorkerProcess
 from bridge.daemon.workers import worker_kinds
 from bridge.resources import folder_trouble, raise_open_files
 from bridge.state_file import state_folder
+from yarp_compat.selector_loop import SelectorLoop
 
 logger = logging.getLogger("midspan.daemon")
 

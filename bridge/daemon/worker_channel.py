@@ -21,8 +21,8 @@ from bridge import state_file
 from bridge.config.model import Config
 from bridge.daemon import log, protocol
 from bridge.daemon.lock import Lock
-from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.workers import WorkerKind, supervised_command
+from yarp_compat.selector_loop import SelectorLoop
 
 logger = logging.getLogger("midspan.daemon")
 

@@ -17,12 +17,12 @@ from bridge.config.model import Config
 from bridge.daemon import protocol
 from bridge.daemon.heartbeat import DUMP_STACKS
 from bridge.daemon.lock import Lock
-from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.query import Phase
 from bridge.daemon.worker_channel import Exit, PipeChannel, SocketChannel, WorkerChannel, kill_group
 from bridge.daemon.workers import WorkerKind
 from bridge.progress import ENDLESS, Busy, Movement
 from bridge.worker import Health
+from yarp_compat.selector_loop import SelectorLoop
 
 logger = logging.getLogger("midspan.daemon")
 

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from bridge.config.model import Config
-from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.query import Phase, ask_daemon
 from bridge.daemon.supervisor import Supervisor
 from bridge.daemon.worker_process import Timing, WorkerProcess
@@ -18,6 +17,7 @@ from bridge.daemon.workers import worker_kinds
 from bridge.progress import Busy
 from tests.peers.daemon.daemon import Daemon, alive
 from tests.support.wait import until
+from yarp_compat.selector_loop import SelectorLoop
 
 pytestmark = pytest.mark.thorough
 

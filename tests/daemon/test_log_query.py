@@ -13,9 +13,9 @@ import pytest
 
 from bridge.config.model import Config
 from bridge.daemon.log_query import OWN, KeptLines, LogServer, ask_log
-from bridge.daemon.loop import SelectorLoop
 from tests.peers.daemon.daemon import Daemon
 from tests.support.wait import until
+from yarp_compat.selector_loop import SelectorLoop
 
 
 def log(kept: KeptLines, text: str, level: int = logging.INFO, **more: object) -> None:

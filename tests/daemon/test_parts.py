@@ -16,7 +16,6 @@ from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.daemon import log
 from bridge.daemon.lock import Lock
-from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.protocol import (
     Beat,
     Failed,
@@ -198,30 +197,6 @@ def test_a_lock_file_with_other_content_has_no_holder(tmp_path: Path, text: str)
     lock = Lock(path)
     assert lock.holder() is None
     lock.close()
-
-
-def test_the_loop_skips_callbacks_that_an_earlier_one_removed() -> None:
-    loop = SelectorLoop()
-    pipes = [os.pipe() for _ in range(2)]
-    called: list[int] = []
-
-    def ready(own: int) -> None:
-        called.append(own)
-        for reader, _ in pipes:
-            loop.unwatch(reader)
-
-    for reader, writer in pipes:
-        loop.on_readable(reader, lambda reader=reader: ready(reader))  # type: ignore[misc]
-        os.write(writer, b"x")
-    loop.step(1)
-    loop.step(0)
-    assert len(called) == 1
-    loop.wake()
-    loop.step(10)
-    loop.close()
-    for pipe in pipes:
-        for file in pipe:
-            os.close(file)
 
 
 @pytest.mark.parametrize(

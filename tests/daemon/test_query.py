@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from bridge.config.model import Config
-from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.query import QueryServer, ask_daemon
 from tests.peers.daemon.daemon import Daemon
 from tests.support.descriptors import no_descriptors
 from tests.support.wait import until
+from yarp_compat.selector_loop import SelectorLoop
 
 pytestmark = pytest.mark.thorough
 

@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 
 from bridge.daemon.log_query import KeptLines, LogServer
-from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.query import QueryServer
 from bridge.web.verbs import inspection
 from bridge.web.verbs.config_text import HIDDEN, secrets_of, without_secrets
 from tests.peers.browser.page import TestPage
 from tests.support.wait import until
 from tests.web.conftest import Desk
+from yarp_compat.selector_loop import SelectorLoop
 
 
 class Daemon:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import select
-import selectors
 import socket
 import threading
 
@@ -58,18 +57,18 @@ class Input:
         if self._already or self._greeting:
             self._begin()
         else:
-            loop.call(lambda: self._await(loop))
+            loop.call_soon(lambda: self._await(loop))
 
     def _await(self, loop: PortLoop) -> None:
-        def ready(_: int) -> None:
-            loop.ignore(self.sock)
+        def ready() -> None:
+            loop.unwatch(self.sock)
             if self._closing:
                 self._end()
             else:
                 self._begin()
 
         try:
-            loop.watch(self.sock, selectors.EVENT_READ, ready)
+            loop.watch(self.sock, ready)
         except ValueError:  # more than the system's select can watch
             self._begin()
 

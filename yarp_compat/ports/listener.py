@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import logging
-import selectors
 import socket
 from collections.abc import Callable
 
@@ -42,7 +41,7 @@ class Listener:
         self.silent: dict[socket.socket, _Introduction] = {}
         self._closed = False
         sock.setblocking(False)
-        loop.call(lambda: loop.watch(sock, selectors.EVENT_READ, self._accept))
+        loop.call_soon(lambda: loop.watch(sock, self._accept))
 
     def close(self) -> None:
         """Stop listening; connections passed to ``opened`` stay open."""
@@ -58,12 +57,12 @@ class Listener:
 
     def _close(self) -> None:
         self._closed = True
-        self.loop.ignore(self._sock)
+        self.loop.unwatch(self._sock)
         self._sock.close()
         for introduction in list(self.silent.values()):
             introduction.drop()
 
-    def _accept(self, _: int) -> None:
+    def _accept(self) -> None:
         for _ in range(_PER_TURN):
             try:
                 sock, address = self._sock.accept()
@@ -85,12 +84,12 @@ class Listener:
         if self.silent:
             next(iter(self.silent.values())).drop()
             return
-        self.loop.ignore(self._sock)
+        self.loop.unwatch(self._sock)
         self.loop.call_later(0.2, self._resume)
 
     def _resume(self) -> None:
         if not self._closed:
-            self.loop.watch(self._sock, selectors.EVENT_READ, self._accept)
+            self.loop.watch(self._sock, self._accept)
 
 
 class _Introduction:
@@ -101,7 +100,7 @@ class _Introduction:
         self._sock = sock
         self._address = address
         self._received = bytearray()
-        listener.loop.watch(sock, selectors.EVENT_READ, self._read)
+        listener.loop.watch(sock, self._read)
         self._timer = listener.loop.call_later(PATIENCE, self.drop)
 
     def drop(self) -> None:
@@ -110,11 +109,11 @@ class _Introduction:
         self._sock.close()
 
     def _release(self) -> None:
-        self._listener.loop.ignore(self._sock)
+        self._listener.loop.unwatch(self._sock)
         self._listener.loop.cancel(self._timer)
         self._listener.silent.pop(self._sock, None)
 
-    def _read(self, _: int) -> None:
+    def _read(self) -> None:
         try:
             data = self._sock.recv(4096)
         except BlockingIOError:

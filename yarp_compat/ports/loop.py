@@ -3,64 +3,35 @@
 from __future__ import annotations
 
 import contextlib
-import functools
-import heapq
-import itertools
 import logging
 import os
-import selectors
-import socket
 import threading
-import time
-from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, field
+
+from yarp_compat.selector_loop import Callback, SelectorLoop
 
 _log = logging.getLogger("yarp.ports")
 _lock = threading.Lock()
 _shared: PortLoop | None = None
 
 
-@dataclass(slots=True, order=True)
-class LoopTimer:
-    """A callback due at a time of the monotonic clock."""
-
-    at: float
-    order: int
-    callback: Callable[[], None] | None = field(compare=False)
-
-
-def _nothing() -> None:
-    pass
-
-
-class PortLoop:
-    """A thread for sockets, timers and calls, which must not block. Only this thread may `watch` and `ignore`."""
+class PortLoop(SelectorLoop):
+    """A loop with a thread of its own, which logs the exceptions of callbacks."""
 
     def __init__(self) -> None:
-        self._selector = selectors.DefaultSelector()
-        self._wake_in, self._wake_out = socket.socketpair()
-        self._wake_in.setblocking(False)
-        self._wake_out.setblocking(False)
-        self._calls: deque[Callable[[], None]] = deque()
-        self._timers: list[LoopTimer] = []
-        self._cancelled = 0
-        self._order = itertools.count()
+        super().__init__()
         self._running = True
         self._over = False
         self.users = 0
-        self._thread = threading.Thread(target=self._run, name="yarp-loop", daemon=True)
+        self._thread = threading.Thread(target=self._loop, name="yarp-loop", daemon=True)
         self._thread.start()
 
-    def call(self, callback: Callable[[], None]) -> None:
+    def call_soon(self, callback: Callback) -> None:
         """Schedule a call on the thread; if the thread has ended, the caller runs it itself."""
-        self._calls.append(callback)
+        super().call_soon(callback)
         if self._over:
             self._make_calls()
-        with contextlib.suppress(OSError):
-            self._wake_out.send(b"\0")
 
-    def run(self, callback: Callable[[], None]) -> None:
+    def run(self, callback: Callback) -> None:
         """Run a callback on the thread and wait until it is done."""
         done = threading.Event()
 
@@ -70,38 +41,8 @@ class PortLoop:
             finally:
                 done.set()
 
-        self.call(call)
+        self.call_soon(call)
         done.wait()
-
-    def call_later(self, seconds: float, callback: Callable[[], None]) -> LoopTimer:
-        """Schedule a call after a delay; only from this loop's thread."""
-        timer = LoopTimer(time.monotonic() + seconds, next(self._order), callback)
-        heapq.heappush(self._timers, timer)
-        return timer
-
-    def cancel(self, timer: LoopTimer) -> None:
-        """Cancel a timer; only from this loop's thread."""
-        timer.callback = None
-        self._cancelled += 1
-        if self._cancelled > len(self._timers) // 2 + 16:
-            self._timers = [t for t in self._timers if t.callback is not None]
-            heapq.heapify(self._timers)
-            self._cancelled = 0
-
-    def watch(self, sock: socket.socket, events: int, callback: Callable[[int], None]) -> None:
-        """Call back when a socket is readable or writable."""
-        try:
-            self._selector.modify(sock, events, callback)
-        except KeyError:
-            self._selector.register(sock, events, callback)
-
-    def ignore(self, sock: socket.socket) -> bool:
-        """Stop watching a socket, before it is closed; return whether it was watched."""
-        try:
-            self._selector.unregister(sock)
-        except (KeyError, ValueError):
-            return False
-        return True
 
     @property
     def is_own_thread(self) -> bool:
@@ -114,39 +55,24 @@ class PortLoop:
         def end() -> None:
             self._running = False
 
-        self.call(end)
+        self.call_soon(end)
         if not self.is_own_thread:
             self._thread.join()
 
-    def _run(self) -> None:
-        self._selector.register(self._wake_in, selectors.EVENT_READ, self._woken)
+    def _loop(self) -> None:
         while self._running:
-            self._poll(max(0.0, self._timers[0].at - time.monotonic()) if self._timers else None)
-            while self._timers and self._timers[0].at <= time.monotonic():
-                self._do(heapq.heappop(self._timers).callback or _nothing)
-            self._make_calls()
+            self.step()
         self._poll(0.0)  # connections closed since the last poll still have their sockets
         self._over = True
         self._make_calls()
-        self._selector.close()
-        self._wake_in.close()
-        self._wake_out.close()
-
-    def _poll(self, pause: float | None) -> None:
-        for key, events in self._selector.select(pause):
-            self._do(functools.partial(key.data, events))
+        self.close()
 
     def _make_calls(self) -> None:
         with contextlib.suppress(IndexError):
             while True:
-                self._do(self._calls.popleft())
+                self._run(self._calls.popleft())
 
-    def _woken(self, _: int) -> None:
-        with contextlib.suppress(BlockingIOError):
-            while self._wake_in.recv(4096):
-                pass
-
-    def _do(self, callback: Callable[[], None]) -> None:
+    def _run(self, callback: Callback) -> None:
         try:
             callback()
         except Exception:

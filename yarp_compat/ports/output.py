@@ -170,7 +170,7 @@ class Output:
         if self.closed:
             self._dispose()
         else:
-            self._loop.call(self._drive)
+            self._loop.call_soon(self._drive)
 
     def _queue(self, item: Item, strict: bool) -> None:
         """Queue a message; with the lock held."""
@@ -184,22 +184,23 @@ class Output:
         """Let the shared thread continue."""
         if self._current is not None:
             self._current.copy_bytes()
-        self._loop.call(self._drive)
+        self._loop.call_soon(self._drive)
 
-    def _drive(self, _: int = 0) -> None:
+    def _drive(self) -> None:
         """Send queued messages; on the shared thread."""
         try:
             events = self._step()
         except OSError:
-            self._loop.ignore(self.socket_side.sock)
+            self._loop.unwatch(self.socket_side.sock)
             self._on_lost()
             return
         if events is None:
             return
         if events and not self.closed:
-            self._loop.watch(self.socket_side.sock, events, self._drive)
+            reads = events == selectors.EVENT_READ
+            self._loop.watch(self.socket_side.sock, self._drive if reads else None, None if reads else self._drive)
             return
-        self._loop.ignore(self.socket_side.sock)
+        self._loop.unwatch(self.socket_side.sock)
         self._dispose()
 
     def _step(self) -> int | None:
@@ -218,7 +219,7 @@ class Output:
                 self._current = self._pending.next()
                 free = self._current is None and not self.closed
                 if free:
-                    self._loop.ignore(self.socket_side.sock)
+                    self._loop.unwatch(self.socket_side.sock)
                     self._driven = False
                 self._changed.notify_all()
                 if free:

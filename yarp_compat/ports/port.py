@@ -93,7 +93,7 @@ class PortCore(ConnectingPort):
             self._loop = shared = loop.acquire()
             self.connections.open()
             self._listener = Listener(shared, sock, self._on_introduced, self._on_refused)
-            shared.call(self._check_outputs)
+            shared.call_soon(self._check_outputs)
             note_open(self)
         try:
             self.naming.announce(self.name)
