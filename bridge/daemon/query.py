@@ -12,29 +12,16 @@ import logging
 import os
 import socket
 from collections.abc import Callable
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bridge import state_file
 from bridge.config.model import Config
+from bridge.daemon.worker_states import Phase as Phase
 from bridge.state_file import state_folder
 
 if TYPE_CHECKING:
     from yarp_compat.selector_loop import SelectorLoop
-
-
-class Phase(Enum):
-    """State of a worker's process."""
-
-    OFF = "off"
-    UNAVAILABLE = "not available"
-    QUEUED = "queued"
-    STARTING = "starting"
-    UP = "running"
-    PAUSED = "restarting"
-    FAILED = "cannot work"
-    STOPPING = "stopping"
 
 
 logger = logging.getLogger("midspan.daemon")

@@ -18,7 +18,8 @@ from bridge.daemon.lock import Lock
 from bridge.daemon.log_query import KeptLines, LogServer
 from bridge.daemon.notify import Notifier
 from bridge.daemon.query import Phase, QueryServer
-from bridge.daemon.worker_process import Timing, WorkerProcess
+from bridge.daemon.worker_process import WorkerProcess
+from bridge.daemon.worker_run import Timing
 from bridge.daemon.workers import worker_kinds
 from bridge.resources import folder_trouble, raise_open_files
 from bridge.state_file import state_folder
@@ -152,8 +153,7 @@ class Supervisor:
 
     def _step(self) -> None:
         interval = self._notify.watchdog_interval
-        due = min(worker.due for worker in self.workers) - time.monotonic()
-        self.loop.step(max(0.0, min(STEP, due, interval / 2 if interval else STEP)))
+        self.loop.step(min(STEP, interval / 2 if interval else STEP))
         now = time.monotonic()
         step = now - self._stepped
         self._stepped = now

@@ -63,11 +63,13 @@ class WorkerChannel(ABC):
     Attributes:
         pid: process id, 0 while unknown.
         owner: who started the process, and will stop it.
+        started_here: whether this daemon started the process.
     """
 
     def __init__(self, loop: SelectorLoop, listener: ChannelListener) -> None:
         self.pid = 0
         self.owner: protocol.Owner = "daemon"
+        self.started_here = False
         self._loop = loop
         self._listener = listener
         self._outgoing = b""
@@ -165,7 +167,7 @@ class PipeChannel(WorkerChannel):
             start_new_session=True,  # only the daemon handles a Ctrl-C in its terminal
             pass_fds=(lock.fileno(),),
         )
-        self.pid = self._process.pid
+        self.pid, self.started_here = self._process.pid, True
         lock.write(self.pid, "daemon")
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -259,7 +261,7 @@ class SocketChannel(WorkerChannel):
                 start_new_session=True,
                 pass_fds=(lock.fileno(),),
             )
-        self.pid = self._process.pid
+        self.pid, self.started_here = self._process.pid, True
         lock.write(self.pid, "daemon")
         assert self._process.stdout is not None
         os.set_blocking(self._process.stdout.fileno(), False)

@@ -12,7 +12,8 @@ import pytest
 from bridge.config.model import Config
 from bridge.daemon.query import Phase, ask_daemon
 from bridge.daemon.supervisor import Supervisor
-from bridge.daemon.worker_process import Timing, WorkerProcess
+from bridge.daemon.worker_process import WorkerProcess
+from bridge.daemon.worker_run import Timing
 from bridge.daemon.workers import worker_kinds
 from bridge.progress import Busy
 from tests.peers.daemon.daemon import Daemon, alive
@@ -85,7 +86,7 @@ class _Unconnected:
 def test_a_worker_in_an_endless_loop_is_killed(seconds: float, phase: Phase, caplog: pytest.LogCaptureFixture) -> None:
     loop = SelectorLoop()
     worker = WorkerProcess(loop, worker_kinds({})["ros1"], Timing(heartbeat=50.0))
-    worker.channel, worker.phase = _Unconnected(), Phase.UP  # type: ignore[assignment]
+    worker.channel, worker.state.state = _Unconnected(), Phase.UP  # type: ignore[assignment]
     for used in (0.0, seconds):
         worker.on_report(Busy("reporting its state", used, 0))
         worker.tick()

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from bridge.daemon import worker_states
 from navigation.gateway import machine
 from scripts import house
 
@@ -109,3 +110,23 @@ def diagram(table: Mapping[Any, Mapping[Any, Any]], first: Enum, without: frozen
 )
 def test_the_gateways_state_diagrams_match_its_tables(drawn: str) -> None:
     assert drawn in PAGE, f"ARCHITECTURE.md must contain:\n{drawn}"
+
+
+_STATES = {
+    worker_states.IDLE: "all without a process",
+    frozenset(worker_states.Phase) - {worker_states.Phase.STOPPING}: "all except STOPPING",
+    frozenset(worker_states.Phase): "all",
+}
+
+
+@pytest.mark.parametrize("event", worker_states.WorkerEvent, ids=lambda event: event.name.lower())
+def test_the_table_of_a_workers_states_has_each_event(event: worker_states.WorkerEvent) -> None:
+    states, following = worker_states.TRANSITIONS[event]
+    names = _STATES.get(states) or ", ".join(state.name for state in worker_states.Phase if state in states)
+    row = f"| `{event.name.lower()}` | {event.value} | {names} | {following.name} |"
+    assert row in PAGE.splitlines(), f"ARCHITECTURE.md must contain:\n{row}"
+
+
+@pytest.mark.parametrize("state", worker_states.Phase, ids=lambda state: state.name.lower())
+def test_the_table_of_a_workers_states_has_each_state(state: worker_states.Phase) -> None:
+    assert f"\n| {state.name} | {state.value} |" in PAGE

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from bridge.adapters.worker import DRAIN_SECONDS
-from bridge.daemon.worker_process import Timing
+from bridge.daemon.worker_run import Timing
 from bridge.modules import worker as modules_worker
 from bridge.modules.module import Module
 from bridge.modules.worker import Running

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from bridge.daemon import log
 from bridge.daemon.supervisor import Supervisor
-from bridge.daemon.worker_process import Timing
+from bridge.daemon.worker_run import Timing
 
 
 def main() -> None:
