@@ -18,10 +18,11 @@ from bridge.daemon.lock import Lock
 from bridge.daemon.log_query import KeptLines, LogServer
 from bridge.daemon.notify import Notifier
 from bridge.daemon.query import Phase, QueryServer
+from bridge.daemon.readiness import Readiness
 from bridge.daemon.worker_process import WorkerProcess
 from bridge.daemon.worker_run import Timing
 from bridge.daemon.workers import worker_kinds
-from bridge.resources import folder_trouble, raise_open_files
+from bridge.resources import raise_open_files
 from bridge.state_file import state_folder
 from yarp_compat.selector_loop import SelectorLoop
 
@@ -30,12 +31,9 @@ logger = logging.getLogger("midspan.daemon")
 STEP = 0.25
 SUSPENDED_AFTER = 1.0
 """A longer step means that this process or the machine was suspended; workers are not penalized for that time."""
-READY_AFTER = 10.0
-"""The daemon reports ready after this time at the latest: a side without its network must not fail the service."""
 STOP_SECONDS = 4.8
 KILLED_SECONDS = 1.0
 """A killed process that still exists after this time hangs in the kernel; not part of `STOP_SECONDS`."""
-STATUS_INTERVAL = 1.0
 
 
 def usable_cores() -> int:
@@ -64,6 +62,7 @@ class Supervisor:
         self._machine_name = loaded.name
         self.loop = SelectorLoop()
         self._notify = Notifier(environ)
+        self._readiness = Readiness(self._notify, self.status, lambda: state_folder(self._config))
         self._cores = cores or usable_cores()
         timing = timing or Timing()
         self.workers = [
@@ -72,10 +71,7 @@ class Supervisor:
         ]
         self._stops = 0
         self._reload_wanted = False
-        self._announced = False
-        self._ready_at = 0.0
-        self._refused = self._trouble = ""
-        self._status_sent = 0.0
+        self._refused = ""
         self._begun = self._stepped = time.monotonic()
 
     @property
@@ -137,8 +133,7 @@ class Supervisor:
         raise RuntimeError(f"{fault}; stop it, or give this one another 'name' or 'state'")
 
     def _begin(self, config: Config) -> None:
-        self._announced = False
-        self._ready_at = time.monotonic() + READY_AFTER
+        self._readiness.begin()
         for worker in self.workers:
             worker.configure(config)
 
@@ -161,26 +156,7 @@ class Supervisor:
             if step > SUSPENDED_AFTER:
                 worker.forgive(step)
             worker.tick()
-        self._notify.feed_watchdog()
-        if not self._announced and (now > self._ready_at or all(worker.settled for worker in self.workers)):
-            self._announced = True
-            self._status_sent = 0.0
-            self._send_status(now)
-            self._notify.ready()
-            logger.info("ready: %s", self.status())
-        self._send_status(now)
-
-    def _send_status(self, now: float) -> None:
-        if now - self._status_sent >= STATUS_INTERVAL:
-            self._status_sent = now
-            self._check_folder()
-            self._notify.status(self.status())
-
-    def _check_folder(self) -> None:
-        trouble = folder_trouble(state_folder(self._config))
-        if trouble != self._trouble:
-            self._trouble = trouble
-            logger.warning("%s", trouble or "the state folder is writable again")
+        self._readiness.step(now, lambda: all(worker.settled for worker in self.workers))
 
     def status(self) -> str:
         """Return the state of all workers in one line."""
@@ -197,8 +173,8 @@ class Supervisor:
             if worker.restarts:
                 text += f" (restarted {worker.restarts}x)"
             parts.append(text)
-        if self._trouble:
-            parts.append(self._trouble)
+        if self._readiness.trouble:
+            parts.append(self._readiness.trouble)
         if self._refused:
             parts.append(f"reload refused, the running configuration is kept: {self._refused}")
         return " | ".join(parts) or "no worker is enabled"
@@ -238,7 +214,7 @@ class Supervisor:
             logger.error("the new configuration is rejected, the running one is kept:\n%s", err)  # noqa: TRY400
             first, *more = str(err).splitlines()
             self._refused = f"{first} (and {len(more)} more)" if more else first
-            self._announced = False
+            self._readiness.announce_again()
             return
         logger.info("configuration reloaded")
         self._refused = ""
