@@ -4,7 +4,8 @@
 as the current format, and a key that only older formats had is an error that names ``midspan config migrate``.
 
 Removed keys stay in the file as comments, like the comments around them: the text is edited at the keys' positions
-from YAML's parser, and is otherwise unchanged.
+from YAML's parser, and is otherwise unchanged. The round trip of ruamel.yaml (0.19) would rewrite indents, spacing,
+line ends and scalars, and drop the comments in flow lists and before ``---``.
 """
 
 from __future__ import annotations

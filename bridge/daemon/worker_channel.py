@@ -132,7 +132,7 @@ class WorkerChannel(ABC):
 
 
 def read_some(file: int) -> bytes | None:
-    """Read without blocking: return None if there is no data yet, b"" at the end."""
+    """Read without blocking: return None before data arrives, b"" at the end."""
     try:
         return os.read(file, READ_SIZE)
     except BlockingIOError:
@@ -236,7 +236,7 @@ class SocketChannel(WorkerChannel):
         self._connected = False
 
     def adopt(self) -> bool:
-        """Connect to a running worker; return False if there is none."""
+        """Connect to the worker; return False if it does not run."""
         sock = _connect(self._path)
         if sock is None:
             return False

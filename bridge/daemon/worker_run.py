@@ -1,4 +1,4 @@
-"""One run of a worker's process: what it reported, and whether it makes progress."""
+"""One run of a worker's process: its reports and its progress."""
 
 from __future__ import annotations
 

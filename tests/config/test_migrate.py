@@ -166,6 +166,25 @@ def test_what_is_no_configuration_is_refused(text: str) -> None:
         migrate(text, FILE)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a: [\n  1,  # in a list\n  2,\n]\n",
+        "# before the start\n---\na: 1\n...\n",
+        "a: 1\r\n# with CRLF\r\nb: 2\r\n",
+        "a:\n- 1\nb:\n    -   c: 1  # other indents\n        d: 2\n",
+        "a: { b:   1, c: [1,2,] }   \nlonger : 2\n",
+        'a: "tab\\t \\u00e9 \\\n  folded"\nb: one\n  two\n',
+        "a: ~\nb: True\nc: +1\nd: .NaN\ne: 1_0\n",
+        "? a\n: 1",
+        "# only\n\n# comments\n",
+    ],
+)
+def test_all_other_text_stays_byte_for_byte(text: str) -> None:
+    """Text that the round trip of ruamel.yaml 0.19 would change: it drops or moves comments, or rewrites the style."""
+    assert migrate(text, FILE).text.replace(f"version: {FORMAT}\n", "", 1) == text
+
+
 def test_the_shipped_files_need_nothing_but_their_version() -> None:
     for file in (Path(__file__).parents[2] / "configs").glob("*.yaml"):
         text = file.read_text(encoding="utf-8")

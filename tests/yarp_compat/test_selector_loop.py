@@ -1,4 +1,4 @@
-"""The selector loop of the daemon and of YARP's ports."""
+"""The selector loop that the daemon shares with the ports of YARP."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ _shared: PortLoop | None = None
 
 
 class PortLoop(SelectorLoop):
-    """A loop with a thread of its own, which logs the exceptions of callbacks."""
+    """A loop that runs on its own thread and logs the exceptions of callbacks."""
 
     def __init__(self) -> None:
         super().__init__()
