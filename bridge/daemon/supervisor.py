@@ -41,6 +41,34 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+class ConfigSource:
+    """The daemon's configuration file, completed with its name and state folder; None: search for one at each load.
+
+    Attributes:
+        first: the configuration at the start.
+        machine_name: the name of the machine, or that of the file.
+    """
+
+    def __init__(self, file: Path | None, environ: Mapping[str, str]) -> None:
+        loaded = load(file)
+        self.file = file
+        self.first = state_file.with_state(loaded, environ)
+        self.machine_name = loaded.name
+        self._environ = environ
+
+    def reload(self, running: Config) -> Config:
+        """Load the file again; raises `ConfigError`, and `RuntimeError` for a change that needs another daemon."""
+        config = state_file.named(load(self.file), self._environ)
+        # The folder in use may be full or read-only by now: that is reported, but must not make the reload fail.
+        config = config.model_copy(update={"state": state_folder(config, self._environ).absolute()})
+        for key in ("name", "state"):
+            old, new = getattr(running, key), getattr(config, key)
+            if old != new:
+                change = f"{key}: changing it from '{old}' to '{new}'"
+                raise RuntimeError(f"{self.file}: {change} needs a restart of the daemon")
+        return config
+
+
 class Supervisor:
     """The daemon's only thread.
 
@@ -55,11 +83,8 @@ class Supervisor:
         self, file: Path | None, *, standing: Collection[str] = (), timing: Timing | None = None,
         cores: int | None = None, environ: Mapping[str, str] = os.environ,
     ) -> None:  # fmt: skip
-        self._file = file
-        self._environ = environ
-        loaded = load(file)
-        self._config = state_file.with_state(loaded, environ)
-        self._machine_name = loaded.name
+        self._source = ConfigSource(file, environ)
+        self._config = self._source.first
         self.loop = SelectorLoop()
         self._notify = Notifier(environ)
         self._readiness = Readiness(self._notify, self.status, lambda: state_folder(self._config))
@@ -103,9 +128,10 @@ class Supervisor:
         self._begun = self._stepped = time.monotonic()
         try:
             logger.info("%s: limit of open files %d", self._config.name, raise_open_files())
-            if self._machine_name != self._config.name:
+            machine = self._source.machine_name
+            if machine != self._config.name:
                 reason = "this daemon keeps the name of its first start, under which its state is stored"
-                logger.warning("%s: the machine's name is %s now; %s", self._config.name, self._machine_name, reason)
+                logger.warning("%s: the machine's name is %s now; %s", self._config.name, machine, reason)
             self._begin(self._config)
             while not self._stops:
                 self._step()
@@ -185,7 +211,7 @@ class Supervisor:
             "daemon": self._config.name,
             "pid": os.getpid(),
             "uptime": round(time.monotonic() - self._begun, 1),
-            "config": None if self._file is None else str(self._file.absolute()),
+            "config": None if self._source.file is None else str(self._source.file.absolute()),
             "refused": self._refused,
             "status": self.status(),
             "workers": [
@@ -209,7 +235,7 @@ class Supervisor:
     def _reload(self) -> None:
         self._notify.reloading()
         try:
-            config = self._checked_again()
+            config = self._source.reload(self._config)
         except (ConfigError, RuntimeError) as err:
             logger.error("the new configuration is rejected, the running one is kept:\n%s", err)  # noqa: TRY400
             first, *more = str(err).splitlines()
@@ -221,17 +247,6 @@ class Supervisor:
         log.set_level(config)
         self._config = config
         self._begin(config)
-
-    def _checked_again(self) -> Config:
-        config = state_file.named(load(self._file), self._environ)
-        # The folder in use may be full or read-only by now: that is reported, but must not make the reload fail.
-        config = config.model_copy(update={"state": state_folder(config, self._environ).absolute()})
-        for key in ("name", "state"):
-            old, new = getattr(self._config, key), getattr(config, key)
-            if old != new:
-                change = f"{key}: changing it from '{old}' to '{new}'"
-                raise RuntimeError(f"{self._file}: {change} needs a restart of the daemon")
-        return config
 
     # -- the end -------------------------------------------------------------------------------------------------------
 

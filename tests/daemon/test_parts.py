@@ -247,7 +247,7 @@ def test_a_daemon_reports_and_reloads_under_its_stored_name(
     supervisor.request_stop()
     supervisor.run()
     assert "robot1: the machine's name is robot2 now; this daemon keeps the name" in caplog.text
-    assert supervisor._checked_again() == supervisor.config
+    assert supervisor._source.reload(supervisor.config) == supervisor.config
 
 
 def test_table_of_workers() -> None:
