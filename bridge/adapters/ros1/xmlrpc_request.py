@@ -76,7 +76,7 @@ class _Decoder(xmlrpc.client.Unmarshaller):
 def decode_call(body: bytes, limits: Limits) -> tuple[str, tuple[Any, ...]]:
     """Return method and parameters of a request; raises `xmlrpc.client.Fault` if it is invalid."""
     decoder = _Decoder(limits)
-    decoder.xml(None, None)  # the parser decodes
+    decoder.xml("", None)  # the parser decodes
     parser = expat.ParserCreate()
     parser.buffer_text = True
     parser.StartElementHandler = decoder.start

@@ -11,6 +11,7 @@ import xmlrpc.client
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
+from typing import Any
 
 import pytest
 
@@ -110,14 +111,14 @@ def test_requests_that_arrive_together_or_in_pieces_are_served_in_order(served: 
     for number in range(3):
         body = xmlrpc.client.dumps((number, 0), "add").encode()
         requests += b"POST /RPC2 HTTP/1.1\r\nContent-Length: %d\r\n\r\n" % len(body) + body
-    with served.connect() as sock:
+    with served.connect() as sock, sock.makefile("rb") as responses:
         for piece in (requests[:30], requests[30:150], requests[150:]):
             sock.sendall(piece)
         values = []
         for _ in range(3):
-            response = http.client.HTTPResponse(sock)
-            response.begin()
-            values.append(xmlrpc.client.loads(response.read(int(response.headers["Content-Length"])))[0][0])
+            head = b"".join(iter(responses.readline, b"\r\n"))
+            size = int(head.partition(b"Content-Length: ")[2].split()[0])
+            values.append(xmlrpc.client.loads(responses.read(size))[0][0])
     assert values == [0, 1, 2]
 
 
@@ -147,7 +148,7 @@ def test_multicall(proxy: xmlrpc.client.ServerProxy):
     calls.fail(5)
     getattr(calls, "system.multicall")([])
     calls.add(3, 4)
-    results = calls().results
+    results: list[Any] = calls().results
     assert (results[0], results[4]) == ([3], [7])
     assert [r["faultCode"] for r in results[1:4]] == [
         xmlrpc.client.METHOD_NOT_FOUND,
@@ -272,8 +273,8 @@ def test_many_large_half_requests_do_not_prevent_others(served: Served):
 
 
 def test_a_method_that_blocks_delays_no_other(served: Served, proxy: xmlrpc.client.ServerProxy):
-    with ThreadPoolExecutor(1) as pool:
-        waiting = pool.submit(xmlrpc.client.ServerProxy(served.uri).wait)
+    with ThreadPoolExecutor(1) as pool, xmlrpc.client.ServerProxy(served.uri) as other:
+        waiting = pool.submit(other.wait)
         assert served.waiting.wait(20)
         assert proxy.add(1, 2) == 3
         served.release.set()
@@ -323,7 +324,10 @@ def test_close_ends_connections_and_threads(served: Served):
 
 
 def test_a_server_that_was_never_started_can_be_closed():
-    XmlRpcServer({}).close()
+    server = XmlRpcServer({})
+    server.close()
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", server.port), 20)
 
 
 def test_ipv6():
