@@ -1,0 +1,287 @@
+"""The methods of a master's API (http://wiki.ros.org/ROS/Master_API, http://wiki.ros.org/ROS/Parameter_Server_API).
+
+Each returns ``[code, message, value]``: code 1 is success, -1 an error of the caller, 0 a failure. In cases
+that the wiki leaves open, the replies are those of ``rosmaster`` 1.15; a test compares both.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+from bridge.adapters.ros1.master import checks
+from bridge.adapters.ros1.master.checks import Check, InvalidError
+from bridge.adapters.ros1.master.names import canonical, resolve
+from bridge.adapters.ros1.master.parameters import ParameterTree
+from bridge.adapters.ros1.master.registrations import Kind, Link, Registrations, RegistrationsFullError, Removal
+
+_log = logging.getLogger("midspan.ros1.master")
+
+Reply = list[Any]
+"""``[code, message, value]``."""
+
+GRAPH = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
+
+
+class Outbox(Protocol):
+    """Calls to nodes, which are queued; in order for each address."""
+
+    def publisher_update(self, api: str, topic: str, publishers: list[str]) -> None:
+        """Report the publishers of a topic to a subscriber."""
+
+    def param_update(self, subscriber: Link, subscribed_key: str, key: str, value: Any) -> None:
+        """Report a parameter's value to a subscriber."""
+
+    def shut_down(self, api: str, node: str, reason: str) -> None:
+        """Have a node end."""
+
+
+class MasterApi:
+    """The API of a master, with its registrations and parameters. Thread-safe.
+
+    Args:
+        uri: the master's own address.
+        outbox: for the calls to nodes.
+        changed: is called after each change of registrations or parameters.
+        shut_down: is called upon ``shutdown``; None if that is refused.
+    """
+
+    def __init__(
+        self, uri: str, outbox: Outbox, changed: Callable[[], None] = lambda: None,
+        shut_down: Callable[[], None] | None = None,
+    ) -> None:  # fmt: skip
+        self.uri = uri
+        self.lock = threading.RLock()
+        self.registrations = Registrations()
+        self.parameters = ParameterTree()
+        self._outbox, self._changed, self._shut_down = outbox, changed, shut_down
+        key, api, any_name = checks.text("key"), checks.address("caller_api"), checks.name("node", root=True)
+        topic, kind = checks.name("topic"), checks.type_name("topic_type")
+        service, service_api = checks.name("service"), checks.address("service_api")
+        self.methods: dict[str, Callable[..., Reply]] = {
+            "shutdown": self._checked(self.shut_down, 0, checks.anything),
+            "getUri": self._checked(lambda _caller: [1, "", self.uri], ""),
+            "getPid": self._checked(lambda _caller: [1, "", os.getpid()], -1),
+            "deleteParam": self._checked(self.delete_param, 0, key),
+            "setParam": self._checked(self.set_param, 0, key, checks.given("value")),
+            "getParam": self._checked(self.get_param, 0, key),
+            "searchParam": self._checked(self.search_param, 0, key),
+            "subscribeParam": self._checked(self.subscribe_param, 0, api, key),
+            "unsubscribeParam": self._checked(self.unsubscribe_param, 0, api, key),
+            "hasParam": self._checked(self.has_param, False, key),
+            "getParamNames": self._checked(lambda _: [1, "Parameter names", self.parameters.names()], []),
+            "registerService": self._checked(self.register_service, 0, service, service_api, api),
+            "lookupService": self._checked(self.lookup_service, "", service),
+            "unregisterService": self._checked(self.unregister_service, 0, service, service_api),
+            "registerSubscriber": self._checked(self.register_subscriber, [], topic, kind, api),
+            "unregisterSubscriber": self._checked(self.unregister_subscriber, 0, topic, api),
+            "registerPublisher": self._checked(self.register_publisher, [], topic, kind, api),
+            "unregisterPublisher": self._checked(self.unregister_publisher, 0, topic, api),
+            "lookupNode": self._checked(self.lookup_node, "", any_name),
+            "getPublishedTopics": self._checked(self.published_topics, 0, checks.namespace("subgraph")),
+            "getTopicTypes": self._checked(self.topic_types, []),
+            "getSystemState": self._checked(self.system_state, [[], [], []]),
+        }
+
+    def _checked(self, function: Callable[..., Reply], failure: object, *check: Check) -> Callable[..., Reply]:
+        """Return a method that checks its parameters, and reports errors as replies; ``failure`` is their value."""
+
+        def method(*params: Any) -> Reply:
+            if not params:
+                return [-1, "missing required caller_id parameter", failure]
+            if len(params) != len(check) + 1:
+                return [-1, "Error: bad call arity", failure]
+            caller = params[0]
+            if not isinstance(caller, str):
+                return [-1, "caller_id must be a string", failure]
+            try:
+                checks.short("caller_id", caller)
+                values = [checked(value, caller) for checked, value in zip(check, params[1:], strict=True)]
+                with self.lock:
+                    return function(caller, *values)
+            except (InvalidError, RegistrationsFullError) as err:
+                return [-1, str(err), failure]
+            except TypeError as err:
+                return [-1, f"Error: invalid arguments: {err}", failure]
+            except ValueError as err:
+                return [0, f"Internal failure: {err}", failure]
+
+        return method
+
+    def shut_down(self, caller: str, message: object) -> Reply:
+        """End the master, if that is allowed."""
+        if self._shut_down is None:
+            return [0, "this master is a part of Midspan, which starts and stops it", 0]
+        _log.info("shut down by %s: %s", caller, message)
+        self._shut_down()
+        return [1, "shutdown", 0]
+
+    # -- parameters ----------------------------------------------------------------------------------------------------
+
+    def delete_param(self, caller: str, key: str) -> Reply:
+        """Delete a parameter or a namespace."""
+        key = resolve(key, caller)
+        try:
+            self.parameters.delete(key)
+        except KeyError:
+            return [-1, f"parameter [{key}] is not set", 0]
+        self._send_updates("", key, {})
+        self._changed()
+        return [1, f"parameter {key} deleted", 0]
+
+    def set_param(self, caller: str, key: str, value: Any) -> Reply:
+        """Set a parameter, or replace a namespace by a structure."""
+        key = resolve(key, caller)
+        self.parameters.set(key, value)
+        self._send_updates(caller, key, value)
+        self._changed()
+        return [1, f"parameter {key} set", 0]
+
+    def _send_updates(self, caller: str, key: str, value: Any) -> None:
+        """Send a new value to its subscribers, but not to the node that set it."""
+        for update in self.parameters.updates(key, value, self.registrations.keys(Kind.PARAMETER)):
+            for link in self.registrations.links(Kind.PARAMETER, update.subscribed_key):
+                if update.inner or not caller or link.node != caller:
+                    self._outbox.param_update(link, update.subscribed_key, update.key, update.value)
+
+    def get_param(self, caller: str, key: str) -> Reply:
+        """Return a parameter, or a namespace as a structure."""
+        key = resolve(key, caller)
+        try:
+            return [1, f"Parameter [{key}]", self.parameters.get(key)]
+        except KeyError:
+            return [-1, f"Parameter [{key}] is not set", 0]
+
+    def search_param(self, caller: str, key: str) -> Reply:
+        """Return the name under which the calling node's namespace, or one that contains it, has the key."""
+        name = self.parameters.search(caller, key)
+        if not name:
+            return [-1, f"Cannot find parameter [{key}] in an upwards search", ""]
+        return [1, f"Found [{name}]", name]
+
+    def subscribe_param(self, caller: str, api: str, key: str) -> Reply:
+        """Return a parameter, and send its changes to the calling node from now on."""
+        key = resolve(key, caller)
+        try:
+            value = self.parameters.get(key)
+        except KeyError:
+            value = {}
+        self._on_removal(self.registrations.register(Kind.PARAMETER, _subscribed(key), caller, api), caller)
+        self._changed()
+        return [1, f"Subscribed to parameter [{key}]", value]
+
+    def unsubscribe_param(self, caller: str, api: str, key: str) -> Reply:
+        """Stop sending changes of a parameter to the calling node."""
+        key = resolve(key, caller)
+        self.drop_param_subscriber(Link(caller, api), _subscribed(key))
+        return [1, f"Unsubscribe to parameter [{key}]", 1]
+
+    def drop_param_subscriber(self, subscriber: Link, subscribed_key: str) -> None:
+        """Remove a subscriber of a parameter, because it no longer accepts updates, for example."""
+        with self.lock:
+            self.registrations.unregister(Kind.PARAMETER, subscribed_key, *subscriber)
+            self._changed()
+
+    def has_param(self, caller: str, key: str) -> Reply:
+        """Return whether a parameter or namespace is set."""
+        key = resolve(key, caller)
+        return [1, key, self.parameters.has(key)]
+
+    # -- registrations -------------------------------------------------------------------------------------------------
+
+    def register_service(self, caller: str, service: str, service_api: str, api: str) -> Reply:
+        """Register the server of a service; it replaces the previous one."""
+        self._on_removal(self.registrations.register(Kind.SERVICE, service, caller, api, service_api), caller)
+        self._changed()
+        return [1, f"Registered [{caller}] as provider of [{service}]", 1]
+
+    def unregister_service(self, caller: str, service: str, service_api: str) -> Reply:
+        """Unregister the server of a service."""
+        return self._unregister(Kind.SERVICE, service, caller, service_api)
+
+    def register_subscriber(self, caller: str, topic: str, kind: str, api: str) -> Reply:
+        """Register a subscriber; return the publishers."""
+        self._on_removal(self.registrations.register(Kind.SUBSCRIBER, topic, caller, api), caller)
+        self.registrations.set_type(topic, kind, publisher=False)
+        self._changed()
+        return [1, f"Subscribed to [{topic}]", self.registrations.apis(Kind.PUBLISHER, topic)]
+
+    def unregister_subscriber(self, caller: str, topic: str, api: str) -> Reply:
+        """Unregister a subscriber."""
+        return self._unregister(Kind.SUBSCRIBER, topic, caller, api)
+
+    def register_publisher(self, caller: str, topic: str, kind: str, api: str) -> Reply:
+        """Register a publisher, and report it to the subscribers; return them."""
+        self._on_removal(self.registrations.register(Kind.PUBLISHER, topic, caller, api), caller, topic)
+        self.registrations.set_type(topic, kind, publisher=True)
+        self._report_publishers([topic])
+        self._changed()
+        subscribers = self.registrations.apis(Kind.SUBSCRIBER, topic)
+        return [1, f"Registered [{caller}] as publisher of [{topic}]", subscribers]
+
+    def unregister_publisher(self, caller: str, topic: str, api: str) -> Reply:
+        """Unregister a publisher, and report that to the subscribers."""
+        reply = self._unregister(Kind.PUBLISHER, topic, caller, api)
+        if reply[2]:
+            self._report_publishers([topic])
+        return reply
+
+    def _unregister(self, kind: Kind, name: str, caller: str, api: str) -> Reply:
+        message, count = self.registrations.unregister(kind, name, caller, api)
+        self._changed()
+        return [1, message, count]
+
+    def _on_removal(self, removal: Removal | None, node: str, topic: str = "") -> None:
+        """Shut a node down that another one of its name replaces; ``topic`` is reported by the caller."""
+        if removal is not None:
+            self._outbox.shut_down(removal.api, node, "new node registered with same name")
+            self._report_publishers([name for name in removal.topics if name != topic])
+
+    def _report_publishers(self, topics: Sequence[str]) -> None:
+        for topic in topics:
+            publishers = self.registrations.apis(Kind.PUBLISHER, topic)
+            for api in self.registrations.apis(Kind.SUBSCRIBER, topic):
+                self._outbox.publisher_update(api, topic, publishers)
+
+    def remove_dead(self, node: str, api: str) -> bool:
+        """Remove a dead node's registrations, unless another node has replaced it; report that to subscribers."""
+        with self.lock:
+            entry = self.registrations.nodes.get(node)
+            if entry is None or entry.api != api:
+                return False
+            self._report_publishers(self.registrations.remove_node(node).topics)
+            self._changed()
+            return True
+
+    # -- the graph -----------------------------------------------------------------------------------------------------
+
+    def lookup_service(self, _caller: str, service: str) -> Reply:
+        """Return the address of a service."""
+        _, api = self.registrations.service_apis.get(service, ("", ""))
+        return [1, f"rosrpc URI: [{api}]", api] if api else [-1, "no provider", ""]
+
+    def lookup_node(self, _caller: str, node: str) -> Reply:
+        """Return the address of a node."""
+        entry = self.registrations.nodes.get(node)
+        return [-1, f"unknown node [{node}]", ""] if entry is None else [1, "node api", entry.api]
+
+    def published_topics(self, _caller: str, namespace: str) -> Reply:
+        """Return the published topics of a namespace with their types."""
+        prefix = namespace if namespace in ("", "/") else f"{namespace}/"
+        topics = [t for t in self.registrations.keys(Kind.PUBLISHER) if t.startswith(prefix)]
+        return [1, "current topics", [[topic, self.registrations.types[topic]] for topic in topics]]
+
+    def topic_types(self, _caller: str) -> Reply:
+        """Return all topics with their types."""
+        return [1, "current system state", [list(item) for item in self.registrations.types.items()]]
+
+    def system_state(self, _caller: str) -> Reply:
+        """Return publishers, subscribers and services, each as a list of names with their nodes."""
+        return [1, "current system state", [self.registrations.state(kind) for kind in GRAPH]]
+
+
+def _subscribed(key: str) -> str:
+    return key if key == "/" else canonical(key) + "/"

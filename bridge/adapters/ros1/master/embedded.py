@@ -1,0 +1,94 @@
+"""A master that listens: its API over XML-RPC, its state file, its calls to nodes, and the removal of dead nodes."""
+
+from __future__ import annotations
+
+import logging
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+
+from bridge.adapters.ros1.master import saved
+from bridge.adapters.ros1.master.api import MasterApi
+from bridge.adapters.ros1.master.liveness import Liveness, Nodes
+from bridge.adapters.ros1.master.node_calls import NodeCalls
+from bridge.adapters.ros1.xmlrpc import XmlRpcServer
+from bridge.adapters.ros1.xmlrpc_request import Limits
+
+_log = logging.getLogger("midspan.ros1.master")
+
+_LIMITS = Limits(connections=2048, body=32 * 2**20, buffered=128 * 2**20, values=1_000_000)
+"""``rosparam load`` sends a whole file, with a robot's description, in one request."""
+
+_DISTRIBUTION = {"/rosdistro": "noetic\n", "/rosversion": "1.16.0\n"}
+"""Parameters that roscore sets, the last release's values."""
+
+_ROSCORE = "/roslaunch"
+"""The node that sets roscore's parameters."""
+
+
+class EmbeddedMaster:
+    """A ROS 1 master of this process.
+
+    Args:
+        address: to listen on, with ``port``.
+        uri: its address for nodes; default: with the address that it listens on.
+        state: file for its state, None if it is not kept.
+        purge: seconds without an answer after which a dead node is removed; 0 for never.
+        shut_down: is called upon the API's ``shutdown``; None if that is refused.
+
+    Attributes:
+        uri: its address.
+        api: its registrations and parameters.
+
+    Raises:
+        OSError: it cannot listen there.
+    """
+
+    def __init__(
+        self, address: str, port: int, uri: str = "", *, state: Path | None = None, purge: float = 0.0,
+        shut_down: Callable[[], None] | None = None,
+    ) -> None:  # fmt: skip
+        self.calls = NodeCalls(lambda subscriber, key: self.api.drop_param_subscriber(subscriber, key))
+        self._writer: saved.StateWriter | None = None
+        self.api = MasterApi("", self.calls, self._on_change, shut_down)
+        self._server = XmlRpcServer(self.api.methods, address, port, name="midspan-ros1-master", limits=_LIMITS)
+        host = f"[{address}]" if ":" in address else address
+        self.uri = self.api.uri = uri or f"http://{host}:{self._server.port}/"
+        self._state = state
+        self._liveness = Liveness(self.nodes, self._on_dead, purge)
+
+    def start(self) -> None:
+        """Restore the state, and start to serve."""
+        restored: Nodes = {}
+        if self._state is not None:
+            if saved.load(self._state, self.api):
+                restored = self.nodes()
+                _log.info("restored %d nodes and the parameters from %s", len(restored), self._state)
+            self._writer = saved.StateWriter(self._state, self.api)
+            self._writer.start()
+        for name, value in {"/run_id": str(uuid.uuid4()), **_DISTRIBUTION}.items():
+            if not self.api.parameters.has(name):
+                self.api.set_param(_ROSCORE, name, value)
+        self._server.start()
+        self._liveness.start(restored)
+
+    def nodes(self) -> Nodes:
+        """Return names and addresses of the registered nodes."""
+        with self.api.lock:
+            return {name: node.api for name, node in self.api.registrations.nodes.items()}
+
+    def close(self) -> None:
+        """Stop serving, and write the state."""
+        self._server.close()
+        self._liveness.close()
+        self.calls.close()
+        if self._writer is not None:
+            self._writer.close()
+
+    def _on_change(self) -> None:
+        if self._writer is not None:
+            self._writer.changed()
+
+    def _on_dead(self, node: str, api: str) -> None:
+        if self.api.remove_dead(node, api):
+            self.calls.drop(api)

@@ -1,0 +1,1 @@
+"""Tests of the embedded ROS 1 master."""

@@ -1,0 +1,104 @@
+"""Removal of dead nodes."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from bridge.adapters.ros1.master import liveness
+from bridge.adapters.ros1.master.liveness import Liveness
+from tests.peers.ros1.fake_node import FakeNode
+from tests.support.ports import free_port
+from tests.support.wait import until
+
+
+class Checked:
+    """Nodes under supervision."""
+
+    def __init__(self, seconds: float) -> None:
+        self.nodes: dict[str, str] = {}
+        self.dead: list[str] = []
+        self.rounds = threading.Semaphore(0)
+        self.liveness = Liveness(self._listed, self._on_dead, seconds)
+
+    def _listed(self) -> dict[str, str]:
+        self.rounds.release()
+        return dict(self.nodes)
+
+    def _on_dead(self, node: str, api: str) -> None:
+        assert self.nodes.pop(node) == api
+        self.dead.append(node)
+
+    def wait_for_rounds(self, count: int) -> None:
+        for _ in range(count):
+            assert self.rounds.acquire(timeout=60)
+
+
+@pytest.fixture
+def checked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Checked]:
+    monkeypatch.setattr(liveness, "_PERIODS", (0.02, 0.02))
+    monkeypatch.setattr(liveness, "_TIMEOUT", 0.2)
+    monkeypatch.setattr(liveness, "_CHECKS_PER_SECOND", 1000.0)
+    checked = Checked(0.3)
+    yield checked
+    checked.liveness.close()
+
+
+def test_a_node_that_refuses_connections_is_removed_and_others_stay(checked: Checked):
+    alive, silent = FakeNode(), FakeNode()
+    silent.answers.clear()
+    checked.nodes = {"/alive": alive.api, "/silent": silent.api, "/dead": f"http://127.0.0.1:{free_port()}/"}
+    checked.liveness.start({})
+    until(lambda: checked.dead, "the dead node is removed")
+    checked.wait_for_rounds(20)
+    assert checked.dead == ["/dead"]
+    alive.close()
+    until(lambda: len(checked.dead) == 2, "a node that ends is removed")
+    assert checked.dead == ["/dead", "/alive"]
+    silent.close()
+
+
+def test_an_unreachable_node_is_removed_later(checked: Checked, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(liveness, "UNREACHABLE_SECONDS", 0.6)
+    silent = FakeNode()
+    silent.answers.clear()
+    checked.nodes = {"/silent": silent.api}
+    checked.liveness.start({})
+    until(lambda: checked.dead == ["/silent"], "the node that does not answer is removed")
+    silent.close()
+
+
+def test_a_node_that_answers_again_stays(checked: Checked, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(liveness, "UNREACHABLE_SECONDS", 1.0)
+    node = FakeNode()
+    checked.nodes = {"/node": node.api}
+    checked.liveness.start({})
+    for _ in range(3):
+        node.answers.clear()
+        checked.wait_for_rounds(15)
+        node.answers.set()
+        before = len(node.calls)
+        until(lambda before=before: len(node.calls) > before, "the node answers")  # type: ignore[misc]
+    assert checked.dead == []
+    node.close()
+
+
+def test_restored_nodes_have_less_time(checked: Checked, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(liveness, "RESTORED_SECONDS", 0.1)
+    checked.liveness.close()
+    checked.liveness = Liveness(checked._listed, checked._on_dead, 3600.0)
+    checked.nodes = {name: f"http://127.0.0.1:{free_port()}/" for name in ("/restored", "/new")}
+    checked.liveness.start({"/restored": checked.nodes["/restored"]})
+    until(lambda: checked.dead, "the restored node is removed")
+    checked.wait_for_rounds(5)
+    assert checked.dead == ["/restored"]
+
+
+def test_without_a_time_no_node_is_removed():
+    checked = Checked(0.0)
+    checked.nodes = {"/dead": f"http://127.0.0.1:{free_port()}/"}
+    checked.liveness.start({})
+    assert not any(thread.name == "midspan-ros1-liveness" for thread in threading.enumerate())
+    checked.liveness.close()

@@ -1,0 +1,209 @@
+"""Real rospy and roscpp nodes and the command-line tools of ROS 1 on the embedded master."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+
+from bridge.adapters.ros1.master.embedded import EmbeddedMaster
+from tests.peers.peer import Peer
+from tests.peers.ros1.network import ROS1_PEER, ROS1_PYTHON, ros1_environment
+from tests.support.missing import ROS1, need
+from tests.support.process import Process
+from tests.support.wait import until
+
+STRING = "std_msgs/String"
+ROSCPP_NODE = "/usr/lib/rosout/rosout"
+
+
+class Network:
+    """An embedded master, and the environment of its nodes and tools."""
+
+    def __init__(self, folder: Path, purge: float = 0.0) -> None:
+        need(ROS1)
+        self.master = EmbeddedMaster("127.0.0.1", 0, purge=purge)
+        self.master.start()
+        self.env = {
+            **ros1_environment(self.master.uri), "ROS_HOME": str(folder), "ROS_LOG_DIR": str(folder),
+            "PYTHONUNBUFFERED": "1",
+        }  # fmt: skip
+
+    def peer(self, name: str) -> Peer:
+        return Peer(ROS1_PEER, ROS1_PYTHON, self.env, name)
+
+    def tool(self, *command: str, stdin: str = "") -> str:
+        """Run a command-line tool; return its output."""
+        result = subprocess.run(
+            command, env=self.env, input=stdin, capture_output=True, text=True, timeout=120, check=False
+        )
+        assert result.returncode == 0, f"{command}: {result.stdout}{result.stderr}"
+        return result.stdout
+
+    def close(self) -> None:
+        self.master.close()
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Network]:
+    network = Network(tmp_path_factory.mktemp("ros"))
+    yield network
+    network.close()
+
+
+@pytest.fixture(scope="module")
+def talker(network: Network) -> Iterator[Peer]:
+    """A rospy node with a latched topic, a subscription, a service and a parameter."""
+    peer = network.peer("talker")
+    topic = peer.advertise("/chatter", STRING, latched=True)
+    peer.publish(topic, {"data": "hello"})
+    peer.subscribe("/words", STRING)
+    peer.ask("serve", service="/toggle", type="std_srvs/SetBool", reply={"success": True, "message": "done"})
+    peer.ask("set_param", name="/talker/rate", value=7)
+    yield peer
+    peer.stop()
+
+
+def test_rosnode(network: Network, talker: Peer):
+    assert "/talker" in network.tool("rosnode", "list").split()
+    info = network.tool("rosnode", "info", "/talker")
+    for part in ("* /chatter [std_msgs/String]", "* /words", "* /toggle", "Pid:"):
+        assert part in info
+    assert "xmlrpc reply from" in network.tool("rosnode", "ping", "-c", "1", "/talker")
+    assert f"{network.master.nodes()['/talker']}" in network.tool("rosnode", "list", "-a").replace(" \t", "")
+
+
+def test_rostopic(network: Network, talker: Peer):
+    assert "/chatter" in network.tool("rostopic", "list").split()
+    assert network.tool("rostopic", "type", "/chatter").strip() == STRING
+    assert "* /talker" in network.tool("rostopic", "info", "/chatter")
+    assert "/chatter" in network.tool("rostopic", "find", STRING)
+    assert "hello" in network.tool("rostopic", "echo", "-n", "1", "/chatter")
+    network.tool("rostopic", "pub", "-1", "/words", STRING, "{data: from a tool}")
+
+
+def test_rosservice(network: Network, talker: Peer):
+    assert "/toggle" in network.tool("rosservice", "list").split()
+    assert network.tool("rosservice", "node", "/toggle").strip() == "/talker"
+    assert network.tool("rosservice", "type", "/toggle").strip() == "std_srvs/SetBool"
+    assert "success: True" in network.tool("rosservice", "call", "/toggle", "true")
+
+
+def test_rosparam(network: Network, tmp_path: Path):
+    network.tool("rosparam", "set", "/robot/name", "r1")
+    network.tool("rosparam", "set", "/robot/wheels", "[1, 2.5, true, {a: b}]")
+    assert network.tool("rosparam", "get", "/robot/wheels").split() == [
+        "-",
+        "1",
+        "-",
+        "2.5",
+        "-",
+        "true",
+        "-",
+        "a:",
+        "b",
+    ]
+    file = tmp_path / "robot.yaml"
+    network.tool("rosparam", "dump", str(file), "/robot")
+    network.tool("rosparam", "delete", "/robot")
+    assert "/robot/name" not in network.tool("rosparam", "list").split()
+    network.tool("rosparam", "load", str(file), "/copy")
+    assert network.tool("rosparam", "get", "/copy/name").strip() == "r1"
+    assert "/run_id" in network.tool("rosparam", "list").split()
+
+
+def test_rospy_nodes_join_and_leave(network: Network, talker: Peer):
+    writer = network.peer("writer")
+    try:
+        received = writer.subscribe("/chatter", STRING)
+        assert writer.wait(received, 1) == [{"data": "hello"}]
+        call = writer.ask("call", service="/toggle", type="std_srvs/SetBool", request={"data": True})["id"]
+        assert writer.ask("result", id=call)["reply"] == {"success": True, "message": "done"}
+        assert writer.ask("get_param", name="/talker/rate")
+    finally:
+        writer.stop()
+    until(lambda: "/writer" not in network.master.nodes(), "the node has unregistered everything")
+
+
+def test_a_node_of_the_same_name_replaces_the_first(network: Network):
+    first = network.peer("twin")
+    uri = until(lambda: network.master.nodes().get("/twin"), "the first node registers")
+    second = network.peer("twin")
+    try:
+        until(lambda: network.master.nodes()["/twin"] != uri, "the second node registers")
+        until(lambda: not _connects(uri), "the first node is shut down")
+        assert _connects(network.master.nodes()["/twin"])
+    finally:
+        second.stop()
+        first.stop()
+
+
+def test_a_roscpp_node(network: Network, talker: Peer, tmp_path: Path):
+    env = {**network.env, "ROS_LOG_DIR": str(tmp_path)}
+    with Process([ROSCPP_NODE, "__name:=cpp", "/rosout_agg:=/cpp_agg"], env) as process:
+        until(lambda: "/cpp" in network.master.nodes(), "the node registers")
+        listener = network.peer("agg_listener")
+        try:
+            logs = listener.subscribe("/cpp_agg", "rosgraph_msgs/Log")
+            until(lambda: _relayed(talker, listener, logs), "the node has connected to the log of a rospy node")
+        finally:
+            listener.stop()
+        assert "* /cpp_agg [rosgraph_msgs/Log]" in network.tool("rosnode", "info", "/cpp")
+        process.signal(signal.SIGINT)
+        until(lambda: "/cpp" not in network.master.nodes(), "the node has unregistered")
+
+
+def _relayed(node: Peer, listener: Peer, logs: int, text: str = "to be relayed") -> bool:
+    node.ask("log", text=text)
+    return any(text in message["msg"] for message in listener.wait(logs, 1, seconds=1))
+
+
+def _connects(uri: str) -> bool:
+    parts = urlsplit(uri)
+    try:
+        socket.create_connection((str(parts.hostname), int(parts.port or 0)), 5).close()
+    except ConnectionRefusedError:
+        return False
+    return True
+
+
+def test_rosnode_cleanup_removes_a_killed_node(network: Network):
+    peer = network.peer("killed")
+    until(lambda: "/killed" in network.master.nodes(), "the node registers")
+    peer.signal(signal.SIGKILL)
+    peer.stop()
+    network.tool("rosnode", "cleanup", stdin="y\n")
+    assert "/killed" not in network.master.nodes()
+
+
+def test_roslaunch(network: Network, tmp_path: Path):
+    file = tmp_path / "one.launch"
+    file.write_text(
+        '<launch><param name="/launched/x" value="5"/><rosparam param="/launched/list">[1, 2]</rosparam>'
+        '<node pkg="rosout" type="rosout" name="launched"/></launch>'
+    )
+    with Process(["/usr/bin/roslaunch", str(file)], network.env):
+        until(lambda: "/launched" in network.master.nodes(), "the launched node registers")
+        assert network.master.api.parameters.get("/launched") == {"x": 5, "list": [1, 2]}
+    until(lambda: "/launched" not in network.master.nodes(), "the launched node has unregistered")
+
+
+def test_a_killed_node_is_removed_and_its_subscribers_learn_of_it(tmp_path: Path):
+    network = Network(tmp_path, purge=1.0)
+    peer, listener = network.peer("killed"), network.peer("listener")
+    try:
+        peer.advertise("/t", STRING)
+        listener.subscribe("/t", STRING)
+        peer.signal(signal.SIGKILL)
+        until(lambda: "/killed" not in network.master.nodes(), "the killed node is removed")
+        until(lambda: network.master.calls.waiting == 0, "its subscribers have been called")
+        assert "/listener" in network.master.nodes()
+    finally:
+        listener.stop()
+        peer.stop()
+        network.close()

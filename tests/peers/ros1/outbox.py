@@ -1,0 +1,28 @@
+"""Records a master's calls to nodes instead of making them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bridge.adapters.ros1.master.registrations import Link
+
+
+class RecordedCalls:
+    """Calls by address, in order: method and parameters after the caller."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[Any, ...]] = []
+
+    def publisher_update(self, api: str, topic: str, publishers: list[str]) -> None:
+        self.calls.append((api, "publisherUpdate", topic, list(publishers)))
+
+    def param_update(self, subscriber: Link, _subscribed_key: str, key: str, value: Any) -> None:
+        self.calls.append((subscriber.api, "paramUpdate", key, value))
+
+    def shut_down(self, api: str, node: str, reason: str) -> None:
+        self.calls.append((api, "shutdown", node, reason))
+
+    def pop(self) -> list[tuple[Any, ...]]:
+        """Return the calls since the last call of this."""
+        calls, self.calls = self.calls, []
+        return calls
