@@ -61,6 +61,7 @@ VERBS: dict[str, Verb] = {
     "teleop": Verb("bridge.cli.navigation.teleop:register", "drive a base by the keyboard"),
     "halt": Verb("bridge.cli.navigation.halt:register", "zero velocity on every side, and all goals canceled"),
     "yarp": Verb("bridge.cli.yarp_network.yarp:register", "inspect and use a YARP network, as YARP's own tool does"),
+    "ros1": Verb("bridge.cli.ros1.ros1:register", "run a ROS 1 master, for machines without roscore"),
     "config": Verb(
         "bridge.cli.setup.config:register_config", "check a configuration file; print its schema or an example"
     ),

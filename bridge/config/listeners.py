@@ -50,6 +50,9 @@ def listeners(config: Config) -> Iterator[Listener]:
         if section.enabled:
             host, port = split(section.listen)
             yield Listener((name, "listen"), section.listen, _host(host), port)
+    if config.ros1.enabled is not False and config.ros1.embedded_uri:
+        host, port = split(config.ros1.listen)
+        yield Listener(("ros1", "listen"), config.ros1.listen, _host(host), port)
     yarp = config.yarp
     if yarp.enabled is not False and yarp.nameserver == "embedded" and yarp.place is not None:
         host, port = yarp.place

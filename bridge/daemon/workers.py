@@ -59,6 +59,8 @@ class WorkerKind:
         if decide is not None:
             enabled: Enabled = decide(config)
             return enabled
+        if self.name == "ros1_master":
+            return config.ros1.enabled is not False and bool(config.ros1.embedded_uri)
         if self.name == "modules":
             return config.modules.enabled if config.hosted or config.store.enabled is True else False
         return config.hub.router if self.name == "router" else getattr(config, self.name).enabled
@@ -102,6 +104,9 @@ _WEB = ("starlette", "uvicorn", "websockets")
 
 WORKERS = (
     WorkerKind("router", "bridge.hub.router:create_router", outlives=True),
+    WorkerKind(
+        "ros1_master", "bridge.adapters.ros1.master.worker:MasterWorker", sections=frozenset({"ros1"}), outlives=True
+    ),
     *map(_of_side, all_sides()),
     WorkerKind(
         "modules",

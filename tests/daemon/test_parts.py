@@ -255,7 +255,7 @@ def test_table_of_workers() -> None:
     assert (kinds["ros1"].factory, kinds["ros1"].arguments, kinds["ros1"].environment) == ("a.b:C", (), "")
     assert worker_kinds({VARIABLE: "web=a.b:C"})["web"].needs == ()
     assert kinds["ros2"].factory == "bridge.adapters.worker:BridgeWorker"
-    with pytest.raises(RuntimeError, match="is not NAME=module:Class; NAME is one of router, ros1, ros2"):
+    with pytest.raises(RuntimeError, match="is not NAME=module:Class; NAME is one of router, ros1_master, ros1, ros2"):
         worker_kinds({VARIABLE: "ros3=a:B"})
 
 
@@ -287,7 +287,7 @@ def test_a_guarded_console_restarts_if_the_listeners_certificate_changes() -> No
     assert part(plain, "/a") == part(plain, "/b")
 
 
-_HUB_NODES = [name for name in worker_kinds({}) if name != "router"]
+_HUB_NODES = [name for name in worker_kinds({}) if name not in ("router", "ros1_master")]
 _RECEIVERS = [name for name in _HUB_NODES if name != "metrics"]
 
 

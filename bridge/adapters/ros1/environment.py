@@ -73,8 +73,8 @@ def available(config: Config, environ: Mapping[str, str] | None = None) -> str:
 
 
 def master_uri(config: Config, environ: Mapping[str, str]) -> str:
-    """Return the master's URI: the configured one, else the environment's, else rosgraph's default."""
-    return config.ros1.master or environ.get("ROS_MASTER_URI") or DEFAULT_MASTER
+    """Return the master's URI: the embedded or configured one, else the environment's, else rosgraph's default."""
+    return config.ros1.embedded_uri or config.ros1.master or environ.get("ROS_MASTER_URI") or DEFAULT_MASTER
 
 
 def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:

@@ -2,17 +2,34 @@
 
 from __future__ import annotations
 
+import socket
 from pathlib import Path
 from typing import Literal
 
-from bridge.config.sections.section import Enabled, MasterUri, NodeName, SideSection, setting
+from pydantic import field_validator
+
+from bridge.config.sections.section import EMBEDDED, Enabled, MasterUri, NodeName, SideSection, setting
+from bridge.config.sections.web import split
+
+_ANY = ("0.0.0.0", "::")  # noqa: S104  compared with
 
 
 class Ros1Section(SideSection):
     """The ROS 1 side."""
 
     enabled: Enabled = setting("auto", "`auto`: if rospy is installed.")
-    master: MasterUri | None = setting(None, "ROS master URI; default $ROS_MASTER_URI or http://localhost:11311.")
+    master: MasterUri | None = setting(
+        None,
+        "ROS master URI; default $ROS_MASTER_URI or http://localhost:11311. `embedded`: Midspan runs a master itself;"
+        " see [ROS 1 master](../sides/ros1_master.md).",
+    )
+    listen: str = setting("127.0.0.1:11311", "Address and port of the embedded master.")
+    purge: float = setting(
+        30.0,
+        "Embedded master: seconds until it removes a node whose address refuses connections; 0: never.",
+        ge=0,
+        le=86400,
+    )
     ip: str | None = setting(None, "Address that this machine gives to ROS 1 peers (ROS_IP).")
     hostname: str | None = setting(None, "Host name that this machine gives to ROS 1 peers (ROS_HOSTNAME).")
     node: NodeName = setting("midspan", "Node name on the ROS 1 graph.")
@@ -25,6 +42,23 @@ class Ros1Section(SideSection):
         " side names, which a move_base would follow for ever; `pass` leaves them unchanged.",
     )
     packages: Path | None = setting(None, "Folder with the ROS 1 Python packages; default the system's dist-packages.")
+
+    @property
+    def embedded_uri(self) -> str:
+        """URI of the embedded master, "" without one: with the configured host, the address, or the machine's name."""
+        if self.master != EMBEDDED:
+            return ""
+        address, port = split(self.listen)
+        host = self.hostname or self.ip or (socket.gethostname() if address in _ANY else address)
+        return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+
+    @field_validator("listen")
+    @classmethod
+    def _is_an_address(cls, value: str) -> str:
+        _, port = split(value)
+        if port == 0:
+            raise ValueError(f"{value!r} has no fixed port; ROS 1 nodes must know it, for example 127.0.0.1:11311")
+        return value
 
 
 class Ros2Section(SideSection):

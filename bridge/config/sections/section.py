@@ -154,7 +154,13 @@ NodeName = Annotated[
 """A node's base name that ROS 1 and ROS 2 both take."""
 
 
+EMBEDDED = "embedded"
+"""Instead of a master's URI: Midspan's own master."""
+
+
 def _master_uri(value: str) -> str:
+    if value == EMBEDDED:
+        return value
     parts = urlsplit(value)
     if parts.scheme not in {"http", "https"} or not parts.hostname:
         raise ValueError(f"{value!r} is not a master's URI; give for example http://robot:11311")

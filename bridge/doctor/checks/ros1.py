@@ -29,7 +29,7 @@ def look_at_packages(context: CheckContext) -> Findings:
 
 
 def why_not(context: CheckContext) -> str:
-    """Return why there is no ROS 1 side to check, "" if there is one."""
+    """Return why the ROS 1 side is not checked, "" if there is one."""
     if context.config.ros1.enabled is False:
         return "ros1.enabled is false"
     if available(context.config, context.environ) and not context.hub.of_side("ros1"):
@@ -62,7 +62,7 @@ def look_at_environment(context: CheckContext) -> Findings:
     if reason := why_not(context):
         return skip(reason)
     shell = context.environ.get("ROS_MASTER_URI")
-    config = context.config.ros1.master
+    config = context.config.ros1.embedded_uri or context.config.ros1.master
     findings: list[Finding] = []
     if shell and config and not _same_place(shell, config):
         cure = "set both alike: export ROS_MASTER_URI, or change ros1.master"

@@ -1,0 +1,1 @@
+"""Verbs for ROS 1."""
