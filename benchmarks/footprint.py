@@ -37,8 +37,8 @@ from benchmarks.footprints.worker import StartedWorker
 from benchmarks.latency.usage import daemon_processes
 from benchmarks.processes import Processes
 from benchmarks.rows import Row, add_json_option, report
-from bridge.cli.client import connect
-from bridge.cli.output import CliError
+from bridge.client.errors import ClientError
+from bridge.client.session import connect
 from bridge.demo.rooms import CONFIG, overrides
 from bridge.state_file import with_state
 from tests.support.ports import free_port
@@ -187,7 +187,7 @@ def _daemon(place: Processes, sides: Sequence[str]) -> Iterator[tuple[Processes,
         times: dict[str, float] = {}
 
         def all_run() -> bool:
-            with contextlib.suppress(CliError), connect(place.place.config, 0.2) as client:
+            with contextlib.suppress(ClientError), connect(place.place.config, 0.2) as client:
                 while len(times) < len(sides):
                     for answer in client.ask("status", timeout=0.5):
                         running = isinstance(answer.value, dict) and answer.value.get("state") == "running"

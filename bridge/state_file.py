@@ -12,6 +12,9 @@ from pathlib import Path
 from bridge.config.model import DAEMON_NAME, Config
 from yarp_compat.file_names import escaped
 
+SERVICE_STATE = Path("/var/lib/midspan")
+"""State folder of all systemd units (``StateDirectory=midspan``)."""
+
 
 def state_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Path:
     """Return the folder of the daemon's and its workers' state; see ``state`` in the configuration."""

@@ -10,21 +10,24 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-TOOLS = {"clock", "concurrency", "progress", "resources", "shipped", "sides", "state_file", "state_machine", "worker"}
+TOOLS = {"clock", "concurrency", "progress", "resources", "shipped", "sides"}
+TOOLS |= {"state_file", "state_machine", "text", "worker"}
 """Single modules next to the parts, which import only ``config`` and each other from ``bridge``."""
 
 BELOW = {
     "config": {"sides"},
     "messages": set[str](),
     "tf": set(),
-    "tf/server": {"tf", "clock", "config", "hub", "messages", "modules", "worker"},
+    "transform_server": {"tf", "client", "clock", "config", "hub", "messages", "modules", "worker"},
     "interfaces": {"config", "messages"},
     "hub": {*TOOLS, "config", "messages"},
     "stores": {*TOOLS, "config", "hub"},
+    "client": {*TOOLS, "config", "messages", "hub", "tf", "routing.counters", "routing.limits"},
     "routing": {*TOOLS, "config", "messages", "hub"},
     "modules": {
         *TOOLS,
         "callers",
+        "client",
         "config",
         "messages",
         "hub",
@@ -70,13 +73,38 @@ def test_tools_import_only_the_configuration(tool: str) -> None:
 def test_parts_import_only_lower_parts(part: str) -> None:
     allowed = {part, *BELOW[part]}
     folder = ROOT / "bridge" / part
-    inner = [ROOT / "bridge" / other for other in BELOW if other.startswith(f"{part}/")]
     wrong = {
         f"{file.relative_to(ROOT)} imports bridge.{name}"
         for file in folder.rglob("*.py")
-        if not any(file.is_relative_to(other) for other in inner)
         for name in imported(file)
         if not any(name == good or name.startswith(good + ".") for good in allowed)
+    }
+    assert not wrong
+
+
+def test_only_the_command_line_imports_the_command_line() -> None:
+    product = ("bridge", "navigation", "sim", "yarp_compat", "examples")
+    files = (file for part in product for file in (ROOT / part).rglob("*.py"))
+    wrong = {
+        f"{file.relative_to(ROOT)} imports {name}"
+        for file in files
+        if not file.is_relative_to(ROOT / "bridge" / "cli")
+        for name, _ in every_import(file)
+        if name == "bridge.cli" or name.startswith("bridge.cli.")
+    }
+    assert not wrong
+
+
+SESSIONS = {"session", "endpoints", "router", "identity", "opening"}
+"""The parts of ``bridge.hub`` that talk to a running hub."""
+
+
+def test_the_command_line_reaches_the_hub_only_through_the_client_library() -> None:
+    wrong = {
+        f"{file.relative_to(ROOT)} imports bridge.{name}"
+        for file in (ROOT / "bridge" / "cli").rglob("*.py")
+        for name in imported(file)
+        if name.startswith("hub.") and name.split(".")[1] in SESSIONS
     }
     assert not wrong
 
@@ -123,9 +151,10 @@ def test_the_simulator_imports_only_the_hub_the_module_host_and_yarp_compat() ->
     assert not wrong
 
 
-def test_navigation_imports_only_the_hub_the_store_and_the_module_host() -> None:
+def test_navigation_imports_only_the_hub_its_clients_the_store_and_the_module_host() -> None:
     below = {"bridge.clock", "bridge.config", "bridge.hub", "bridge.messages", "bridge.modules", "bridge.stores"}
     below |= {
+        "bridge.client",
         "bridge.concurrency",
         "bridge.kernels",
         "bridge.state_machine",

@@ -109,7 +109,7 @@ def _meant(text: str, known: Iterable[str], described: Mapping[str, str] | None 
 
     A word of a verb's help also stands for the verb, as ``echo`` stands for ``topic``.
     """
-    from bridge.cli.output import near  # needed only here
+    from bridge.text import near  # needed only here
 
     lowered = text.lower()
     if len(lowered) < 3:

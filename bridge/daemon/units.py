@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from bridge.state_file import SERVICE_STATE
+
 SETTINGS = Path("/etc/midspan")
-STATE = Path("/var/lib/midspan")
-"""State folder of all units (``StateDirectory=midspan``)."""
+STATE = SERVICE_STATE
 
 _MAIN = "midspan"
 _LINKS = ("etc/systemd/system/*.wants/midspan*.service", "run/systemd/units/invocation:midspan*.service")

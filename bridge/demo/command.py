@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bridge.cli.output import CliError
+from bridge.client.errors import ClientError
 
 if TYPE_CHECKING:
     from bridge.demo.sandbox import Sandbox
@@ -101,7 +101,7 @@ def _rooms(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.ExitS
                 view.print_line(f"try: {demo.suggestion}")
                 demo.stay(course)
     except DemoError as err:
-        raise CliError(str(err)) from None
+        raise ClientError(str(err)) from None
     except KeyboardInterrupt:
         if not args.stay or result is None:
             raise
@@ -132,7 +132,7 @@ def _draw(course: Any, file: Path) -> None:
     try:
         course.png(file)
     except (OSError, ValueError) as err:
-        raise CliError(f"cannot write {file}: {err}") from None
+        raise ClientError(f"cannot write {file}: {err}") from None
 
 
 def _topics(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.ExitStack) -> int:
@@ -157,7 +157,7 @@ def _topics(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.Exit
                 view.show(result.checks)
                 demo.stay()
     except DemoError as err:
-        raise CliError(str(err)) from None
+        raise ClientError(str(err)) from None
     except KeyboardInterrupt:
         if not args.stay or not result.checks:
             raise
@@ -185,18 +185,18 @@ def _simulation(sandbox: Sandbox) -> list[str]:
 
 
 def _require(missing: list[str]) -> None:
-    """Raise `CliError` with all that is missing and its cures."""
+    """Raise `ClientError` with all that is missing and its cures."""
     if not missing:
         return
     lines = ["the demo needs more than this machine has:", *missing]
     if any(reason.startswith(_IN_EXTRA) for reason in missing):
         lines.append(_EXTRA)
-    raise CliError("\n".join(lines))
+    raise ClientError("\n".join(lines))
 
 
 def _write(file: Path, document: dict[str, Any]) -> None:
     try:
         Path(file).write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as err:
-        raise CliError(f"cannot write {file}: {err.strerror}") from None
+        raise ClientError(f"cannot write {file}: {err.strerror}") from None
     print(f"written to {file}", file=sys.stderr)

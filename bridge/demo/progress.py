@@ -12,11 +12,11 @@ from pathlib import Path
 
 import psutil
 
-from bridge.cli.output import clean
 from bridge.daemon.query import Phase, ask_daemon
 from bridge.demo.processes import DemoChild, guarded
 from bridge.demo.sandbox import SYSTEM_PYTHON, Sandbox, roscore
 from bridge.demo.shutdown import Shutdown
+from bridge.text import clean
 
 STILL_SECONDS = 60.0
 """A demo without progress for this long ends; a slow machine still makes progress, and is waited for."""

@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bridge.cli.client import connect
-from bridge.cli.output import CliError
+from bridge.client.errors import ClientError
+from bridge.client.session import connect
 from bridge.config.load import load
 from bridge.daemon.workers import worker_kinds
 from bridge.demo.processes import Program
@@ -112,7 +112,7 @@ class RoomsDemo(DemoRun):
                 with connect(self._sandbox.config, patience) as client:
                     yield RobotTracker(client)
                     return
-            except CliError:
+            except ClientError:
                 self._wait("waiting for the hub")
                 self._check("the hub")
 

@@ -12,10 +12,10 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from bridge.cli.output import make_console
 from bridge.demo.progress import PartState, without_numbers
 from bridge.demo.rooms import RoomDrive, RoomsResult
 from bridge.demo.tracking import RobotTracker
+from bridge.text import make_console
 
 _LIVE_EVERY, _PLAIN_EVERY = 0.3, 2.0
 _WIDEST = 100

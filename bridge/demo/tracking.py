@@ -9,12 +9,13 @@ from typing import Any
 
 from rich.text import Text
 
-from bridge.cli.client import CliClient
-from bridge.cli.maps import drawing
-from bridge.cli.messages import Types
-from bridge.cli.navigation.gateway import STATUS, STATUS_TOPIC, LatestMessage, place_of, state_text
+from bridge.client.feed import LatestMessage
+from bridge.client.navigation import STATUS, STATUS_TOPIC, place_of, state_text
+from bridge.client.session import Client
+from bridge.client.types import Types
 from bridge.config.sections.navigation import OURS
 from bridge.demo.progress import DemoError, DemoProgress
+from bridge.display import drawing
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.places import Places
@@ -28,7 +29,7 @@ _STEP = 0.1
 class RobotTracker:
     """Follows the robot on the hub; ``driven`` are the places along its path, in meters."""
 
-    def __init__(self, client: CliClient) -> None:
+    def __init__(self, client: Client) -> None:
         store = client.config.store
         if store.maps is None or store.locations is None:
             raise DemoError("the configuration lacks store.maps and store.locations")

@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 
 from bridge.config.sections.section import Enabled
@@ -123,3 +123,12 @@ def merged(findings: Sequence[Finding]) -> list[Finding]:
         key = (finding.result, cause(finding.seen), cause(finding.cure)) if same else (number,)
         groups.setdefault(key, []).append(finding)
     return [replace(group[0], seen=one_line([finding.seen for finding in group])) for group in groups.values()]
+
+
+def as_json(reports: Sequence[Report]) -> list[dict[str, str]]:
+    """One entry for each finding: ``check``, ``title``, ``result``, ``seen`` and ``cure``."""
+    return [
+        {"check": report.check.id, "title": report.check.title, **asdict(finding)}
+        for report in reports
+        for finding in report.findings
+    ]

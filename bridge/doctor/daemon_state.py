@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -24,8 +24,12 @@ from bridge.daemon.query import Phase, ask_daemon
 from bridge.daemon.workers import worker_kinds
 from bridge.hub.zenoh_config import connect_endpoint
 from bridge.state_file import state_folder
+from bridge.text import duration
 
 Document = Mapping[str, Any]
+
+ABSENT = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED, Phase.FAILED)}
+"""Phases of a worker that is switched on and does not run."""
 
 _LOOPS = 3
 """Restarts from which a worker that does not run counts as crash-looping."""
@@ -95,8 +99,7 @@ class DaemonState:
 
     def absences(self) -> list[str]:
         """Return a line for each worker that is switched on and does not run."""
-        absent = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED, Phase.FAILED)}
-        return [_why(self.name, document) for document in self.workers if document["phase"] in absent]
+        return [_why(self.name, document) for document in self.workers if document["phase"] in ABSENT]
 
 
 def daemon_state(config: Config, documents: Iterable[Document] = (), file: Path | None = None) -> DaemonState:
@@ -250,3 +253,31 @@ def _orphan(documents: list[Document], config: Config) -> int:
     except psutil.Error:
         return 0
     return pid if supervised and left else 0
+
+
+def absent(report: Document, phases: Container[str] = ABSENT, *, looping: bool = False) -> list[Document]:
+    """Return the workers in one of these phases, from a daemon's own report; also those that crash again and again."""
+    return [
+        {
+            "daemon": report["daemon"],
+            "worker": worker["worker"],
+            "state": worker["phase"],
+            "text": " ".join(filter(None, (describe(worker), f"({duration(worker.get('since'))})"))),
+            "pid": worker["pid"],
+            "restarts": worker["restarts"],
+            **({"loops": True} if loops(worker) else {}),
+        }
+        for worker in report.get("workers", ())
+        if worker["phase"] in phases or (looping and loops(worker))
+    ]
+
+
+def with_silent(documents: Sequence[Document], silent: Sequence[Document]) -> list[Document]:
+    """Add the workers that do not answer; a crash loop of one that answers is known to its daemon only."""
+    reported = {(document["daemon"], document["worker"]): document for document in silent}
+    answering: list[Document] = []
+    for document in documents:
+        other = reported.pop((document.get("daemon"), document.get("worker")), {})
+        more = {key: other[key] for key in ("loops", "restarts", "text") if other.get("loops")}
+        answering.append({**document, **more})
+    return [*answering, *reported.values()]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from threading import Lock
 from typing import Any
 
+from bridge.client.topics import HubTopic, HubTopics, TopicKey
 from bridge.foxglove.server import FoxgloveServer
 from bridge.hub.endpoints.subscription import HubSample
-from bridge.modules.hub_topics import HubTopic, HubTopics, TopicKey
 from bridge.routing.counters import Counters
 
 MOST_CACHED = 64 << 20

@@ -20,11 +20,11 @@ from typing import Any
 import foxglove
 
 from bridge.adapters.ros1.parameters.values import NOT_SET, ParameterType, ParameterValue, UnsayableError, to_ros2
+from bridge.client.services import ServiceClient
 from bridge.foxglove.server import FoxgloveServer
 from bridge.foxglove.visitors import Visitors
 from bridge.hub.endpoints.calls import CallError
 from bridge.messages.errors import ConversionError
-from bridge.modules.clients import ModuleClient
 from bridge.modules.host import Host
 
 _log = logging.getLogger("midspan.foxglove")
@@ -56,7 +56,7 @@ class Parameters:
         self._values: dict[str, dict[str, ParameterValue]] = {}  # by node; replaced, never changed
         self._asked = self._read = -IDLE_SECONDS
         self._reading: Future[None] | None = None
-        self._clients: dict[tuple[str, str], ModuleClient] = {}
+        self._clients: dict[tuple[str, str], ServiceClient] = {}
 
     # -- on the SDK's threads ------------------------------------------------------------------------------------------
 

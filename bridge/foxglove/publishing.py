@@ -13,6 +13,9 @@ import math
 from abc import ABC, abstractmethod
 from typing import Any
 
+from bridge.client.errors import ClientError
+from bridge.client.topics import Definitions
+from bridge.client.types import ros2_name
 from bridge.config.sections.section import ROS2_NAME
 from bridge.foxglove.events import Advertised, ClientMessage, Events
 from bridge.foxglove.server import FoxgloveServer
@@ -20,12 +23,10 @@ from bridge.foxglove.visitors import Visitor, Visitors
 from bridge.hub.errors import HubError
 from bridge.hub.graph.tokens import TAPS, UNKNOWN_HASH
 from bridge.hub.wire.qos import Qos
-from bridge.messages.definitions.names import is_ros1_name, is_ros2_name
 from bridge.messages.errors import ConversionError, MessageTypeError
 from bridge.messages.json import from_json
 from bridge.messages.values import MessageReader
 from bridge.modules.host import Host
-from bridge.modules.hub_topics import Definitions
 from bridge.routing.counters import Counters
 from bridge.routing.limits import COMMAND_TYPES
 from bridge.routing.rules import RuleSet
@@ -91,7 +92,10 @@ class Coder:
 
     def _kind(self, host: Host, definitions: Definitions, channel: Advertised) -> tuple[str, str]:
         """Return the type's name and hash: as used by others on the hub, else as installed here."""
-        name = self._name(channel.type_name)
+        try:
+            name = ros2_name(self._registry, channel.type_name)
+        except ClientError as err:
+            raise NotPublishedError(str(err)) from None
         graph = host.node.hub.graph
         ends = [*graph.subscriptions(channel.topic), *graph.publishers(channel.topic), *graph.endpoints()]
         hashes = (end.type_hash for end in ends if end.type_name == name and end.type_hash != UNKNOWN_HASH)
@@ -103,16 +107,6 @@ class Coder:
             if type_hash:
                 raise UnknownYetError(f"the definition of {name} has been requested on the hub") from None
             raise NotPublishedError(str(err)) from None
-
-    def _name(self, spelled: str) -> str:
-        if is_ros2_name(spelled):
-            return spelled
-        if not is_ros1_name(spelled):
-            raise NotPublishedError(f"{spelled[:80]!r} is not a type name; an example is std_msgs/msg/String")
-        try:
-            return self._registry.ros1_to_hub(spelled).target.name
-        except MessageTypeError:
-            return spelled.replace("/", "/msg/")
 
     def cdr(self, data: bytes) -> bytes:
         """Return a message as CDR for the hub; raises `ConversionError`."""

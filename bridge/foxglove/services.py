@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from functools import partial
-from queue import Empty, SimpleQueue
-from threading import BoundedSemaphore, Event
+from threading import BoundedSemaphore
 from typing import Any, NamedTuple
 
 import foxglove
 
+from bridge.client.errors import ClientError
+from bridge.client.services import WAIT_SECONDS, ServiceClient
+from bridge.client.types import learn
 from bridge.concurrency import SerialExecutor
 from bridge.foxglove.server import FoxgloveServer
 from bridge.foxglove.visitors import Visitors
-from bridge.hub.definitions import VERB, definition_among
-from bridge.hub.endpoints.calls import CallError
 from bridge.hub.errors import HubError
 from bridge.hub.graph.tokens import TAPS
 from bridge.messages.actions import split
 from bridge.messages.definitions.schema import Schema
 from bridge.messages.definitions.text import full_text
 from bridge.messages.errors import ConversionError, MessageTypeError
+from bridge.messages.values import ServiceCodec
 from bridge.modules.host import Host
 
 _log = logging.getLogger("midspan.foxglove")
@@ -31,7 +33,6 @@ MOST_CALLS = 16
 """Concurrent calls of all clients; each blocks one of the SDK's threads."""
 
 REPEAT_SECONDS = 10.0
-_REQUEST_SECONDS = 2.0
 _OF_NODES = ("rcl_interfaces/", "type_description_interfaces/")
 """Services that every node has; parameters are offered separately."""
 
@@ -46,6 +47,16 @@ class ServiceKey(NamedTuple):
     name: str
     type_name: str
     type_hash: str
+
+
+class _CdrCodec(ServiceCodec):
+    """The codec of the app's calls, which checks requests, and leaves replies as they are."""
+
+    def request(self, value: Any) -> bytes:
+        return self._check_request(value)
+
+    def response_value(self, cdr: bytes) -> Any:
+        return cdr
 
 
 class Services:
@@ -105,10 +116,7 @@ class Services:
 
     def _learn(self, key: ServiceKey) -> None:
         try:
-            answers = self._host.node.hub.ask(VERB, {"name": key.type_name}, timeout=_REQUEST_SECONDS)
-            definition = definition_among(answers, key.type_hash)
-            if definition is not None:
-                self._registry.learn_ros2(key.type_name, definition)
+            if learn(self._host.node.hub, self._registry, key.type_name, key.type_hash):
                 self._host.loop.post(self.refresh)
         except (HubError, MessageTypeError) as err:
             _log.warning("cannot get the definition of %s: %s", key.type_name, err)
@@ -125,31 +133,18 @@ class Services:
         try:
             _log.info("%s calls %s", visitor.who, key.name)
             return self._call(key, bytes(request.payload))
-        except (ConversionError, HubError, MessageTypeError) as err:
+        except (ClientError, ConversionError, HubError, MessageTypeError) as err:
             raise CallRefusedError(str(err)) from None
         finally:
             self._room.release()
 
     def _call(self, key: ServiceKey, payload: bytes) -> bytes:
-        check, _ = self._registry.hub_service_check(key.type_name, key.type_hash)
-        checked, ready, end = check(payload), Event(), time.monotonic() + CALL_SECONDS
-        client = self._host.node.hub.client(*key, ready.set)
-        try:
-            while not client.ready:
-                ready.clear()
-                if not client.ready and not ready.wait(max(end - time.monotonic(), 0.0)):
-                    raise CallRefusedError(f"the server of {key.name} is unreachable from here")
-            replies: SimpleQueue[bytes | CallError] = SimpleQueue()
-            abandon = client.call(checked, replies.put)
-            try:
-                reply = replies.get(timeout=max(end - time.monotonic(), 0.0))
-            except Empty:
-                abandon()
-                raise CallRefusedError(f"{key.name} has not answered in {CALL_SECONDS:g} s") from None
-        finally:
-            client.close()
-        if isinstance(reply, CallError):
-            raise CallRefusedError(str(reply))
+        codec = _CdrCodec(self._registry, key.type_name, key.type_hash)
+        client = ServiceClient(self._host.node.hub, key.name, codec)
+        with contextlib.closing(client):
+            if not client.wait(WAIT_SECONDS):
+                raise CallRefusedError(f"the server of {key.name} is unreachable from here")
+            reply: bytes = client.ask(payload, CALL_SECONDS)
         return reply
 
     def close(self) -> None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import psutil
 from foxglove.websocket import Capability
 
+from bridge.client.topics import HubTopics
 from bridge.config.model import Config
 from bridge.config.sections.foxglove import FoxgloveSection
 from bridge.foxglove.channels import Channels
@@ -28,7 +29,6 @@ from bridge.foxglove.visitors import Visitors
 from bridge.hub.diagnostics import announce, has_subscribers
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host
-from bridge.modules.hub_topics import HubTopics
 from bridge.web.serving.scarce_log import ScarceLog
 from bridge.web.verbs.hold import HandDriving
 from bridge.worker import Health, Worker, costs

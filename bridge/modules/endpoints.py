@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from bridge.client.services import ServiceClient
 from bridge.clock import RunClock
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
@@ -16,8 +17,7 @@ from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
 from bridge.messages.template import MessageTemplate
-from bridge.messages.values import MessageReader, MessageWriter
-from bridge.modules.clients import ModuleClient
+from bridge.messages.values import MessageReader, MessageWriter, ServiceCodec
 from bridge.modules.loop import EventLoop
 from bridge.modules.services import ModuleServer, Serve
 from bridge.routing.counters import Counters
@@ -161,7 +161,7 @@ class Endpoints:
 
     def __init__(self, hub: Hub, registry: Registry, loop: EventLoop, clock: RunClock) -> None:
         self.hub, self.registry, self.loop, self.clock = hub, registry, loop, clock
-        self._ends: list[ModulePublisher | Subscription | ModuleServer | ModuleClient] = []
+        self._ends: list[ModulePublisher | Subscription | ModuleServer | ServiceClient] = []
 
     def publisher(
         self, topic: str, type_name: str, qos: Qos | None = None, *, priority: str = "stream"
@@ -205,6 +205,10 @@ class Endpoints:
         self._ends.append(endpoint)
         return endpoint
 
+    def decode(self, type_name: str, cdr: bytes) -> dict[str, Any]:
+        """Decode a message that was received as CDR."""
+        return MessageReader(self.registry.schema(type_name), cdr).message()
+
     def server(
         self, name: str, type_name: str, serve: Serve, at_once: Callable[[dict[str, Any]], None] | None = None
     ) -> ModuleServer:
@@ -220,13 +224,13 @@ class Endpoints:
         self._ends.append(endpoint)
         return endpoint
 
-    def client(self, name: str, type_name: str) -> ModuleClient:
+    def client(self, name: str, type_name: str) -> ServiceClient:
         """Create a service client; raises `bridge.messages.errors.MessageTypeError`."""
-        endpoint = ModuleClient(self.hub, self.registry, self.loop, name, type_name)
+        endpoint = ServiceClient(self.hub, name, ServiceCodec(self.registry, type_name), self.loop.post)
         self._ends.append(endpoint)
         return endpoint
 
-    def release(self, end: ModulePublisher | Subscription | ModuleServer | ModuleClient) -> None:
+    def release(self, end: ModulePublisher | Subscription | ModuleServer | ServiceClient) -> None:
         """Close one endpoint before the node is closed."""
         self._ends = [other for other in self._ends if other is not end]
         end.close()

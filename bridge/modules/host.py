@@ -7,12 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from bridge.client.actions import ActionClient
 from bridge.clock import DONE_TOPIC, DONE_TYPE, RunClock
 from bridge.config.model import Config
 from bridge.hub.session import Hub, follow_clock
 from bridge.messages.registry import Registry
 from bridge.modules.action_server import KEPT_SECONDS, ActionServer, Brake, Cancel, Take
-from bridge.modules.clients import ActionClient
 from bridge.modules.endpoints import Endpoints
 from bridge.modules.loop import ClockTimer, EventLoop, Timer
 from bridge.modules.ports import Ports

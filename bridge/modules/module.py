@@ -62,7 +62,7 @@ KINDS: dict[str, str] = {
     "mapper3d": "navigation.mapper3d.module:Mapper3D",
     "robot_goto": "navigation.robot_goto.module:RobotGoto",
     "robot_path_planner": "navigation.robot_path_planner.module:RobotPathPlanner",
-    "transform_server": "bridge.tf.server.module:TransformServer",
+    "transform_server": "bridge.transform_server.module:TransformServer",
 }
 """``package.module:Class`` of each module that comes with Midspan; imported only in the process that runs it."""
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from threading import Condition, Lock
 from typing import Any, NamedTuple
 
+from bridge.client.topics import TopicKey
 from bridge.hub.graph.tokens import Origin
-from bridge.modules.hub_topics import TopicKey
 
 LARGE = 64 << 10
 """Bytes from which a message is large; large ones leave an eighth of the queue to the others."""

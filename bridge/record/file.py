@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import BinaryIO, cast
 
 from bridge.bags.mcap_writer import ChannelInfo, Compression, McapWriter
+from bridge.client.topics import TopicKey
 from bridge.hub.graph.tokens import Origin
-from bridge.modules.hub_topics import TopicKey
 from bridge.record.arrivals import RecordedMessage, TopicCounts
 
 RESERVE = 2 << 20

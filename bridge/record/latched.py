@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 
+from bridge.client.topics import TopicKey
 from bridge.hub.endpoints.publisher import cache_depth
 from bridge.hub.graph import HubGraph
-from bridge.modules.hub_topics import TopicKey
 from bridge.record.arrivals import RecordedMessage
 
 MAX_BYTES = 128 << 20

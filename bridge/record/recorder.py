@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any
 
 from bridge.bags.mcap_writer import ChannelInfo
+from bridge.client.topics import HubTopic, HubTopics, TopicKey
 from bridge.config.sections.record import RecordSection
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
-from bridge.modules.hub_topics import HubTopic, HubTopics, TopicKey
 from bridge.record.arrivals import ArrivalQueue, RecordedMessage, TopicCounts
 from bridge.record.file import RESUME, ChannelKey, RecordFile, room, total
 from bridge.record.latched import LatchedState

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from bridge.client.topics import HubTopic
 from bridge.config.sections.record import RecordSection
 from bridge.hub.graph.tokens import TAPS, Origin
-from bridge.modules.hub_topics import HubTopic
 from bridge.routing.rules import NameFilter
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 
+from bridge.client.graph import decisions_in
 from bridge.concurrency import SerialExecutor
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub
@@ -57,13 +58,11 @@ class Taps:
         """Return each worker with its daemon and the selected topics of its side that are not bridged."""
         wanted: list[tuple[str, str, list[str]]] = []
         for answer in self._hub.ask("explain", {"topic": ""}, timeout=_ASK_SECONDS):
-            entries = answer.value if isinstance(answer.value, list) else ()
             topics = {
-                str(entry.get("topic"))
-                for entry in entries
-                if isinstance(entry, dict) and entry.get("kind", "topic") == "topic"
-                if entry.get("direction") == "in" and entry.get("decision") in _STAYS
-                if self._selection.taps(answer.worker, str(entry.get("topic")))
+                decision.topic
+                for decision in decisions_in([answer], "topic")
+                if decision.direction == "in" and decision.decision in _STAYS
+                if self._selection.taps(answer.worker, decision.topic)
             }
             if topics:
                 wanted.append((answer.worker, answer.daemon, sorted(topics)))

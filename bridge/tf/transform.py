@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -67,3 +68,15 @@ class FrameInfo:
     def parents(self) -> set[str]:
         """All parents within the history."""
         return {source.parent for source in self.sources}
+
+
+def angles_of(rotation: Quaternion) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw in radians: rotations about the fixed axes x, then y, then z (REP 103).
+
+    All are 0 for a quaternion of zeros, as some programs send.
+    """
+    x, y, z, w = rotation
+    pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
+    roll = math.atan2(2.0 * (w * x + y * z), w * w - x * x - y * y + z * z)
+    yaw = math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return roll, pitch, yaw

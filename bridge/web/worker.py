@@ -10,8 +10,8 @@ import psutil
 from starlette.websockets import WebSocket
 
 from bridge import __version__
-from bridge.cli.client import CliClient
-from bridge.cli.messages import Types
+from bridge.client.session import Client
+from bridge.client.types import Types
 from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
 from bridge.hub.control import WorkerAnswer
@@ -116,7 +116,7 @@ class Console:
         if config.metrics.diagnostics:
             announce(host.node.hub, registry)
         self._process = psutil.Process(os.getpid())
-        client = CliClient(host.node.hub, config, f"the hub of {config.name}")
+        client = Client(host.node.hub, config, f"the hub of {config.name}")
         known = Types(client)
         self._asking, self._decoding = SerialExecutor("midspan-web-ask"), SerialExecutor("midspan-web-decode")
         follower, self._store = FrameFollower(host, config), StoreFollower(host, config)

@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from bridge.client.actions import SentGoal
 from bridge.messages.actions import GoalState
 from bridge.modules.action_server import Goal
-from bridge.modules.clients import SentGoal
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
 from navigation import nav2_errors

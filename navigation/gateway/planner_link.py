@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from bridge.client.actions import ActionClient, Ended, SentGoal
 from bridge.config.sections.navigation import OURS, NavigationSection
 from bridge.messages.actions import GoalState
-from bridge.modules.clients import ActionClient, Ended, SentGoal
 from bridge.modules.host import Host
 from navigation.gateway.action_goals import ActionGoals
 from navigation.gateway.foreign import ForeignGoals, GoalMark

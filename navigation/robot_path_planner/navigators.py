@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from bridge.client.actions import SentGoal
 from bridge.hub.wire.qos import LATCHED
 from bridge.messages.actions import GoalState
-from bridge.modules.clients import SentGoal
 from bridge.modules.host import Host
 from navigation.constraints import Constraints
 from navigation.messages import NAVIGATE, pose_message

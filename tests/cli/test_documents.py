@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from bridge.cli.documents import port_lines, routes_table, way_text
 from bridge.cli.main import main
+from bridge.display.documents import port_lines, routes_table, way_text
 from tests.adapters.yarp.conftest import Place
 from tests.cli.conftest import Midspan
 from tests.support.wait import until

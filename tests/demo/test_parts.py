@@ -16,7 +16,7 @@ import psutil
 import pytest
 
 from bridge.cli.main import build_parser
-from bridge.cli.output import CliError
+from bridge.client.errors import ClientError
 from bridge.demo import command, leftovers, sandbox
 from bridge.demo.processes import guarded
 from bridge.demo.sandbox import Sandbox, missing
@@ -201,12 +201,12 @@ def test_a_demo_without_a_package_names_the_extra_that_has_it(
     monkeypatch.setitem(sys.modules, module, None)  # cannot be imported
     monkeypatch.setattr("bridge.adapters.ros2.environment._unsourced", lambda: None)
     args = build_parser(["demo"]).parse_args(["demo", what])
-    with pytest.raises(CliError, match=r"(?s)needs more than this machine has:.*pip install 'midspan\[demo\]'"):
+    with pytest.raises(ClientError, match=r"(?s)needs more than this machine has:.*pip install 'midspan\[demo\]'"):
         command.run(args)
 
 
 def test_a_demo_that_lacks_compiled_kernels_only_does_not_name_the_extra() -> None:
-    with pytest.raises(CliError) as raised:
+    with pytest.raises(ClientError) as raised:
         command._require(["kernels: they are not compiled"])
     assert "midspan[demo]" not in str(raised.value)
 

@@ -8,9 +8,9 @@ import pytest
 import websockets
 import zenoh
 
+from bridge.client.topics import HubTopic, TopicKey
 from bridge.foxglove.channels import MOST_EARLY, TopicChannel
 from bridge.hub.endpoints.subscription import HubSample
-from bridge.modules.hub_topics import HubTopic, TopicKey
 from tests.foxglove.conftest import Desk
 from tests.peers.hub.endpoints import LATCHED, STREAM, endpoint
 from tests.support.wait import until

@@ -16,7 +16,7 @@ from bridge.messages.registry import Registry
 from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from bridge.tf.buffer import TransformBuffer
-from bridge.tf.server.buffer_server import ACTION, FRAMES, BufferServer
+from bridge.transform_server.buffer_server import ACTION, FRAMES, BufferServer
 from tests.peers.daemon.deployment import Deployment
 from tests.peers.peer import Peer
 from tests.peers.ros1.network import ROS1_PYTHON

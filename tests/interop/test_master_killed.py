@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
+from bridge.client.actions import ActionClient, SentGoal
 from bridge.clock import SYSTEM
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED
 from bridge.messages.actions import STATUSES, GoalState, names
 from bridge.messages.registry import Registry
-from bridge.modules.clients import ActionClient, SentGoal
 from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from tests.peers.daemon.deployment import Deployment

@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 
+from bridge.client.actions import CANCEL_AGAIN, ActionClient
+from bridge.client.services import ServiceClient
 from bridge.clock import SYSTEM, RunClock, SystemClock
 from bridge.hub.endpoints.calls import CallError
 from bridge.hub.session import Hub
@@ -15,7 +17,6 @@ from bridge.messages.actions import GoalState
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
-from bridge.modules.clients import CANCEL_AGAIN, ActionClient, ModuleClient
 from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from tests.peers.hub.quick import QuickHub
@@ -208,15 +209,15 @@ def until_cancelling(two: Two, client: ActionClient) -> None:
 
 def record_cancel_requests(monkeypatch: pytest.MonkeyPatch, fails: Callable[[int], bool]) -> list[bytes]:
     """Record the goal ids of cancel requests; request ``n`` (from 1) fails without a server if ``fails(n)``."""
-    requested, call = list[bytes](), ModuleClient.call
+    requested, call = list[bytes](), ServiceClient.call
 
-    def record_and_call(self: ModuleClient, request: dict[str, Any], replied: Callable[[Any], None]) -> Any:
+    def record_and_call(self: ServiceClient, request: dict[str, Any], replied: Callable[[Any], None]) -> Any:
         if self.topic != CANCEL_GOAL:
             return call(self, request, replied)
         requested.append(bytes(request["goal_info"]["goal_id"]["uuid"]))
         return replied(CallError("no server")) if fails(len(requested)) else call(self, request, replied)
 
-    monkeypatch.setattr(ModuleClient, "call", record_and_call)
+    monkeypatch.setattr(ServiceClient, "call", record_and_call)
     return requested
 
 
@@ -248,7 +249,7 @@ def test_a_request_to_cancel_all_goals_is_repeated_until_a_goal_is_sent(
     served = Served(two)
     client = two.client.action_client("/lookup", LOOKUP)
     until_cancelling(two, client)
-    monkeypatch.setattr("bridge.modules.clients.CANCEL_ALL_SECONDS", 60.0)
+    monkeypatch.setattr("bridge.client.actions.CANCEL_ALL_SECONDS", 60.0)
     requested = record_cancel_requests(monkeypatch, lambda count: count != 3)
     sent = Sent(two, client, "wait")
     until(lambda: sent.goal.accepted, "the goal is accepted")

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from bridge.modules.hub_topics import TopicKey
+from bridge.client.topics import TopicKey
 from bridge.record import latched
 from bridge.record.arrivals import RecordedMessage, TopicCounts
 from bridge.record.latched import LatchedState

@@ -114,14 +114,14 @@ def test_a_message_is_published_once_and_not_latched(desk: Desk) -> None:
 
 
 def test_a_missing_subscriber_is_reported(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sending, "_MATCH_SECONDS", 0.2)
+    monkeypatch.setattr("bridge.client.publishing.MATCH_SECONDS", 0.2)
     with TestPage(desk.port) as page:
         reply = page.call("publish", topic="/void", type="std_msgs/Empty", message={})
         assert reply["value"] == "published on /void, but the hub has no subscriber"
 
 
 def test_the_rate_of_messages_is_limited(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sending, "_MATCH_SECONDS", 0.0)
+    monkeypatch.setattr("bridge.client.publishing.MATCH_SECONDS", 0.0)
     with TestPage(desk.port) as page:
         for number in range(1, 13):
             message = {"data": str(number)}

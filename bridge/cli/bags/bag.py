@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bridge.cli.arguments import add_config, add_exclude, add_verb, add_verbs, span
-from bridge.cli.output import CliError, clean, duration, make_console, plural, print_json, rate, size
+from bridge.cli.output import CliError, print_json
+from bridge.text import clean, duration, make_console, plural, rate, size
 
 if TYPE_CHECKING:
     from bridge.bags.bag import Bag, BagTopic

@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bridge.cli.arguments import add_exclude, add_hub_arguments, number_in, span
-from bridge.cli.client import CliClient, open_client
+from bridge.cli.client import open_client
 from bridge.cli.inspection.refusals import warn_of_refusals
-from bridge.cli.output import CliError, clean, plural, print_json
+from bridge.cli.output import CliError, print_json
+from bridge.client.session import Client
+from bridge.text import clean, plural
 
 if TYPE_CHECKING:
     from bridge.bags.bag import Bag
@@ -81,7 +83,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 def remapping(text: str) -> tuple[str, str]:
     """Parse a remapping such as ``/scan:=/laser/scan``."""
-    from bridge.cli.graph.view import absolute
+    from bridge.client.graph import absolute
 
     match = _REMAP.fullmatch(text)
     if match is None:
@@ -126,7 +128,7 @@ def _signals() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-def _play(args: argparse.Namespace, client: CliClient, bags: list[Bag], ended: threading.Event) -> int:
+def _play(args: argparse.Namespace, client: Client, bags: list[Bag], ended: threading.Event) -> int:
     from bridge.bags.play.output import HubOutput
     from bridge.bags.play.player import Player
     from bridge.bags.play.services import PlayServices

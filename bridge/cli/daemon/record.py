@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from bridge.cli.arguments import add_exclude, add_hub_arguments, span
 from bridge.cli.client import CliClient, client_config, open_client, warn_of_daemon
-from bridge.cli.output import CliError, clean, print_json, size
+from bridge.cli.output import CliError, print_json
+from bridge.text import clean, size
 from yarp_compat.file_names import forbidden
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
     """Record until the time is over or Ctrl-C, or control the daemon's recorder."""
     if args.daemon is not None:
         with open_client(args) as client:
-            return _tell_daemon(client, args)
+            return _command_daemon(client, args)
     if not (args.topics or args.all or args.side):
         raise CliError("name the topics to record: names, globs, or -a for all")
     if args.trigger and not args.ring:
@@ -117,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
     return _record(args, config, section, output)
 
 
-def _tell_daemon(client: CliClient, args: argparse.Namespace) -> int:
+def _command_daemon(client: CliClient, args: argparse.Namespace) -> int:
     answers = client.ask("record", {"do": args.daemon}, worker="record", timeout=15.0)
     if not answers:
         missing = client.daemon().why_missing("record", client.config)
@@ -141,7 +142,7 @@ def _tell_daemon(client: CliClient, args: argparse.Namespace) -> int:
 def _section(args: argparse.Namespace) -> RecordSection:
     from pydantic import ValidationError
 
-    from bridge.cli.graph.view import absolute
+    from bridge.client.graph import absolute
     from bridge.config.sections.record import RecordSection
 
     topics = [absolute(topic) for topic in args.topics]

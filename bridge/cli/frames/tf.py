@@ -15,11 +15,13 @@ from rich.table import Table
 from rich.text import Text
 
 from bridge.cli.arguments import add_verb, add_verbs, number_in
-from bridge.cli.frames.feed import MOST, QUIET, FrameMeter, TransformListener, add_tf_arguments, open_listener
-from bridge.cli.output import CliError, clean, duration, make_console, print_json, rate
+from bridge.cli.frames.listener import add_tf_arguments, open_listener
+from bridge.cli.output import CliError, print_json
+from bridge.client.transforms import MOST, QUIET, FrameMeter, TransformListener
+from bridge.text import clean, duration, make_console, rate
 from bridge.tf import tree
 from bridge.tf.errors import InvalidArgumentError, TransformError
-from bridge.tf.transform import FrameInfo, Quaternion, Transform
+from bridge.tf.transform import FrameInfo, Transform, angles_of
 
 
 def register(parser: argparse.ArgumentParser) -> None:
@@ -189,15 +191,6 @@ def _print_pose(args: argparse.Namespace, listener: TransformListener, found: Tr
     angles = ", ".join(f"{math.degrees(part):.2f}" for part in angles_of(found.rotation))
     print(f"{when}\n  x, y, z:          {moved} m", flush=False)
     print(f"  roll, pitch, yaw: {angles} degrees\n  quaternion:       {turned}", flush=True)
-
-
-def angles_of(rotation: Quaternion) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw in radians: rotations about the fixed axes x, then y, then z (REP 103)."""
-    x, y, z, w = rotation
-    pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
-    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return roll, pitch, yaw
 
 
 _INTERVAL = 2.0

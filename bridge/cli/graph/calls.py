@@ -3,16 +3,32 @@
 from __future__ import annotations
 
 import argparse
+import re
 from typing import Any
 
 from bridge.cli.arguments import add_verb, add_verbs
 from bridge.cli.client import open_client
 from bridge.cli.graph import listing
-from bridge.cli.graph.caller import ServiceCaller, type_and_values
-from bridge.cli.graph.goal import STATES, SUCCEEDED, FollowedGoal, Interrupt
-from bridge.cli.graph.view import absolute, all_actions, all_services
-from bridge.cli.messages import Types, message_text, ros2_spelling, yaml_fields
-from bridge.cli.output import print_json
+from bridge.cli.graph.goal import FollowedGoal, Interrupt
+from bridge.cli.messages import message_text, yaml_fields
+from bridge.cli.output import CliError, print_json
+from bridge.client.goals import STATES, SUCCEEDED
+from bridge.client.graph import absolute, all_actions, all_services
+from bridge.client.services import ServiceCaller
+from bridge.client.types import Types, ros2_spelling
+
+_TYPE = re.compile(r"[A-Za-z]\w*(?:/\w+){1,2}", re.ASCII)
+
+
+def type_and_values(words: list[str]) -> tuple[str, str]:
+    """Split ``[TYPE] [VALUES]`` into the type, "" if missing, and the values' text; raises `CliError`."""
+    if len(words) > 2:
+        raise CliError(f"after the name come the type, if any, and the values in one word: quote {' '.join(words)!r}")
+    typed = bool(words) and _TYPE.fullmatch(words[0]) is not None
+    values = words[1:] if typed else words
+    if len(values) > 1:
+        raise CliError(f"{words[0]!r} is not a type: it should look like std_srvs/SetBool or std_srvs/srv/SetBool")
+    return (words[0] if typed else ""), (values[0] if values else "{}")
 
 
 def register_service(parser: argparse.ArgumentParser) -> None:
@@ -72,14 +88,14 @@ def _send(args: argparse.Namespace) -> int:
     goal = yaml_fields(values)
     with open_client(args) as client, Interrupt() as interrupt:
         sent = FollowedGoal(client, absolute(args.name), ros2_spelling(type_name, "action"), interrupt)
-        end = sent.run(goal, args.timeout, lambda feedback: _show_feedback(feedback, args))
+        end, code = sent.run(goal, args.timeout, lambda feedback: _show_feedback(feedback, args))
     state = STATES.get(end.status, "unknown")
     if args.json:
         print_json({"status": state, "result": end.result}, lines=True)
     else:
         result = message_text(end.result, full=args.full) if end.result else ""
         print(f"{state}\n{result}", end="")
-    return end.code or (0 if end.status == SUCCEEDED else 1)
+    return code or (0 if end.status == SUCCEEDED else 1)
 
 
 def _show_feedback(feedback: dict[str, Any], args: argparse.Namespace) -> None:

@@ -11,9 +11,11 @@ from rich.table import Table
 from rich.text import Text
 
 from bridge.cli.arguments import add_verb
-from bridge.cli.client import CliClient, open_client
-from bridge.cli.graph.view import GraphView, Kind, Views, endpoint_json, endpoint_text, find
-from bridge.cli.output import clean, make_console, print_json, side_name
+from bridge.cli.client import open_client
+from bridge.cli.output import print_json
+from bridge.client.graph import GraphView, Kind, Views, endpoint_json, endpoint_text, find
+from bridge.client.session import Client
+from bridge.text import clean, make_console, side_name
 
 _INFO = "type, servers, clients and decisions", "Shows who serves it, who uses it, and what each worker decided of it."
 _TOPIC_INFO = (
@@ -22,7 +24,7 @@ _TOPIC_INFO = (
 )
 
 
-def register(verbs: Any, kind: Kind, views: Callable[[CliClient], Views]) -> None:
+def register(verbs: Any, kind: Kind, views: Callable[[Client], Views]) -> None:
     """Add the verbs ``list`` and ``info``; ``views`` gets all topics, services or actions."""
     is_topic = kind == "topic"
     listing = add_verb(
@@ -37,7 +39,7 @@ def register(verbs: Any, kind: Kind, views: Callable[[CliClient], Views]) -> Non
     info.add_argument("--json", action="store_true", help="print it as JSON")
 
 
-def _list(args: argparse.Namespace, views: Callable[[CliClient], Views], kind: Kind) -> int:
+def _list(args: argparse.Namespace, views: Callable[[Client], Views], kind: Kind) -> int:
     with open_client(args, watches=True) as client:
         topics = sorted(views(client).values(), key=lambda view: view.name)
     if args.json:
@@ -50,7 +52,7 @@ def _list(args: argparse.Namespace, views: Callable[[CliClient], Views], kind: K
     return 0
 
 
-def _info(args: argparse.Namespace, views: Callable[[CliClient], Views], kind: Kind) -> int:
+def _info(args: argparse.Namespace, views: Callable[[Client], Views], kind: Kind) -> int:
     with open_client(args, watches=True) as client:
         view = find(views(client), args.name, kind)
     if args.json:

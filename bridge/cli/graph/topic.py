@@ -14,17 +14,20 @@ from itertools import pairwise
 from typing import Any
 
 from bridge.cli.arguments import add_verb, add_verbs, number_in
-from bridge.cli.client import CliClient, open_client
+from bridge.cli.client import open_client
 from bridge.cli.graph import listing
-from bridge.cli.graph.feed import Arrival, TopicFeed, add_feed_arguments
-from bridge.cli.graph.view import absolute, all_topics, ask_decisions
 from bridge.cli.inspection.refusals import warn_of_refusals
-from bridge.cli.messages import Types, message_text, yaml_fields
-from bridge.cli.output import CliError, clean, json_line, print_json, side_name, size
-from bridge.hub.endpoints.publisher import HubPublisher
+from bridge.cli.messages import message_text, yaml_fields
+from bridge.cli.output import CliError, json_line, print_json
+from bridge.client.feed import Arrival, TopicFeed
+from bridge.client.graph import absolute, all_topics, ask_decisions
+from bridge.client.publishing import Publisher, await_subscribers, encode
+from bridge.client.session import Client
+from bridge.client.types import Types
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.errors import ConversionError
 from bridge.routing.limits import default_priority
+from bridge.text import clean, side_name, size
 
 
 def register(parser: argparse.ArgumentParser) -> None:
@@ -38,6 +41,16 @@ def register(parser: argparse.ArgumentParser) -> None:
     _register_echo(verbs)
     _register_hz(verbs)
     _register_pub(verbs)
+
+
+def add_feed_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of verbs that subscribe to one topic."""
+    parser.add_argument("topic", help="the topic's name")
+    parser.add_argument(
+        "--side",
+        metavar="SIDE",
+        help="only from this side: ros1, ros2, yarp, zenoh (the hub itself), zenoh_ros2dds, zenoh_ros1, zenoh_json",
+    )
 
 
 def _register_echo(verbs: Any) -> None:
@@ -73,7 +86,7 @@ def _echo(args: argparse.Namespace) -> int:
             pass
         finally:
             feed.close()
-            _tell_losses(feed)
+            _report_losses(feed)
     return 0
 
 
@@ -98,7 +111,7 @@ def _text(args: argparse.Namespace, topic: str, types: Types, arrival: Arrival) 
     return f"{message_text(message, full=args.full)}---"
 
 
-def _tell_losses(feed: TopicFeed) -> None:
+def _report_losses(feed: TopicFeed) -> None:
     if feed.overrun:
         print(f"{feed.overrun} messages were not shown: they come faster than they can be printed", file=sys.stderr)
     if feed.lost:
@@ -106,7 +119,6 @@ def _tell_losses(feed: TopicFeed) -> None:
 
 
 DEFAULT_RATE = 1.0
-_MATCH_SECONDS = 2.0
 _LINGER_SECONDS = 0.5
 """How long a single message's publisher stays, so that it gets through before it is gone."""
 
@@ -135,27 +147,23 @@ def _register_pub(verbs: Any) -> None:
 
 
 def _pub(args: argparse.Namespace) -> int:
-    from bridge.messages.json import from_json
-
     topic, fields = absolute(args.topic), yaml_fields(args.message)
     with open_client(args) as client:
         types = Types(client)
         name = types.name(args.type)
-        type_hash = types.hash_of(name)
-        try:
-            cdr = from_json(types.registry, name, fields)
-        except ConversionError as err:
-            raise CliError(f"{name}: {err}") from None
+        cdr = encode(types, name, fields)
         client.settle()
         _warn_of_other_types(client, topic, name)
         durability = Durability.TRANSIENT_LOCAL if args.latch else Durability.VOLATILE
         priority = default_priority(topic, name, latched=args.latch)
         qos = Qos(durability=durability, depth=1 if args.latch else 10)
-        publisher = client.hub.publisher(topic, name, type_hash, qos, priority=priority.value)
+        publisher = Publisher(client, types, topic, name, qos, priority.value)
         refused = False
         try:
-            _await_listeners(client, publisher, topic, args.settle)
-            refused = warn_of_refusals(client, [(topic, name, type_hash)])
+            if not await_subscribers(publisher.end, args.settle):
+                print(f"{topic} has no subscriber on the hub yet", file=sys.stderr)
+            _warn_of_sides(client, topic)
+            refused = warn_of_refusals(client, [publisher.kind])
             _publish(args, publisher, cdr)
         except KeyboardInterrupt:
             pass
@@ -164,7 +172,7 @@ def _pub(args: argparse.Namespace) -> int:
     return 1 if refused else 0
 
 
-def _publish(args: argparse.Namespace, publisher: HubPublisher, cdr: bytes) -> None:
+def _publish(args: argparse.Namespace, publisher: Publisher, cdr: bytes) -> None:
     never = threading.Event()
     kept = args.latch and args.rate is None
     count = 1 if args.once or kept else args.count if args.count is not None else math.inf
@@ -172,7 +180,7 @@ def _publish(args: argparse.Namespace, publisher: HubPublisher, cdr: bytes) -> N
     due = time.monotonic()
     sent = 0
     while sent < count:
-        publisher.put(cdr)
+        publisher.end.put(cdr)
         sent += 1
         due += period
         if sent < count:
@@ -183,22 +191,14 @@ def _publish(args: argparse.Namespace, publisher: HubPublisher, cdr: bytes) -> N
     never.wait(_LINGER_SECONDS)
 
 
-def _await_listeners(client: CliClient, publisher: HubPublisher, topic: str, settle: float) -> None:
-    end = time.monotonic() + _MATCH_SECONDS
-    while not publisher.matched() and time.monotonic() < end:
-        time.sleep(0.02)
-    if publisher.matched():
-        # the workers listen; those on their sides are still connecting to the publishers that the workers made
-        time.sleep(settle)
-    else:
-        print(f"{topic} has no subscriber on the hub yet", file=sys.stderr)
+def _warn_of_sides(client: Client, topic: str) -> None:
     for decision in ask_decisions(client, topic):
         if decision.direction == "out" and decision.decision in ("denied", "private", "refused"):
             reason = f"{decision.decision}: {decision.why}"
             print(f"it does not reach {side_name(decision.worker)}: {clean(reason)}", file=sys.stderr)
 
 
-def _warn_of_other_types(client: CliClient, topic: str, name: str) -> None:
+def _warn_of_other_types(client: Client, topic: str, name: str) -> None:
     graph = client.hub.graph
     used = {e.type_name for e in [*graph.publishers(topic), *graph.subscriptions(topic)]}
     if used and name not in used:

@@ -3,31 +3,26 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import os
-from collections.abc import Sequence
-from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
 
 from bridge.cli.arguments import add_hub_arguments
-from bridge.cli.client import CliClient, client_config, config_file, connect, of_this_machine
-from bridge.cli.inspection.namesakes import distinct
-from bridge.cli.inspection.status import absent, document_of, with_silent
-from bridge.cli.output import CliError, clean, make_console, print_json
+from bridge.cli.client import client_config, config_file, of_this_machine, router_hint
+from bridge.cli.output import CliError, print_json
+from bridge.client.errors import ClientError
+from bridge.client.session import connect
 from bridge.config.document import ConfigError
-from bridge.config.load import find, load
 from bridge.config.model import Config
-from bridge.doctor import context
-from bridge.doctor.check import Report, Result, examine
+from bridge.doctor.check import Report, Result, as_json, examine
 from bridge.doctor.checks import CHECKS
 from bridge.doctor.context import CheckContext, HubSnapshot
 from bridge.doctor.daemon_state import DaemonState, daemon_state
+from bridge.doctor.examination import gathered, snapshot
+from bridge.text import clean, make_console
 
 _STYLES = {Result.OK: "green", Result.WARN: "yellow", Result.FAIL: "bold red", Result.SKIP: "dim"}
-_CLOCK_SECONDS = 0.5
-_MAX_CLOCKS = 50
 
 
 def register(parser: argparse.ArgumentParser) -> None:
@@ -54,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     if unknown:
         raise CliError(f"no check {', '.join(sorted(unknown))}; 'midspan doctor --list' shows all")
     checks = [check for check in CHECKS if not args.only or check.id in args.only]
-    reports = examine(_look_around(args), checks)
+    reports = examine(_gathered_context(args), checks)
     if args.json:
         print_json(as_json(reports))
     else:
@@ -63,72 +58,24 @@ def run(args: argparse.Namespace) -> int:
     return 1 if failed else 0
 
 
-def _look_around(args: argparse.Namespace) -> CheckContext:
-    environ = dict(os.environ)
+def _gathered_context(args: argparse.Namespace) -> CheckContext:
     try:
         config = client_config(args)
     except (ConfigError, OSError) as err:
         hub = HubSnapshot("the hub was not asked: the configuration cannot be used")
-        return CheckContext(config_text=str(err), config_good=False, environ=environ, hub=hub)
-    config, hub = _look_at_hub(config, here=of_this_machine(args))
+        return CheckContext(config_text=str(err), config_good=False, environ=dict(os.environ), hub=hub)
+    config, hub = _hub_snapshot(config, here=of_this_machine(args))
     state = daemon_state(config, hub.documents, config_file(args)) if of_this_machine(args) else DaemonState("")
-    documents = with_silent(hub.documents, absent(state.document, looping=True))
-    hub = dataclasses.replace(hub, documents=documents)
-    text, good = _checked(args.config)
-    return CheckContext(config, text, config_good=good, environ=environ, hub=hub, daemon=state)
+    return gathered(config, hub, state, args.config)
 
 
-def look_from(client: CliClient, file: Path | None) -> CheckContext:
-    """Return what the checks examine, for a program of the daemon that is on the hub; ``file``: the configuration."""
-    environ, hub, state = dict(os.environ), snapshot(client), daemon_state(client.config, file=file)
-    documents = with_silent(hub.documents, absent(state.document, looping=True))
-    hub = dataclasses.replace(hub, documents=documents)
-    text, good = _checked(file)
-    return CheckContext(client.config, text, config_good=good, environ=environ, hub=hub, daemon=state)
-
-
-def _checked(file: Path | None) -> tuple[str, bool]:
-    """Return what is known of a file, by default of the one that `find` finds, and whether it is good."""
-    try:
-        load(file)
-    except ConfigError as err:
-        return str(err), False
-    file = file or find()
-    return (f"{file} is good" if file is not None else "no configuration file: all defaults"), True
-
-
-def _look_at_hub(config: Config, *, here: bool) -> tuple[Config, HubSnapshot]:
+def _hub_snapshot(config: Config, *, here: bool) -> tuple[Config, HubSnapshot]:
     """Return the configuration with the daemon's name, and the hub."""
     try:
-        with connect(config, here=here) as client:
+        with connect(config, here=here, hint=router_hint) as client:
             return client.config, snapshot(client)
-    except CliError as err:
+    except ClientError as err:
         return config, HubSnapshot(str(err))
-
-
-def snapshot(client: CliClient) -> HubSnapshot:
-    """Return the hub as this client sees it."""
-    documents = [document_of(answer) for answer in distinct(client, client.ask("status"))]
-    client.settle()
-    endpoints = [e for e in client.hub.graph.endpoints() if not e.own]
-    return HubSnapshot("", documents, endpoints, _clocks(client))
-
-
-def _clocks(client: CliClient) -> dict[str, context.Offset]:
-    found: dict[str, context.Offset] = {}
-    for answer in client.ask("time", timeout=_CLOCK_SECONDS)[:_MAX_CLOCKS]:
-        if not answer.error:
-            offset = context.measure(lambda to=answer: _time(client, to.daemon, to.worker))  # type: ignore[misc]
-            if offset is not None:
-                found[f"{answer.daemon}/{answer.worker}"] = offset
-    return found
-
-
-def _time(client: CliClient, daemon: str, worker: str) -> int | None:
-    for answer in client.hub.ask("time", {}, daemon, worker, _CLOCK_SECONDS):
-        if isinstance(answer.value, dict) and isinstance(answer.value.get("time_ns"), int):
-            return int(answer.value["time_ns"])
-    return None
 
 
 def _show(console: Console, reports: list[Report]) -> None:
@@ -144,12 +91,3 @@ def _show(console: Console, reports: list[Report]) -> None:
                 console.print(Text(f"      cure: {clean(finding.cure)}"), soft_wrap=True)
     words = ", ".join(f"{count} {result}" for result, count in counts.items() if count)
     console.print(Text(f"\n{words}"))
-
-
-def as_json(reports: Sequence[Report]) -> list[dict[str, str]]:
-    """One entry for each finding: ``check``, ``title``, ``result``, ``seen`` and ``cure``."""
-    return [
-        {"check": report.check.id, "title": report.check.title, **dataclasses.asdict(finding)}
-        for report in reports
-        for finding in report.findings
-    ]

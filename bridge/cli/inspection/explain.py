@@ -10,14 +10,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from bridge.cli.arguments import add_hub_arguments
-from bridge.cli.client import ASK_SECONDS, CliClient, open_client
-from bridge.cli.documents import Document, arrow, drops_text, port_lines, port_list, route_list, texts, way_text
-from bridge.cli.graph.view import Decision, absolute, decisions_in, endpoint_json, endpoint_text, known_names, unknown
-from bridge.cli.inspection.namesakes import daemon_names
+from bridge.cli.client import open_client
 from bridge.cli.inspection.refusals import refusals
-from bridge.cli.output import CliError, clean, duration, plural, print_json, rate, side_name
+from bridge.cli.output import CliError, print_json
+from bridge.client.graph import Decision, absolute, decisions_in, endpoint_json, endpoint_text, known_names, unknown
+from bridge.client.session import ASK_SECONDS, Client
+from bridge.client.status import Document, daemon_names, port_list, route_list, texts
 from bridge.config.model import Config
 from bridge.config.sections.routing import Rule
+from bridge.display.documents import drops_text, port_lines, way_text
 from bridge.doctor import hub_problems
 from bridge.doctor.hub_problems import Note, absence
 from bridge.hub.control import WorkerAnswer
@@ -25,6 +26,7 @@ from bridge.hub.graph import HubEndpoint
 from bridge.hub.namesakes import DaemonNames
 from bridge.messages.actions import split
 from bridge.routing.rules import ENTRY, RuleSet
+from bridge.text import arrow, clean, duration, plural, rate, side_name
 
 _VERDICTS = {
     "bridged": "crosses",
@@ -71,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def explain(client: CliClient, topic: str) -> Explanation:
+def explain(client: Client, topic: str) -> Explanation:
     """Gather the decisions, endpoints and problems of a topic; raises `CliError` if the name is unknown."""
     answers, documents, namesakes = _asked(client)
     everything = decisions_in(answers)
@@ -99,7 +101,7 @@ def explain(client: CliClient, topic: str) -> Explanation:
     return Explanation(topic, paired, endpoints, [*planner, *notes, *namesakes], ports)
 
 
-def _asked(client: CliClient) -> tuple[list[WorkerAnswer], list[Document], list[Note]]:
+def _asked(client: Client) -> tuple[list[WorkerAnswer], list[Document], list[Note]]:
     """Return the sides' answers to ``explain``, all status documents, and notes on daemons with one name.
 
     A worker that hangs delays both answers.
@@ -140,7 +142,7 @@ def _decisions(everything: Sequence[Decision], topic: str) -> list[Decision]:
     return decisions
 
 
-def _silent(client: CliClient, documents: Sequence[Document]) -> list[Note]:
+def _silent(client: Client, documents: Sequence[Document]) -> list[Note]:
     """Return notes on the workers that are on the hub and did not answer, so that their decisions are missing."""
     answered = {document.get("zid") for document in documents}
     late = f"did not answer within {ASK_SECONDS:g} s, so what it knows is missing"

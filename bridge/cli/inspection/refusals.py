@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 import zenoh
 
-from bridge.cli.client import CliClient
-from bridge.cli.documents import Document, dicts, route_list, texts
-from bridge.cli.output import clean, plural
+from bridge.client.session import Client
+from bridge.client.status import Document, dicts, route_list, texts
 from bridge.config.rules import commands
 from bridge.config.sections.routing import RoutingSection
 from bridge.doctor import hub_problems
@@ -24,6 +23,7 @@ from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import EndpointKind
 from bridge.hub.security.access import QUESTIONS, harmless_keys
 from bridge.hub.wire.keys import topic_key
+from bridge.text import clean, plural
 
 _QUESTIONS = [zenoh.KeyExpr(key) for key in QUESTIONS]
 
@@ -59,7 +59,7 @@ class Refusal:
         return f"if that is not intended, {name} in hub.open.trusted of {self.daemon} and reload"
 
 
-def refusals(client: CliClient, documents: Iterable[Document]) -> list[Refusal]:
+def refusals(client: Client, documents: Iterable[Document]) -> list[Refusal]:
     """Return what routers refuse now, by the workers' status documents and the hub's graph, which has settled."""
     documents = list(documents)
     graph = client.hub.graph
@@ -81,7 +81,7 @@ def refusals(client: CliClient, documents: Iterable[Document]) -> list[Refusal]:
     return refused
 
 
-def warn_of_refusals(client: CliClient, published: Iterable[tuple[str, str, str]]) -> bool:
+def warn_of_refusals(client: Client, published: Iterable[tuple[str, str, str]]) -> bool:
     """Report on stderr which machines refuse what this program publishes: name, type and type hash of each topic.
 
     Return whether a machine refuses any of it.

@@ -15,19 +15,19 @@ from rich.text import Text
 
 from bridge.cli.arguments import add_hub_arguments, number_in
 from bridge.cli.client import CliClient, client_config, config_file, of_this_machine, open_client
-from bridge.cli.documents import Document, arrow, connected_lines, dicts, port_list, route_list, routes_table, texts
-from bridge.cli.inspection.namesakes import distinct
 from bridge.cli.inspection.refusals import Refusal, refusals
-from bridge.cli.output import CliError, clean, duration, is_number, make_console, plural, print_json, side_name, size
+from bridge.cli.output import CliError, print_json
+from bridge.client.errors import ClientError
+from bridge.client.status import Document, ask_status, dicts, port_list, route_list, texts
 from bridge.daemon.query import Phase
+from bridge.display.documents import connected_lines, routes_table
 from bridge.doctor.causes import cause, grouped, one_line, shared
-from bridge.doctor.daemon_state import DaemonState, Life, daemon_state, describe, loops
-from bridge.hub.control import WorkerAnswer
+from bridge.doctor.daemon_state import ABSENT, DaemonState, Life, absent, daemon_state, with_silent
+from bridge.text import arrow, clean, duration, is_number, make_console, plural, side_name, size
 
 _STYLES = {"running": "green", "waiting": "yellow", "standby": "cyan", "starting": "yellow", "queued": "yellow"}
 DAEMON = "daemon"
-_ABSENT = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED, Phase.FAILED)}
-_ENABLED = {*_ABSENT, Phase.UP.value, Phase.STOPPING.value}
+_ENABLED = {*ABSENT, Phase.UP.value, Phase.STOPPING.value}
 
 
 def register_status(parser: argparse.ArgumentParser) -> None:
@@ -47,15 +47,15 @@ def run_status(args: argparse.Namespace) -> int:
     documents, refused = list[Document](), list[Refusal]()
     state = daemon_state(client_config(args), file=config_file(args)) if of_this_machine(args) else DaemonState("")
     silent = absent(state.document, looping=True)
-    unreachable: CliError | None = None
+    unreachable: ClientError | None = None
     joined = False
     try:
         with open_client(args, warn=False) as client:
             joined = True
-            documents = ask_status(client)
+            documents = _ask_status(client)
             client.settle()
             refused = refusals(client, documents)
-    except CliError as err:
+    except ClientError as err:
         if state.life is not Life.RUNNING:
             raise
         silent = absent(state.document, _ENABLED, looping=True)
@@ -75,44 +75,15 @@ def run_status(args: argparse.Namespace) -> int:
     return 0
 
 
-def ask_status(client: CliClient) -> list[Document]:
-    """Return the status documents of all workers; raises `CliError` if none answers."""
-    answers = client.ask("status")
-    if not answers:
+def _ask_status(client: CliClient) -> list[Document]:
+    try:
+        return ask_status(client)
+    except ClientError as err:
         state = client.daemon()
-        hint = "Is the daemon running ('midspan run'), and is this its domain (hub.domain)?"
-        if state.life is Life.RUNNING:
-            hint = f"The daemon {state.name} is running (process {state.pid}): 'midspan status' lists its workers."
-        raise CliError(f"a router answers, but no worker of Midspan does on {client.where}.\n{hint}")
-    return [document_of(answer) for answer in distinct(client, answers)]
-
-
-def absent(report: Document, phases: Container[str] = _ABSENT, *, looping: bool = False) -> list[Document]:
-    """Return the workers in one of these phases, from a daemon's own report; also those that crash again and again."""
-    return [
-        {
-            "daemon": report["daemon"],
-            "worker": worker["worker"],
-            "state": worker["phase"],
-            "text": " ".join(filter(None, (describe(worker), f"({duration(worker.get('since'))})"))),
-            "pid": worker["pid"],
-            "restarts": worker["restarts"],
-            **({"loops": True} if loops(worker) else {}),
-        }
-        for worker in report.get("workers", ())
-        if worker["phase"] in phases or (looping and loops(worker))
-    ]
-
-
-def with_silent(documents: Sequence[Document], silent: Sequence[Document]) -> list[Document]:
-    """Add the workers that do not answer; a crash loop of one that answers is known to its daemon only."""
-    reported = {(document["daemon"], document["worker"]): document for document in silent}
-    answering: list[Document] = []
-    for document in documents:
-        other = reported.pop((document.get("daemon"), document.get("worker")), {})
-        more = {key: other[key] for key in ("loops", "restarts", "text") if other.get("loops")}
-        answering.append({**document, **more})
-    return [*answering, *reported.values()]
+        if state.life is not Life.RUNNING:
+            raise
+        hint = f"The daemon {state.name} is running (process {state.pid}): 'midspan status' lists its workers."
+        raise CliError(f"{str(err).partition(chr(10))[0]}\n{hint}") from None
 
 
 def of_daemon(state: DaemonState) -> list[Document]:
@@ -151,14 +122,6 @@ def _refusals_of(document: Document, refused: Sequence[Refusal]) -> list[Refusal
 def _with_refusals(document: Document, refused: Sequence[Refusal]) -> Document:
     found = [dataclasses.asdict(refusal) for refusal in _refusals_of(document, refused)]
     return {**document, "refused_commands": found} if found else document
-
-
-def document_of(answer: WorkerAnswer) -> Document:
-    """Return a worker's status document, or one with the error if it fails to answer."""
-    if isinstance(answer.value, dict) and not answer.error:
-        return {**answer.value, "daemon": answer.daemon, "worker": answer.worker}
-    error = answer.error or "the answer is not a status document"
-    return {"daemon": answer.daemon, "worker": answer.worker, "side": answer.worker, "state": "failed", "error": error}
 
 
 def _show_worker(console: Console, document: Document, elsewhere: Container[str]) -> None:
@@ -285,7 +248,7 @@ def run_top(args: argparse.Namespace) -> int:
 def _plain(client: CliClient, interval: float, *, as_json: bool) -> None:
     console = make_console()
     while True:
-        documents = ask_status(client)
+        documents = _ask_status(client)
         if as_json:
             print_json(documents, lines=True)
         else:
@@ -300,8 +263,8 @@ def _live(client: CliClient, interval: float) -> None:
     with Live(console=console, screen=True, auto_refresh=False, vertical_overflow="crop") as live:
         while True:
             try:
-                view = _view(ask_status(client))
-            except CliError as err:
+                view = _view(_ask_status(client))
+            except ClientError as err:
                 # the daemon may come back
                 view = Text(str(err), style="red")
             live.update(view, refresh=True)

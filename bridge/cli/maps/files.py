@@ -9,10 +9,11 @@ from typing import Any
 
 from bridge.cli.arguments import add_verb
 from bridge.cli.maps.store import named_map, open_stored
-from bridge.cli.output import CliError, clean
+from bridge.cli.output import CliError
 from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LINK, LOCATION, MAP, MAP3D, OBJECT, PATH
 from bridge.stores.service import FORMS_3D, read_files
 from bridge.stores.store import THE_MAP, Write
+from bridge.text import clean
 from yarp_compat.dev.exports import to_geojson, to_waypoints
 from yarp_compat.dev.extras import Extras, extras_file
 from yarp_compat.dev.mapfile import MapFileError, write

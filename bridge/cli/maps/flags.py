@@ -10,10 +10,11 @@ import numpy as np
 
 from bridge.cli.arguments import add_verb
 from bridge.cli.maps.store import missing, named_map, open_stored
-from bridge.cli.output import CliError, clean
+from bridge.cli.output import CliError
 from bridge.stores.client import StoreClient
 from bridge.stores.kinds import AREA, MAP
 from bridge.stores.store import Write
+from bridge.text import clean
 from navigation.maps.masks import cells_of
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.sig.vec2d import Vec2D

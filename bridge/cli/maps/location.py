@@ -9,17 +9,18 @@ from typing import Any
 from rich.table import Table
 
 from bridge.cli.arguments import add_verb, add_verbs
-from bridge.cli.client import CliClient
-from bridge.cli.frames.feed import TransformListener
-from bridge.cli.frames.tf import angles_of
+from bridge.cli.frames.listener import listening
 from bridge.cli.maps import files
 from bridge.cli.maps.store import missing, open_stored
-from bridge.cli.output import CliError, clean, make_console, plural, print_json
+from bridge.cli.output import CliError, print_json
+from bridge.client.session import Client
 from bridge.stores import kinds
 from bridge.stores.client import StoreClient
 from bridge.stores.entry import check_name
 from bridge.stores.store import Write
+from bridge.text import clean, make_console, plural
 from bridge.tf.errors import TransformError
+from bridge.tf.transform import angles_of
 from yarp_compat.dev.locations import Map2DLocation
 
 
@@ -180,17 +181,14 @@ def _add(args: argparse.Namespace) -> int:
     return 0
 
 
-def robot_pose(client: CliClient, map_frame: str, base_frame: str) -> tuple[float, float, float]:
+def robot_pose(client: Client, map_frame: str, base_frame: str) -> tuple[float, float, float]:
     """Return the robot's pose in meters and degrees; raises `CliError` if it is unknown."""
-    transforms = TransformListener(client)
     try:
-        transforms.open()
-        transforms.wait()
-        pose = transforms.buffer.lookup_transform(map_frame, base_frame, timeout=PATIENCE)
+        with listening(client) as transforms:
+            transforms.wait()
+            pose = transforms.buffer.lookup_transform(map_frame, base_frame, timeout=PATIENCE)
     except TransformError as err:
         raise CliError(f"the robot's pose is unknown: {clean(err).strip()}") from None
-    finally:
-        transforms.close()
     age = (transforms.clock.now_ns() - pose.stamp) / 1e9 if pose.stamp else 0.0
     if age > _OLD:
         raise CliError(f"the robot's pose was last published {age:.1f} s ago; is its localizer running?")

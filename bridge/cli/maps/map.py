@@ -11,9 +11,10 @@ from rich.table import Table
 from bridge.cli.arguments import add_verb, add_verbs
 from bridge.cli.maps import files, flags, map3d, show
 from bridge.cli.maps.store import missing, open_stored
-from bridge.cli.output import CliError, clean, make_console, print_json
+from bridge.cli.output import CliError, print_json
 from bridge.stores.kinds import MAP, MAP3D
 from bridge.stores.store import Write
+from bridge.text import clean, make_console
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
 

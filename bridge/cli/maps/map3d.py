@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from bridge.cli.maps.store import missing, open_stored
-from bridge.cli.output import CliError, clean
+from bridge.cli.output import CliError
 from bridge.stores.client import StoreClient
 from bridge.stores.kinds import MAP3D, Map3D
+from bridge.text import clean
 from yarp_compat.dev.mapgrid import MAX_CELLS, MapFlag, MapGrid2D, too_large
 from yarp_compat.octomap import Octomap
 from yarp_compat.octree import MIDDLE, OCCUPIED, OcTree

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bridge.cli.arguments import add_verb
-from bridge.cli.output import CliError, clean
+from bridge.cli.output import CliError
+from bridge.text import clean
 
 if TYPE_CHECKING:
     from yarp_compat.dev.locations import Map2DArea, Map2DLocation
@@ -72,15 +73,15 @@ def draw(
     if not 0 <= args.scale <= _MOST_SCALE or (args.width is not None and not 0 < args.width <= 1000):
         raise CliError(f"--scale is 1 to {_MOST_SCALE}, --width 1 to 1000")
     if args.png is not None:
-        from bridge.cli.maps.drawing import draw as picture
+        from bridge.display.drawing import draw as picture
 
         if grid.width() * grid.height() * max(args.scale, 1) ** 2 > 1 << 28:
             raise CliError("the picture would have more than 268 million pixels; give a smaller --scale")
         picture(grid, locations, areas, args.scale, path).save(args.png, "PNG")
         print(f"{clean(grid.name)} to {args.png}")
         return
-    from bridge.cli.maps import drawing
-    from bridge.cli.output import make_console
+    from bridge.display import drawing
+    from bridge.text import make_console
 
     console = make_console()
     width = args.width or (console.width if console.is_terminal else _PLAIN_WIDTH)

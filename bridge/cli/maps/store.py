@@ -7,11 +7,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from bridge.cli.client import CliClient, open_client
-from bridge.cli.output import CliError, near
+from bridge.cli.output import CliError
 from bridge.stores.client import StoreClient
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import MAP
 from bridge.stores.wire import prefix
+from bridge.text import near
 from yarp_compat.dev.mapgrid import MapGrid2D
 
 
@@ -19,18 +20,16 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 def open_stored(args: argparse.Namespace) -> Iterator[tuple[CliClient, StoreClient]]:
     """Join the hub and find a store; raises `CliError` or `StoreError` without one."""
     with open_client(args) as client:
-        space = client.hub.keyspace(prefix(client.config.hub.domain))
-        try:
-            stored = StoreClient(space, client.config.name)
-        except StoreError as err:
-            raise CliError(no_store(client, str(err))) from None
-        yield client, stored
+        yield client, store_of(client)
 
 
-def no_store(client: CliClient, trouble: str) -> str:
-    """Return why no daemon on the hub has a store; ``trouble`` if the reason is not on this machine."""
-    missing = client.daemon().why_missing("modules", client.config)
-    return f"no store answers: {missing}" if missing else trouble
+def store_of(client: CliClient) -> StoreClient:
+    """Find the store of the configured daemon, or of another; raises `CliError` with the reason if there is none."""
+    try:
+        return StoreClient(client.hub.keyspace(prefix(client.config.hub.domain)), client.config.name)
+    except StoreError as err:
+        missing = client.daemon().why_missing("modules", client.config)
+        raise CliError(f"no store answers: {missing}" if missing else str(err)) from None
 
 
 def named_map(stored: StoreClient, name: str | None) -> MapGrid2D:

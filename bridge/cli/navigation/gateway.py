@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-import math
-import threading
-from collections.abc import Callable
 from typing import Any
 
 from bridge.cli.client import CliClient
-from bridge.cli.graph.caller import ServiceCaller
-from bridge.cli.messages import Types
 from bridge.cli.output import CliError
+from bridge.client.errors import ClientError
+from bridge.client.navigation import STATUS_TOPIC, Navigation, gateway_document
+from bridge.client.services import ServiceCaller
+from bridge.client.types import Types
 from bridge.doctor.hub_problems import Note, absence
-from bridge.hub.endpoints.subscription import HubSample
-from bridge.hub.wire.qos import LATCHED
-from bridge.messages.errors import ConversionError
-from navigation.nav2_errors import reason_text
-
-STATUS_TOPIC, STATUS = "/navigation/status", "midspan_msgs/msg/NavigationStatus"
-PATIENCE = 5.0
-"""Seconds within which a latched message arrives."""
-_ANSWER = 10.0
-"""Seconds that a gateway has to answer, also on a busy machine; without a gateway the question ends at once."""
 
 NO_GATEWAY = "no gateway is configured: name a planner in the section 'navigation' of the configuration"
 _LATE = (
@@ -31,54 +20,12 @@ _LATE = (
 _WORKER = "modules"
 
 
-class LatestMessage:
-    """The newest message of a latched topic; ``on_message`` gets each message, on a thread of zenoh."""
-
-    def __init__(
-        self, client: CliClient, types: Types, topic: str, type_name: str,
-        on_message: Callable[[dict[str, Any]], None] = lambda _message: None,
-    ) -> None:  # fmt: skip
-        self._types, self._type, self._on_message = types, type_name, on_message
-        self._hash = types.hash_of(type_name)
-        self._received = threading.Event()
-        self._message: dict[str, Any] | None = None
-        self._end = client.hub.subscription(topic, type_name, self._hash, LATCHED, self._on_sample)
-
-    def _on_sample(self, sample: HubSample) -> None:
-        try:
-            self._message = self._types.decode(self._type, self._hash, sample.data())
-        except (CliError, ConversionError):
-            return
-        self._on_message(self._message)
-        self._received.set()
-
-    def wait(self, seconds: float) -> dict[str, Any] | None:
-        """Return the newest message, None if the first one does not arrive in time."""
-        self._received.wait(seconds)
-        return self._message
-
-    def close(self) -> None:
-        """Stop receiving messages."""
-        self._end.close()
-
-
-def latest_message(
-    client: CliClient, types: Types, topic: str, type_name: str, seconds: float
-) -> dict[str, Any] | None:
-    """Return the newest message of a latched topic, None if it does not arrive in time."""
-    latest = LatestMessage(client, types, topic, type_name)
-    try:
-        return latest.wait(seconds)
-    finally:
-        latest.close()
-
-
 def gateway_status(client: CliClient) -> dict[str, Any]:
     """Return the gateway's status document; raises `CliError` without a gateway, or if it does not answer."""
-    for answer in client.ask("status", worker="gateway", timeout=_ANSWER):
-        if isinstance(answer.value, dict):
-            return answer.value
-    raise CliError(no_answer(client))
+    try:
+        return gateway_document(client)
+    except ClientError:
+        raise CliError(no_answer(client)) from None
 
 
 def check_daemon(client: CliClient) -> None:
@@ -123,40 +70,19 @@ def planner_away(client: CliClient, gateway: dict[str, Any]) -> Note | None:
     return Note(str(gateway.get("text") or f"the planner {planner} is unreachable"), "")
 
 
-def told_status(client: CliClient, types: Types) -> dict[str, Any]:
+def published_status(client: CliClient, types: Types) -> dict[str, Any]:
     """Return the newest ``NavigationStatus``; raises `CliError` if none is published."""
     check_daemon(client)
-    status = latest_message(client, types, STATUS_TOPIC, STATUS, PATIENCE)
-    if status is None:
-        raise CliError(f"nothing is published on {STATUS_TOPIC}: {no_answer(client)}")
-    return status
+    try:
+        return Navigation(client, types).status()
+    except ClientError as err:
+        raise CliError(f"{err}: {no_answer(client)}") from None
 
 
-def gateway_caller(client: CliClient, types: Types, name: str) -> ServiceCaller:
+def gateway_caller(client: CliClient, types: Types, verb: str) -> ServiceCaller:
     """Return a client of one of the gateway's services; raises `CliError` without a gateway."""
     check_daemon(client)
     try:
-        return ServiceCaller(client, types, name)
-    except CliError as err:
+        return Navigation(client, types).service(verb)
+    except ClientError as err:
         raise CliError(f"{err}\n{no_answer(client)}") from None
-
-
-def place_of(stamped: dict[str, Any]) -> tuple[str, float, float, float]:
-    """Return the frame, x and y (meters) and heading (degrees) of a ``PoseStamped``."""
-    from navigation.maps.grid import yaw_of
-
-    at, turn = stamped["pose"]["position"], stamped["pose"]["orientation"]
-    return stamped["header"]["frame_id"], at["x"], at["y"], math.degrees(yaw_of(turn))
-
-
-def place_text(stamped: dict[str, Any], *, heading: bool = True) -> str:
-    """Return a ``PoseStamped`` as text, with or without its heading."""
-    frame, x, y, theta = place_of(stamped)
-    return f"{x:.2f}, {y:.2f} m" + (f", {theta:.0f} degrees" if heading else "") + f" in {frame}"
-
-
-def state_text(status: dict[str, Any]) -> str:
-    """Return a ``NavigationStatus`` as text: the state and the reason."""
-    state, reason = str(status["state"]).replace("_", " "), str(status["reason"])
-    text = reason_text(reason, int(status.get("error_code", 0)))
-    return f"{state}: {text}" if text else state

@@ -12,26 +12,20 @@ from collections import deque
 from typing import Any
 
 from bridge.cli.arguments import add_hub_arguments
-from bridge.cli.client import CliClient, open_client
-from bridge.cli.graph.goal import STATES, SUCCEEDED, FollowedGoal, Interrupt
-from bridge.cli.messages import Types
-from bridge.cli.navigation.gateway import (
-    STATUS,
-    STATUS_TOPIC,
-    LatestMessage,
-    check_daemon,
-    gateway_caller,
-    no_answer,
-    place_text,
-    state_text,
-)
-from bridge.cli.output import CliError, clean, print_json
-from navigation.constraints import Constraints
+from bridge.cli.client import open_client
+from bridge.cli.graph.goal import FollowedGoal, Interrupt
+from bridge.cli.navigation.gateway import check_daemon, gateway_caller, no_answer
+from bridge.cli.output import CliError, print_json
+from bridge.client.errors import ClientError
+from bridge.client.feed import LatestMessage
+from bridge.client.goals import STATES, SUCCEEDED
+from bridge.client.navigation import STATUS, STATUS_TOPIC, place_goal, place_text, pose_goal, state_text
+from bridge.client.types import Types
+from bridge.config.sections.navigation import ACTION
+from bridge.text import clean
 from navigation.nav2_errors import reason_text
 
-ACTION = "/navigate_to_pose"
 _PERIOD, _PERIOD_SCREEN = 5.0, 0.5
-_ASK_SECONDS = 10.0
 _MOST_NEWS = 100
 _TERMINATED = (129, 143)
 """Exit codes for SIGHUP and SIGTERM."""
@@ -61,10 +55,13 @@ def run(args: argparse.Namespace) -> int:
     with open_client(args) as client, Interrupt() as interrupt:
         check_daemon(client)
         types = Types(client)
-        goal = _of_place(client, types, args.where[0]) if numbers is None else _of_pose(client, numbers, args.frame)
+        if numbers is None:
+            goal = place_goal(gateway_caller(client, types, "get_location"), args.where[0])
+        else:
+            goal = pose_goal(args.frame or client.config.navigation.frame, numbers)
         try:
             sent = FollowedGoal(client, ACTION, "", interrupt)
-        except CliError as err:
+        except ClientError as err:
             raise CliError(f"{err}\n{no_answer(client)}") from None
         progress = GoalProgress(sent.id, as_json=args.json)
         status = LatestMessage(client, types, STATUS_TOPIC, STATUS, progress.update)
@@ -85,24 +82,6 @@ def _numbers(words: list[str]) -> list[float] | None:
     if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
         raise CliError(f"give a place's name (quoted if it has blanks) or X Y [DEGREES], not {' '.join(words)!r}")
     return numbers
-
-
-def _of_place(client: CliClient, types: Types, name: str) -> dict[str, Any]:
-    reply = gateway_caller(client, types, "/navigation/get_location").ask({"name": name}, _ASK_SECONDS)
-    if not reply["success"]:
-        raise CliError(clean(reply["message"]))
-    return {"pose": reply["pose"]}
-
-
-def _of_pose(client: CliClient, numbers: list[float], frame: str) -> dict[str, Any]:
-    x, y, theta = (*numbers, 0.0)[:3]
-    turn = {"z": math.sin(math.radians(theta) / 2.0), "w": math.cos(math.radians(theta) / 2.0)}
-    pose = {
-        "header": {"frame_id": frame or client.config.navigation.frame},
-        "pose": {"position": {"x": x, "y": y}, "orientation": turn},
-    }
-    anyhow = {} if len(numbers) == 3 else {"behavior_tree": Constraints(heading=False).to_text()}
-    return {"pose": pose, **anyhow}
 
 
 class GoalProgress:
@@ -164,17 +143,17 @@ def _drive(sent: FollowedGoal, goal: dict[str, Any], progress: GoalProgress, tim
         anyhow = ", in any heading" if "behavior_tree" in goal else ""
         print(f"to {clean(place_text(goal['pose'], heading=not anyhow))}{anyhow}", flush=True)
     try:
-        end = sent.run(goal, timeout, progress.feedback, progress.refresh, progress.end)
-    except CliError:
+        end, signaled = sent.run(goal, timeout, progress.feedback, progress.refresh, progress.end)
+    except ClientError:
         progress.end()
         raise
     state, code = STATES.get(end.status, "unknown"), int(end.result.get("error_code", 0))
     reason = reason_text(str(end.result.get("error_msg", "")), code)
-    if end.code in _TERMINATED:  # `FollowedGoal` has reported the end
+    if signaled in _TERMINATED:  # `FollowedGoal` has reported the end
         with contextlib.suppress(OSError):  # the terminal may be closed
             if progress.as_json:
                 print_json({"status": state, "reason": reason, "code": code}, lines=True)
-        return end.code
+        return signaled
     progress.refresh()
     progress.end()
     if progress.as_json:
@@ -183,4 +162,4 @@ def _drive(sent: FollowedGoal, goal: dict[str, Any], progress: GoalProgress, tim
         print("arrived")
     else:
         print(f"midspan: {state}" + (f": {clean(reason)}" if reason else ""), file=sys.stderr)
-    return end.code or (0 if end.status == SUCCEEDED else 1)
+    return signaled or (0 if end.status == SUCCEEDED else 1)

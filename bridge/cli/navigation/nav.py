@@ -10,24 +10,16 @@ from typing import Any
 from bridge.cli.arguments import add_verb, add_verbs
 from bridge.cli.client import CliClient, open_client
 from bridge.cli.maps.show import add_drawing_arguments, draw
-from bridge.cli.messages import Types
-from bridge.cli.navigation.gateway import (
-    gateway_caller,
-    gateway_status,
-    latest_message,
-    place_of,
-    place_text,
-    planner_away,
-    state_text,
-    told_status,
-)
-from bridge.cli.output import CliError, clean, plural, print_json
-from bridge.config.sections.navigation import ACTION, OURS
+from bridge.cli.navigation.gateway import gateway_caller, gateway_status, planner_away, published_status
+from bridge.cli.output import CliError, print_json
+from bridge.client.errors import ClientError
+from bridge.client.halt import GoalCancellation, ZeroVelocities, actions
+from bridge.client.navigation import ANSWER_SECONDS, Navigation, place_of, place_text, state_text
+from bridge.client.types import Types
+from bridge.config.sections.navigation import ACTION
+from bridge.text import clean, plural
 
-PATH = "nav_msgs/msg/Path"
-_ASK_SECONDS = 10.0
 _ZERO_SECONDS, _PERIOD = 1.0, 0.05
-_PATH_SECONDS = 1.0
 _DONE = {"stop": "stopped: no goal is under way", "pause": "paused", "resume": "resumed"}
 
 
@@ -62,15 +54,15 @@ def run(args: argparse.Namespace) -> int:
         if args.nav_verb == "path":
             return _path(client, types, args)
         if args.nav_verb == "show":
-            status, path = told_status(client, types), waypoints(client, types)
+            status, path = published_status(client, types), _waypoints(client, types)
             return _draw(client, status, path, args)
         return _ask(client, types, args.nav_verb)
 
 
 def _ask(client: CliClient, types: Types, verb: str) -> int:
     try:
-        reply = gateway_caller(client, types, f"/navigation/{verb}").ask({}, _ASK_SECONDS)
-    except CliError as err:
+        reply = gateway_caller(client, types, verb).ask({}, ANSWER_SECONDS)
+    except ClientError as err:
         if verb != "stop":
             raise
         return _stop_itself(client, types, str(err))
@@ -82,8 +74,6 @@ def _ask(client: CliClient, types: Types, verb: str) -> int:
 
 def _stop_itself(client: CliClient, types: Types, why: str) -> int:
     """Stop the base and cancel the planner's goals without the gateway; raises `CliError` if that is impossible."""
-    from bridge.cli.navigation.halt import GoalCancellation, ZeroVelocities, actions  # which loads message types
-
     planner = client.config.navigation.planner
     action = client.config.navigation.at(planner)
     if not planner:
@@ -104,7 +94,7 @@ def _stop_itself(client: CliClient, types: Types, why: str) -> int:
 
 
 def _status(client: CliClient, types: Types, args: argparse.Namespace) -> int:
-    status, gateway = told_status(client, types), gateway_status(client)
+    status, gateway = published_status(client, types), gateway_status(client)
     away = planner_away(client, gateway)
     goal = status["goal"] if status["goal"]["header"]["frame_id"] else None
     if args.json:
@@ -145,7 +135,7 @@ def _status(client: CliClient, types: Types, args: argparse.Namespace) -> int:
 
 
 def _path(client: CliClient, types: Types, args: argparse.Namespace) -> int:
-    path = waypoints(client, types)
+    path = _waypoints(client, types)
     rows = [dict(zip(("frame", "x", "y", "theta_deg"), place_of(pose), strict=True)) for pose in path]
     if args.json:
         print_json(rows)
@@ -157,37 +147,27 @@ def _path(client: CliClient, types: Types, args: argparse.Namespace) -> int:
     return 0
 
 
-def waypoints(client: CliClient, types: Types) -> list[dict[str, Any]]:
-    """Return the chosen planner's path as ``PoseStamped``, empty if it publishes none; raises `CliError`."""
-    planner = str(gateway_status(client).get("planner", ""))
-    other = client.config.navigation.others.get(planner)
-    topic = other.path if other is not None and other.path else f"/planner/{planner}/path"
-    client.settle()
-    if planner not in OURS and not client.hub.graph.publishers(topic):
-        return []
-    message = latest_message(client, types, topic, PATH, _PATH_SECONDS)
-    return [] if message is None else list(message["poses"])
+def _waypoints(client: CliClient, types: Types) -> list[dict[str, Any]]:
+    """Return the path of the planner in use as ``PoseStamped``; raises `CliError` without a gateway."""
+    return Navigation(client, types).path(str(gateway_status(client).get("planner", "")))
 
 
 def _draw(client: CliClient, told: dict[str, Any], way: list[dict[str, Any]], args: argparse.Namespace) -> int:
     """Draw the map, given the newest ``NavigationStatus`` and the path as ``PoseStamped``."""
     # the other verbs of the navigation need no maps
     from bridge.cli.maps.location import robot_pose
-    from bridge.cli.maps.store import named_map
-    from bridge.stores.client import StoreClient
-    from bridge.stores.wire import prefix
+    from bridge.cli.maps.store import named_map, store_of
     from yarp_compat.dev.locations import Map2DLocation
 
     navigation = client.config.navigation
-    stored = StoreClient(client.hub.keyspace(prefix(client.config.hub.domain)), client.config.name)
-    grid = named_map(stored, None)
+    grid = named_map(store_of(client), None)
     places: dict[str, Map2DLocation] = {}
     frame, x, y, theta = place_of(told["goal"])
     if frame in (navigation.frame, grid.name):
         places["goal"] = Map2DLocation(grid.name, round(x, 2), round(y, 2), round(theta))
     try:
         x, y, theta = robot_pose(client, navigation.frame, navigation.base_frame)
-    except CliError as err:
+    except ClientError as err:
         print(f"# {err}", file=sys.stderr)
     else:
         places["robot"] = Map2DLocation(grid.name, round(x, 2), round(y, 2), round(theta))

@@ -9,15 +9,13 @@ from typing import Any, NamedTuple
 
 from bridge.cli.arguments import add_hub_arguments
 from bridge.cli.client import open_client
-from bridge.cli.graph.view import absolute
 from bridge.cli.inspection.refusals import warn_of_refusals
 from bridge.cli.keyboard import AVAILABLE, pressed, raw
-from bridge.cli.messages import Types
 from bridge.cli.output import CliError
-from bridge.hub.endpoints.publisher import HubPublisher
+from bridge.client.graph import absolute
+from bridge.client.publishing import Publisher
+from bridge.client.types import Types
 from bridge.hub.wire.qos import Qos
-from bridge.messages.json import from_json
-from bridge.messages.registry import Registry
 
 TWIST = "geometry_msgs/msg/Twist"
 
@@ -104,25 +102,23 @@ def run(args: argparse.Namespace) -> int:
         raise CliError("teleop reads keys from a terminal of POSIX only; 'midspan topic pub' publishes from scripts")
     topic = absolute(args.topic)
     with open_client(args) as client:
-        types = Types(client)
-        type_hash = types.hash_of(TWIST)
-        publisher = client.hub.publisher(topic, TWIST, type_hash, Qos(depth=1), priority="command")
-        warn_of_refusals(client, [(topic, TWIST, type_hash)])
+        publisher = Publisher(client, Types(client), topic, TWIST, Qos(depth=1), "command")
+        warn_of_refusals(client, [publisher.kind])
         print(f"{HELP}\n{topic}:", flush=True)
         keys = Keys(args.speed, args.turn)
         try:
             with raw(sys.stdin.fileno()) as terminal:
-                _drive(keys, terminal, publisher, types.registry)
+                _drive(keys, terminal, publisher)
         except KeyboardInterrupt:
             pass
         finally:
-            publisher.put(from_json(types.registry, TWIST, {}))
+            publisher.publish({})
             publisher.close()
             print()
     return 0
 
 
-def _drive(keys: Keys, terminal: int, publisher: HubPublisher, registry: Registry) -> None:
+def _drive(keys: Keys, terminal: int, publisher: Publisher) -> None:
     due = time.monotonic()
     idle = False
     while not keys.ended:
@@ -134,7 +130,7 @@ def _drive(keys: Keys, terminal: int, publisher: HubPublisher, registry: Registr
         twist = keys.twist(time.monotonic())
         moving = any(value for part in twist.values() for value in part.values())
         if moving or not idle:  # one zero, then silence: whoever else drives is not overruled
-            publisher.put(from_json(registry, TWIST, twist))
+            publisher.publish(twist)
         idle = not moving
         _show(keys, twist)
 

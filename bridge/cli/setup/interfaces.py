@@ -7,12 +7,13 @@ import sys
 from pathlib import Path
 
 from bridge.cli.arguments import add_verb, add_verbs
-from bridge.cli.output import CliError, make_console, print_json
+from bridge.cli.output import CliError, print_json
 from bridge.interfaces.builder import build, build_bundled
 from bridge.interfaces.cache import BuildCache, default_cache, environment, link_into_venv, members
 from bridge.interfaces.definition import BuildError
 from bridge.interfaces.folders import bundled_packages, read_folders
 from bridge.interfaces.ros2 import Ros2
+from bridge.text import make_console
 
 
 def register(parser: argparse.ArgumentParser) -> None:

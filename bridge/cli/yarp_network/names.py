@@ -8,7 +8,8 @@ import sys
 from typing import Any
 
 from bridge.cli.arguments import add_verb
-from bridge.cli.output import CliError, clean, near, print_json
+from bridge.cli.output import CliError, print_json
+from bridge.text import clean, near
 from yarp_compat.naming import config, connections
 from yarp_compat.naming.client import TIMEOUT, NameClient
 from yarp_compat.naming.config import Address

@@ -13,8 +13,9 @@ from functools import partial
 from typing import Any
 
 from bridge.cli.arguments import add_verb
-from bridge.cli.output import CliError, clean, json_line
+from bridge.cli.output import CliError, json_line
 from bridge.cli.yarp_network.names import add_server_arguments, client
+from bridge.text import clean
 from yarp_compat.naming import connections
 from yarp_compat.ports import text_client
 from yarp_compat.ports.message import PortMessage

@@ -13,12 +13,14 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from bridge.cli.client import CliClient, connect
-from bridge.cli.documents import Document, route_list, routes_table
-from bridge.cli.inspection.status import ask_status
-from bridge.cli.output import CliError, clean, make_console
+from bridge.client.errors import ClientError
+from bridge.client.graph import ask_decisions
+from bridge.client.session import Client, connect
+from bridge.client.status import Document, ask_status, route_list
 from bridge.demo.sandbox import Sandbox
 from bridge.demo.topics_demo.checks import CrossingCheck
+from bridge.display.documents import routes_table
+from bridge.text import clean, make_console
 
 _LIVE_EVERY, _PLAIN_EVERY = 0.5, 2.0
 """Seconds between two queries of the workers."""
@@ -32,7 +34,7 @@ class TopicsView:
         self._console = make_console()
         self._live: Live | None = None
         self._stack = contextlib.ExitStack()
-        self._client: CliClient | None = None
+        self._client: Client | None = None
         self._documents: Sequence[Document] = ()
         self._refreshed = self._began = time.monotonic()
         self._doing = ""
@@ -77,7 +79,7 @@ class TopicsView:
             if self._client is None:
                 self._client = self._stack.enter_context(connect(self._sandbox.config, 0.2))
             self._documents = ask_status(self._client)
-        except CliError:
+        except ClientError:
             return  # still starting, or just ended: the demo itself watches its processes
 
     def explain_failures(self, checks: Sequence[CrossingCheck]) -> None:
@@ -120,14 +122,13 @@ class TopicsView:
         return f"{time.monotonic() - self._began:5.1f} s"
 
 
-def _reasons(client: CliClient, topic: str) -> list[str]:
+def _reasons(client: Client, topic: str) -> list[str]:
     """Return each worker's reason for not bridging a topic as expected."""
     lines = []
-    for answer in client.ask("explain", {"topic": topic}):
-        for entry in answer.value if isinstance(answer.value, list) else ():
-            if isinstance(entry, dict) and entry.get("decision") not in ("bridged", "own"):
-                parts = (entry.get("direction"), entry.get("decision"), entry.get("why"), entry.get("cure"))
-                lines.append(f"{answer.worker}: " + ", ".join(clean(part) for part in parts if part))
+    for decision in ask_decisions(client, topic, kind=None):
+        if decision.decision not in ("bridged", "own"):
+            parts = (decision.direction, decision.decision, decision.why, decision.cure)
+            lines.append(f"{decision.worker}: " + ", ".join(clean(part) for part in parts if part))
     return lines
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from bridge.cli.messages import Types, ros2_spelling
+from bridge.client.types import Types, ros2_spelling
 from bridge.messages.definitions.schema import Constant, Definition, Field, Schema
 
 KINDS = ("topic", "service")
 
 
 def definition(types: Types, type_name: str, kind: str = "topic") -> dict[str, Any]:
-    """Return the value of the verb ``definition``; see the protocol. Raises `CliError` if the type is unknown."""
+    """Return the value of the verb ``definition``; see the protocol. Raises `ClientError` if the type is unknown."""
     if kind == "service":
         name = ros2_spelling(type_name, "srv")
         types.prepare_service(name, "")

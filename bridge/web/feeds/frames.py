@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from bridge.cli.frames.tf import angles_of
 from bridge.config.model import Config
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
 from bridge.tf.errors import TransformError
+from bridge.tf.transform import angles_of
 from bridge.web.feeds.feed import Feed
 from navigation.frames import FramesError, RobotFrames
 

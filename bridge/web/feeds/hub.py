@@ -8,14 +8,13 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from bridge.cli.client import CliClient
-from bridge.cli.documents import Document, dicts, route_list
-from bridge.cli.graph.view import decisions_in
-from bridge.cli.inspection.namesakes import daemon_names, distinct
-from bridge.cli.inspection.status import absent, document_of
-from bridge.cli.output import CliError
+from bridge.client.errors import ClientError
+from bridge.client.graph import decisions_in
+from bridge.client.session import Client
+from bridge.client.status import Document, answered, daemon_names, dicts, route_list
 from bridge.concurrency import SerialExecutor
 from bridge.daemon.query import Phase, ask_daemon
+from bridge.doctor.daemon_state import absent
 from bridge.hub.errors import HubError
 from bridge.hub.graph.tokens import TAPS
 from bridge.modules.host import Host
@@ -60,7 +59,7 @@ class PolledFeed(Feed):
     def _run(self) -> None:
         try:
             value, reason = self._ask(), ""
-        except (HubError, CliError) as err:
+        except (HubError, ClientError) as err:
             value, reason = None, str(err)
         except Exception as err:  # the feed continues: the next query may succeed
             _log.exception("cannot query the feed %s", self.name)
@@ -75,7 +74,7 @@ class PolledFeed(Feed):
 class StatusPoller:
     """Makes the value of ``status``; one thread calls it periodically."""
 
-    def __init__(self, client: CliClient) -> None:
+    def __init__(self, client: Client) -> None:
         self._client = client
         self._bytes: dict[tuple[Any, ...], int] = {}
         self._at = 0.0
@@ -94,10 +93,9 @@ class StatusPoller:
         return status
 
 
-def ask_status(client: CliClient) -> dict[str, Any]:
+def ask_status(client: Client) -> dict[str, Any]:
     """Return the workers on the hub with their routes, and those that this daemon reports as not answering yet."""
-    answers = client.ask("status", timeout=_ASK_SECONDS)
-    documents = [document_of(answer) for answer in distinct(client, answers)]
+    documents = answered(client, _ASK_SECONDS)
     answering = {(str(document["daemon"]), str(document["worker"])) for document in documents}
     daemon = ask_daemon(client.config) or {}
     silent = [worker for worker in absent(daemon, _NOT_HERE) if (daemon["daemon"], worker["worker"]) not in answering]
@@ -150,7 +148,7 @@ def _refused(document: Document, refusal: Document) -> dict[str, Any]:
     return {"side": document.get("side"), **{key: refusal.get(key) for key in ("topic", "type", "reason", "cure")}}
 
 
-def list_topics(client: CliClient) -> list[dict[str, Any]]:
+def list_topics(client: Client) -> list[dict[str, Any]]:
     """Return the value of ``topics``: the topics on the hub."""
     topics: dict[tuple[str, str], dict[str, Any]] = {}
     graph = client.hub.graph
@@ -162,7 +160,7 @@ def list_topics(client: CliClient) -> list[dict[str, Any]]:
     return [topics[key] for key in sorted(topics)]
 
 
-def explain(client: CliClient, name: str) -> list[dict[str, Any]]:
+def explain(client: Client, name: str) -> list[dict[str, Any]]:
     """Return why a topic, a service or an action is bridged or not."""
     names = daemon_names(client, client.ask("status", worker="router", timeout=_ASK_SECONDS))
     decisions = decisions_in(names.apply(client.ask("explain", {"topic": name})))

@@ -8,7 +8,7 @@ from typing import Any
 
 from PIL import Image
 
-from bridge.cli.messages import Types
+from bridge.client.types import Types
 from bridge.concurrency import SerialExecutor
 from bridge.messages.errors import ConversionError
 from bridge.messages.values import MessageReader

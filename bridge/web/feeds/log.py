@@ -6,7 +6,7 @@ import threading
 from collections import deque
 from typing import Any
 
-from bridge.cli.output import CliError
+from bridge.client.errors import ClientError
 from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
 from bridge.daemon.log_query import ask_log
@@ -32,11 +32,11 @@ class LogFollower:
         self._last = 0
 
     def ask(self) -> dict[str, Any]:
-        """Read all new lines, and return the value of ``log``. Raises `CliError` if no daemon answers."""
+        """Read all new lines, and return the value of ``log``. Raises `ClientError` if no daemon answers."""
         for _ in range(_ROUNDS):
             reply = ask_log(self._config, self._last)
             if reply is None:
-                raise CliError("the daemon does not respond; without it there is no log")
+                raise ClientError("the daemon does not respond; without it there is no log")
             self._append(reply)
             if self._last >= reply["last"]:
                 break

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bridge.cli.navigation.gateway import STATUS_TOPIC
+from bridge.client.navigation import STATUS_TOPIC
 from bridge.config.model import Config
 from bridge.hub.wire.qos import LATCHED, Qos, Reliability
 from bridge.messages.actions import names, types

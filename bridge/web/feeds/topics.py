@@ -7,14 +7,15 @@ from abc import abstractmethod
 from functools import partial
 from typing import Any
 
-from bridge.cli.messages import Types
-from bridge.cli.output import CliError
+from bridge.client.errors import ClientError
+from bridge.client.topics import SubscribedTopic, TopicKey
+from bridge.client.types import Types
 from bridge.concurrency import SerialExecutor
-from bridge.hub.endpoints.subscription import HubSample, HubSubscription
+from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.errors import HubError
+from bridge.hub.graph import HubEndpoint
 from bridge.messages.errors import ConversionError
 from bridge.modules.host import Host
-from bridge.routing.limits import combined_qos
 from bridge.web.feeds.feed import Feed
 
 TOPIC_SECONDS = 0.2
@@ -37,7 +38,7 @@ class NewestFeed(Feed):
         super().__init__(name)
         self._host, self._executor = host, executor
         self._topic, _, self._type = topic.partition("@")
-        self._ends: dict[tuple[str, str], HubSubscription] = {}
+        self._ends: dict[TopicKey, SubscribedTopic] = {}
         self._newest: tuple[HubSample, str, str] | None = None
         self._count, self._since = 0, 0.0
         self._rate: float | None = None
@@ -65,22 +66,22 @@ class NewestFeed(Feed):
             end.close()
 
     def _subscribe(self) -> None:
-        groups: dict[tuple[str, str], list[Any]] = {}
+        groups: dict[TopicKey, list[HubEndpoint]] = {}
         for endpoint in self._host.node.hub.graph.publishers(self._topic):
             if self._type in ("", endpoint.type_name):
-                groups.setdefault((endpoint.type_name, endpoint.type_hash), []).append(endpoint)
-        types = sorted({type_name for type_name, _ in groups})
+                key = TopicKey(self._topic, endpoint.type_name, endpoint.type_hash)
+                groups.setdefault(key, []).append(endpoint)
+        types = sorted({key.type_name for key in groups})
         if len(types) > 1:
             self._unsubscribe()
             several = f"{self._topic} is published with several types: {', '.join(types)}"
             self.put(None, f"{several}; watch {self.name}@TYPE to choose one")
             return
-        for (type_name, type_hash), endpoints in groups.items():
-            if (type_name, type_hash) not in self._ends:
-                qos = combined_qos([endpoint.qos for endpoint in endpoints])
-                on_sample = partial(self._on_sample, type_name, type_hash)
-                hub = self._host.node.hub
-                self._ends[type_name, type_hash] = hub.subscription(self._topic, type_name, type_hash, qos, on_sample)
+        for key, endpoints in groups.items():
+            if key not in self._ends:
+                on_sample = partial(self._on_sample, key.type_name, key.type_hash)
+                self._ends[key] = SubscribedTopic(self._host.node.hub, key, on_sample)
+            self._ends[key].renew(endpoints)
         if not self._ends:
             wanted = f"{self._topic} as {self._type}" if self._type else self._topic
             self.put(None, f"no publisher of {wanted} on the hub")
@@ -111,7 +112,7 @@ class NewestFeed(Feed):
         else:
             try:
                 value = self.value(type_name, type_hash, sample.data())
-            except (CliError, ConversionError, HubError) as err:
+            except (ClientError, ConversionError, HubError) as err:
                 reason = str(err)
             except Exception as err:  # no message content may stop the feeds
                 reason = f"the message cannot be shown: {type(err).__name__}: {err}"
@@ -124,7 +125,7 @@ class NewestFeed(Feed):
 
     @abstractmethod
     def value(self, type_name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:
-        """Convert a message for pages. May block; raises `CliError` or `ConversionError` if that is impossible."""
+        """Convert a message for pages. May block; raises `ClientError` or `ConversionError` if that is impossible."""
 
 
 class MessageFeed(NewestFeed):

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from bridge.cli.client import CliClient
+from bridge.client.session import Client
 from bridge.config.document import ConfigError, text_of
 from bridge.web.feeds.log import LogFollower, log_verb
 from bridge.web.verbs.config_text import Secrets, config_file, secrets_of, show_config
@@ -18,7 +18,7 @@ from bridge.web.verbs.verbs import PageVerb, VerbError
 class Doctor:
     """Runs the checks of ``midspan doctor``, one run at a time. Blocks: not for the module's thread."""
 
-    def __init__(self, client: CliClient) -> None:
+    def __init__(self, client: Client) -> None:
         self._client = client
         self._lock = threading.Lock()
 
@@ -32,9 +32,12 @@ class Doctor:
             self._lock.release()
 
     def _examine(self) -> list[dict[str, str]]:
-        from bridge.cli.inspection.doctor import as_json, look_from  # a console that never asks needs none of it
-        from bridge.doctor.check import examine
+        from bridge.doctor.check import (
+            as_json,  # a console that never asks needs none of it
+            examine,
+        )
         from bridge.doctor.checks import CHECKS
+        from bridge.doctor.examination import look_from  # a console that never asks needs none of it
 
         file = config_file(self._client.config)
         secrets = Secrets()
@@ -44,7 +47,7 @@ class Doctor:
         return [{key: secrets.hide(text) for key, text in entry.items()} for entry in as_json(reports)]
 
 
-def inspection_verbs(client: CliClient, log: LogFollower) -> dict[str, PageVerb]:
+def inspection_verbs(client: Client, log: LogFollower) -> dict[str, PageVerb]:
     """Return the verbs by name."""
 
     def config() -> dict[str, Any]:

@@ -10,10 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from bridge.client.actions import ActionClient, SentGoal
+from bridge.client.services import ServiceClient
 from bridge.config.sections.navigation import ACTION
 from bridge.hub.endpoints.calls import CallError
 from bridge.messages.actions import GoalState
-from bridge.modules.clients import ActionClient, ModuleClient, SentGoal
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
 from bridge.web.feeds.feed import Feed
@@ -72,7 +73,7 @@ class Patrol:
     def __init__(self, host: Host, driving: DrivingFeed) -> None:
         self._host, self._driving = host, driving
         self.feed = PatrolFeed()
-        self._locate: ModuleClient | None = None
+        self._locate: ServiceClient | None = None
         self._goals: ActionClient | None = None
         self._places: Sequence[str] = ()
         self._wait = USUAL

@@ -9,17 +9,16 @@ from collections import OrderedDict
 from functools import partial
 from typing import Any
 
-from bridge.cli.client import CliClient
-from bridge.cli.graph.caller import ServiceCaller
-from bridge.cli.messages import Types, ros2_spelling
+from bridge.client.publishing import await_subscribers, encode
+from bridge.client.services import ServiceCaller
+from bridge.client.session import Client
+from bridge.client.types import Types, ros2_spelling
 from bridge.config.model import Config
 from bridge.config.sections.section import ROS2_NAME
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.graph.tokens import TAPS, EndpointKind
 from bridge.hub.wire.qos import Qos
 from bridge.messages.actions import split
-from bridge.messages.errors import ConversionError, MessageTypeError
-from bridge.messages.json import from_json
 from bridge.modules.host import Host
 from bridge.routing.limits import COMMAND_TYPES, RateLimit
 from bridge.routing.rules import RuleSet
@@ -36,16 +35,14 @@ KEEP_SECONDS = 60.0
 """How long a topic's publisher stays, so that the next message need not wait for discovery."""
 
 _MOST_PUBLISHERS = 8
-_MATCH_SECONDS = 2.0
 _SETTLE_SECONDS = 1.0
-_POLL_SECONDS = 0.02
 _END_SECONDS = 0.5
 
 
 class Sending:
     """Publishes messages and calls services. All methods except `close` block: not for the module's thread."""
 
-    def __init__(self, host: Host, config: Config, client: CliClient, types: Types) -> None:
+    def __init__(self, host: Host, config: Config, client: Client, types: Types) -> None:
         self._host, self._client, self._types = host, client, types
         section = config.navigation
         self._velocities = {section.velocity, *(planner.velocity for planner in section.others.values())} - {""}
@@ -55,16 +52,13 @@ class Sending:
         self._publishers: OrderedDict[tuple[str, str], tuple[HubPublisher, float]] = OrderedDict()
 
     def publish(self, topic: str, type: str, message: dict[str, Any]) -> str:  # noqa: A002 - the protocol's name
-        """Publish one message; raises `VerbError` or `CliError` with the reason if it cannot."""
+        """Publish one message; raises `VerbError` or `ClientError` with the reason if it cannot."""
         name = self._types.name(type)
         reason = self._refusal(topic, name)
         if reason:
             raise VerbError(reason)
         type_hash = self._types.hash_of(name)
-        try:
-            cdr = from_json(self._types.registry, name, message)
-        except (ConversionError, MessageTypeError) as err:
-            raise VerbError(f"{name}: {err}") from None
+        cdr = encode(self._types, name, message)
         with self._lock:
             if not self._limit.passes():
                 raise VerbError(f"the limit is {MOST_RATE:g} messages per second from all pages; press again")
@@ -91,20 +85,12 @@ class Sending:
             publisher, _ = self._publishers.pop(key)
         else:
             publisher = self._client.hub.publisher(topic, name, type_hash, Qos(depth=1))
-            self._await_listeners(publisher)
+            await_subscribers(publisher, _SETTLE_SECONDS)
         self._publishers[key] = publisher, now
         while len(self._publishers) > _MOST_PUBLISHERS:
             self._publishers.popitem(last=False)[1][0].close()
         self._host.loop.post(partial(self._host.loop.after, KEEP_SECONDS + 1.0, self._tidy))
         return publisher
-
-    def _await_listeners(self, publisher: HubPublisher) -> None:
-        end = time.monotonic() + _MATCH_SECONDS
-        while not publisher.matched() and time.monotonic() < end:
-            time.sleep(_POLL_SECONDS)
-        if publisher.matched():
-            # the workers subscribe; subscribers on their sides still have to connect to the workers' publishers
-            time.sleep(_SETTLE_SECONDS)
 
     def _tidy(self) -> None:
         if not self._lock.acquire(blocking=False):
@@ -117,7 +103,7 @@ class Sending:
             self._lock.release()
 
     def call(self, name: str, type: str, request: dict[str, Any]) -> dict[str, Any]:  # noqa: A002
-        """Call a service once, and return its reply. Raises `VerbError` or `CliError`."""
+        """Call a service once, and return its reply. Raises `VerbError` or `ClientError`."""
         if not ROS2_NAME.fullmatch(name) or split(name)[1]:
             raise VerbError(f"{name[:80]!r} is not a service name")
         with contextlib.closing(ServiceCaller(self._client, self._types, name, ros2_spelling(type, "srv"))) as caller:
@@ -132,7 +118,7 @@ class Sending:
             self._lock.release()
 
 
-def list_services(client: CliClient) -> list[dict[str, Any]]:
+def list_services(client: Client) -> list[dict[str, Any]]:
     """Return the value of ``services``: services with a server or client on the hub, except those of actions."""
     services: dict[tuple[str, str], dict[str, Any]] = {}
     ends = {EndpointKind.SERVER: "servers", EndpointKind.CLIENT: "clients"}

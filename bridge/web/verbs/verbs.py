@@ -12,17 +12,18 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from bridge.cli.client import CliClient
-from bridge.cli.messages import Types
-from bridge.cli.navigation.halt import halt
-from bridge.cli.output import CliError
+from bridge.client.actions import ActionClient, SentGoal
+from bridge.client.errors import ClientError
+from bridge.client.halt import halt
+from bridge.client.services import ServiceClient
+from bridge.client.session import Client
+from bridge.client.types import Types
 from bridge.concurrency import WorkerPool
 from bridge.config.model import Config
 from bridge.config.sections.navigation import ACTION
 from bridge.hub.endpoints.calls import CallError
 from bridge.hub.errors import HubError
 from bridge.hub.wire.qos import Qos
-from bridge.modules.clients import ActionClient, ModuleClient, SentGoal
 from bridge.modules.endpoints import ModulePublisher
 from bridge.modules.host import Host
 from bridge.stores.client import StoreClient
@@ -116,7 +117,7 @@ class Verbs:
         self,
         host: Host,
         config: Config,
-        client: CliClient,
+        client: Client,
         types: Types,
         store: Callable[[], StoreClient],
         *,
@@ -130,7 +131,7 @@ class Verbs:
         self._pool = WorkerPool(THREADS, "midspan-web-call")
         self._slow = WorkerPool(_SLOW_THREADS, "midspan-web-slow")
         self._lock = threading.Lock()
-        self._clients: dict[str, ModuleClient] = {}
+        self._clients: dict[str, ServiceClient] = {}
         self._goals: ActionClient | None = None
         self._starts: ModulePublisher | None = None
         xy, pose = dict.fromkeys(("x", "y"), number_of), dict.fromkeys(("x", "y", "theta"), number_of)
@@ -302,7 +303,7 @@ def _run(action: Callable[..., Any], args: dict[str, Any], latest: float) -> Any
         raise VerbError(f"not executed: other calls delayed it by more than {BEGIN_SECONDS:g} s; try again")
     try:
         return action(**args)
-    except (CliError, HubError, StoreError, TimeoutError) as err:
+    except (ClientError, HubError, StoreError, TimeoutError) as err:
         raise VerbError(str(err)) from None
 
 

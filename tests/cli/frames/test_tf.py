@@ -11,11 +11,12 @@ from typing import Any
 
 import pytest
 
-from bridge.cli.frames.feed import FrameMeter
-from bridge.cli.frames.tf import angles_of, way
+from bridge.cli.frames.tf import way
+from bridge.client.transforms import FrameMeter
 from bridge.messages.registry import Registry
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.stamped import Stamped, write
+from bridge.tf.transform import angles_of
 from tests.cli.conftest import Midspan, Outcome
 from tests.peers.daemon.workers import EngineWorker, FakeWorker
 from tests.peers.hub.network import HubNetwork
@@ -173,7 +174,7 @@ def test_errors_are_reported(
         bridged(robot, "/r4/tf")
         command = "list", "-v", "--namespace", "/r4", "--duration", "0.2"
         seen(midspan, *command, fits=lambda done: "map, odom" in done.out)
-    monkeypatch.setattr("bridge.cli.frames.feed.PATIENCE", 0.1)
+    monkeypatch.setattr("bridge.client.transforms.PATIENCE", 0.1)
     none = midspan("tf", "list", "--namespace", "r3")
     assert (none.code, none.out) == (1, "")
     assert "no transform came on /r3/tf or /r3/tf_static" in none.err

@@ -123,10 +123,11 @@ def test_a_call_prints_the_reply(midspan: Midspan, robot: Robot) -> None:
 def test_call_errors_are_reported(
     midspan: Midspan, robot: Robot, monkeypatch: pytest.MonkeyPatch, words: list[str], told: str
 ) -> None:
-    monkeypatch.setattr("bridge.cli.graph.caller.WAIT_SECONDS", 1.0)
+    monkeypatch.setattr("bridge.client.services.WAIT_SECONDS", 1.0)
     outcome = midspan("service", "call", *words)
     assert outcome.code == 1
     assert told in outcome.err
+    assert "--debug" not in outcome.err, "the error is for users"
 
 
 def test_goal_prints_feedback_and_result(midspan: Midspan, robot: Robot) -> None:

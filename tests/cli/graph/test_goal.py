@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from bridge.cli.graph.caller import ServiceCaller
+from bridge.client.services import ServiceCaller
 from bridge.hub.endpoints.calls import CallError
 from tests.cli.conftest import Midspan
 from tests.cli.graph.test_calls import Robot, robot  # noqa: F401
@@ -21,8 +21,8 @@ def test_failed_cancel_request_is_repeated(
     attempts, call = list[str](), ServiceCaller.call
 
     def fails(caller: ServiceCaller, values: dict[str, Any], done: Callable[[Any], None]) -> Callable[[], None]:
-        if caller.name.endswith("cancel_goal"):
-            attempts.append(caller.name)
+        if caller.topic.endswith("cancel_goal"):
+            attempts.append(caller.topic)
             if len(attempts) < 3:
                 done(CallError("the server left before it answered"))
                 return lambda: None

@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from bridge.cli.maps import drawing, location
-from bridge.cli.maps.drawing import AREA_COLOUR, draw
+from bridge.cli.maps import location
+from bridge.display import drawing
+from bridge.display.drawing import AREA_COLOUR, draw
 from bridge.messages.registry import Registry
 from bridge.stores.kinds import AREA, BEHAVIOUR, LINK, LOCATION, MAP, MAP3D, PATH
 from bridge.stores.store import Store

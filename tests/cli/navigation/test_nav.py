@@ -18,15 +18,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from bridge.cli.client import connect
-from bridge.cli.navigation.gateway import (
-    STATUS,
-    STATUS_TOPIC,
-    gateway_status,
-    no_answer,
-    state_text,
-)
+from bridge.cli.client import CliClient
+from bridge.cli.navigation.gateway import gateway_status, no_answer
 from bridge.cli.navigation.goto import GoalProgress
+from bridge.client.navigation import STATUS, STATUS_TOPIC, state_text
+from bridge.client.session import connect
 from bridge.config.model import Config
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.stores.kinds import AREA, LOCATION, MAP
@@ -353,7 +349,7 @@ def test_path_is_printed_and_drawn(rig: Rig, midspan: Midspan, tmp_path: Path) -
 def test_no_gateway(
     network: HubNetwork, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bridge.cli.graph.caller.WAIT_SECONDS", 0.2)
+    monkeypatch.setattr("bridge.client.services.WAIT_SECONDS", 0.2)
     file = tmp_path / "other.yaml"
     file.write_text(json.dumps({"name": "there", "hub": network.config()}))
     outcome = Midspan(file, capsys)("nav", "stop")
@@ -388,7 +384,7 @@ def test_daemon_status_separates_a_late_gateway_from_a_missing_one(
         worker |= {"phase": "running", "beat": 4.2}
     report = {"daemon": "robot1", "config": "a.yaml", "workers": [worker]} if phase else None
     monkeypatch.setattr("bridge.doctor.daemon_state.ask_daemon", lambda _config: report)
-    monkeypatch.setattr("bridge.cli.navigation.gateway.PATIENCE", 0.1)
+    monkeypatch.setattr("bridge.client.navigation.PATIENCE", 0.1)
     file = config_file(tmp_path, network, navigation={"planner": "robot_goto"}, state=str(tmp_path))
     outcome = Midspan(file, capsys)("nav", "status")
     assert (outcome.code, words in outcome.err) == (1, True), outcome
@@ -398,7 +394,8 @@ def test_daemon_status_separates_a_late_gateway_from_a_missing_one(
 
 def test_slow_gateway(network: HubNetwork, closing: list[Any]) -> None:
     late = threading.Event()
-    with connect(Config.model_validate({"hub": network.config()})) as client:
+    with connect(Config.model_validate({"hub": network.config()})) as session:
+        client = CliClient(session.hub, session.config, session.where)
         assert no_answer(client).startswith("no gateway is configured")
         worker = FakeWorker(network, "gateway", status=lambda _params: {"late": not late.wait(2.5)})
         closing.append(worker)

@@ -35,7 +35,8 @@ def _status() -> Subject:
     """Workers' status documents, as shown in a terminal."""
     from rich.console import Console
 
-    from bridge.cli.inspection.status import document_of, show
+    from bridge.cli.inspection.status import show
+    from bridge.client.status import document_of
     from bridge.hub.control import WorkerAnswer
 
     route = {

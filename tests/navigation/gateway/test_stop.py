@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
+from bridge.client import actions
 from bridge.config.sections.section import Section
 from bridge.hub.errors import HubError
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from bridge.messages.actions import STATUSES, GoalState, names
 from bridge.messages.values import MessageWriter
-from bridge.modules import clients
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
 from navigation.gateway import execution, goal_list, stop
@@ -53,7 +53,7 @@ def rig(running: Rig, odometry: Odometry) -> Iterator[Rig]:
     odometry.speed = 0.0
     running.planner.cancels = running.planner.cancel
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(clients, "CANCEL_ALL_SECONDS", 0.0)  # what this stop means is not the next test's planner
+        patched.setattr(actions, "CANCEL_ALL_SECONDS", 0.0)  # what this stop means is not the next test's planner
         running.fresh()
     running.planners.pop(PLANNER).close()
     until(lambda: not running.gateway.link.reachable, "the planner is unreachable", 20)

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from bridge.client.actions import SentGoal
 from bridge.clock import SYSTEM
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
-from bridge.modules.clients import SentGoal
 from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from navigation.messages import NAVIGATE

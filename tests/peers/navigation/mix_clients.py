@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from bridge.modules.clients import SentGoal
+from bridge.client.actions import SentGoal
 from tests.contract.hubside import HubSide
 from tests.peers.daemon.deployment import Deployment
 from tests.peers.navigation.gateway import ClientGoal, Program, pose

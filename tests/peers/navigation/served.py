@@ -8,11 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from bridge.client.actions import SentGoal
 from bridge.clock import SYSTEM
 from bridge.hub.session import Hub
 from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
-from bridge.modules.clients import SentGoal
 from bridge.modules.host import Host, ModuleNode
 from bridge.modules.loop import EventLoop
 from tests.peers.hub.modules import Place

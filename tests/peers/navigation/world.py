@@ -15,7 +15,8 @@ from typing import Any
 
 import pytest
 
-from bridge.modules import clients
+from bridge import state_machine
+from bridge.client import actions
 from navigation.frames import FramesError
 from navigation.gateway import (
     action_goals,
@@ -24,7 +25,6 @@ from navigation.gateway import (
     execution,
     gateway,
     goal_list,
-    machine,
     motion,
     presence,
     stop,
@@ -37,7 +37,7 @@ from tests.peers.navigation.simulated_hub import Clock, Loop, Node
 from tests.peers.navigation.simulated_planner import MOVING, TICK, PlannerSide
 
 _TIMED = (
-    action_goals, clients, contact, drive, execution, gateway, goal_list, machine, motion, presence, stop,
+    action_goals, actions, contact, drive, execution, gateway, goal_list, motion, presence, state_machine, stop,
     telemetry_module,
 )  # fmt: skip
 

@@ -8,8 +8,8 @@ import time
 from collections.abc import Callable
 
 from bridge.modules.ports import HostedPort
-from bridge.tf.server.exchange import Exchange
-from bridge.tf.server.view import ANY
+from bridge.transform_server.exchange import Exchange
+from bridge.transform_server.view import ANY
 from yarp_compat.dev.frametransform import (
     AllTransforms,
     FrameTransform,

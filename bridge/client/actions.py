@@ -1,4 +1,4 @@
-"""Service and action clients of a module on the hub."""
+"""Clients of actions on the hub; their callbacks run on one thread, such as a module's."""
 
 from __future__ import annotations
 
@@ -8,65 +8,15 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Protocol
 
-from bridge.hub.endpoints.calls import Abandon, CallError, UnsentCallError
-from bridge.hub.endpoints.services import HubClient
-from bridge.hub.session import Hub
+from bridge.client.services import ServiceClient
+from bridge.hub.endpoints.calls import CallError, UnsentCallError
 from bridge.hub.wire.qos import Qos
 from bridge.messages import actions
 from bridge.messages.actions import CANCEL, GoalState
-from bridge.messages.errors import ConversionError
-from bridge.messages.registry import Registry
-from bridge.messages.values import MessageReader, MessageWriter
-from bridge.modules.loop import EventLoop
-from bridge.routing.counters import Counters
-
-Replied = Callable[[dict[str, Any] | CallError], None]
-
-
-class ModuleClient:
-    """A client of one service on the hub, created by `bridge.modules.host.ModuleNode.client`."""
-
-    KIND = "client"
-
-    def __init__(self, hub: Hub, registry: Registry, loop: EventLoop, name: str, type_name: str) -> None:
-        side = registry.service_ros2(type_name)
-        self.topic, self.type_name = name, type_name
-        self.counters = Counters()
-        self._loop = loop
-        self._request, self._response = registry.service_schemas(type_name)
-        _, self._check = registry.hub_service_check(type_name)
-        self._end: HubClient = hub.client(name, type_name, side.type_id)
-
-    @property
-    def ready(self) -> bool:
-        """Whether there is a server to call."""
-        return self._end.ready
-
-    def call(self, request: Mapping[str, Any], replied: Replied) -> Abandon:
-        """Call the service; ``replied`` receives the reply or an error, once, on the module's thread. No timeout.
-
-        Raises `ConversionError` if the request has an unknown field, or a value that does not fit.
-        """
-        payload = MessageWriter(self._request).message(request)
-        self.counters.crossed(len(payload))
-        return self._end.call(payload, lambda result: self._loop.post(lambda: replied(self._decoded(result))))
-
-    def close(self) -> None:
-        """Close the client; pending calls end with an error."""
-        self._end.close()
-
-    def _decoded(self, result: bytes | CallError) -> dict[str, Any] | CallError:
-        if isinstance(result, CallError):
-            self.counters.failed(str(result))
-            return result
-        try:
-            return MessageReader(self._response, self._check(result)).message()
-        except ConversionError as err:
-            self.counters.failed(str(err))
-            return CallError(f"{self.topic} sent a malformed reply: {err}")
-
 
 FEEDBACK_DEPTH = 100
+_GOAL_ID = slice(4, 20)
+"""Place of the goal's id in a feedback message: behind the encapsulation header."""
 
 CANCEL_AGAIN = 0.2
 """Seconds after which a failed cancel request is repeated."""
@@ -140,19 +90,19 @@ Ended = Callable[[SentGoal, dict[str, Any] | None, str], None]
 
 
 class CallingNode(Protocol):
-    """The node interface that an action client needs; see `bridge.modules.host.ModuleNode`."""
+    """The part of a node that an action client needs; see `bridge.modules.host.ModuleNode`."""
 
-    loop: EventLoop
+    hub: Any
+    loop: Any
 
-    @property
-    def hub(self) -> Any:
-        """The node's session on the hub; see `bridge.hub.session.Hub`."""
-
-    def client(self, name: str, type_name: str) -> ModuleClient:
+    def client(self, name: str, type_name: str) -> ServiceClient:
         """Create a service client."""
 
-    def subscription(self, topic: str, type_name: str, on_message: OnMessage, qos: Qos | None = None) -> Any:
-        """Subscribe to a topic."""
+    def subscription_cdr(self, topic: str, type_name: str, on_message: Callable[[bytes], None], qos: Qos) -> Any:
+        """Receive a topic's messages as CDR."""
+
+    def decode(self, type_name: str, cdr: bytes) -> dict[str, Any]:
+        """Decode a message."""
 
     def release(self, end: Any) -> None:
         """Close one endpoint."""
@@ -168,7 +118,9 @@ class ActionClient:
         self._send = node.client(names.send_goal, types.send_goal)
         self._result = node.client(names.get_result, types.get_result)
         self._cancel = node.client(names.cancel_goal, CANCEL)
-        self._feedback = node.subscription(names.feedback, types.feedback, self._on_feedback, Qos(depth=FEEDBACK_DEPTH))
+        self._feedback_type = types.feedback
+        depth = Qos(depth=FEEDBACK_DEPTH)
+        self._feedback = node.subscription_cdr(names.feedback, types.feedback, self._on_feedback, depth)
         self._goals: dict[bytes, SentGoal] = {}
         self._sent = 0
 
@@ -240,7 +192,7 @@ class ActionClient:
         """Drop an ended goal; return False if it was dropped before."""
         return self._goals.pop(goal_id, None) is not None
 
-    def _on_feedback(self, message: dict[str, Any]) -> None:
-        goal = self._goals.get(bytes(message["goal_id"]["uuid"]))
+    def _on_feedback(self, cdr: bytes) -> None:
+        goal = self._goals.get(cdr[_GOAL_ID])  # clients receive the feedback of all goals
         if goal is not None and goal.feedback is not None:
-            goal.feedback(message["feedback"])
+            goal.feedback(self._node.decode(self._feedback_type, cdr)["feedback"])

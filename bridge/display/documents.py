@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from bridge.cli.output import clean, duration, is_number, milliseconds, plural, rate, side_name
+from bridge.client.status import Document, dicts, route_list
 from bridge.doctor.causes import cause, same_for
-
-Document = Mapping[str, Any]
-"""One worker's status document: what it answers to the verb ``status``."""
+from bridge.text import arrow, clean, duration, is_number, milliseconds, plural, rate
 
 
 def routes_table(documents: Iterable[Document], *, errors: bool = True) -> Table:
@@ -54,26 +51,6 @@ def _errors(routes: Iterable[Document]) -> dict[int, str]:
         )
         errors[id(first)] = str(first["error"]) + same_for(topics)
     return errors
-
-
-def route_list(document: Document) -> list[Document]:
-    """Return the routes of a status document, without malformed ones."""
-    return dicts(document.get("routes"))
-
-
-def dicts(value: object) -> list[Document]:
-    """Return the objects in a document's list; nothing if it is not a list."""
-    return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []
-
-
-def texts(value: object) -> list[str]:
-    """Return a document's list as texts; nothing if it is not a list."""
-    return [str(item) for item in value] if isinstance(value, list) else []
-
-
-def arrow(side: object, direction: object) -> str:
-    """``ROS 1 -> hub`` or ``hub -> ROS 2``."""
-    return f"{side_name(side)} -> hub" if direction == "in" else f"hub -> {side_name(side)}"
 
 
 def topic_text(route: Document) -> str:
@@ -130,11 +107,6 @@ def _cells(document: Document, route: Document) -> Sequence[Text]:
 _FORMS = {"bottle": "nested lists, as YARP's own converter of ROS messages writes them", "natural": "YARP's own type"}
 _DOES = {"out": "writes it", "in": "reads it"}
 _BYTES = {"yarp3": "YARP 3's bytes", "yarp4": "YARP 4's bytes"}
-
-
-def port_list(document: Document) -> list[Document]:
-    """The YARP ports of a worker's status document."""
-    return dicts(document.get("ports"))
 
 
 def content_text(port: Document) -> str:

@@ -6,15 +6,16 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from bridge.cli.client import CliClient
-from bridge.cli.documents import arrow, route_list
-from bridge.cli.messages import ros2_spelling
-from bridge.cli.output import CliError, clean, near, side_name
+from bridge.client.errors import ClientError
+from bridge.client.session import Client
+from bridge.client.status import route_list
+from bridge.client.types import ros2_spelling
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.graph import HubEndpoint, origin_side
 from bridge.hub.graph.tokens import TAPS, EndpointKind
 from bridge.messages.actions import split
 from bridge.routing.limits import qos_text
+from bridge.text import arrow, clean, near, side_name
 
 Kind = Literal["topic", "service", "action"]
 
@@ -102,7 +103,7 @@ def absolute(topic: str) -> str:
     return topic if topic.startswith("/") else f"/{topic}"
 
 
-def ask_decisions(client: CliClient, topic: str, kind: str | None = "topic") -> list[Decision]:
+def ask_decisions(client: Client, topic: str, kind: str | None = "topic") -> list[Decision]:
     """Return every worker's decisions on a topic or service (None: on either); an empty name asks for all of them."""
     return decisions_in(client.ask("explain", {"topic": topic}), kind)
 
@@ -118,14 +119,14 @@ def decisions_in(answers: Iterable[WorkerAnswer], kind: str | None = None) -> li
     return decisions
 
 
-def all_topics(client: CliClient) -> Views:
+def all_topics(client: Client) -> Views:
     """Return every topic of the hub and of the workers' sides, by name."""
     decisions = ask_decisions(client, "")
     client.settle()
     return _topics(client, decisions)
 
 
-def all_services(client: CliClient) -> Views:
+def all_services(client: Client) -> Views:
     """Return every service of the hub and of the workers' sides by name, without the parts of actions."""
     views: Views = {}
     for name, type_name, item in _calls(client, "srv"):
@@ -134,7 +135,7 @@ def all_services(client: CliClient) -> Views:
     return views
 
 
-def all_actions(client: CliClient) -> Views:
+def all_actions(client: Client) -> Views:
     """Return every action of the hub and of the workers' sides, by name."""
     views: Views = {}
     for part_name, type_name, item in _calls(client, "action"):
@@ -144,7 +145,7 @@ def all_actions(client: CliClient) -> Views:
     return views
 
 
-def _topics(client: CliClient, decisions: Iterable[Decision]) -> Views:
+def _topics(client: Client, decisions: Iterable[Decision]) -> Views:
     views: Views = {}
     for endpoint in _on_hub(client, EndpointKind.PUBLISHER, EndpointKind.SUBSCRIPTION):
         views.setdefault(endpoint.topic, GraphView("topic", endpoint.topic)).add(endpoint, endpoint.type_name)
@@ -155,7 +156,7 @@ def _topics(client: CliClient, decisions: Iterable[Decision]) -> Views:
     return views
 
 
-def _calls(client: CliClient, middle: str) -> Iterator[tuple[str, str, HubEndpoint | Decision]]:
+def _calls(client: Client, middle: str) -> Iterator[tuple[str, str, HubEndpoint | Decision]]:
     """Yield name and type of each service, those of actions included, with its endpoint or decision."""
     decisions = ask_decisions(client, "", kind="service")
     client.settle()
@@ -165,27 +166,27 @@ def _calls(client: CliClient, middle: str) -> Iterator[tuple[str, str, HubEndpoi
         yield decision.hub_topic or decision.topic, ros2_spelling(decision.type, middle), decision
 
 
-def _on_hub(client: CliClient, *kinds: EndpointKind) -> Iterator[HubEndpoint]:
+def _on_hub(client: Client, *kinds: EndpointKind) -> Iterator[HubEndpoint]:
     for endpoint in client.hub.graph.endpoints():
         if endpoint.kind in kinds and not endpoint.own and not endpoint.topic.startswith(TAPS):
             yield endpoint
 
 
-def known_names(client: CliClient, documents: Iterable[Any], decisions: Iterable[Decision]) -> set[str]:
+def known_names(client: Client, documents: Iterable[Any], decisions: Iterable[Decision]) -> set[str]:
     """Return the names of known topics, for hints."""
     routes = (route for document in documents for route in route_list(document))
     return {*_topics(client, decisions), *(str(route.get("topic")) for route in routes)}
 
 
 def find(views: Mapping[str, GraphView], name: str, kind: Kind) -> GraphView:
-    """Return the view with a name on the hub or on a side; raises `CliError` if the name is unknown."""
+    """Return the view with a name on the hub or on a side; raises `ClientError` if the name is unknown."""
     name = absolute(name)
     if name in views:
         return views[name]
     for view in views.values():
         if any(name in (d.topic, d.hub_topic) for d in view.decisions):
             return view
-    raise CliError(unknown(kind, name, views))
+    raise ClientError(unknown(kind, name, views))
 
 
 def unknown(kind: Kind, name: str, names: Iterable[str]) -> str:

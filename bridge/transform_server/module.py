@@ -4,46 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
+from bridge.client.authorities import Authorities
 from bridge.config.sections.modules import TransformServerSection
 from bridge.config.sections.section import Section
-from bridge.hub.graph import HubGraph
 from bridge.hub.wire.qos import LATCHED, Durability, Qos
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.tf.buffer import TransformBuffer
-from bridge.tf.server.buffer_server import BufferServer
-from bridge.tf.server.exchange import Exchange
-from bridge.tf.server.view import View, YarpClock
-from bridge.tf.server.yarp_ports import FrameStream, Getter, Setter
 from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE
+from bridge.transform_server.buffer_server import BufferServer
+from bridge.transform_server.exchange import Exchange
+from bridge.transform_server.view import View, YarpClock
+from bridge.transform_server.yarp_ports import FrameStream, Getter, Setter
 from bridge.worker import Health
 from yarp_compat.dev.frametransform import GET, SERVER, SET, STREAM
-
-_MOST = 4096  # cached publishers; a full cache is cleared
-
-
-class Authorities:
-    """Maps publishers to the names of their nodes, or to the side that a bridge worker publishes for."""
-
-    def __init__(self, graph: HubGraph) -> None:
-        self._graph = graph
-        self._known: dict[bytes, str] = {}
-
-    def name(self, gid: bytes) -> str:
-        """Return the name of the publisher with a GID; ``hub`` while the graph does not list it."""
-        known = self._known.get(gid)
-        if known is not None:
-            return known
-        endpoint = self._graph.endpoint(gid)
-        if endpoint is None:
-            return "hub"
-        origin = endpoint.origin
-        node = f"{endpoint.namespace.rstrip('/')}/{endpoint.node}"
-        if len(self._known) >= _MOST:
-            self._known.clear()
-        known = self._known[gid] = node if origin is None else f"{origin.side} by {origin.daemon}"
-        return known
-
 
 _DEPTH = 1000  # queued messages of `/tf`: all publishers of a robot may send at the same time
 

@@ -11,7 +11,7 @@ import yaml
 from bridge.clock import RunClock, SystemClock
 from bridge.messages.actions import GoalState
 from bridge.tf.buffer import TransformBuffer
-from bridge.tf.server.buffer_server import ACTION, FRAME_GRAPH, FRAMES, LOOKUP, BufferServer
+from bridge.transform_server.buffer_server import ACTION, FRAME_GRAPH, FRAMES, LOOKUP, BufferServer
 from tests.modules.test_actions import Two
 from tests.support.wait import until
 

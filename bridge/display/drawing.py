@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from rich.style import Style
 from rich.text import Text
 
-from bridge.cli.output import clean
+from bridge.text import clean
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
 from yarp_compat.dev.mapflag import GRAYS, picture_of_flags
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D

@@ -11,10 +11,10 @@ import pytest
 from bridge.clock import RunClock
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.errors import FrameRefusal
-from bridge.tf.server.exchange import Exchange
-from bridge.tf.server.view import View, YarpClock
-from bridge.tf.server.yarp_ports import Getter, Setter
 from bridge.tf.stamped import Stamped, read, write
+from bridge.transform_server.exchange import Exchange
+from bridge.transform_server.view import View, YarpClock
+from bridge.transform_server.yarp_ports import Getter, Setter
 from yarp_compat.dev.frametransform import FrameTransform
 from yarp_compat.dev.returnvalue import CallFailed
 

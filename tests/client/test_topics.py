@@ -7,12 +7,12 @@ from threading import Event
 
 import pytest
 
+from bridge.client.topics import HubTopic, HubTopics, TopicKey
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.registry import Registry
-from bridge.modules.hub_topics import HubTopic, HubTopics, TopicKey
 from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.errors import FrameRefusal
-from bridge.tf.server.view import ANY, View, YarpClock
 from bridge.tf.stamped import Stamped, read, write
+from bridge.transform_server.view import ANY, View, YarpClock
 from yarp_compat.dev.frametransform import FrameTransform
 
 _log = logging.getLogger(__name__)

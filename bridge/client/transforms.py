@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import argparse
-import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Self
 
-from bridge.cli.arguments import add_hub_arguments
-from bridge.cli.client import CliClient, open_client
-from bridge.cli.graph.feed import TopicFeed
-from bridge.cli.graph.view import absolute
-from bridge.cli.output import CliError, clean, side_name
+from bridge.client.authorities import Authorities
+from bridge.client.errors import ClientError
+from bridge.client.feed import TopicFeed
+from bridge.client.graph import absolute
+from bridge.client.session import Client
 from bridge.clock import RunClock
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.session import follow_clock
+from bridge.text import clean, side_name
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE, read
 
@@ -73,8 +70,8 @@ QUIET, MOST = 0.15, 1.0
 PATIENCE = 5.0
 """Seconds within which the first transform is to come."""
 
-_LOOK_SECONDS = 0.5
-_FIRST_LOOK_SECONDS = 0.02
+_REFRESH_SECONDS = 0.5
+_FIRST_SECONDS = 0.02
 
 
 class TransformFeed(TopicFeed):
@@ -93,12 +90,12 @@ class TransformFeed(TopicFeed):
 class TransformListener:
     """Receives frames of `namespace` + `/tf` and `/tf_static`, by default of all sides. Safe to use from any thread."""
 
-    def __init__(self, client: CliClient, namespace: str = "", side: str | None = None) -> None:
+    def __init__(self, client: Client, namespace: str = "", side: str | None = None) -> None:
         self.client = client
         self.buffer = TransformBuffer()
         self.clock = RunClock(simulated=client.config.clock.simulated)
         self._meters: dict[str, FrameMeter] = {}
-        self._authorities: dict[bytes, str] = {}
+        self._authorities = Authorities(client.hub.graph, side_name)
         self._known: set[tuple[str, str, bytes]] = set()  # frame, parent and publisher
         self._news = 0.0  # when there was a new one
         self._lock = threading.Lock()
@@ -120,7 +117,7 @@ class TransformListener:
         """Receive for some seconds."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
-            time.sleep(min(left, _LOOK_SECONDS))
+            time.sleep(min(left, _REFRESH_SECONDS))
             self.refresh()
 
     def gather(self) -> float:
@@ -129,7 +126,7 @@ class TransformListener:
         while (passed := time.monotonic() - began) < MOST:
             if time.monotonic() - max(began, self._news) >= QUIET and self._all_spoke():
                 break
-            time.sleep(_FIRST_LOOK_SECONDS)
+            time.sleep(_FIRST_SECONDS)
             self.refresh()
         return passed
 
@@ -149,7 +146,7 @@ class TransformListener:
     def receive(self, sample: HubSample, side: str, *, static: bool) -> None:
         """Accept a message."""
         cdr, now = sample.data(), self.clock.now_ns()
-        authority = self._authority(sample.gid, side)
+        authority = self._authorities.name(sample.gid, side_name(side))
         try:
             self.buffer.set_message(cdr, authority, static=static)
         except ValueError as err:
@@ -174,24 +171,29 @@ class TransformListener:
             return {name: meter.copy() for name, meter in self._meters.items()}
 
     def wait(self) -> None:
-        """Wait for the first transform; raises `CliError` if none arrives."""
+        """Wait for the first transform; raises `ClientError` if none arrives."""
         end = time.monotonic() + PATIENCE
         while not self.buffer.changes:
             if time.monotonic() > end:
-                raise CliError(self._nothing())
-            self.listen(_FIRST_LOOK_SECONDS)
+                raise ClientError(self._nothing())
+            self.listen(_FIRST_SECONDS)
 
     def close(self) -> None:
-        """Unsubscribe, and print what was wrong."""
+        """Unsubscribe."""
         self.clock.close()
         for feed in self._feeds:
             feed.close()
-        if refused := self.buffer.refused:  # the first of each kind was logged in words
-            print("refused: " + ", ".join(f"{reason} {count}" for reason, count in refused.items()), file=sys.stderr)
+
+    def troubles(self) -> list[str]:
+        """Return lines on refused, malformed and lost transforms."""
+        lines = []
+        if refused := self.buffer.refused:  # the first of each kind was logged with its values
+            lines.append("refused: " + ", ".join(f"{reason} {count}" for reason, count in refused.items()))
         if self._bad:
-            print(clean(self._bad), file=sys.stderr)
+            lines.append(clean(self._bad))
         if lost := sum(feed.lost for feed in self._feeds):
-            print(f"{lost} messages were lost on the hub", file=sys.stderr)
+            lines.append(f"{lost} messages were lost on the hub")
+        return lines
 
     def _nothing(self) -> str:
         topics = [feed.topic for feed in self._feeds]
@@ -199,37 +201,3 @@ class TransformListener:
         others = {e.topic for e in publishers if e.type_name == TF_TYPE and not e.own}.difference(topics)
         hint = f"; there is {clean(', '.join(sorted(others)))}: see --namespace" if others else ""
         return f"no transform came on {' or '.join(topics)} for {PATIENCE:g} s{hint}"
-
-    def _authority(self, gid: bytes, side: str) -> str:
-        """Return the publisher: a node of the hub, or the side that a worker bridges."""
-        known = self._authorities.get(gid)
-        if known is None:
-            endpoint = self.client.hub.graph.endpoint(gid)
-            if endpoint is None:
-                return side_name(side)
-            origin = endpoint.origin
-            node = f"{endpoint.namespace.rstrip('/')}/{endpoint.node}"
-            known = node if origin is None else f"{side_name(origin.side)} by {origin.daemon}"
-            self._authorities[gid] = known
-        return known
-
-
-def add_tf_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments by which every verb finds the frames."""
-    parser.add_argument(
-        "--namespace", default="", metavar="NAME", help="use NAME/tf and NAME/tf_static instead of /tf and /tf_static"
-    )
-    parser.add_argument("--side", metavar="SIDE", help="only from this side: ros1, ros2, zenoh (the hub itself)")
-    add_hub_arguments(parser)
-
-
-@contextmanager
-def open_listener(args: argparse.Namespace) -> Iterator[TransformListener]:
-    """Join the hub and subscribe; raises `CliError` if no router answers."""
-    with open_client(args, watches=True) as client:
-        listener = TransformListener(client, args.namespace, args.side)
-        try:
-            listener.open()
-            yield listener
-        finally:
-            listener.close()

@@ -1,29 +1,32 @@
-"""The received messages of one topic, from the hub or through a worker's tap of its side."""
+"""The received messages of one topic: a queue of all of them, or the newest one."""
 
 from __future__ import annotations
 
-import argparse
 import threading
 import time
 from collections import deque
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import zenoh
 
-from bridge.cli.client import CliClient
-from bridge.cli.graph.view import absolute, all_topics, ask_decisions, unknown
-from bridge.cli.output import CliError, side_name
-from bridge.hub.endpoints.subscription import HubSample, HubSubscription
+from bridge.client.errors import ClientError
+from bridge.client.graph import absolute, all_topics, ask_decisions, unknown
+from bridge.client.session import Client
+from bridge.client.topics import SubscribedTopic, TopicKey
+from bridge.client.types import Types
+from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.graph import HubEndpoint, origin_side
-from bridge.hub.wire.qos import Durability, Qos
-from bridge.routing.limits import combined_qos
+from bridge.hub.wire.qos import LATCHED, Durability, Qos
+from bridge.messages.errors import ConversionError
+from bridge.text import side_name
 
 MAX_QUEUED = 10_000
 MAX_QUEUED_BYTES = 64 * 1024 * 1024
 TAP_SECONDS = 10
 """Duration of a tap in seconds; it is renewed after a third of it."""
 
-_LOOK_SECONDS = 0.5
+_REFRESH_SECONDS = 0.5
 _TAP_QOS = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
 
 
@@ -46,11 +49,11 @@ class Arrival(NamedTuple):
 class TopicFeed:
     """Receives one topic from the hub, or by a worker's tap of its side; without ``payloads`` only the arrivals."""
 
-    def __init__(self, client: CliClient, topic: str, side: str | None = None, *, payloads: bool = True) -> None:
+    def __init__(self, client: Client, topic: str, side: str | None = None, *, payloads: bool = True) -> None:
         self.topic = absolute(topic)
         self.overrun = 0
         self._client, self._side, self._payloads = client, side, payloads
-        self._subscriptions: dict[tuple[str, str, str], HubSubscription] = {}
+        self._subscriptions: dict[TopicKey, SubscribedTopic] = {}
         self._taps: set[str] = set()
         self._tap_due = 0.0
         self._names = [self.topic]
@@ -64,35 +67,38 @@ class TopicFeed:
         return sum(subscription.lost for subscription in self._subscriptions.values())
 
     def open(self, seconds: float) -> None:
-        """Find the topic, waiting up to ``seconds`` for it; raises `CliError` if it is unknown."""
+        """Find the topic, waiting up to ``seconds`` for it; raises `ClientError` if it is unknown."""
         end = time.monotonic() + seconds
         self._client.ask("status", timeout=1.0)
         self._client.settle()
         self._learn_names()
         while True:
             self.refresh()
+            trouble = [subscription.trouble for subscription in self._subscriptions.values() if subscription.trouble]
+            if trouble:
+                raise ClientError("; ".join(trouble))
             if self._subscriptions:
                 return
             if time.monotonic() >= end:
-                raise CliError(self._why_not())
-            time.sleep(min(_LOOK_SECONDS, max(0.0, end - time.monotonic())))
+                raise ClientError(self._why_not())
+            time.sleep(min(_REFRESH_SECONDS, max(0.0, end - time.monotonic())))
 
     def refresh(self) -> None:
         """Subscribe to new publishers, and renew the taps."""
-        groups: dict[tuple[str, str, str], list[HubEndpoint]] = {}
+        groups: dict[TopicKey, list[HubEndpoint]] = {}
         for name in self._names:
             for endpoint in self._client.hub.graph.publishers(name):
                 if not endpoint.own and self._side in (None, origin_side(endpoint)):
-                    groups.setdefault((name, endpoint.type_name, endpoint.type_hash), []).append(endpoint)
+                    groups.setdefault(TopicKey(name, endpoint.type_name, endpoint.type_hash), []).append(endpoint)
         for key, endpoints in groups.items():
-            self._subscribe(key, combined_qos([endpoint.qos for endpoint in endpoints]))
+            self._subscription(key).renew(endpoints)
         if self._taps or not self._subscriptions:
             self._tap()
 
     def next(self, until: float) -> Arrival | None:
         """Return the next message, None if none arrives until then (monotonic seconds)."""
         while True:
-            wait = min(until - time.monotonic(), _LOOK_SECONDS)
+            wait = min(until - time.monotonic(), _REFRESH_SECONDS)
             with self._arrived:
                 if self._queue or (wait > 0 and self._arrived.wait_for(lambda: bool(self._queue), wait)):
                     arrival = self._queue.popleft()
@@ -119,7 +125,6 @@ class TopicFeed:
         """Unsubscribe; the taps expire by themselves."""
         for subscription in self._subscriptions.values():
             subscription.close()
-        self._subscriptions.clear()
 
     def _learn_names(self) -> None:
         """Find the topic's name on the hub from the side's spelling."""
@@ -127,18 +132,18 @@ class TopicFeed:
             if decision.decision == "bridged" and decision.hub_topic not in self._names:
                 self._names.append(decision.hub_topic)
 
-    def _subscribe(self, key: tuple[str, str, str], qos: Qos) -> None:
-        if key in self._subscriptions:
-            return
-        topic, type_name, type_hash = key
+    def _subscription(self, key: TopicKey) -> SubscribedTopic:
+        subscription = self._subscriptions.get(key)
+        if subscription is None:
 
-        def on_sample(sample: HubSample) -> None:
-            origin = self._client.hub.graph.origin_of(sample.zid)
-            side = "zenoh" if origin is None else origin.side
-            if self._side in (None, side):
-                self.on_sample(sample, type_name, type_hash, side)
+            def on_sample(sample: HubSample) -> None:
+                origin = self._client.hub.graph.origin_of(sample.zid)
+                side = "zenoh" if origin is None else origin.side
+                if self._side in (None, side):
+                    self.on_sample(sample, key.type_name, key.type_hash, side)
 
-        self._subscriptions[key] = self._client.hub.subscription(topic, type_name, type_hash, qos, on_sample)
+            subscription = self._subscriptions[key] = SubscribedTopic(self._client.hub, key, on_sample)
+        return subscription
 
     def _tap(self) -> None:
         if time.monotonic() < self._tap_due:
@@ -150,7 +155,7 @@ class TopicFeed:
             if topic and self._side in (None, answer.worker):
                 self._taps.add(topic)
                 # the tap may have latched messages; a latched subscription receives the others too
-                self._subscribe((topic, type_name, type_hash), _TAP_QOS)
+                self._subscription(TopicKey(topic, type_name, type_hash)).subscribe(_TAP_QOS)
 
     def _why_not(self) -> str:
         decisions = ask_decisions(self._client, self.topic)
@@ -160,11 +165,41 @@ class TopicFeed:
         return f"nothing of {self.topic} can be received now ({reasons}); wait for it with --timeout SECONDS"
 
 
-def add_feed_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of verbs that subscribe to one topic."""
-    parser.add_argument("topic", help="the topic's name")
-    parser.add_argument(
-        "--side",
-        metavar="SIDE",
-        help="only from this side: ros1, ros2, yarp, zenoh (the hub itself), zenoh_ros2dds, zenoh_ros1, zenoh_json",
-    )
+class LatestMessage:
+    """The newest message of a latched topic; ``on_message`` gets each message, on a thread of zenoh."""
+
+    def __init__(
+        self, client: Client, types: Types, topic: str, type_name: str,
+        on_message: Callable[[dict[str, Any]], None] = lambda _message: None,
+    ) -> None:  # fmt: skip
+        self._types, self._type, self._on_message = types, type_name, on_message
+        self._hash = types.hash_of(type_name)
+        self._received = threading.Event()
+        self._message: dict[str, Any] | None = None
+        self._end = client.hub.subscription(topic, type_name, self._hash, LATCHED, self._on_sample)
+
+    def _on_sample(self, sample: HubSample) -> None:
+        try:
+            self._message = self._types.decode(self._type, self._hash, sample.data())
+        except (ClientError, ConversionError):
+            return
+        self._on_message(self._message)
+        self._received.set()
+
+    def wait(self, seconds: float) -> dict[str, Any] | None:
+        """Return the newest message, None if the first one does not arrive in time."""
+        self._received.wait(seconds)
+        return self._message
+
+    def close(self) -> None:
+        """Stop receiving messages."""
+        self._end.close()
+
+
+def latest_message(client: Client, types: Types, topic: str, type_name: str, seconds: float) -> dict[str, Any] | None:
+    """Return the newest message of a latched topic, None if it does not arrive in time."""
+    latest = LatestMessage(client, types, topic, type_name)
+    try:
+        return latest.wait(seconds)
+    finally:
+        latest.close()

@@ -15,10 +15,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import partial
 from threading import Event, Lock
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from bridge.client.types import learn
 from bridge.concurrency import SerialExecutor
-from bridge.hub.definitions import VERB, definition_among
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.errors import HubError
 from bridge.hub.graph import HubEndpoint, origin_side
@@ -27,15 +27,16 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.definitions.text import full_text
 from bridge.messages.errors import MessageTypeError
-from bridge.messages.registry import Registry
 from bridge.routing.limits import combined_qos
+
+if TYPE_CHECKING:
+    from bridge.messages.registry import Registry
 
 _log = logging.getLogger(__name__)
 
 ASK_AGAIN_SECONDS = 10.0
 """Seconds after which the workers are asked again for a definition that none of them had."""
 
-_ASK_SECONDS = 2.0
 _LATCHED_DEPTH = 1000
 """The most samples that are requested from each latched publisher."""
 
@@ -122,10 +123,14 @@ class SubscribedTopic:
 
     def renew(self, publishers: Iterable[HubEndpoint]) -> None:
         """Subscribe with the QoS that these publishers need, unless the subscription already has it."""
-        with self._renewing:
-            self._renew(combined_qos([publisher.qos for publisher in publishers]))
+        self.subscribe(combined_qos([publisher.qos for publisher in publishers]))
 
-    def _renew(self, qos: Qos) -> None:
+    def subscribe(self, qos: Qos) -> None:
+        """Subscribe with a QoS, unless the subscription already has it."""
+        with self._renewing:
+            self._subscribe(qos)
+
+    def _subscribe(self, qos: Qos) -> None:
         if self._closed or (self._subscriptions and (self._latched or not qos.latched)):
             return
         # a subscription that is latched from the start has no predecessor, and thus no duplicates
@@ -233,10 +238,7 @@ class Definitions:
 
     def _query_workers(self, key: tuple[str, str], query: _Query) -> None:
         try:
-            answers = self._hub.ask(VERB, {"name": key[0]}, timeout=_ASK_SECONDS)
-            definition = definition_among(answers, key[1])
-            if definition is not None:
-                self._registry.learn_ros2(key[0], definition)
+            if learn(self._hub, self._registry, *key):
                 self._from_registry(key)
         except (HubError, MessageTypeError) as err:
             _log.warning("cannot get the definition of %s: %s", key[0], err)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from bridge.tf.server.yarp_ports import FrameStream
+from bridge.transform_server.yarp_ports import FrameStream
 from yarp_compat.dev.frametransform import AllTransforms, FrameTransform
 from yarp_compat.wire.generation import Generation
 from yarp_compat.wire.profile import Profile

@@ -1,0 +1,66 @@
+"""Publishers of a program on the hub, whose messages are JSON values."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from bridge.client.errors import ClientError
+from bridge.client.session import Client
+from bridge.client.types import Types
+from bridge.hub.endpoints.publisher import HubPublisher
+from bridge.hub.wire.qos import Qos
+from bridge.messages.errors import ConversionError
+
+MATCH_SECONDS = 2.0
+_POLL_SECONDS = 0.02
+
+
+class Publisher:
+    """Publishes on one topic; raises `ClientError` if the type, in ROS 1's or ROS 2's spelling, is unknown.
+
+    Attributes:
+        kind: name of the topic, its type and the type's hash.
+        end: its publisher on the hub, which accepts CDR.
+    """
+
+    def __init__(
+        self, client: Client, types: Types, topic: str, type_name: str, qos: Qos | None = None, priority: str = "stream"
+    ) -> None:
+        self._types, type_name = types, types.name(type_name)
+        self.kind = topic, type_name, types.hash_of(type_name)
+        self.end = client.hub.publisher(*self.kind, qos or Qos(), priority=priority)
+
+    def publish(self, message: Mapping[str, Any]) -> None:
+        """Publish a message; raises as `encode`."""
+        self.end.put(encode(self._types, self.kind[1], message))
+
+    def close(self) -> None:
+        """Close the publisher."""
+        self.end.close()
+
+
+def encode(types: Types, type_name: str, message: Mapping[str, Any]) -> bytes:
+    """Return a message as CDR; raises `ClientError` if its type or a field is unknown, or a value does not fit."""
+    from bridge.messages.json import from_json  # many programs publish nothing
+
+    types.hash_of(type_name)
+    try:
+        return from_json(types.registry, type_name, message)
+    except ConversionError as err:
+        raise ClientError(f"{type_name}: {err}") from None
+
+
+def await_subscribers(publisher: HubPublisher, settle: float) -> bool:
+    """Wait for a subscriber on the hub; return whether there is one.
+
+    Workers subscribe for their sides: ``settle`` is the time in seconds for subscribers on the sides to connect to the
+    publishers that the workers create.
+    """
+    end = time.monotonic() + MATCH_SECONDS
+    while not publisher.matched() and time.monotonic() < end:
+        time.sleep(_POLL_SECONDS)
+    if publisher.matched():
+        time.sleep(settle)
+    return publisher.matched()

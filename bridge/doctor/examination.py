@@ -1,0 +1,67 @@
+"""What the checks examine, gathered by a program that is on the hub."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+
+from bridge.client.session import Client
+from bridge.client.status import answered
+from bridge.config.document import ConfigError
+from bridge.config.load import find, load
+from bridge.config.model import Config
+from bridge.doctor import context
+from bridge.doctor.context import CheckContext, HubSnapshot
+from bridge.doctor.daemon_state import DaemonState, absent, daemon_state, with_silent
+
+_CLOCK_SECONDS = 0.5
+_MAX_CLOCKS = 50
+
+
+def look_from(client: Client, file: Path | None) -> CheckContext:
+    """Return what the checks examine, for a program of the daemon that is on the hub; ``file``: the configuration."""
+    return gathered(client.config, snapshot(client), daemon_state(client.config, file=file), file)
+
+
+def gathered(config: Config, hub: HubSnapshot, state: DaemonState, file: Path | None) -> CheckContext:
+    """Return what the checks examine, with the workers that only their daemon reports."""
+    documents = with_silent(hub.documents, absent(state.document, looping=True))
+    hub = dataclasses.replace(hub, documents=documents)
+    text, good = check_file(file)
+    return CheckContext(config, text, config_good=good, environ=dict(os.environ), hub=hub, daemon=state)
+
+
+def check_file(file: Path | None) -> tuple[str, bool]:
+    """Return what is known of a file, by default of the one that `find` finds, and whether it is good."""
+    try:
+        load(file)
+    except ConfigError as err:
+        return str(err), False
+    file = file or find()
+    return (f"{file} is good" if file is not None else "no configuration file: all defaults"), True
+
+
+def snapshot(client: Client) -> HubSnapshot:
+    """Return the hub as this client sees it."""
+    documents = answered(client)
+    client.settle()
+    endpoints = [e for e in client.hub.graph.endpoints() if not e.own]
+    return HubSnapshot("", documents, endpoints, _clocks(client))
+
+
+def _clocks(client: Client) -> dict[str, context.Offset]:
+    offsets: dict[str, context.Offset] = {}
+    for answer in client.ask("time", timeout=_CLOCK_SECONDS)[:_MAX_CLOCKS]:
+        if not answer.error:
+            offset = context.measure(lambda to=answer: _time(client, to.daemon, to.worker))  # type: ignore[misc]
+            if offset is not None:
+                offsets[f"{answer.daemon}/{answer.worker}"] = offset
+    return offsets
+
+
+def _time(client: Client, daemon: str, worker: str) -> int | None:
+    for answer in client.hub.ask("time", {}, daemon, worker, _CLOCK_SECONDS):
+        if isinstance(answer.value, dict) and isinstance(answer.value.get("time_ns"), int):
+            return int(answer.value["time_ns"])
+    return None
