@@ -1,7 +1,19 @@
 """YARP in pure Python: ports, names and data that are compatible with real YARP programs.
 
 ``import yarp_compat as yarp`` runs scripts written for the official Python bindings. Names are loaded on first use, so
-that the import is fast, and numpy is required only for arrays.
+that the import is fast, and numpy is required only for arrays. Two ports of one program::
+
+    import yarp_compat as yarp
+
+    yarp.Network.init()
+    talker, listener = yarp.BufferedPortBottle(), yarp.BufferedPortBottle()
+    talker.open("/talker")
+    listener.open("/listener")
+    yarp.Network.connect("/talker", "/listener")
+    talker.prepare().fromString("hello 3.5")
+    talker.write()
+    print(listener.read().toString())
+    yarp.Network.fini()
 """
 
 from __future__ import annotations

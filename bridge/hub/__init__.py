@@ -1,1 +1,15 @@
-"""The hub: a ROS 2 graph spoken over zenoh in rmw_zenoh's Jazzy wire format."""
+"""The hub: a ROS 2 graph spoken over zenoh in rmw_zenoh's Jazzy wire format.
+
+A node with a publisher, whose messages are bytes (CDR); `bridge.client` and `bridge.modules` use Python values::
+
+    from bridge.hub.session import Hub, HubSettings
+    from bridge.hub.wire.qos import Qos
+    from bridge.messages.json import from_json
+    from bridge.messages.registry import Registry
+
+    registry, kind = Registry(), "std_msgs/msg/Bool"
+    with Hub.open(HubSettings(router="tcp/127.0.0.1:7447", node="switch")) as hub:
+        publisher = hub.publisher("/lamp/on", kind, registry.ros2(kind).type_id, Qos())
+        input("Press Enter once there is a subscriber.")
+        publisher.put(from_json(registry, kind, {"data": True}))
+"""

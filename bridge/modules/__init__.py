@@ -1,1 +1,17 @@
-"""Hosted modules: nodes of the hub that Midspan runs itself, such as the YARP navigation modules."""
+"""Hosted modules: nodes of the hub that Midspan runs itself, such as the YARP navigation modules.
+
+A module of your own, which the configuration names in ``modules.own``::
+
+    from bridge.modules.module import Module
+
+    class Lamp(Module):
+        name = "lamp"
+
+        def start(self, host, section):
+            self.state = host.node.publisher("/lamp/state", "std_msgs/msg/Bool")
+            host.node.server("/lamp", "std_srvs/srv/SetBool", self.switch)
+
+        def switch(self, request, answer):
+            self.state.publish({"data": request["data"]})
+            answer({"success": True})
+"""
