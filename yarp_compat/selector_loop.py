@@ -49,6 +49,11 @@ class _Watch:
         return selectors.EVENT_READ * (self.readable is not None) | selectors.EVENT_WRITE * (self.writable is not None)
 
 
+def _descriptor(file: File) -> int:
+    """Return a file's descriptor, -1 if it is closed. With sockets, the errors of `selectors` cost two system calls."""
+    return file if isinstance(file, int) else file.fileno()
+
+
 class SelectorLoop:
     """Runs callbacks, one `step` after the other; none of them may block.
 
@@ -75,7 +80,7 @@ class SelectorLoop:
         Raises `ValueError` for a closed socket.
         """
         try:
-            key = self._selector.get_key(file)
+            key = self._selector.get_key(_descriptor(file))
         except KeyError:
             watch = _Watch(readable, writable)
             if watch.events:
@@ -98,15 +103,16 @@ class SelectorLoop:
 
     def _callbacks(self, file: File) -> _Watch:
         try:
-            watch: _Watch = self._selector.get_key(file).data
+            watch: _Watch = self._selector.get_key(_descriptor(file)).data
         except KeyError:
             return _Watch(None, None)
         return watch
 
     def unwatch(self, file: File) -> bool:
         """End all callbacks of a file, before it is closed; return whether there were any."""
+        descriptor = _descriptor(file)
         try:
-            watch: _Watch = self._selector.unregister(file).data
+            watch: _Watch = self._selector.unregister(descriptor if descriptor >= 0 else file).data
         except (KeyError, ValueError):
             return False
         watch.readable = watch.writable = None  # this step may not have called it yet
