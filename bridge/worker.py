@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import time
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -23,8 +26,32 @@ class WorkerFailedError(RuntimeError):
     """A worker cannot continue; the text is the reason. Its process exits and is restarted."""
 
 
-def costs(process: psutil.Process) -> dict[str, Any]:
-    """Return processor (share of a core since the last call) and memory (bytes) for a status document.
+class StatusHead:
+    """The first fields of the status documents of one worker or module: its names, its process, its state.
+
+    Args:
+        names: ``daemon`` and ``worker``, and ``side`` or ``module``.
+        uptime: whether the documents have the time since the creation of this object.
+        costs: whether they have the process's use of processor and memory.
+    """
+
+    def __init__(self, names: Mapping[str, Any], *, uptime: bool = True, costs: bool = True) -> None:
+        self._names = dict(names)
+        self._started = time.monotonic() if uptime else None
+        self._process = psutil.Process() if costs else None
+        if self._process is not None:
+            self._process.cpu_percent()  # the next call covers the time since this one
+
+    def fields(self, state: str, text: str | None = None, **own: Any) -> dict[str, Any]:
+        """Return the fields for a `bridge.status.StatusDocument`, and the worker's ``own`` keys."""
+        fields = {**self._names, "pid": os.getpid(), "state": state, **({} if text is None else {"text": text})}
+        if self._started is not None:
+            fields["uptime"] = round(time.monotonic() - self._started, 1)
+        return {**fields, **({} if self._process is None else _costs(self._process)), **own}
+
+
+def _costs(process: psutil.Process) -> dict[str, float]:
+    """Return the share of a core since the last call, and the memory in bytes.
 
     Empty if no file descriptor is free to read them; the rest of the document is then still reported.
     """

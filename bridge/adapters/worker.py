@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import logging
-import os
 import sys
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-
-import psutil
 
 from bridge import resources
 from bridge.adapters.memory import keep_memory, keep_objects
@@ -38,7 +35,7 @@ from bridge.routing.services.route import ServiceRoute
 from bridge.routing.services.side_to_hub import PLANNERS
 from bridge.sides import all_networks, imported
 from bridge.state_file import lane_folder, state_folder, worker_folder
-from bridge.worker import Health, Worker, WorkerFailedError, costs
+from bridge.worker import Health, StatusHead, Worker, WorkerFailedError
 
 _log = logging.getLogger(__name__)
 
@@ -176,8 +173,7 @@ class NetworkBridge:
     ) -> None:  # fmt: skip
         self.name, self._config = name, config
         self._side = edge.side
-        self._started = time.monotonic()
-        self._process = psutil.Process()
+        self._head = StatusHead({"daemon": config.name, "worker": name, "side": edge.side})
         self._stopped = False
         self._never = threading.Event()  # never set: waiting for it is a pause
         self._hub = Hub.open(
@@ -210,7 +206,6 @@ class NetworkBridge:
         self._closers = [self._hub.serve(verb, handler) for verb, handler in verbs.items()]
         source = f"midspan {config.name}/{name}"
         self._diagnostics = Diagnostics(edge, registry, self._engine, source, counters=diagnostics)
-        self._process.cpu_percent()
 
     def reload(self, config: Config) -> None:
         """Apply new rules."""
@@ -265,25 +260,14 @@ class NetworkBridge:
 
     def _status(self) -> dict[str, Any]:
         engine = self._running()
-        document = engine.status()
-        return {
-            "daemon": self._config.name,
-            "worker": self.name,
-            "side": self._side,
-            "pid": os.getpid(),
-            "zid": self._hub.zid,
-            "state": engine.summary().state,
-            "uptime": round(time.monotonic() - self._started, 1),
-            **costs(self._process),
-            **document,
+        warnings = filter(None, [engine.edge.away, engine.edge.clock.trouble(), opening.trouble()])
+        return engine.status(
+            [*warnings, *resources.warnings(state_folder(self._config))],
+            **self._head.fields(engine.summary().state),
             **engine.edge.details(),
-            "lane": self._hub.lane(),
-            "warnings": [
-                *document["warnings"],
-                *filter(None, [engine.edge.away, engine.edge.clock.trouble(), opening.trouble()]),
-                *resources.warnings(state_folder(self._config)),
-            ],
-        }
+            zid=self._hub.zid,
+            lane=self._hub.lane(),
+        ).document()
 
     def _running(self) -> Engine:
         if self._stopped:

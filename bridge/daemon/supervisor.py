@@ -24,6 +24,7 @@ from bridge.daemon.worker_run import Timing
 from bridge.daemon.workers import worker_kinds
 from bridge.resources import raise_open_files
 from bridge.state_file import state_folder
+from bridge.status import DaemonStatus, WorkerReport
 from yarp_compat.selector_loop import SelectorLoop
 
 logger = logging.getLogger("midspan.daemon")
@@ -207,28 +208,29 @@ class Supervisor:
 
     def document(self) -> dict[str, Any]:
         """Return the document that `bridge.daemon.query.ask_daemon` receives."""
-        return {
-            "daemon": self._config.name,
-            "pid": os.getpid(),
-            "uptime": round(time.monotonic() - self._begun, 1),
-            "config": None if self._source.file is None else str(self._source.file.absolute()),
-            "refused": self._refused,
-            "status": self.status(),
-            "workers": [
-                {
-                    "worker": worker.name,
-                    "phase": worker.phase.value,
-                    "text": worker.text,
-                    "since": round(time.monotonic() - worker.since, 1),
-                    "still": round(worker.still, 1),
-                    "beat": None if worker.beat_at is None else round(time.monotonic() - worker.beat_at, 2),
-                    "pid": worker.pid,
-                    "restarts": worker.restarts,
-                    "ended": worker.ended,
-                }
-                for worker in self.workers
-            ],
-        }
+        reports = [
+            WorkerReport(
+                worker=worker.name,
+                phase=worker.phase.value,
+                text=worker.text,
+                since=round(time.monotonic() - worker.since, 1),
+                still=round(worker.still, 1),
+                beat=None if worker.beat_at is None else round(time.monotonic() - worker.beat_at, 2),
+                pid=worker.pid,
+                restarts=worker.restarts,
+                ended=worker.ended,
+            )
+            for worker in self.workers
+        ]
+        return DaemonStatus(
+            daemon=self._config.name,
+            pid=os.getpid(),
+            uptime=round(time.monotonic() - self._begun, 1),
+            config=None if self._source.file is None else str(self._source.file.absolute()),
+            refused=self._refused,
+            status=self.status(),
+            workers=reports,
+        ).document()
 
     # -- reload --------------------------------------------------------------------------------------------------------
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import time
 from collections.abc import Callable
 from functools import partial
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
-import psutil
 from foxglove.websocket import Capability
 
 from bridge.client.topics import HubTopics
@@ -29,9 +27,10 @@ from bridge.foxglove.visitors import Visitors
 from bridge.hub.diagnostics import announce, has_subscribers
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host
+from bridge.status import WorkerStatus
 from bridge.web.serving.scarce_log import ScarceLog
 from bridge.web.verbs.hold import HandDriving
-from bridge.worker import Health, Worker, costs
+from bridge.worker import Health, StatusHead, Worker
 
 if TYPE_CHECKING:
     from bridge.web.feeds.robot import DrivingFeed
@@ -113,8 +112,7 @@ class Live:
         self._parameters = events.parameters = Parameters(host, server, self.visitors)
         if config.metrics.diagnostics:
             announce(host.node.hub, registry)
-        self._process = psutil.Process(os.getpid())
-        self._started = time.monotonic()
+        self._head = StatusHead({"daemon": config.name, "worker": "foxglove", "side": "foxglove"})
 
     def start(self) -> None:
         """Start to serve."""
@@ -162,28 +160,20 @@ class Live:
 
     def _status(self, _params: Any) -> dict[str, Any]:
         channels = self._channels.status()
-        return {
-            "daemon": self.host.config.name,
-            "worker": "foxglove",
-            "side": "foxglove",
-            "state": "running",
-            "text": self.text(),
-            "pid": os.getpid(),
-            "uptime": round(time.monotonic() - self._started, 1),
-            **costs(self._process),
+        clients = [
+            {
+                "who": visitor.who, "role": visitor.grant.role, "bytes": visitor.sent,
+                "since": round(time.monotonic() - visitor.since, 1),
+            }
+            for visitor in self.visitors.all()
+        ]  # fmt: skip
+        topics = [*channels.pop("topics"), *self._publishing.status()]
+        counts = {"services": self._services.count, "dropped": self._events.dropped}
+        return WorkerStatus(
+            **self._head.fields("running", self.text(), clients=clients, topics=topics, **counts),
             **channels,
-            "warnings": [f"{SCENE} without places: {self._scene.error}"] if self._scene.error else [],
-            "topics": [*channels["topics"], *self._publishing.status()],
-            "clients": [
-                {
-                    "who": visitor.who, "role": visitor.grant.role, "bytes": visitor.sent,
-                    "since": round(time.monotonic() - visitor.since, 1),
-                }
-                for visitor in self.visitors.all()
-            ],
-            "services": self._services.count,
-            "dropped": self._events.dropped,
-        }  # fmt: skip
+            warnings=[f"{SCENE} without places: {self._scene.error}"] if self._scene.error else [],
+        ).document()
 
     def stop_publishing(self) -> None:
         """Stop the robot if a client drives it, and stop publishing. To be called on the worker's thread."""

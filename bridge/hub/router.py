@@ -32,7 +32,8 @@ from bridge.hub.security.door import HubDoor, KeyWatch, check_closed, has_tls, k
 from bridge.hub.security.endpoints import closed_endpoints
 from bridge.hub.security.zenoh_log import ZenohLog
 from bridge.hub.zenoh_config import MAX_PAYLOAD, client_session_config, connect_endpoint, make_config, router_tree
-from bridge.worker import Health, Worker, costs
+from bridge.status import RouterStatus
+from bridge.worker import Health, StatusHead, Worker
 
 _log = logging.getLogger(__name__)
 _ANSWER_SECONDS = 1.0
@@ -137,8 +138,6 @@ class RouterWorker(Worker):
         self._namesakes: Namesakes | None = None
         self._watch: zenoh.Session | None = None  # in standby, at the router that is used
         self._other = ""
-        self._started = time.monotonic()
-        self._process = psutil.Process()
 
     def start(self, config: Config) -> None:
         """Listen; raises `RuntimeError` if another program holds the port and cannot be shared."""
@@ -302,29 +301,23 @@ class RouterWorker(Worker):
             },
         )  # fmt: skip
         self._namesakes = Namesakes(session, hub.domain, config.name, own)
-        self._control.serve("status", lambda _params: self._status(config, session))
-        self._process.cpu_percent()
+        head = StatusHead({"daemon": config.name, "worker": "router", "side": "router"})
+        self._control.serve("status", lambda _params: self._status(head, config, session))
 
-    def _status(self, config: Config, session: zenoh.Session) -> dict[str, Any]:
+    def _status(self, head: StatusHead, config: Config, session: zenoh.Session) -> dict[str, Any]:
         members = _members(session)
-        return {
-            "daemon": config.name,
-            "worker": "router",
-            "side": "router",
-            "pid": os.getpid(),
-            "zid": str(session.zid()),
-            "network": None,
-            "state": "running",
-            "uptime": time.monotonic() - self._started,
-            **costs(self._process),
-            "listen": config.hub.listen,
-            "sessions": len(members),
-            "members": members[:_MAX_MEMBERS],
+        return RouterStatus(
+            **head.fields("running"),
+            zid=str(session.zid()),
+            network=None,
+            listen=config.hub.listen,
+            sessions=len(members),
+            members=members[:_MAX_MEMBERS],
             **self._door_status(),
-            "routes": [],
-            "refused": [],
-            "warnings": self._warnings(),
-        }
+            routes=[],
+            refused=[],
+            warnings=self._warnings(),
+        ).document()
 
     def _warnings(self) -> list[str]:
         namesakes = self._namesakes.warning if self._namesakes is not None else ""

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import logging
-import os
 import sys
 import time
 from threading import Event
 from typing import Any
-
-import psutil
 
 from bridge.concurrency import Backoff
 from bridge.config.model import Config
@@ -23,9 +20,10 @@ from bridge.modules.module import Module, kind_of
 from bridge.modules.ports import ports_stay
 from bridge.modules.shared import Shared
 from bridge.progress import working
+from bridge.status import ModuleStatus
 from bridge.stores.entry import StoreError
 from bridge.stores.store import Store
-from bridge.worker import Health, Worker, costs
+from bridge.worker import Health, StatusHead, Worker
 
 _log = logging.getLogger(__name__)
 _START_SECONDS = 30.0  # a start that makes no progress for longer has failed: its dependency is not coming
@@ -55,7 +53,8 @@ class Running:
         self._silent = 0.0
         self._computes = ""
         self._started = time.monotonic()
-        self._process = psutil.Process()
+        self._names: dict[str, Any] = {"daemon": config.name, "worker": name, "module": True}
+        self._head = StatusHead(self._names)
         self._host: Host | None = None
         self._module: Module | None = None
 
@@ -76,6 +75,7 @@ class Running:
     def start(self) -> None:
         """Start the module; after a failure, `health` retries it later."""
         self._started = time.monotonic()
+        self._head = StatusHead(self._names)
         working.at(f"starting the module {self.name}")
         try:
             host = self._host = Host(self.name, self._config, self._registry, self._shared)
@@ -161,24 +161,17 @@ class Running:
     def _status(self, _params: dict[str, Any]) -> dict[str, Any]:
         module, host = self._module, self._host
         if module is None or host is None:
-            return {"daemon": self._config.name, "worker": self.name, "module": True, "state": "stopped", "routes": []}
+            return ModuleStatus(**self._names, state="stopped", routes=[]).document()
         health = self._module_health(module)
-        return {
-            "daemon": self._config.name,
-            "worker": self.name,
-            "module": True,
-            "pid": os.getpid(),
-            "zid": host.node.hub.zid,
-            "state": health.state,
-            "text": "; ".join(filter(None, (self._computes, health.text))),
-            "uptime": round(time.monotonic() - self._started, 1),
-            **costs(self._process),
-            "routes": [],
-            "refused": [],
-            "warnings": list(filter(None, [host.yarp.trouble(), host.clock.trouble(), opening.trouble()])),
+        text = "; ".join(filter(None, (self._computes, health.text)))
+        status = ModuleStatus(
+            **self._head.fields(health.state, text, refused=[]),
+            zid=host.node.hub.zid,
+            routes=[],
+            warnings=list(filter(None, [host.yarp.trouble(), host.clock.trouble(), opening.trouble()])),
             **host.status(),
-            **module.status(),
-        }
+        )
+        return {**status.document(), **module.status()}
 
 
 def _end(module: Module, host: Host) -> None:

@@ -10,8 +10,6 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-import psutil
-
 from bridge import __version__
 from bridge.config.model import Config
 from bridge.config.sections.record import RecordSection
@@ -24,7 +22,8 @@ from bridge.record.ring import Ring
 from bridge.record.taps import Taps
 from bridge.record.triggers import Triggers
 from bridge.state_file import worker_folder
-from bridge.worker import Health, Worker, costs
+from bridge.status import WorkerStatus
+from bridge.worker import Health, StatusHead, Worker
 
 _log = logging.getLogger("midspan.record")
 
@@ -59,15 +58,15 @@ class Recording:
         self.host.loop.start()
         self.host.loop.every(_REFRESH_SECONDS, self._refresh)
 
-        self._process = psutil.Process(os.getpid())
+        self._head = StatusHead({"side": "record"}, uptime=False)
         self.host.answer("status", self._status)
 
     def _status(self, _params: Any) -> dict[str, Any]:
         status = self.recorder.status()
         state = "waiting" if status["error"] else "running"
-        about = {"side": "record", "state": state, "text": summary(status), "pid": os.getpid(), **costs(self._process)}
         error = {"error": f"recording stopped: {status['error']}"} if status["error"] else {}
-        return {**about, **error, "recording": status, "metrics": metrics(status)}
+        head = self._head.fields(state, summary(status), recording=status, **error)
+        return WorkerStatus(**head, metrics=metrics(status)).document()
 
     def add_triggers(self, section: RecordSection) -> None:
         """Start the triggers of the configuration."""

@@ -18,6 +18,7 @@ from bridge.messages.registry import Registry
 from bridge.routing.edge import Edge, EdgePublisher
 from bridge.routing.engine import Engine
 from bridge.routing.route import Route
+from bridge.status import RouteStatus
 
 _log = logging.getLogger(__name__)
 
@@ -103,16 +104,15 @@ class Diagnostics:
         self._turn = start + ROUTES_AT_ONCE
         return routes[start : self._turn]
 
-    def _route(self, route: dict[str, Any]) -> bytes:
-        drops = {f"dropped ({reason})": n for reason, n in route["drops"].items() if n}
-        counts = route["drops"]
+    def _route(self, route: RouteStatus) -> bytes:
+        counts = route.drops
+        drops = {f"dropped ({reason})": n for reason, n in counts.items() if n}
         level = _ERROR if counts["bad"] or counts["large"] else _WARN if counts["lost"] or counts["queue"] else _OK
-        arrow = "to the hub" if route["direction"] == "in" else "from the hub"
-        of = _OF_CALLS if route["kind"] == "service" else ("type", "priority", "way", "messages")
-        values = {name: route[name] for name in of}
-        values |= {"bytes": route["bytes"], "rate": route["rate"], "age": route["age"], **drops}
-        values |= {f"messages ({transport})": n for transport, n in route.get("ways", {}).items()}
-        return self._status(f"{route['topic']} {arrow}", level, route["error"] or route["state"], values)
+        arrow = "to the hub" if route.direction == "in" else "from the hub"
+        of = _OF_CALLS if route.kind == "service" else ("type", "priority", "way", "messages")
+        values = {name: getattr(route, name) for name in (*of, "bytes", "rate", "age")} | drops
+        values |= {f"messages ({transport})": n for transport, n in route.ways.items()}
+        return self._status(f"{route.topic} {arrow}", level, route.error or route.state, values)
 
     def _status(self, name: str, level: int, message: str, values: dict[str, Any]) -> bytes:
         texts = (f"{self._hardware_id}: {name}", message, self._hardware_id)

@@ -35,6 +35,7 @@ from bridge.routing.services.side_to_hub import SideToHubServices
 from bridge.routing.side_to_hub import SideToHubTopics
 from bridge.routing.stall import StallDetector
 from bridge.routing.type_exchange import TypeExchange
+from bridge.status import Lease, RefusedRoute, WorkerStatus
 
 _log = logging.getLogger(__name__)
 
@@ -281,19 +282,20 @@ class Engine:
         outcome, routes = self._peers.outcome, len(self.routes())
         return Summary(self._network, routes, self._refused, self._rate, outcome.standing_by, outcome.waiting)
 
-    def status(self) -> dict[str, Any]:
-        """Return routes, refusals and warnings for the status document."""
+    def status(self, warnings: Sequence[str] = (), **fields: Any) -> WorkerStatus:
+        """Return the status document: routes, refusals and warnings, with further fields and warnings."""
         outcome = self._peers.outcome
-        lease = {"active": outcome.active, "changes": self._peers.changes, "members": len(outcome.members)}
-        return {
-            "network": self._network,
-            "standby": outcome.standing_by,
-            "waiting": outcome.waiting,
-            "lease": lease,
-            "routes": sorted((r.status() for r in self.routes()), key=lambda r: (str(r["topic"]), str(r["direction"]))),
-            "refused": [v.as_dict() for v in self.decisions() if v.refused],
-            "warnings": [*self.edge.warnings(), *self._left_out(), *self._refused_tokens()],
-        }
+        routes = (route.status() for route in self.routes())
+        return WorkerStatus(
+            **fields,
+            network=self._network,
+            standby=outcome.standing_by,
+            waiting=outcome.waiting,
+            lease=Lease(active=outcome.active, changes=self._peers.changes, members=len(outcome.members)),
+            routes=sorted(routes, key=lambda route: (route.topic, route.direction)),
+            refused=[RefusedRoute(**decision.as_dict()) for decision in self.decisions() if decision.refused],
+            warnings=[*self.edge.warnings(), *self._left_out(), *self._refused_tokens(), *warnings],
+        )
 
     def _refused_tokens(self) -> list[str]:
         graph = self.hub.graph

@@ -7,7 +7,6 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.graph import HubEndpoint
@@ -25,6 +24,7 @@ from bridge.routing.rewrites import TF_TYPE, StaticTransforms, with_spread
 from bridge.routing.route import EngineContext, RouteSet, TopicRoute
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.stall import AgeGate
+from bridge.status import RouteStatus
 
 PENDING_SECONDS = 2.0
 """Seconds for which a message from an unknown publisher is held."""
@@ -328,7 +328,7 @@ class HubToSideRoute(TopicRoute):
             self._queue.clear()
             self._queued_bytes = 0
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> RouteStatus:
         """Return the route for the status document."""
         transport, by_lane = ("", ""), self._by_lane_before
         if (subscription := self._subscription) is not None:
@@ -336,8 +336,9 @@ class HubToSideRoute(TopicRoute):
             transport, by_lane = (subscription.way, subscription.why), by_lane + subscription.by_lane
         publishers = [p for p in (self._latched, self._volatile) if p is not None]
         self.counters.drops["slow"] = max((p.dropped for p in publishers), default=0)
-        row = self.describe(len(self._sources), transport, by_lane)
-        return {**row, "state": "unheard"} if self._unheard and row["state"] == "active" else row
+        status = self.describe(len(self._sources), transport, by_lane)
+        unheard = self._unheard and status.state == "active"
+        return status.model_copy(update={"state": "unheard"}) if unheard else status
 
 
 class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):

@@ -25,6 +25,7 @@ from bridge.routing.rewrites import StaticTransforms
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.stall import StallDetector
 from bridge.routing.type_exchange import TypeExchange
+from bridge.status import RouteStatus
 
 _log = logging.getLogger(__name__)
 
@@ -75,7 +76,7 @@ class Route:
         self._context = context
         self._max_payload = context.hub.max_payload
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> RouteStatus:
         """Return the route for the status document."""
         raise NotImplementedError
 
@@ -173,18 +174,16 @@ class TopicRoute(Route):
         """Whether the route carries merged static transforms, which stay when their publishers leave."""
         return self._static is not None
 
-    def describe(self, sources: int, way: tuple[str, str], by_lane: int) -> dict[str, Any]:
+    def describe(self, sources: int, way: tuple[str, str], by_lane: int) -> RouteStatus:
         """Return the route for the status document; ``way``: the transport on the hub, and the reason for zenoh."""
-        row = self.row(active=bool(sources), sources=sources)
-        transports = {"lane": by_lane, "zenoh": max(self.counters.messages - by_lane, 0)}
-        more = {
-            "priority": self._priority.value,
-            "qos": qos_text(self._qos),
-            "way": way[0],
-            "why": way[1],
-            "ways": transports,
-        }
-        return row | more
+        return RouteStatus(
+            **self.row(active=bool(sources), sources=sources),
+            priority=self._priority.value,
+            qos=qos_text(self._qos),
+            way=way[0],
+            why=way[1],
+            ways={"lane": by_lane, "zenoh": max(self.counters.messages - by_lane, 0)},
+        )
 
 
 AnyKey = TypeVar("AnyKey")

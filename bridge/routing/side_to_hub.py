@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bridge.clock import CLOCK_TOPIC, CLOCK_TYPE
 from bridge.concurrency import BoundedQueue
@@ -26,6 +26,7 @@ from bridge.routing.rewrites import TF_TYPE, StaticTransforms
 from bridge.routing.route import EngineContext, RouteSet, TopicRoute
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.stall import AgeGate
+from bridge.status import RouteStatus
 
 PENDING_SECONDS = 5.0
 """Seconds for which a message from an unknown publisher is held."""
@@ -245,7 +246,7 @@ class SideToHubRoute(TopicRoute):
                 publisher.close()
         self._shared = self._static_publisher = None
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> RouteStatus:
         """Return the route for the status document."""
         if self._subscription is not None:
             self.counters.drops["lost"] = self._subscription.lost

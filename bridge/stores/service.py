@@ -6,7 +6,6 @@ It is opened on first use.
 from __future__ import annotations
 
 import logging
-import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -17,12 +16,14 @@ from bridge.config.sections.maps import StoreSection
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub
 from bridge.state_file import worker_folder
+from bridge.status import ModuleStatus
 from bridge.stores.entry import StoreError, check_name
 from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LINK, LOCATION, MAP, MAP3D, OBJECT, PATH, Map3D, read_map3d
 from bridge.stores.replica import Body, Key, Replica, StoreLimits
 from bridge.stores.sharing import StoreSync
 from bridge.stores.store import THE_MAP, Store, Write
 from bridge.stores.wire import prefix
+from bridge.worker import StatusHead
 from yarp_compat.dev.extras import Extras, extras_file
 from yarp_compat.dev.mapfile import MapFileError, read_text
 from yarp_compat.dev.mapgrid import MapGrid2D
@@ -180,16 +181,12 @@ class StoreService:
         counts = ", ".join(f"{count} {kind}{'' if count == 1 else 's'}" for kind, count in content["keys"].items())
         others = share.others()
         shared = f"shared with {', '.join(others)}" if others else "not shared"
-        return {
-            "daemon": self._config.name,
-            "worker": self._name,
-            "module": True,
-            "pid": os.getpid(),
-            "zid": hub.zid,
-            "state": "running",
-            "text": f"{counts or 'empty'}; {shared}",
-            "routes": [],
-            "refused": [],
-            "warnings": [],
-            "store": {**content, "others": others, "refused": share.refused},
-        }
+        names = {"daemon": self._config.name, "worker": self._name, "module": True}
+        head = StatusHead(names, uptime=False, costs=False)
+        content = {**content, "others": others, "refused": share.refused}
+        return ModuleStatus(
+            **head.fields("running", f"{counts or 'empty'}; {shared}", refused=[], store=content),
+            zid=hub.zid,
+            routes=[],
+            warnings=[],
+        ).document()

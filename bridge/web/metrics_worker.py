@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import logging
-import os
 import secrets
 from typing import TYPE_CHECKING, Any
-
-import psutil
 
 from bridge.config.model import Config
 from bridge.config.sections.web import WebSection
@@ -17,9 +14,10 @@ from bridge.messages.registry import Registry
 from bridge.metrics.endpoint import MetricsRoutes
 from bridge.metrics.link import HubLink
 from bridge.metrics.source import Source
+from bridge.status import WorkerStatus
 from bridge.web.serving.access import Access
 from bridge.web.serving.server import HttpServer
-from bridge.worker import Health, Worker, costs
+from bridge.worker import Health, StatusHead, Worker
 
 if TYPE_CHECKING:
     from bridge.web.serving.tls import ServerTls
@@ -40,7 +38,7 @@ class MetricsWorker(Worker):
         self._link: HubLink | None = None
         self._tls: ServerTls | None = None
         self._hub: Hub | None = None
-        self._process = psutil.Process(os.getpid())
+        self._head = StatusHead({"side": "metrics"}, uptime=False)
 
     def start(self, config: Config) -> None:
         """Open the server; raises `RuntimeError` if the address is in use, or requires authentication."""
@@ -61,7 +59,6 @@ class MetricsWorker(Worker):
             section.listen, routes, access, self._tls, what="the worker metrics", key="metrics.listen", names=web.names
         )  # fmt: skip
         self.server.start()
-        self._process.cpu_percent()
         _log.info("metrics are at %smetrics", self.server.address)
 
     def reload(self, config: Config) -> bool:
@@ -98,7 +95,6 @@ class MetricsWorker(Worker):
 
     def _status(self) -> dict[str, Any]:
         server = self.server
-        return {
-            "side": "metrics", "state": "running", "text": "" if server is None else f"{server.address}metrics",
-            "pid": os.getpid(), **costs(self._process),
-        }  # fmt: skip
+        return WorkerStatus(
+            **self._head.fields("running", "" if server is None else f"{server.address}metrics")
+        ).document()

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import logging
-import os
 from typing import Any
 
-import psutil
 from starlette.websockets import WebSocket
 
 from bridge import __version__
@@ -23,6 +21,7 @@ from bridge.metrics.endpoint import MetricsRoutes
 from bridge.metrics.source import ASK_SECONDS, Source
 from bridge.modules.host import Host
 from bridge.state_file import worker_folder
+from bridge.status import WorkerStatus
 from bridge.web.feeds.feed import Feeds
 from bridge.web.feeds.frames import FrameFollower, FramePoseFeed, FramesFeed
 from bridge.web.feeds.hub import PolledFeed, StatusPoller, list_topics
@@ -47,7 +46,7 @@ from bridge.web.verbs.patrol import ANOTHER, STOPPED, Patrol
 from bridge.web.verbs.places import PlaceVerbs
 from bridge.web.verbs.sending import Sending, list_services, sending_verbs
 from bridge.web.verbs.verbs import Verbs
-from bridge.worker import Health, Worker, costs
+from bridge.worker import Health, StatusHead, Worker
 
 _log = logging.getLogger("midspan.web")
 
@@ -115,7 +114,7 @@ class Console:
             raise
         if config.metrics.diagnostics:
             announce(host.node.hub, registry)
-        self._process = psutil.Process(os.getpid())
+        self._head = StatusHead({"side": "web"}, uptime=False)
         client = Client(host.node.hub, config, f"the hub of {config.name}")
         known = Types(client)
         self._asking, self._decoding = SerialExecutor("midspan-web-ask"), SerialExecutor("midspan-web-decode")
@@ -201,9 +200,9 @@ class Console:
         self._patrol.end(STOPPED)
 
     def _status(self, _params: Any) -> dict[str, Any]:
-        about = {"side": "web", "state": "running", "text": self.server.address, "pages": self.server.pages}
-        about["metrics"] = {"pages": self.server.pages}
-        return {**about, "pid": os.getpid(), **costs(self._process), **self.host.status()}
+        pages = self.server.pages
+        head = self._head.fields("running", self.server.address, pages=pages)
+        return WorkerStatus(**head, metrics={"pages": pages}, **self.host.status()).document()
 
     def close(self) -> None:
         """Stop the robot if a page drives it, then leave."""

@@ -112,7 +112,7 @@ class FakeBridge:
         self._engine = Engine(edge, self._hub, config.routing, config.name, self._failed, registry)
         self._engine.start()
         self._closers = [
-            self._hub.serve("status", lambda _: self._engine.status()),
+            self._hub.serve("status", lambda _: self._engine.status().document()),
             self._hub.serve("explain", lambda params: self._engine.explain(params["topic"])),
         ]
         until(lambda: self._engine.summary().network, "the engine joins")

@@ -72,8 +72,8 @@ class Link:
 
     def dropped(self) -> int:
         """Return the number of commands that the robot dropped as too old."""
-        routes = self.engine.engine.status()["routes"]
-        return sum(route["drops"]["stale"] for route in routes if route["topic"] == "/cmd_vel")
+        routes = self.engine.engine.status().routes
+        return sum(route.drops["stale"] for route in routes if route.topic == "/cmd_vel")
 
 
 @pytest.fixture

@@ -17,6 +17,7 @@ from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide, ros2_name
 from tests.peers.browser.foxglove_app import App
 from tests.peers.hub.quick import QuickHub
+from tests.support.status_documents import check_document
 
 
 class Desk:
@@ -58,6 +59,7 @@ class Desk:
         """Return the server's status document."""
         (answer,) = self.far.hub.ask("status", {}, worker="foxglove")
         assert isinstance(answer.value, dict)
+        check_document(answer.value, "foxglove")
         return answer.value
 
     def close(self) -> None:

@@ -17,6 +17,7 @@ from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
 from tests.peers.hub.endpoints import LATCHED, Subscriber, advertise, matched, see_each_other
 from tests.peers.hub.network import HubNetwork
 from tests.support.ports import free_port
+from tests.support.status_documents import check_document
 from tests.support.wait import until
 
 
@@ -35,6 +36,7 @@ def test_router_runs_and_reports_its_status():
             until(lambda: hub.ask("status", {}, worker="router", timeout=0.5), "it answers")
             (answer,) = hub.ask("status", {}, worker="router")
             assert answer.daemon == "robot1"
+            check_document(answer.value, "router")
             assert (answer.value["state"], answer.value["sessions"]) == ("running", 1)
             assert worker.health().text.startswith("1 session")
         assert worker.reload(router_config(endpoint))

@@ -24,6 +24,7 @@ from bridge.hub.session import Hub
 from bridge.web.metrics_worker import MetricsWorker
 from tests.metrics.documents import route, side
 from tests.peers.hub.quick import QuickHub
+from tests.support.status_documents import check_document
 from tests.support.wait import until
 from tests.web.conftest import Desk
 
@@ -106,6 +107,8 @@ def test_both_formats(place: Place) -> None:
     assert [s.value for f in parse(text) if f.name == "midspan_route_messages" for s in f.samples] == [3], (
         "only the routes of this daemon"
     )
+    (answer,) = place.far.ask("status", {}, daemon="here", worker="metrics")
+    check_document(answer.value, "metrics")
     status, kind, text = place.ask("/metrics", OPENMETRICS)
     assert status == 200
     assert kind.startswith(OPENMETRICS)

@@ -27,6 +27,7 @@ from bridge.record.worker import RecordWorker
 from tests.contract.hubside import HubSide
 from tests.peers.hub.quick import QuickHub
 from tests.peers.hub.recorded_robot import Robot, config, read
+from tests.support.status_documents import check_document
 from tests.support.wait import until
 
 STATUS = "midspan_msgs/msg/NavigationStatus"
@@ -242,6 +243,7 @@ def test_health_and_metrics_show_what_is_written(worker: RecordWorker, robot: Ro
     assert health.state == "running"
     assert "1 messages" in health.text
     document = next(a.value for a in robot.hub.ask("status", {}, worker="record"))
+    check_document(document, "record")
     assert document["metrics"]["written_messages_total"] == 1
     assert document["metrics"]["dropped_disk_total"] == 0
     assert document["pid"] == os.getpid()

@@ -90,7 +90,7 @@ def test_velocities_enter_the_hub_only_while_no_gateway_holds_them(hubs: QuickHu
         def drop() -> int:
             network.write(drives, velocity)
             network.write(looks, velocity)
-            return {row["topic"]: row for row in engine.status()["routes"]}["/cmd_vel"]["drops"].get("held", 0)
+            return {route.topic: route for route in engine.status().routes}["/cmd_vel"].drops.get("held", 0)
 
         until(drop, "it is dropped before the gateway's first message")
         gateway.publish(held=False)

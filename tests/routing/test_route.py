@@ -359,7 +359,7 @@ def test_fast_stream_is_unsubscribed_ten_seconds_after_its_last_subscriber(
             for number in range(count):
                 route.handle(HubSample(zenoh.ZBytes(line("x")), number + 1, 1, GID, "z"))
             route.update([publisher], [])
-            return route.status()["state"]
+            return route.status().state
 
         listener = network.read_from(topic, STRING, Qos(), MadeBy.NATIVE, "/listener", lambda *_: None)
         assert [state_after(0.1), state_after(30.0)] == ["active", "active"], "a subscriber is there"

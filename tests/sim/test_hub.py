@@ -20,6 +20,7 @@ from sim.simulator import SimWorker
 from tests.contract.hubside import HubSide
 from tests.peers.hub.quick import QuickHub
 from tests.support.ports import free_port
+from tests.support.status_documents import check_document
 from tests.support.wait import until
 
 WHEELS = ["mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint"]
@@ -61,6 +62,7 @@ class Place:
             return next((a.value for a in answers if isinstance(a.value, dict)), None)
 
         status: dict[str, Any] = until(answer, "the simulator's status")
+        check_document(status, "sim")
         return status
 
     def close(self) -> None:

@@ -20,6 +20,7 @@ from bridge.routing.edge import EdgeCaller, EdgeServer
 from bridge.routing.limits import BULK, QUEUE_BYTES
 from bridge.routing.route import EngineContext, Route
 from bridge.routing.rules import RoutePolicy
+from bridge.status import RouteStatus
 
 _log = logging.getLogger(__name__)
 
@@ -238,6 +239,6 @@ class ServiceRoute(Route):
             call.end(error)
             call.cancel()
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> RouteStatus:
         """Return the route for the status document."""
-        return {**self.row(active=self.offered, sources=self.servers), "priority": "", "qos": ""}
+        return RouteStatus(**self.row(active=self.offered, sources=self.servers), priority="", qos="")

@@ -50,7 +50,7 @@ def published_frames(worker: EngineWorker, topic: str, *frames: tuple[str, str],
 
 def bridged(worker: EngineWorker, topic: str) -> None:
     until(
-        lambda: any((r["topic"], r["direction"]) == (topic, "in") for r in worker.engine.status()["routes"]),
+        lambda: any((r.topic, r.direction) == (topic, "in") for r in worker.engine.status().routes),
         f"{topic} has its route to the hub",
         20,
     )

@@ -29,6 +29,7 @@ from tests.support.lane import LANE
 from tests.support.missing import COMPILER, ROS2, need
 from tests.support.ports import free_port
 from tests.support.process import Process
+from tests.support.status_documents import DOCUMENTS, check_document
 from tests.support.wait import until
 
 MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]
@@ -99,7 +100,12 @@ class Deployment:
         if self._watch is None:
             self._watch = Hub.open(self.settings("watch", "w"))
             self._open.append(_Closer(self._watch))
-        return [a.value for a in self._watch.ask("status", {}, timeout=ANSWER_SECONDS) if isinstance(a.value, dict)]
+        answers = self._watch.ask("status", {}, timeout=ANSWER_SECONDS)
+        answers = [answer for answer in answers if isinstance(answer.value, dict)]
+        for answer in answers:
+            if answer.worker in DOCUMENTS and answer.value.get("state") != "stopped":
+                check_document(answer.value, answer.worker)
+        return [answer.value for answer in answers]
 
     def explain(self, topic: str) -> list[dict[str, Any]]:
         """Return the workers' decisions on a topic."""

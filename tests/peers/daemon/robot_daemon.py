@@ -65,8 +65,9 @@ class RobotDaemon:
 
     def worker(self, name: str) -> dict[str, Any]:
         """Return the daemon's report of a worker, empty if the daemon does not run."""
-        report = ask_daemon(load(self.file)) or {"workers": []}
-        return next((dict(worker) for worker in report["workers"] if worker["worker"] == name), {})
+        status = ask_daemon(load(self.file))
+        reports = [] if status is None else status.workers
+        return next((report.document() for report in reports if report.worker == name), {})
 
     def until_phase(self, worker: str, phase: str, restarts: int = 0) -> dict[str, Any]:
         """Wait until a worker is in a phase, after a number of restarts."""

@@ -109,7 +109,7 @@ class EngineWorker:
         self.engine = Engine(edge, self.hub, section, "robot1", self.failures.append)
         self.engine.start()
         verbs: dict[str, Callable[[dict[str, Any]], Any]] = {
-            "status": lambda _params: {**status("ros1", pid=os.getpid()), **self.engine.status()},
+            "status": lambda _params: {**status("ros1", pid=os.getpid()), **self.engine.status().document()},
             "explain": lambda params: self.engine.explain(params["topic"]),
             "tap": lambda params: self.engine.tap(params["topic"], params["seconds"]),
             "time": lambda _params: {"time_ns": time.time_ns()},

@@ -65,7 +65,7 @@ class Place:
         return client
 
     def row(self, name: str = "/do") -> dict[str, Any]:
-        return next(row for row in self.engine.status()["routes"] if row["topic"] == name)
+        return next(row for row in self.engine.status().document()["routes"] if row["topic"] == name)
 
     def counts(self, name: str = "/do") -> tuple[int, ...]:
         row = self.row(name)

@@ -1,0 +1,387 @@
+"""The status documents of workers, hosted modules and the daemon.
+
+A worker responds to the verb ``status`` of the control plane with a `WorkerStatus`, the router with a `RouterStatus`, a
+module with a `ModuleStatus`. The daemon sends a `DaemonStatus` on its socket. As JSON, a status has the keys that were
+set (`Part.document`).
+
+Documents come from workers of any release: `read_status` and `read_daemon_status` keep unknown keys, use the defaults
+for missing ones, and omit values of the wrong type, which they list in ``error``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, InstanceOf, ValidationError
+from pydantic_core import core_schema
+
+_LEAST, _MOST = -(2**63), 2**63 - 1
+
+
+class _NumberSchema:
+    """Accept an integer or a finite number, without converting one to the other."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, _source: Any, _handler: Any) -> core_schema.CoreSchema:
+        integer = core_schema.int_schema(strict=True, ge=_LEAST, le=_MOST)
+        number = core_schema.float_schema(strict=True, allow_inf_nan=False)
+        text = "Input should be a finite number"
+        return core_schema.union_schema(
+            [integer, number], mode="left_to_right", custom_error_type="number", custom_error_message=text
+        )
+
+
+Text = InstanceOf[str]
+"""A string, also one that is not valid Unicode: names of ROS 1 and errors of the system can have any bytes."""
+
+Int = Annotated[int, Field(ge=_LEAST, le=_MOST)]
+Number = Annotated[float, _NumberSchema]
+
+INVALID = "invalid status document"
+"""Start of the error of a document with values of the wrong type."""
+
+_SHOWN = 3
+_HINT = "it may be of another release of Midspan"
+
+
+class Part(BaseModel):
+    """A JSON object with typed fields; other keys are kept as they are."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="allow")
+
+    def document(self) -> dict[str, Any]:
+        """Return the keys and values that were set, for JSON."""
+        return {name: _plain(value) for name, value in self if name in self.model_fields_set}
+
+    def other(self, kind: type[AnyPart]) -> AnyPart:
+        """Return the keys without a field here as another type, without values of the wrong type."""
+        return _read(kind, self.model_extra or {})[0]
+
+
+AnyPart = TypeVar("AnyPart", bound=Part)
+
+
+class Histogram(Part):
+    """Counts in the buckets of a histogram, and the sum of all values in seconds."""
+
+    buckets: list[Int] = []
+    seconds: Number = 0.0
+
+
+class RouteStatus(Part):
+    """One topic or service that crosses in one ``direction``: ``in`` to the hub, ``out`` from it.
+
+    Attributes:
+        action: the action that it is a part of, "" without one.
+        rate: messages or calls per second.
+        age: seconds since the last message.
+        latency_ms: quantiles (``p50``, ``p99``) of the last messages.
+        carry: time within the bridge, to the hub only.
+        way: transport on the hub (``lane``, ``zenoh``, ``both``), ``why`` it is zenoh; None for services. ``ways``:
+            messages by transport.
+    """
+
+    kind: Text = ""
+    action: Text = ""
+    direction: Text = ""
+    topic: Text = ""
+    hub_topic: Text = ""
+    type: Text = ""
+    side_type: Text = ""
+    state: Text = ""
+    sources: Int = 0
+    messages: Int | None = None
+    bytes: Int | None = None
+    rate: Number | None = None
+    age: Number | None = None
+    latency_ms: dict[Text, Number] = {}
+    latency: Histogram = Histogram()
+    carry: Histogram = Histogram()
+    drops: dict[Text, Int] = {}
+    error: Text = ""
+    calls: Int | None = None
+    replies: Int | None = None
+    errors: Int | None = None
+    abandoned: Int | None = None
+    pending: Int | None = None
+    priority: Text = ""
+    qos: Text = ""
+    way: Text | None = None
+    why: Text | None = None
+    ways: dict[Text, Int] = {}
+
+
+class RefusedRoute(Part):
+    """A topic or service that the rules allow, and that cannot cross."""
+
+    kind: Text = ""
+    direction: Text = ""
+    topic: Text = ""
+    hub_topic: Text = ""
+    type: Text = ""
+    reason: Text = ""
+    cure: Text = ""
+
+
+class PeerStatus(Part):
+    """A YARP port that is connected to one of Midspan's."""
+
+    port: Text = ""
+    carrier: Text = ""
+    profile: Text = ""
+    profile_why: Text = ""
+    generation: Text = ""
+    generation_why: Text = ""
+    generation_cure: Text = ""
+
+
+class PortStatus(Part):
+    """A YARP port of Midspan; ``direction`` is ``out``, ``in`` or ``rpc``."""
+
+    port: Text = ""
+    direction: Text = ""
+    topic: Text = ""
+    type: Text = ""
+    carries: Text = ""
+    replies: Text = ""
+    profile: Text = ""
+    peers: list[PeerStatus] = []
+
+
+class Lease(Part):
+    """The right to carry messages between a network and the hub."""
+
+    active: bool | None = None
+    changes: Int | None = None
+    members: Int | None = None
+
+
+class LaneStatus(Part):
+    """The local transport to the daemon's other workers; ``why`` it is not in use."""
+
+    why: Text = ""
+
+
+class CycloneNodes(Part):
+    """ROS 2 nodes on Cyclone DDS, with the services and actions that they serve and call."""
+
+    nodes: list[Text] = []
+    served: list[Text] = []
+    called: list[Text] = []
+
+
+class StatusDocument(Part):
+    """The common part of all workers and modules.
+
+    Attributes:
+        side: the side of a worker; its own name for a worker without a side.
+        text: details of the state, for people.
+        error: why the document is missing or incomplete, or why the worker does not work.
+        uptime: in seconds; ``cpu`` in cores, ``rss`` in bytes.
+        metrics: further figures for Prometheus; see `bridge.metrics.collector`.
+        restarts: by the daemon's report; ``loops`` if the worker crashes repeatedly.
+    """
+
+    daemon: Text = ""
+    worker: Text = ""
+    side: Text | None = None
+    pid: Int = 0
+    zid: Text = ""
+    state: Text = ""
+    text: Text = ""
+    error: Text = ""
+    uptime: Number | None = None
+    cpu: Number | None = None
+    rss: Int | None = None
+    routes: list[RouteStatus] = []
+    ports: list[PortStatus] = []
+    warnings: list[Text] = []
+    metrics: dict[Text, Number] = {}
+    restarts: Int | None = None
+    loops: bool = False
+
+
+class WorkerStatus(StatusDocument):
+    """A worker; most fields belong to sides.
+
+    Attributes:
+        network: the network that the side has joined, None while it is unavailable.
+        standby: the daemons that are active there instead; ``waiting``: why nothing crosses yet.
+    """
+
+    network: Text | None = None
+    standby: Text = ""
+    waiting: Text = ""
+    lease: Lease = Lease()
+    refused: list[RefusedRoute] = []
+    cyclone: CycloneNodes | None = None
+    lane: LaneStatus = LaneStatus()
+
+
+class EndpointStatus(Part):
+    """An endpoint of ``hub.open``; see `bridge.hub.security.endpoints.EndpointStatus`."""
+
+    way: Text = ""
+    endpoint: Text = ""
+    state: Text = ""
+    reason: Text = ""
+    cure: Text = ""
+    machine: Text = ""
+    since: Number | None = None
+
+
+class MachineStatus(Part):
+    """A machine that is connected to the router; ``name`` is that in its certificate."""
+
+    name: Text = ""
+    zid: Text = ""
+    address: Text = ""
+    trusted: bool = False
+
+
+class RouterStatus(WorkerStatus):
+    """The router of the hub.
+
+    Attributes:
+        sessions: number of the sessions at the router, ``members`` their ids.
+        door: id of the session for other machines, "" without one.
+        commands: the parts of types that only trusted machines may publish.
+    """
+
+    listen: Text = ""
+    sessions: Int | None = None
+    members: list[Text] = []
+    door: Text = ""
+    machines: list[MachineStatus] = []
+    endpoints: list[EndpointStatus] = []
+    refused_connections: Int | None = None
+    commands: dict[Text, list[Text]] = {}
+
+
+class ModuleStatus(StatusDocument):
+    """A hosted module; the keys of the module itself are those without a field."""
+
+    module: bool = True
+
+
+class GatewayKeys(Part):
+    """The gateway's own keys that others use, with `Part.other`."""
+
+    planner: Text = ""
+    pending: Text = ""
+    goals: Int = 0
+    goal: Any = None
+    client: Text = ""
+    goals_of_others: Int = 0
+    goals_ended: dict[Text, Int] | None = None
+    served_by: Text = ""
+
+
+class WorkerReport(Part):
+    """A worker as its daemon reports it.
+
+    Attributes:
+        phase: a value of `bridge.daemon.query.Phase`, since ``since`` seconds.
+        text: the current step or state.
+        still: seconds without progress or computation of a starting or running worker.
+        beat: seconds since the last heartbeat of its process, None before the first.
+        ended: how its last process exited by itself.
+    """
+
+    worker: Text = ""
+    phase: Text = ""
+    text: Text = ""
+    since: Number | None = None
+    still: Number = 0.0
+    beat: Number | None = None
+    pid: Int = 0
+    restarts: Int = 0
+    ended: Text = ""
+
+
+class DaemonStatus(Part):
+    """The daemon.
+
+    Attributes:
+        uptime: in seconds.
+        config: its file, None without one.
+        refused: why the last reload was refused, or "".
+        status: the state of all workers in one line.
+        error: which values could not be read.
+    """
+
+    daemon: Text = ""
+    pid: Int = 0
+    uptime: Number | None = None
+    config: Text | None = None
+    refused: Text = ""
+    status: Text = ""
+    workers: list[WorkerReport] = []
+    error: Text = ""
+
+
+def refused_routes(document: StatusDocument) -> list[RefusedRoute]:
+    """Return what a worker refused; a module's key ``refused`` has another meaning."""
+    return document.refused if isinstance(document, WorkerStatus) else []
+
+
+def read_status(value: object, daemon: str, worker: str, error: str = "") -> StatusDocument:
+    """Return the status document that a worker responded with, or failed to (``error``).
+
+    Without one, the ``state`` is ``failed``.
+    """
+    if error or not isinstance(value, Mapping):
+        error = error or "the answer is not a status document"
+        return WorkerStatus(daemon=daemon, worker=worker, side=worker, state="failed", error=error)
+    kind: type[StatusDocument] = WorkerStatus
+    if value.get("module") is True:
+        kind = ModuleStatus
+    elif worker == "router" or value.get("side") == "router":
+        kind = RouterStatus
+    document, trouble = _read(kind, {**value, "daemon": daemon, "worker": worker})
+    if not trouble:
+        return document
+    errors = filter(None, (document.error, f"{INVALID}: {trouble}"))
+    return document.model_copy(update={"error": "; ".join(errors)})
+
+
+def read_daemon_status(value: Mapping[str, Any]) -> DaemonStatus:
+    """Return the daemon's status from its JSON."""
+    status, trouble = _read(DaemonStatus, value)
+    return status.model_copy(update={"error": f"invalid report: {trouble}"}) if trouble else status
+
+
+def _read(kind: type[AnyPart], value: Mapping[str, Any]) -> tuple[AnyPart, str]:
+    """Return a JSON object as a type, and which values were omitted as invalid; null counts as a missing key."""
+    try:
+        return kind.model_validate(value), ""
+    except ValidationError as err:
+        problems = err.errors(include_url=False, include_context=False)
+    valid = kind.model_validate(_without(value, [problem["loc"] for problem in problems]))
+    wrong = [problem for problem in problems if problem["input"] is not None]
+    lines = [f"{'.'.join(map(str, problem['loc']))}: {problem['msg']}" for problem in wrong]
+    more = [f"{len(lines) - _SHOWN} more"] if len(lines) > _SHOWN else []
+    return valid, "; ".join([", ".join([*lines[:_SHOWN], *more]), _HINT]) if lines else ""
+
+
+def _without(value: Any, paths: Sequence[tuple[int | str, ...]]) -> Any:
+    """Return a copy of a JSON value without the values at some paths."""
+    deeper: dict[int | str, list[tuple[int | str, ...]]] = {}
+    for first, *rest in paths:
+        deeper.setdefault(first, []).append(tuple(rest))
+    items = value.items() if isinstance(value, Mapping) else enumerate(value)
+    valid = {
+        key: _without(item, deeper[key]) if key in deeper else item
+        for key, item in items
+        if () not in deeper.get(key, ())
+    }
+    return valid if isinstance(value, Mapping) else list(valid.values())
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Part):
+        return value.document()
+    if isinstance(value, list) and value and isinstance(value[0], Part):
+        return [part.document() for part in value]
+    return value

@@ -1,0 +1,29 @@
+"""Real status documents: those of all workers and of the daemon, recorded before the documents were typed.
+
+A new release may add keys, but must keep these.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from bridge.status import read_status
+
+_RECORDED = json.loads((Path(__file__).parent / "status_documents.json").read_text())
+
+DOCUMENTS: dict[str, dict[str, Any]] = _RECORDED["workers"]
+"""By worker."""
+
+DAEMON: dict[str, Any] = _RECORDED["daemon"]
+
+
+def check_document(document: dict[str, Any], worker: str) -> None:
+    """Assert that a running worker's document has the recorded keys, and is unchanged after reading."""
+    status = read_status(document, document.get("daemon", "d"), worker)
+    assert status.document() == {"daemon": status.daemon, "worker": worker, **document}
+    assert not DOCUMENTS[worker].keys() - document.keys()
+    kinds = {route["kind"]: route for recorded in DOCUMENTS.values() for route in recorded.get("routes", ())}
+    for route in document.get("routes", ()):
+        assert not kinds[route["kind"]].keys() - route.keys()
