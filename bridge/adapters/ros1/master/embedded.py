@@ -80,10 +80,10 @@ class EmbeddedMaster:
     def close(self) -> None:
         """Stop serving, and write the state."""
         self._server.close()
+        if self._writer is not None:  # first, since a daemon that stops waits only a second
+            self._writer.close()
         self._liveness.close()
         self.calls.close()
-        if self._writer is not None:
-            self._writer.close()
 
     def _on_change(self) -> None:
         if self._writer is not None:
