@@ -1,9 +1,8 @@
-"""Commands, the active goal, the path down the potential field, and the control law that follows it."""
+"""Commands, the limits of a goal, the path down the potential field, and the control law that follows it."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -37,24 +36,6 @@ class DriveCommand(NamedTuple):
 
 
 STILL = DriveCommand()
-
-
-@dataclass
-class GotoTask:
-    """An active goal."""
-
-    pose: Pose  #: on the map; theta is NaN if the heading does not matter
-    constraints: Constraints
-    driven: bool = False  #: whether the robot could drive in any step
-    near: bool = False  #: whether only the heading is left
-    best: float = math.inf  #: the smallest remaining distance so far, meters; ``best_turn`` for the heading, radians
-    best_turn: float = math.inf
-    progress_at: float | None = None  #: the time of that, seconds; None before the first step
-
-    @property
-    def heading(self) -> bool:
-        """Whether its heading matters."""
-        return self.constraints.heading and not self.constraints.through and math.isfinite(self.pose.theta)
 
 
 INFLUENCE = 0.8  # meters beyond which obstacles do not repel (upstream's ``max_obstacle_distance``)

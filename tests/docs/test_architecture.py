@@ -13,6 +13,7 @@ import pytest
 
 from bridge.daemon import worker_states
 from navigation.gateway import machine
+from navigation.robot_goto.machine import DRIVER, DriverState
 from scripts import house
 
 ROOT = Path(__file__).parents[2]
@@ -105,10 +106,11 @@ def diagram(table: Mapping[Any, Mapping[Any, Any]], first: Enum, without: frozen
         diagram(machine.PLANNER, machine.PlannerState.UNKNOWN),
         diagram(machine.DRIVE, machine.DriveState.WAITING, frozenset(("PAUSE", "STOP", "END"))),
         diagram(machine.STOP, machine.StopState.NONE),
+        diagram(DRIVER, DriverState.IDLE, frozenset(("GOAL", "BACK_OFF", "APPROACH", "CANCEL"))),
     ],
-    ids=["planner", "drive", "stop"],
+    ids=["planner", "drive", "stop", "robot_goto"],
 )
-def test_the_gateways_state_diagrams_match_its_tables(drawn: str) -> None:
+def test_the_state_diagrams_match_their_tables(drawn: str) -> None:
     assert drawn in PAGE, f"ARCHITECTURE.md must contain:\n{drawn}"
 
 

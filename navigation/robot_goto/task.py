@@ -1,0 +1,167 @@
+"""What RobotGoto keeps for one goal: its progress, its path, the obstacle that it waits for, and turns to see more."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bridge.config.sections.planners import RobotGotoSection
+from navigation.constraints import Constraints
+from navigation.pose import Pose, wrapped
+from navigation.robot_goto.guard import FAST_ROOM, Guard
+from navigation.robot_goto.local_grid import LocalGrid
+from navigation.robot_goto.steering import STILL, Aim, DriveCommand, GoalLimits, aim, people_speed
+
+CLEAR = 1.0  # seconds for which the path has to be free before the robot drives on
+RAMP = 2.0  # seconds in which it then accelerates to full speed
+_PROGRESS, _TURN_PROGRESS = 0.05, math.radians(2.0)
+_SCAN_TURN, _SCAN_TURNS, _SCAN_AGAIN = 0.5 * math.pi, 2, 0.3  # radians, number of turns, meters
+
+
+@dataclass
+class TimedMove:
+    """A command for a limited time: an approach, a retreat, or the motion past a waypoint."""
+
+    command: DriveCommand = STILL
+    left: float = 0.0  #: seconds
+
+    def advance(self, seconds: float) -> DriveCommand:
+        """Return the command for a step of some seconds; it is `STILL` when the time is over."""
+        self.left -= seconds
+        return self.command if self.left > 0.0 else STILL
+
+
+@dataclass
+class GoalProgress:
+    """The progress towards a goal."""
+
+    best: float = math.inf  #: the smallest remaining distance so far, meters
+    best_turn: float = math.inf  #: the same for the heading, radians
+    since: float | None = None  #: the time of the last progress, seconds; None before the first step
+
+    def missing(self, now: float, left: float, turn: float) -> float:
+        """Return the seconds since the last progress; ``left`` meters and ``turn`` radians remain."""
+        if self.since is None or left < self.best - _PROGRESS or turn < self.best_turn - _TURN_PROGRESS:
+            self.best, self.best_turn, self.since = left, turn, now
+        return now - self.since
+
+    def excuse(self, seconds: float) -> None:
+        """Do not count a time in which the robot had to wait."""
+        if self.since is not None:
+            self.since += seconds
+
+
+class PathFollower:
+    """The point to drive to, computed again for each scan."""
+
+    def __init__(self) -> None:
+        self.aim: Aim | None = None
+        self._scanned: float | None = None
+
+    def next(self, grid: LocalGrid, now: float, moved: Pose, goal: tuple[float, float], radius: float) -> Aim:
+        """Return the point to drive to on the way to a goal (x, y), in the grid's frame."""
+        if self.aim is None or self._scanned != grid.scanned:
+            self.aim = aim(grid, now, moved, goal, radius, self.aim)
+            self._scanned = grid.scanned
+        return self.aim._replace(x=goal[0], y=goal[1]) if self.aim.direct else self.aim
+
+
+class Obstruction:
+    """The obstacle on a goal's path.
+
+    Attributes:
+        seen_at: when the path was last obstructed, seconds; -inf if it is free.
+        removed_at: when it became free, or the base did not follow, seconds; the robot then accelerates slowly.
+    """
+
+    def __init__(self) -> None:
+        self.seen_at = self.removed_at = -math.inf
+        self._length = 0.0
+
+    def reason(
+        self,
+        settings: RobotGotoSection,
+        limits: GoalLimits,
+        guard: Guard,
+        moved: Pose,
+        beta: float,  # the direction to drive in, from the robot's front, radians
+        distance: float,  # to the goal, meters
+        blocked: float,  # meters of path up to the obstacle that blocks it
+        *,
+        waiting: bool,  # whether the robot waits already
+    ) -> str:
+        """Return why the robot must not drive now; "" if the path is free."""
+        length = settings.max_detection_distance
+        if settings.enable_dynamic_max_distance:
+            length *= min(1.0, float(np.hypot(guard.has[0], guard.has[1])) / max(settings.max_lin_speed, 1e-3))
+        length = max(length, settings.min_detection_distance)
+        if waiting:
+            length = max(length, self._length)  # an obstacle that stopped the robot early still counts when it stands
+        self._length = length
+        radius = settings.robot_radius
+        guard.check_ahead(settings, moved, beta, min(length, distance + radius))
+        if limits.avoid:
+            if blocked < max(length, radius + 0.2):
+                return "the path is blocked"
+            if limits.stop and guard.ahead[1] >= 2:
+                return "a person crosses the path"
+            if people_speed(settings, guard.ahead[2] - radius - FAST_ROOM) < 0.02:
+                return "a person is too close"
+        elif limits.stop and guard.ahead[0] >= 2:
+            return "an obstacle is on the path"
+        return ""
+
+    def ramp(self, now: float) -> float:
+        """Return the share of the speed: it rises after an obstacle has moved away."""
+        return min(1.0, max(0.05, (now - self.removed_at) / RAMP))
+
+
+class SearchTurn:
+    """Turns in place until the laser sees the path, to both sides."""
+
+    def __init__(self) -> None:
+        self._left = self._sign = 0.0
+        self._turns = 0
+        self._at: Pose | None = None
+
+    @property
+    def active(self) -> bool:
+        """Whether a turn is not complete."""
+        return self._left > 0.0
+
+    def advance(self, guard: Guard, moved: Pose, seconds: float, speed: float) -> DriveCommand | None:
+        """Return the command at a speed (rad/s) for a step of some seconds; None after a turn to each side."""
+        if self._at is None or self._at.distance(moved) > _SCAN_AGAIN:
+            self._turns, self._at = 0, moved
+        if self._left <= 0.0:
+            if self._turns >= _SCAN_TURNS:
+                return None
+            bearing = math.atan2(guard.blocker[1] - moved.y, guard.blocker[0] - moved.x) - moved.theta
+            self._sign = math.copysign(1.0, wrapped(bearing))
+            self._left = _SCAN_TURN
+            self._turns += 1
+        self._left -= abs(guard.has[2]) * seconds
+        return DriveCommand(omega=self._sign * speed)
+
+
+@dataclass
+class GotoTask:
+    """An active goal."""
+
+    pose: Pose  #: on the map; theta is NaN if the heading does not matter
+    constraints: Constraints
+    driven: bool = False  #: whether the robot could drive in any step
+    near: bool = False  #: whether only the heading is left
+    waiting_since: float | None = None  #: seconds; None while it does not wait
+    pause_left: float = 0.0  #: seconds
+    progress: GoalProgress = field(default_factory=GoalProgress)
+    path: PathFollower = field(default_factory=PathFollower)
+    obstruction: Obstruction = field(default_factory=Obstruction)
+    search: SearchTurn = field(default_factory=SearchTurn)
+
+    @property
+    def heading(self) -> bool:
+        """Whether its heading matters."""
+        return self.constraints.heading and not self.constraints.through and math.isfinite(self.pose.theta)
