@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -27,6 +26,7 @@ from navigation.maps.grid import to_cdr
 from navigation.messages import GRID, stamp_ns
 from navigation.pose import Pose, check_rotation
 from navigation.scan import SCAN, ScanError, believed, of_ros, of_yarp
+from navigation.sensor_queue import SensorQueue
 from navigation.yarp import PortConnection
 from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.pythonic import Received
@@ -35,15 +35,13 @@ from yarp_compat.wire.errors import WireError
 TRIGGER = "std_srvs/srv/Trigger"
 
 _WAITING = 20  # scans that may wait for their poses
-_PATIENCE_NS = 1_000_000_000
 _BEAT = 0.05
 _SILENT_NS = 2_000_000_000
 
 
 class _Scan(NamedTuple):
-    """A scan that waits for its pose; ``received_ns`` is in ns of the run's clock."""
+    """A scan, with the frame of its laser."""
 
-    received_ns: int
     frame: str
     turn: Turn
 
@@ -63,9 +61,9 @@ class Mapper2D(Module):
         self._host = host
         self.mapper = Mapper(section)
         self.mapper.mapping = section.mapping
-        self._waiting: deque[_Scan] = deque(maxlen=_WAITING)
-        self._received_ns: int | None = None
-        self._dropped, self._trouble = 0, ""
+        self._scans: SensorQueue[_Scan] = SensorQueue(
+            self._map_scan, limit=_WAITING, what="scan", clock=host.clock, log=host.log
+        )
         self._changed = True
         self._poses = Poses(host, section)
         self._canvas = Canvas(self.mapper)
@@ -77,8 +75,8 @@ class Mapper2D(Module):
         if section.initial_pose:
             host.node.subscription(section.initial_pose, COVARIANT, self._on_initial_pose)
         self._offer(host, section.prefix)
-        host.on_jump(self._clear_waiting)
-        host.every(_BEAT, self._work)
+        host.on_jump(self._scans.clear)
+        host.every(_BEAT, self._scans.work)
         host.every(section.period, self._publish)
 
     def _offer(self, host: Host, prefix: str) -> None:
@@ -109,62 +107,36 @@ class Mapper2D(Module):
             self._poses.set(place)
 
     def _on_scan(self, message: dict[str, Any]) -> None:
-        self._received_ns = now = self._host.clock.now_ns()
         header = message["header"]
-        stamp = stamp_ns(header)
+        self._scans.received_ns = now = self._host.clock.now_ns()
         try:
-            self._queue(_Scan(now, header["frame_id"], of_ros(message, stamp or now)))
+            scan = _Scan(header["frame_id"], of_ros(message, stamp_ns(header) or now))
         except ScanError as err:
-            self._drop(str(err))
+            self._scans.drop(str(err))
+        else:
+            self._add(scan)
 
     def _on_yarp_scan(self, received: Received) -> None:
         """Handle a scan, on the thread of the connection."""
-        clock = self._host.clock
         try:
-            turn = of_yarp(received.to(LaserScan2D), sent_ns(received.envelope) or clock.now_ns())
+            turn = of_yarp(received.to(LaserScan2D), sent_ns(received.envelope) or self._host.clock.now_ns())
         except ScanError as err:
             raise WireError(str(err)) from None
-        self._host.loop.call(lambda: self._queue(_Scan(clock.now_ns(), "", turn)))
+        self._host.loop.call(lambda: self._add(_Scan("", turn)))
 
-    def _queue(self, scan: _Scan) -> None:
-        self._received_ns = scan.received_ns
-        if not self.mapper.mapping:
-            return
-        if len(self._waiting) == _WAITING:
-            self._dropped += 1
-        self._waiting.append(scan)
-        self._work()
+    def _add(self, scan: _Scan) -> None:
+        self._scans.received_ns = self._host.clock.now_ns()
+        if self.mapper.mapping:
+            self._scans.add(scan)
 
-    def _work(self) -> None:
-        """Map the scans whose poses are known, and drop those whose poses do not arrive in time."""
-        now = self._host.clock.now_ns()
-        while self._waiting:
-            scan, turn = self._waiting[0], self._waiting[0].turn
-            try:
-                pose = self._poses.laser(scan.frame, turn.time_ns)
-                if self._poses.hangs(scan.frame):
-                    turn = turn.turned_over()
-                self.mapper.scan(pose, believed(turn), turn.first, turn.step, turn.farthest)
-            except FramesError as err:
-                if 0 <= now - scan.received_ns < _PATIENCE_NS:
-                    return
-                self._drop(str(err))
-            except ValueError as err:
-                self._drop(str(err))
-            else:
-                self._trouble, self._changed = "", True
-            self._waiting.popleft()
-
-    def _clear_waiting(self) -> None:
-        """Drop the scans from before the clock jumped."""
-        self._waiting.clear()
-        self._received_ns = None
-
-    def _drop(self, reason: str) -> None:
-        self._dropped += 1
-        if reason != self._trouble:
-            self._host.log.warning("dropped a scan: %s", reason)
-        self._trouble = reason
+    def _map_scan(self, scan: _Scan) -> None:
+        """Add a scan to the map; raises `FramesError` while its pose is not known."""
+        turn = scan.turn
+        pose = self._poses.laser(scan.frame, turn.time_ns)
+        if self._poses.hangs(scan.frame):
+            turn = turn.turned_over()
+        self.mapper.scan(pose, believed(turn), turn.first, turn.step, turn.farthest)
+        self._changed = True
 
     def _publish(self) -> None:
         """Publish the map if it has changed, and send its picture."""
@@ -208,14 +180,14 @@ class Mapper2D(Module):
         """Return the state, and the reason if it does not map."""
         if not self.mapper.mapping:
             return Health("running", "stopped; 'start' continues mapping")
-        received = self._received_ns
+        received = self._scans.received_ns
         if received is None or not 0 <= self._host.clock.now_ns() - received <= _SILENT_NS:
             troubles = [connection.trouble for connection in self._connected if connection.trouble]
             sources = [self._section.scan, f"{self._section.prefix}/laser:i"]
             names = " or ".join(sources[not sources[0] :])
             return Health("waiting", "; ".join((f"no scans on {names}", *troubles)))
-        if self._trouble:
-            return Health("waiting", self._trouble)
+        if self._scans.trouble:
+            return Health("waiting", self._scans.trouble)
         width, height = self.mapper.size
         full = "; the map has reached its largest size (modules.mapper2d.largest)" if self.mapper.full else ""
         return Health("running", f"map {self.mapper.name}: {width:g} x {height:g} m{full}")
@@ -227,8 +199,8 @@ class Mapper2D(Module):
             "mapping": self.mapper.mapping,
             "size": list(self.mapper.size),
             "scans": self.mapper.scans,
-            "dropped": self._dropped,
-            "trouble": self._trouble,
+            "dropped": self._scans.dropped,
+            "trouble": self._scans.trouble,
             "connections": [connection.trouble for connection in self._connected if connection.trouble],
             "notes": list(self._notes),
         }

@@ -56,13 +56,13 @@ class Mapper3D(Module):
         self._poses = SensorPoses(host, section)
         self._layer = LayerPublisher(host, section) if section.layer.topic else None
         self._octomaps = OctomapServer(host, section, self.space) if section.octomap else None
-        self._sources = Sources(host, section, self._poses, self._add)
+        self._queue = Sources(host, section, self._poses, self._add).queue
         host.yarp.respond(f"{section.prefix}/rpc", lambda values: host.loop.call(lambda: self._answer(values)))
         for command, done in (("start", "mapping"), ("stop", "not mapping")):
             host.node.server(f"/{self.name}/{command}", TRIGGER, self._trigger(command, done))
         host.node.server(f"/{self.name}/save", TRIGGER, self._save)
-        host.on_jump(self._sources.clear)
-        host.every(_BEAT, self._sources.work)
+        host.on_jump(self._queue.clear)
+        host.every(_BEAT, self._queue.work)
         host.every(section.layer.period, self._publish_layer)
         host.every(section.period, self._publish_map)
         host.every(_SAVE_PERIOD, self._save_state)
@@ -143,12 +143,12 @@ class Mapper3D(Module):
         """Return the state, and the reason if it does not map."""
         if not self._commands.mapping:
             return Health("running", "stopped; 'start' continues mapping")
-        received, section = self._sources.received_ns, self._section
+        received, section = self._queue.received_ns, self._section
         if received is None or not 0 <= self._host.clock.now_ns() - received <= _SILENT_NS:
             topics = [*section.clouds, *(source.image for source in section.depth)]
             reason = f"no messages on {', '.join(topics)}" if topics else "no source: set clouds or depth"
             return Health("waiting", reason)
-        trouble = self._sources.trouble or self._trouble or self._floorless
+        trouble = self._queue.trouble or self._trouble or self._floorless
         if trouble:
             return Health("waiting", trouble)
         voxels = self.space.voxels
@@ -161,12 +161,12 @@ class Mapper3D(Module):
 
     def status(self) -> dict[str, Any]:
         """Return the size of the map, and the counts of dropped data."""
-        space, sources = self.space, self._sources
+        space, queue = self.space, self._queue
         return {
             "map": self._section.map_name, "mapping": self._commands.mapping, "clouds": space.clouds,
             "blocks": space.voxels.count, "megabytes": space.voxels.megabytes, "full": space.voxels.full,
-            "forgotten": space.forgotten, "given_up": space.given_up, "dropped": sources.dropped,
-            "trouble": sources.trouble or self._trouble,
+            "forgotten": space.forgotten, "given_up": space.given_up, "dropped": queue.dropped,
+            "trouble": queue.trouble or self._trouble,
         }  # fmt: skip
 
     def stop(self) -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,10 +20,10 @@ from navigation.frames import FramesError, RobotFrames
 from navigation.mapper3d.depth import CAMERA_INFO, IMAGE, Rays, read_camera, read_depth
 from navigation.mapper3d.space import OPTICAL, FieldOfView, Floats, Place, SensorPose
 from navigation.messages import stamp_ns
+from navigation.sensor_queue import SensorQueue
 
 _INFOS = 10  # recent CameraInfos of a camera
 _WAITING = 3  # clouds or images that may wait; each may have megabytes
-_PATIENCE_NS = 1_000_000_000
 _DEPTH = Qos(depth=2)
 
 
@@ -35,16 +34,6 @@ class SensorReading(NamedTuple):
     stamp: int
     points: NDArray[np.float32]
     view: FieldOfView | None
-
-
-@dataclass
-class _Waiting:
-    """A message that waits, received at ns of the run's clock. ``read`` returns None while it has to wait."""
-
-    received_ns: int
-    read: Callable[[], SensorReading | None]
-    reading: SensorReading | None = None
-    reason: str = "messages arrive faster than they can be used"
 
 
 class SensorPoses:
@@ -93,10 +82,10 @@ class Sources:
         poses: SensorPoses,
         on_reading: Callable[[SensorReading, SensorPose], None],
     ) -> None:
-        self._host, self._poses, self._on_reading = host, poses, on_reading
-        self._waiting: deque[_Waiting] = deque()
-        self.received_ns: int | None = None
-        self.dropped, self.trouble = 0, ""
+        self._clock, self._poses, self._on_reading = host.clock, poses, on_reading
+        self.queue: SensorQueue[Callable[[], SensorReading]] = SensorQueue(
+            self._use, limit=_WAITING, what="cloud", clock=host.clock, log=host.log
+        )
         for topic in section.clouds:
             host.node.subscription(topic, POINT_CLOUD, self._on_cloud, _DEPTH)
         for source in section.depth:
@@ -111,47 +100,15 @@ class Sources:
 
     def time(self, message: dict[str, Any]) -> int:
         """Return the time of a message, ns."""
-        return stamp_ns(message["header"]) or self._host.clock.now_ns()
+        return stamp_ns(message["header"]) or self._clock.now_ns()
 
-    def add(self, read: Callable[[], SensorReading | None]) -> None:
-        """Add a message, which is used as soon as it can be read and its sensor's pose is known."""
-        self.received_ns = now = self._host.clock.now_ns()
-        if len(self._waiting) == _WAITING:
-            self._drop(self._waiting.popleft().reason)
-        self._waiting.append(_Waiting(now, read))
-        self.work()
+    def add(self, read: Callable[[], SensorReading]) -> None:
+        """Add a message; ``read`` raises `FramesError` while it has to wait. It is read once."""
+        self.queue.add(cache(read))
 
-    def work(self) -> None:
-        """Use the messages that are ready, and drop those that waited too long."""
-        now, self._waiting, waiting = self._host.clock.now_ns(), deque(), self._waiting
-        for message in waiting:
-            message.reason = "no CameraInfo with the image's time (sync)"
-            try:
-                message.reading = reading = message.reading or message.read()
-                if reading is not None:
-                    self._on_reading(reading, self._poses.pose_of(reading.frame, reading.stamp))
-                    self.trouble = ""
-                    continue
-            except FramesError as err:
-                message.reason = str(err)
-            except ValueError as err:
-                self._drop(str(err))
-                continue
-            if 0 <= now - message.received_ns < _PATIENCE_NS:
-                self._waiting.append(message)
-            else:
-                self._drop(message.reason)
-
-    def clear(self) -> None:
-        """Drop waiting messages, after the clock jumped back."""
-        self._waiting.clear()
-        self.received_ns = None
-
-    def _drop(self, reason: str) -> None:
-        self.dropped += 1
-        if reason != self.trouble:
-            self._host.log.warning("dropped a cloud: %s", reason)
-        self.trouble = reason
+    def _use(self, read: Callable[[], SensorReading]) -> None:
+        reading = read()
+        self._on_reading(reading, self._poses.pose_of(reading.frame, reading.stamp))
 
 
 class _DepthCamera:
@@ -166,13 +123,13 @@ class _DepthCamera:
 
     def _on_info(self, message: dict[str, Any]) -> None:
         self._infos.append((self._sources.time(message), message))
-        self._sources.work()
+        self._sources.queue.work()
 
-    def _read(self, message: dict[str, Any]) -> SensorReading | None:
+    def _read(self, message: dict[str, Any]) -> SensorReading:
         stamp = self._sources.time(message)
         known = min(self._infos, key=lambda info: abs(info[0] - stamp), default=None)
         if known is None or abs(known[0] - stamp) > self._sync_ns:
-            return None
+            raise FramesError("no CameraInfo with the image's time (sync)")
         camera = read_camera(known[1])
         points = self._rays.points(read_depth(message), camera)
         return SensorReading(
