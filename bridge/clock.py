@@ -71,7 +71,7 @@ class SystemClock:
         self._lock = threading.Lock()
         self._listeners: list[Jumped] = []
         self._wake: threading.Event | None = None
-        self._last, self._offset, self._error = self._read()
+        self._last, self._offset, self._error = self.read()
 
     def now_ns(self) -> int:
         """Return nanoseconds since 1970."""
@@ -81,7 +81,7 @@ class SystemClock:
         """Notify of jumps, on a thread of this clock, until the returned function is called."""
         with self._lock:
             if not self._listeners:
-                self._last, self._offset, self._error = self._read()
+                self._last, self._offset, self._error = self.read()
                 if self._poll:
                     wake = self._wake = threading.Event()
                     threading.Thread(target=self._run, args=(wake,), name="midspan-clock", daemon=True).start()
@@ -90,7 +90,7 @@ class SystemClock:
 
     def check(self) -> int:
         """Compare the clocks; if the system clock has jumped since the last call, notify, and return the jump in ns."""
-        now, offset, error = self._read()
+        now, offset, error = self.read()
         with self._lock:
             jump, passed = offset - self._offset, max(now - self._last, 0)
             limit = STEP_NS + error + self._error + round(SLEW * passed)
@@ -103,8 +103,8 @@ class SystemClock:
         _notify(listeners)
         return jump
 
-    def _read(self) -> tuple[int, int, int]:
-        """Return the monotonic time, the system clock's offset to it, and the maximum error of the offset."""
+    def read(self) -> tuple[int, int, int]:
+        """Return the monotonic time, the system clock's offset to it, and the maximum error of the offset, in ns."""
         best = (0, 0, -1)
         for _ in range(_READS):
             before = self._steady()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import time
 
+from bridge.clock import SystemClock
+
 _log = logging.getLogger(__name__)
 
 _STEP_NS = 50_000_000
@@ -19,20 +21,13 @@ class WallStamps:
     """
 
     def __init__(self) -> None:
-        self._offset = _offset()[0]
+        self._clock = SystemClock(time.time_ns, time.monotonic_ns, poll=0.0)
+        _, self._offset, _ = self._clock.read()
 
     def stamp(self, due: float) -> int:
         """Return the stamp, in ns, of a time in seconds of the monotonic clock."""
-        offset, error = _offset()
+        _, offset, error = self._clock.read()
         if abs(offset - self._offset) > _STEP_NS + error:
             _log.warning("the system clock was set by %.3f s; stamps follow it", (offset - self._offset) / 1e9)
             self._offset = offset
         return self._offset + round(due * 1e9)
-
-
-def _offset() -> tuple[int, int]:
-    """Return the system clock minus the monotonic clock, and how far that may be off, in ns."""
-    before = time.monotonic_ns()
-    wall = time.time_ns()
-    after = time.monotonic_ns()
-    return wall - before, after - before
