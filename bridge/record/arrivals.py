@@ -118,12 +118,12 @@ class ArrivalQueue:
             return waiting
 
     def wrote(self, arrival: RecordedMessage) -> None:
-        """Free the bytes of a message that `take` returned."""
+        """Free the bytes of a message that `pop_all` returned."""
         with self._condition:
             self._bytes -= len(arrival.data) + _OVERHEAD
 
     def wake(self) -> None:
-        """Make `take` return."""
+        """Make `pop_all` return."""
         with self._condition:
             self._woken = True
             self._condition.notify()

@@ -18,7 +18,7 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED, Durability, Qos
 from bridge.record import file as record_file
 from bridge.record import places as record_places
-from bridge.record import recorder as record_recorder
+from bridge.record import series as record_series
 from bridge.record.arrivals import ArrivalQueue, RecordedMessage, TopicCounts
 from bridge.record.places import PREFIX, BagFolder, Files, KeptFolder
 from bridge.record.ring import Ring
@@ -42,7 +42,7 @@ def hubs() -> Iterator[QuickHub]:
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(record_recorder, "FLUSH_SECONDS", 0.05)
+    monkeypatch.setattr(record_series, "FLUSH_SECONDS", 0.05)
 
 
 @pytest.fixture
@@ -243,7 +243,7 @@ def test_topics_that_are_not_bridged_are_requested_from_their_worker(hubs: Quick
 def test_a_folder_that_cannot_be_created_is_reported_and_retried(
     hubs: QuickHub, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(record_recorder, "RETRY_SECONDS", 0.1)
+    monkeypatch.setattr(record_series, "RETRY_SECONDS", 0.1)
     place = tmp_path / "place"
     place.write_text("a file with the name of the folder")
     chat = robot.publisher("/said")
@@ -265,8 +265,8 @@ def test_a_full_disk_stops_recording_until_space_is_free(
 ) -> None:
     free = [100 << 20]
     monkeypatch.setattr(record_file, "room", lambda _: free[0])
-    monkeypatch.setattr(record_recorder, "room", lambda _: free[0])
-    monkeypatch.setattr(record_recorder, "RETRY_SECONDS", 0.1)
+    monkeypatch.setattr(record_series, "room", lambda _: free[0])
+    monkeypatch.setattr(record_series, "RETRY_SECONDS", 0.1)
     chat = robot.publisher("/said")
     with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as recorded:
         recorded.recorder.begin()

@@ -1,0 +1,189 @@
+"""The files of a recording, one after the other: when the next one begins, and what happens on a full disk."""
+
+from __future__ import annotations
+
+import logging
+import time
+from pathlib import Path
+
+from bridge.bags.mcap_writer import ChannelInfo
+from bridge.client.topics import Definitions
+from bridge.config.sections.record import RecordSection
+from bridge.hub.graph import HubGraph
+from bridge.record.arrivals import RecordedMessage
+from bridge.record.file import RESUME, ChannelKey, RecordFile, room
+from bridge.record.latched import LatchedState
+from bridge.record.places import RecordPlace
+from bridge.record.ring import Ring
+from bridge.record.selection import side_of, tapped
+
+_log = logging.getLogger("midspan.record")
+
+FLUSH_SECONDS = 1.0
+RETRY_SECONDS = 5.0
+"""Delay before a new file after a failed one."""
+
+_DEFINITION_SECONDS = 2.5
+
+
+class FileSeries:
+    """Writes messages into a file, and starts another one when it is over. For the writer thread.
+
+    Args:
+        place: names the files.
+        section: the configuration.
+        about: metadata of each file.
+
+    Attributes:
+        ring: the place, if it is a ring.
+        file: the open file.
+        last_path: the last file that was opened, or the folder of a kept ring.
+        count: number of files so far.
+        trouble: the reason why nothing is written, "" while recording works.
+    """
+
+    def __init__(
+        self,
+        place: RecordPlace,
+        section: RecordSection,
+        about: dict[str, str],
+        graph: HubGraph,
+        definitions: Definitions,
+    ) -> None:
+        self._place, self._compression, self._about = place, section.compression, about
+        self._graph, self._definitions = graph, definitions
+        self._latched = LatchedState(graph)
+        self._flushed = self._retry = 0.0
+        self.ring = ring = place if isinstance(place, Ring) else None
+        self._most_bytes = ring.segment_bytes if ring else section.split.size << 20
+        self._most_seconds = ring.segment_seconds if ring else section.split.seconds
+        self.file: RecordFile | None = None
+        self.last_path: Path | None = None
+        self.count = 0
+        self.trouble = ""
+
+    def write(self, arrival: RecordedMessage) -> None:
+        """Write a message; count it as dropped while the disk is full."""
+        try:
+            file = self.file if self.file is not None and not self._is_over(self.file) else self._next_file()
+            if file is None:
+                arrival.counts.dropped["disk"] += 1
+                return
+            self._have_channel(file, arrival)
+            file.write(arrival, arrival.log_time)
+        except OSError as err:
+            arrival.counts.dropped["disk"] += 1
+            self._failed(err)
+        else:
+            self._latched.saw(arrival)
+
+    def open(self) -> Path | None:
+        """Return the open file, or open one; raises `OSError` if it cannot be created, which is retried."""
+        self._retry = 0.0
+        try:
+            file = self.file or self._next_file()
+        except OSError as err:
+            self._failed(err)
+            raise
+        return file.path if file is not None else None
+
+    def maintain(self, *, on: bool) -> None:
+        """Write the open chunk if it is due, delete old files of a ring, and retry a failed file if ``on``."""
+        now = time.monotonic()
+        if self.file is not None and now - self._flushed >= FLUSH_SECONDS:
+            self._flushed = now
+            try:
+                self.file.flush()
+            except OSError as err:
+                self._failed(err)
+        if self.ring is not None:
+            self.ring.prune()
+        if self.file is None and on and self.trouble and now >= self._retry:
+            try:
+                self._next_file()
+            except OSError as err:
+                self._failed(err)
+
+    def keep(self, why: str) -> Path | None:
+        """Close the file and keep the ring; return its new folder, None for an empty ring. Raises `OSError`."""
+        if self.ring is None:
+            raise OSError(22, "the recording has no ring (record.ring.seconds)")
+        self.close({"trigger": why, "time": str(time.time_ns())})
+        kept = self.ring.keep()
+        if kept is not None:
+            _log.info("%s: the ring is kept in %s", why, kept)
+            self.last_path = kept
+        return kept
+
+    def close(self, ending: dict[str, str] | None = None) -> Path | None:
+        """Close and return the file, with its summary if space is free; None if none is open."""
+        file, self.file = self.file, None
+        if file is None:
+            return None
+        try:
+            try:
+                written = file.close(ending)
+            except OSError as err:
+                _log.warning("%s ends without its summary: %s", file.path, err.strerror or err)
+                written = file.abandon()
+            self._place.closed(written)
+        except OSError as err:
+            _log.error("%s: %s", file.path, err.strerror or err)
+        return file.path
+
+    def _is_over(self, file: RecordFile) -> bool:
+        age = time.monotonic() - file.opened
+        over = (self._most_bytes and file.bytes >= self._most_bytes) or (
+            self._most_seconds and age >= self._most_seconds
+        )
+        return file.full or bool(over)
+
+    def _next_file(self) -> RecordFile | None:
+        """Open another file, with the latched messages; None before the next attempt is due. Raises `OSError`."""
+        self.close()
+        if time.monotonic() < self._retry:
+            return None
+        path = self._place.next()
+        if self.trouble:
+            free = room(path.parent)
+            if free is not None and free < RESUME:
+                self._retry = time.monotonic() + RETRY_SECONDS
+                return None
+        file = self.file = RecordFile(path, self._compression, self._about)
+        self.count += 1
+        self.last_path, self._flushed = path, time.monotonic()
+        now = time.time_ns()
+        for kept in self._latched.all():
+            self._have_channel(file, kept)
+            file.write(kept, now, again=True)
+        if self.trouble:
+            _log.warning("recording continues in %s", path)
+        self.trouble = ""
+        return file
+
+    def _have_channel(self, file: RecordFile, arrival: RecordedMessage) -> None:
+        key: ChannelKey = arrival.counts.key, arrival.origin
+        if file.has(key):
+            return
+        topic, type_name, type_hash = arrival.counts.key
+        definition = self._definitions.find(type_name, type_hash, _DEFINITION_SECONDS)
+        if definition is None:
+            _log.warning("%s: the definition of %s is unknown; it is recorded without one", topic, type_name)
+        publishers = self._graph.publishers(topic)
+        offered = tuple(p.qos for p in publishers if (p.type_name, p.origin) == (type_name, arrival.origin))
+        tap = {"tap": topic} if tapped(topic)[0] else {}
+        side = side_of(arrival.origin)
+        file.channel(
+            key,
+            ChannelInfo(arrival.counts.name, type_name, type_hash, definition, offered, side, arrival.origin, tap),
+        )
+
+    def _failed(self, err: OSError) -> None:
+        """Close the file after its last complete chunk; a new one is tried later."""
+        first = not self.trouble
+        where = self.file.path if self.file is not None else err.filename
+        self.trouble = f"{where}: {err.strerror or err}"
+        self._retry = time.monotonic() + RETRY_SECONDS
+        if first:
+            _log.error("recording stops: %s; it continues in a new file when space is free", self.trouble)
+        self.close()
