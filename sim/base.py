@@ -21,6 +21,9 @@ Floats = NDArray[np.float64]
 STEP_NS = 1_000_000
 """Duration of one DART step."""
 
+TICK_NS = 10_000_000
+"""Duration of a tick, the step in which time advances; during a tick commands are constant."""
+
 
 class BasePose(NamedTuple):
     """A planar pose, in meters and radians."""

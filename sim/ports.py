@@ -13,8 +13,9 @@ import math
 import numpy as np
 
 from bridge.modules.host import Host
+from sim.base import TICK_NS
 from sim.board import WheelBoard
-from sim.simulation import TICK_NS, Simulation
+from sim.simulation import Simulation
 from yarp_compat.dev.basecontrol import IOdometry2DMsgs, OdometryData
 from yarp_compat.dev.battery import BatteryData, BatteryStatus, IBatteryMsgs, OlderBatteryVocabs
 from yarp_compat.dev.controlboard.server import BoardHandler, positions
@@ -115,7 +116,7 @@ class _Board:
 
     def __init__(self, host: Host, name: str, simulation: Simulation) -> None:
         # late=False: a command whose call timed out must not run later
-        board = WheelBoard(lambda: simulation.board, lambda action: host.loop.call(action, late=False))
+        board = WheelBoard(lambda: simulation.wheels.board, lambda action: host.loop.call(action, late=False))
         handler = BoardHandler(board)
         self._board = board
         yarp = host.yarp
@@ -128,8 +129,7 @@ class _Board:
     @staticmethod
     def _halt(simulation: Simulation) -> dict[str, bool]:
         """Cancel all commands; later commands are executed."""
-        simulation.board.halt()
-        simulation.drive.halt()
+        simulation.wheels.halt()
         return {"halted": True}
 
     def publish(self, envelope: str) -> None:
@@ -214,5 +214,5 @@ class _Reset(IOdometry2DMsgs):
 
     def reset_odometry_RPC(self) -> ReturnValue:
         """Set the odometry to zero, on the simulation's thread."""
-        self._host.loop.call(self._simulation.odometry.reset)
+        self._host.loop.call(self._simulation.sensing.odometry.reset)
         return OK

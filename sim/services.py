@@ -9,10 +9,10 @@ from typing import Any
 from bridge.modules.loop import EventLoop, Timer
 from bridge.modules.services import Answer
 from sim import messages, plan
-from sim.base import BasePose
+from sim.base import TICK_NS, BasePose
 from sim.environment import SimError
 from sim.pieces import of_round
-from sim.simulation import TICK_NS, Simulation
+from sim.simulation import Simulation
 
 Request = dict[str, Any]
 _MOST_POINTS = 1000

@@ -23,11 +23,11 @@ from bridge.modules.ports import ports_stay
 from bridge.modules.worker import Running
 from bridge.worker import Health, Worker
 from sim import messages
-from sim.base import BasePose, Twist
+from sim.base import TICK_NS, BasePose, Twist
 from sim.environment import SimError
 from sim.messages import TopicNames, names_of
 from sim.services import ChangeServices, Stepping, answered
-from sim.simulation import TICK_NS, Simulation
+from sim.simulation import Simulation
 from sim.stamps import WallStamps
 
 _PICTURE = Qos(depth=2)  # large messages, of which only the newest count
@@ -91,7 +91,7 @@ class Simulator(Module):
             "late_steps": pace.late if pace else 0,
             "left_out_steps": pace.left_out if pace else 0,
             "refused_commands": self._refused,
-            "emergency_stop": simulation.stopped,
+            "emergency_stop": simulation.wheels.stopped,
             "faults": list(simulation.faults),
             "floor": simulation.floor,
             "robot": simulation.robot.name,
@@ -138,7 +138,7 @@ class Simulator(Module):
         self._try(lambda: self._drive_wheels(message))
 
     def _drive_wheels(self, message: dict[str, Any]) -> None:
-        motors = self.simulation.motors
+        motors = self.simulation.wheels.motors
         wanted = dict(zip(message["name"], message["velocity"], strict=False))
         if set(wanted) != set(motors.names):
             msg = f"wheel command for {', '.join(wanted) or 'no wheels'}; the base has {', '.join(motors.names)}"
@@ -269,7 +269,7 @@ class Outlets:
         """Encode the frequent messages once, so that later only their numbers are filled in."""
         names, simulation, still = self._names, self._simulation, Twist(0.0, 0.0, 0.0)
         place, motion = BasePose(0.0, 0.0, 0.0), ("header.stamp", "pose.pose", "twist.twist")
-        joints = messages.joints(0, simulation.base.names, simulation.motors.encoders())
+        joints = messages.joints(0, simulation.base.names, simulation.wheels.motors.encoders())
         self._turning = self._joints.template(joints, "header.stamp", "position", "velocity")
         truth = messages.odometry(0, place, still, names.map_frame, names.base_frame, sure=True)
         self._true = self._truth.template(truth, *motion)
@@ -292,7 +292,9 @@ class Outlets:
         simulation, names = self._simulation, self._names
         self._ticks += 1
         if "encoders_silent" not in simulation.faults:
-            self._joints.offer(lambda: self._turning.fill(*messages.turning(time_ns, simulation.motors.encoders())))
+            self._joints.offer(
+                lambda: self._turning.fill(*messages.turning(time_ns, simulation.wheels.motors.encoders()))
+            )
         if self._ticks % _ODOMETRY == 0:
             self._publish_pose(time_ns)
         if simulation.scan.time_ns != self._scanned:

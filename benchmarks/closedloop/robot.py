@@ -12,9 +12,10 @@ from navigation.base_control.commands import Velocity
 from navigation.base_control.settings import resolved
 from navigation.pose import Pose
 from sim import robot as robots
+from sim.base import TICK_NS
 from sim.plan import Plan
 from sim.robot import RobotDescription as Described
-from sim.simulation import TICK_NS, Simulation
+from sim.simulation import Simulation
 
 LASER = LaserSection(beams=720, rate=10.0, noise=0.005)
 SCALES = (0.006, -0.004, 0.005)
@@ -101,7 +102,7 @@ class Robot:
     def tick(self) -> None:
         """Advance by 10 ms."""
         if self._ticks % self._every == 0:
-            self.simulation.motors.drive(self._base.step(self.now).tolist())
+            self.simulation.wheels.motors.drive(self._base.step(self.now).tolist())
         before = self.simulation.base.pose()
         self.simulation.tick()
         self._ticks += 1
@@ -110,7 +111,7 @@ class Robot:
         self._measure()
 
     def _measure(self) -> None:
-        encoders = self.simulation.motors.encoders()
+        encoders = self.simulation.wheels.motors.encoders()
         measured = self._base.measured(encoders.positions.tolist(), encoders.time_ns / 1e9)
         self.odometry = Pose(measured.x, measured.y, math.remainder(measured.theta, 2.0 * math.pi), encoders.time_ns)
 

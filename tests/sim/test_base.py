@@ -175,15 +175,15 @@ def test_invalid_commands_are_rejected_and_the_base_brakes(bad: float) -> None:
     for twist in (Twist(bad, 0, 0), Twist(0, bad, 0), Twist(0, 0, bad)):
         with pytest.raises(SimError, match="rejected"):
             sim.command(twist)
-    wheels = simulation(drive="wheels")
+    wheeled = simulation(drive="wheels")
     if not math.isfinite(bad):
         with pytest.raises(SimError, match="invalid velocities"):
-            wheels.motors.drive([bad, 0.0])
+            wheeled.wheels.motors.drive([bad, 0.0])
     with pytest.raises(SimError, match="invalid velocities"):
-        wheels.motors.drive([1.0])
-    wheels.motors.drive([1e5, 1e5])
-    wheels.run(0.1)
-    assert abs(wheels.base.joints()[1]).max() < 6.5
+        wheeled.wheels.motors.drive([1.0])
+    wheeled.wheels.motors.drive([1e5, 1e5])
+    wheeled.run(0.1)
+    assert abs(wheeled.base.joints()[1]).max() < 6.5
 
 
 def test_the_emergency_stop_holds_the_wheels() -> None:

@@ -32,7 +32,7 @@ def simulation() -> Simulation:
 @pytest.fixture
 def board(simulation: Simulation) -> WheelBoard:
     simulation.begin()
-    return WheelBoard(lambda: simulation.board, lambda action: action())
+    return WheelBoard(lambda: simulation.wheels.board, lambda action: action())
 
 
 def test_position_moves_reach_their_targets(simulation: Simulation, board: WheelBoard) -> None:
@@ -42,19 +42,19 @@ def test_position_moves_reach_their_targets(simulation: Simulation, board: Wheel
     answer(board, "positionMoveAllRPC", [[45.0, -45.0]])
     assert answer(board, "checkMotionDoneAllRPC", [])[1] is False
     simulation.run(2.5)
-    left, right = simulation.board.positions()
+    left, right = simulation.wheels.board.positions()
     assert (left, right) == pytest.approx((45.0, -45.0), abs=0.5)
     assert answer(board, "checkMotionDoneAllRPC", [])[1] is True
-    assert abs(simulation.board.turning()).max() < 1.0
+    assert abs(simulation.wheels.board.turning()).max() < 1.0
     assert simulation.base.pose().yaw < -0.1
 
 
 def test_velocity_commands_expire(simulation: Simulation, board: WheelBoard) -> None:
     answer(board, "velocityMoveAllRPC", [[60.0, 60.0]])
     simulation.run(simulation.robot.limits.timeout - 0.05)
-    assert simulation.board.turning() == pytest.approx([60.0, 60.0], abs=5.0)
+    assert simulation.wheels.board.turning() == pytest.approx([60.0, 60.0], abs=5.0)
     simulation.run(0.3)
-    assert simulation.board.turning() == pytest.approx([0.0, 0.0], abs=1.0)
+    assert simulation.wheels.board.turning() == pytest.approx([0.0, 0.0], abs=1.0)
     simulation.command(Twist(0.2, 0.0, 0.0))  # without board commands, other sources drive
     simulation.run(0.4)
     assert simulation.base.twist().x > 0.05
@@ -73,7 +73,7 @@ def test_commands_in_another_mode_and_invalid_commands_are_rejected(simulation: 
             answer(board, method, arguments)
     with pytest.raises(NotImplementedError):
         answer(board, "setRefTorqueOneRPC", [0, 1.0])
-    assert simulation.board.next_velocities(0.01) is None
+    assert simulation.wheels.board.next_velocities(0.01) is None
 
 
 def test_the_emergency_stop_and_a_mode_change_cancel_commands(simulation: Simulation, board: WheelBoard) -> None:
@@ -82,15 +82,15 @@ def test_the_emergency_stop_and_a_mode_change_cancel_commands(simulation: Simula
     simulation.run(0.5)
     simulation.stop(on=True)
     simulation.stop(on=False)
-    assert simulation.board.next_velocities(0.01) is None
+    assert simulation.wheels.board.next_velocities(0.01) is None
     answer(board, "setControlModeAllRPC", [[modes.VOCAB_CM_PWM] * 2])
     answer(board, "setRefDutyCycleAllRPC", [[10.0, 10.0]])
-    wanted = simulation.board.next_velocities(0.01)
+    wanted = simulation.wheels.board.next_velocities(0.01)
     assert wanted is not None
-    assert math.degrees(wanted[0]) == pytest.approx(simulation.board.greatest / 10.0)
-    assert list(simulation.board.duties()) == pytest.approx([10.0, 10.0])
+    assert math.degrees(wanted[0]) == pytest.approx(simulation.wheels.board.greatest / 10.0)
+    assert list(simulation.wheels.board.duties()) == pytest.approx([10.0, 10.0])
     answer(board, "setControlModeAllRPC", [[modes.VOCAB_CM_IDLE] * 2])
-    assert simulation.board.next_velocities(0.01) is None
+    assert simulation.wheels.board.next_velocities(0.01) is None
 
 
 def test_duty_cycles_expire(simulation: Simulation, board: WheelBoard) -> None:

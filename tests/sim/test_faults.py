@@ -39,7 +39,7 @@ def test_frozen_encoders_miss_motion_and_continue_from_their_last_value() -> Non
     simulated.faults.set("encoders_frozen", on=True)
     turn_wheels(simulated, 0.5, 3.0, 3.0)
     assert simulated.estimate.pose.x == before
-    assert not simulated.motors.encoders().velocities.any()
+    assert not simulated.wheels.motors.encoders().velocities.any()
     true_x = simulated.base.pose().x
     assert true_x > before + 0.1
     simulated.faults.set("encoders_frozen", on=False)

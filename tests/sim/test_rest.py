@@ -38,7 +38,7 @@ def test_time_continues_at_rest(robot: str) -> None:
     assert state(sim) == before
     assert sim.time_ns - time == 1_000_000_000
     assert sim.scan.time_ns > scan
-    assert sim.motors.encoders().time_ns == sim.time_ns
+    assert sim.wheels.motors.encoders().time_ns == sim.time_ns
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -64,9 +64,9 @@ def test_rest_does_not_change_sensor_values(robot: str, monkeypatch: pytest.Monk
         for fault in (False, True, False):
             sim.faults.set("encoders_frozen", on=fault)
             sim.run(0.5)
-            readings.append(sim.motors.encoders())
+            readings.append(sim.wheels.motors.encoders())
         drive(sim, 2.0, 0.2, 0.3)
-        readings.append(sim.motors.encoders())
+        readings.append(sim.wheels.motors.encoders())
         parts = [part.tobytes() for encoders in readings for part in (encoders.positions, encoders.velocities)]
         return [*parts, np.array([*sim.estimate.pose, *sim.estimate.twist]).tobytes(), sim.scan.ranges.tobytes()]
 

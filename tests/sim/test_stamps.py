@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from sim import simulator, stamps
-from sim.simulation import TICK_NS
+from sim.base import TICK_NS
 from sim.simulator import Pace
 from sim.stamps import WallStamps
 from tests.sim.test_hub import Place

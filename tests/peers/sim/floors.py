@@ -32,5 +32,5 @@ def drive(simulation: Simulation, seconds: float, x: float, yaw: float = 0.0, y:
 def turn_wheels(simulation: Simulation, seconds: float, *velocities: float) -> None:
     """Drive with a wheel command every 50 ms."""
     for _ in range(round(seconds * 20)):
-        simulation.motors.drive(velocities)
+        simulation.wheels.motors.drive(velocities)
         simulation.run(0.05)
