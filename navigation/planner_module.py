@@ -10,6 +10,8 @@ from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
@@ -137,8 +139,8 @@ class PlannerModule(Module):
             "distance_remaining": left,
         })  # fmt: skip
 
+    @override
     def status(self) -> dict[str, Any]:
-        """Return the goal's state, and the notes on the module's file."""
         state, reason, fault = self.progress
         return {"planner": {"state": state.value, "reason": reason, "fault": int(fault)}, "notes": list(self._notes)}
 
@@ -190,12 +192,15 @@ class PlannerDevice(NavigationDevice):
     def getNavigationStatus(self) -> str:
         return self._module.progress.state.value
 
+    @override
     def _go_to(self, pose: Pose) -> None:
         self._module.drive(MapPlace("", pose))
 
+    @override
     def _robot(self) -> Pose:
         return self._module.pose()
 
+    @override
     def _target(self) -> Map2DLocation | None:
         target = self._module.target
         return None if target is None else location_of(target.map_name, target.pose)

@@ -5,8 +5,6 @@ duty cycle expires after the same time as a command on ``/cmd_vel``; a position 
 a wheel is active here, other command sources are ignored; the emergency stop cancels all commands.
 """
 
-# ruff: noqa: D102, N802 - names and arguments are YARP's
-
 from __future__ import annotations
 
 import math
@@ -14,6 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from sim.base import Base, Encoders, Floats
 from yarp_compat.dev.controlboard import modes
@@ -134,12 +133,15 @@ class WheelBoard(JointBoard):
         super().__init__(len(commands().names))
         self._commands, self._call = commands, call
 
+    @override
     def run(self, call: Callable[[], Any]) -> Any:
         return self._call(call)
 
+    @override
     def control_mode(self, joint: int) -> int:
         return self._commands().modes[joint]
 
+    @override
     def state(self) -> JointData:
         commands = self._commands()
         values = {
@@ -153,12 +155,15 @@ class WheelBoard(JointBoard):
         }
         return JointData(self.axes, values)
 
+    @override
     def getAxisNameRPC(self, j: int) -> tuple[ReturnValue, str]:
         return OK, self._commands().names[j]
 
-    def getJointTypeRPC(self, j: int) -> tuple[ReturnValue, int]:  # noqa: ARG002 - all wheels roll
+    @override
+    def getJointTypeRPC(self, j: int) -> tuple[ReturnValue, int]:
         return OK, modes.VOCAB_JOINTTYPE_REVOLUTE
 
+    @override
     def setControlModeOneRPC(self, j: int, mod: int) -> ReturnValue:
         mode = modes.VOCAB_CM_IDLE if mod == modes.VOCAB_CM_FORCE_IDLE else mod
         if mode not in _MODES:
@@ -166,93 +171,118 @@ class WheelBoard(JointBoard):
         self._commands().mode(j, mode)
         return OK
 
-    def getInteractionModeOneRPC(self, axis: int) -> tuple[ReturnValue, int]:  # noqa: ARG002 - all wheels are stiff
+    @override
+    def getInteractionModeOneRPC(self, axis: int) -> tuple[ReturnValue, int]:
         return OK, modes.VOCAB_IM_STIFF
 
+    @override
     def getEncoderOneRPC(self, j: int) -> tuple[ReturnValue, float]:
         return OK, float(self._commands().positions()[j])
 
+    @override
     def getEncoderSpeedOneRPC(self, j: int) -> tuple[ReturnValue, float]:
         return OK, float(self._commands().turning()[j])
 
+    @override
     def getMotorEncoderOneRPC(self, j: int) -> tuple[ReturnValue, float]:
         return self.getEncoderOneRPC(j)
 
+    @override
     def getNumberOfMotorEncodersRPC(self) -> tuple[ReturnValue, int]:
         return OK, self.axes
 
+    @override
     def setEncoderOneRPC(self, j: int, val: float) -> ReturnValue:
         commands = self._commands()
         commands.zero[j] += commands.positions()[j] - _finite(val)
         commands.release(j)
         return OK
 
+    @override
     def resetEncoderOneRPC(self, j: int) -> ReturnValue:
         return self.setEncoderOneRPC(j, 0.0)
 
+    @override
     def positionMoveOneRPC(self, j: int, ref: float) -> ReturnValue:
         return self._aim(j, ref, modes.VOCAB_CM_POSITION)
 
+    @override
     def relativeMoveOneRPC(self, j: int, delta: float) -> ReturnValue:
         commands = self._commands()
         target = commands.targets[j]
         return self.positionMoveOneRPC(j, (commands.positions()[j] if target is None else target) + delta)
 
+    @override
     def getTargetPositionOneRPC(self, j: int) -> tuple[ReturnValue, float]:
         commands = self._commands()
         target = commands.targets[j]
         return OK, float(commands.positions()[j]) if target is None else target
 
+    @override
     def checkMotionDoneOneRPC(self, j: int) -> tuple[ReturnValue, bool]:
         return OK, self._commands().is_done(j)
 
+    @override
     def setTrajSpeedOneRPC(self, j: int, sp: float) -> ReturnValue:
         self._commands().speeds[j] = abs(_finite(sp))
         return OK
 
+    @override
     def getTrajSpeedOneRPC(self, j: int) -> tuple[ReturnValue, float]:
         return OK, float(self._commands().speeds[j])
 
+    @override
     def setTrajAccelerationOneRPC(self, j: int, acc: float) -> ReturnValue:
         self._commands().ramps[j] = abs(_finite(acc))
         return OK
 
+    @override
     def getTrajAccelerationOneRPC(self, j: int) -> tuple[ReturnValue, float]:
         return OK, float(self._commands().ramps[j])
 
+    @override
     def stopOneRPC(self, j: int) -> ReturnValue:
         self._commands().release(j)
         return OK
 
+    @override
     def setRefPositionOneRPC(self, j: int, value: float) -> ReturnValue:
         return self._aim(j, value, modes.VOCAB_CM_POSITION_DIRECT)
 
+    @override
     def getRefPositionOneRPC(self, j: int) -> tuple[ReturnValue, float]:
         return self.getTargetPositionOneRPC(j)
 
+    @override
     def velocityMoveOneRPC(self, j: int, ref: float) -> ReturnValue:
         self._in(j, modes.VOCAB_CM_VELOCITY).turn(j, _finite(ref))
         return OK
 
+    @override
     def getTargetVelocityOneRPC(self, j: int) -> tuple[ReturnValue, float]:
         return OK, float(self._commands().velocities[j])
 
+    @override
     def setRefDutyCycleOneRPC(self, j: int, v: float) -> ReturnValue:
         duty = min(100.0, max(-100.0, _finite(v)))
         commands = self._in(j, modes.VOCAB_CM_PWM)
         commands.turn(j, duty / 100.0 * commands.greatest)
         return OK
 
+    @override
     def getRefDutyCycleOneRPC(self, j: int) -> tuple[ReturnValue, float]:
         return OK, float(self._commands().duties()[j])
 
+    @override
     def getDutyCycleOneRPC(self, j: int) -> tuple[ReturnValue, float]:
         return self.getRefDutyCycleOneRPC(j)
 
-    def getPosLimitsRPC(self, j: int) -> tuple[ReturnValue, float, float]:  # noqa: ARG002 - wheels turn without limits
+    @override
+    def getPosLimitsRPC(self, j: int) -> tuple[ReturnValue, float, float]:
         return OK, -math.inf, math.inf
 
-    def getVelLimitsRPC(self, j: int) -> tuple[ReturnValue, float, float]:  # noqa: ARG002 - the same for all wheels
+    @override
+    def getVelLimitsRPC(self, j: int) -> tuple[ReturnValue, float, float]:
         return OK, 0.0, self._commands().greatest
 
     def _aim(self, wheel: int, target: float, mode: int) -> ReturnValue:

@@ -4,13 +4,12 @@ A laser (`rangefinder2D_nws_yarp`), odometry (`odometry2D_nws_yarp`), the batter
 in the order of its release), and the wheels as a control board (`controlBoard_nws_yarp`) for clients of YARP 3 and 4.
 """
 
-# ruff: noqa: N802 - YARP's names
-
 from __future__ import annotations
 
 import math
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.modules.host import Host
 from sim.base import TICK_NS
@@ -147,46 +146,47 @@ class _Laser(Rangefinder2D):
         super().__init__()
         self._simulation = simulation
 
+    @override
     def getDeviceStatus_RPC(self) -> tuple[ReturnValue, DeviceStatus]:
-        """Return that the laser is in use."""
         return OK, DeviceStatus.DEVICE_OK_IN_USE
 
+    @override
     def getDistanceRange_RPC(self) -> tuple[ReturnValue, float, float]:
-        """Return the nearest and farthest distance in meters."""
         section = self._simulation.section.laser
         return OK, section.nearest, section.farthest
 
-    def setDistanceRange_RPC(self, min: float, max: float) -> ReturnValue:  # noqa: A002, ARG002 - YARP's
-        """Reject the change."""
+    @override
+    def setDistanceRange_RPC(self, min: float, max: float) -> ReturnValue:
         return _FIXED
 
+    @override
     def getScanLimits_RPC(self) -> tuple[ReturnValue, float, float]:
-        """Return the full circle, in degrees."""
         return OK, 0.0, 360.0
 
-    def setScanLimits_RPC(self, min: float, max: float) -> ReturnValue:  # noqa: A002, ARG002 - YARP's
-        """Reject the change."""
+    @override
+    def setScanLimits_RPC(self, min: float, max: float) -> ReturnValue:
         return _FIXED
 
+    @override
     def getHorizontalResolution_RPC(self) -> tuple[ReturnValue, float]:
-        """Return the angle between two beams, in degrees."""
         return OK, 360.0 / self._simulation.section.laser.beams
 
-    def setHorizontalResolution_RPC(self, step: float) -> ReturnValue:  # noqa: ARG002 - YARP's
-        """Reject the change."""
+    @override
+    def setHorizontalResolution_RPC(self, step: float) -> ReturnValue:
         return _FIXED
 
+    @override
     def getScanRate_RPC(self) -> tuple[ReturnValue, float]:
         """Return the scans per second; a scan takes whole ticks."""
         turn = round(1e9 / self._simulation.section.laser.rate / TICK_NS) * TICK_NS or TICK_NS
         return OK, 1e9 / turn
 
-    def setScanRate_RPC(self, rate: float) -> ReturnValue:  # noqa: ARG002 - YARP's
-        """Reject the change."""
+    @override
+    def setScanRate_RPC(self, rate: float) -> ReturnValue:
         return _FIXED
 
+    @override
     def getDeviceInfo_RPC(self) -> tuple[ReturnValue, str]:
-        """Describe the laser."""
         section = self._simulation.section.laser
         return OK, f"Midspan's simulated laser ({section.kind}, {section.beams} beams)"
 
@@ -196,23 +196,23 @@ class _Battery(IBatteryMsgs, OlderBatteryVocabs):
 
     _INFO = "Midspan's simulated battery"
 
+    @override
     def getBatteryInfoRPC(self) -> tuple[ReturnValue, str]:
         """Answer clients from 3.12 on."""
         return OK, self._INFO
 
+    @override
     def ibat_btnf(self) -> VocabReply:
         """Answer clients before 3.12."""
         return VocabReply("btnf", self._INFO)
 
 
 class _Reset(IOdometry2DMsgs):
-    """Resets the odometry."""
-
     def __init__(self, host: Host, simulation: Simulation) -> None:
         super().__init__()
         self._host, self._simulation = host, simulation
 
+    @override
     def reset_odometry_RPC(self) -> ReturnValue:
-        """Set the odometry to zero, on the simulation's thread."""
         self._host.loop.call(self._simulation.sensing.odometry.reset)
         return OK

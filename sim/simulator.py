@@ -360,6 +360,7 @@ class SimWorker(Worker):
         self._config: Config | None = None
         self._running: Running | None = None
 
+    @override
     def start(self, config: Config) -> None:
         """Start the simulation; after a failure it is retried, and `health` gives the reason."""
         self._config = config
@@ -367,6 +368,7 @@ class SimWorker(Worker):
         self._running = Running(Simulator, Simulator.name, config.sim, config, registry)
         self._running.start()
 
+    @override
     def reload(self, config: Config) -> bool:
         """Restart the simulation with another section; return False if only a restart of the worker can apply it."""
         old, running = self._config, self._running
@@ -381,12 +383,12 @@ class SimWorker(Worker):
             running.reload(config.sim, config)
         return True
 
+    @override
     def health(self) -> Health:
-        """Return the state of the simulation."""
         return self._running.health() if self._running is not None else Health("waiting", "stopped")
 
+    @override
     def stop(self) -> None:
-        """Stop the simulation."""
         running, self._running = self._running, None
         if running is not None:
             running.stop()

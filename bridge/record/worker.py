@@ -10,6 +10,8 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
+from typing_extensions import override
+
 from bridge import __version__
 from bridge.config.model import Config
 from bridge.config.sections.record import RecordSection
@@ -129,6 +131,7 @@ class RecordWorker(Worker):
         self._config: Config | None = None
         self._recording: Recording | None = None
 
+    @override
     def start(self, config: Config) -> None:
         """Join the hub and start recording; the recorder retries a folder that cannot be written."""
         self._config = config
@@ -143,10 +146,11 @@ class RecordWorker(Worker):
         except OSError:
             _log.debug("recording did not start, as the recorder logged", exc_info=True)
 
+    @override
     def reload(self, config: Config) -> bool:
-        """Return whether nothing changed; otherwise the worker is restarted."""
         return config == self._config
 
+    @override
     def health(self) -> Health:
         """Return the recorder's state; raises `TimeoutError` if a thread hangs."""
         assert self._recording is not None
@@ -174,8 +178,8 @@ class RecordWorker(Worker):
             raise HubError(f"{verb}: {err}") from None
         return {"file": str(path or ""), "recording": recorder.status()}
 
+    @override
     def stop(self) -> None:
-        """Write all waiting messages, and leave."""
         recording, self._recording = self._recording, None
         if recording is not None:
             recording.close()

@@ -12,6 +12,7 @@ import time
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.config.sections.base_control import BaseControlSection
 from bridge.config.sections.section import Section
@@ -39,8 +40,8 @@ class BaseControl(Module):
 
     name = "base_control"
 
+    @override
     def start(self, host: Host, section: Section) -> None:
-        """Open the section's topics and ports, and start the control loop."""
         assert isinstance(section, BaseControlSection)
         self._host = host
         section, self._notes = resolved(section)
@@ -140,8 +141,8 @@ class BaseControl(Module):
         self.reset_odometry()
         answer({"success": True, "message": "odometry set to zero"})
 
+    @override
     def health(self) -> Health:
-        """Return whether encoders arrive, and the active input."""
         if self._trouble:
             return Health("waiting", self._trouble)
         if self._received is None or time.monotonic() - self._received > SILENT_SECONDS:
@@ -154,8 +155,8 @@ class BaseControl(Module):
             return Health("running", "no active command source")
         return Health("running", f"following {source}" if choice.fresh else f"{source} is silent")
 
+    @override
     def status(self) -> dict[str, Any]:
-        """Return the active input, its velocity, and the odometry."""
         base, moved = self.base, self.base.odometry.now
         return {
             "input": base.choice.input,
@@ -174,6 +175,6 @@ class BaseControl(Module):
             "notes": list(self._notes),
         }
 
+    @override
     def stop(self) -> None:
-        """Stop the wheels."""
         self._turn(np.zeros(len(self._joints)))

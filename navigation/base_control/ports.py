@@ -1,13 +1,13 @@
 """The topics and ports of BaseControl, for commands and odometry."""
 
-# ruff: noqa: N802 - YARP's names
-
 from __future__ import annotations
 
 import math
 import threading
 from collections.abc import Callable, Mapping
 from typing import Any
+
+from typing_extensions import override
 
 from bridge.config.sections.base_control import BaseControlSection, BaseInput, JoySection
 from bridge.hub.wire.qos import Qos
@@ -38,11 +38,13 @@ class VelocityRpc(INavigation2DVelocityActionsMsgs):
         super().__init__()
         self._inputs, self._target = inputs, target
 
+    @override
     def applyVelocityCommandRPC(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> ReturnValue:
         """Command a velocity; fails for NaN, infinity or an absurd value."""
         accepted = self._inputs.apply(self._target, of_degrees(x_vel, y_vel, theta_vel), timeout)
         return _OK if accepted else _FAILED
 
+    @override
     def getLastVelocityCommandRPC(self) -> tuple[ReturnValue, float, float, float]:
         """Return the input's last command; fails if it has timed out, as in ``velocityInputHandler``."""
         velocity = self._inputs.last(self._target)
@@ -58,8 +60,8 @@ class OdometryRpc(IOdometry2DMsgs):
         super().__init__()
         self._reset = reset
 
+    @override
     def reset_odometry_RPC(self) -> ReturnValue:
-        """Set the odometry to zero."""
         self._reset()
         return _OK
 

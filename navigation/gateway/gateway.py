@@ -220,7 +220,6 @@ class Gateway:
     # -- reports -------------------------------------------------------------------------------------------------------
 
     def _situation(self) -> Situation:
-        """The current situation."""
         drive, link, order, foreign = self.drive, self.link, self._order, self.link.foreign
         telemetry, silence = link.telemetry, self._choice.section.silence
         # the daemon watches Midspan's own planners

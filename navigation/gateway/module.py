@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.config.sections.navigation import ACTION, GOAL_POSE, HOLD, HOLD_TYPE, NavigationSection
 from bridge.config.sections.section import Section
 from bridge.hub.errors import HubError
@@ -32,8 +34,8 @@ class GatewayModule(Module):
 
     name = "gateway"
 
+    @override
     def start(self, host: Host, section: Section) -> None:
-        """Open all topics, services and ports."""
         assert isinstance(section, NavigationSection)
         self._host, self._section = host, section
         self._status = host.node.publisher(STATUS_TOPIC, STATUS, LATCHED, priority="state")
@@ -56,6 +58,7 @@ class GatewayModule(Module):
         self._on_status(gateway.status())
         host.loop.every(_REPEAT_SECONDS, self._write_status)
 
+    @override
     def reload(self, section: Section) -> bool:
         """Adopt another planner as soon as the current one stands; other entry points need a restart."""
         assert isinstance(section, NavigationSection)
@@ -110,8 +113,8 @@ class GatewayModule(Module):
         for port in self._ports:
             port.write([f"navigation_status_{self._state}"])
 
+    @override
     def health(self) -> Health:
-        """The planner and its state."""
         gateway = self.gateway
         if not gateway.link.reachable:
             return Health("waiting", f"the planner {gateway.planner} is not available")
@@ -125,8 +128,8 @@ class GatewayModule(Module):
             text += f"; {ACTION} is served by {self._action.served_by}"
         return Health("running", text)
 
+    @override
     def status(self) -> dict[str, Any]:
-        """The planner, the goal and the state."""
         gateway = self.gateway
         state, reason, _ = gateway.state()
         drive, other = gateway.drive, self._action.served_by
@@ -146,13 +149,14 @@ class GatewayModule(Module):
             "warnings": list(filter(None, warnings)),
         }
 
+    @override
     def begin_stop(self, done: Callable[[], None]) -> None:
         """Stop the robot if the gateway moves it, before clients lose the server of their goals."""
         self._commander.stop()
         self.gateway.shut_down(done)
 
+    @override
     def stop(self) -> None:
-        """End the drive."""
         self._commander.stop()
         self.gateway.close()
 

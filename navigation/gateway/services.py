@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from typing_extensions import override
+
 from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host, ModuleNode
 from bridge.modules.loop import Timer
@@ -234,6 +236,7 @@ class GatewayDevice(NavigationDevice):
 
     # -- parts ---------------------------------------------------------------------------------------------------------
 
+    @override
     def _accept(self, action: Callable[[], None]) -> None:
         """Accept a goal; YARP's answer has no text for the reason of a refusal, so the log has it."""
         try:
@@ -245,15 +248,18 @@ class GatewayDevice(NavigationDevice):
     def _begin(self, targets: Sequence[Target]) -> None:
         self._gateway.go(targets, CLIENT)
 
+    @override
     def _robot(self) -> Pose:
         robot = self._gateway.robot()
         if robot is None:
             raise LookupError("the robot's pose is unknown; ask again when it is localized")
         return robot
 
+    @override
     def _go_to(self, pose: Pose) -> None:
         self._begin([Target(pose, self._gateway.frame)])
 
+    @override
     def _target(self) -> Map2DLocation | None:
         drive, link = self._gateway.drive, self._gateway.link
         if drive is not None:

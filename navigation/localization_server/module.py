@@ -12,6 +12,8 @@ import math
 from dataclasses import replace
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import Qos
@@ -53,8 +55,8 @@ class LocalizationServer(Module):
 
     name = "localization_server"
 
+    @override
     def start(self, host: Host, section: Section) -> None:
-        """Open the section's source, topics and ports."""
         assert isinstance(section, LocalizationServerSection)
         self._host, self._section = host, section
         self._frames = RobotFrames(host, section.map_frame, section.base_frame, section.odom_frame)
@@ -81,6 +83,7 @@ class LocalizationServer(Module):
         host.every(section.period, self._publish)
         host.every(section.particles_period, lambda: self._publisher.publish_particles(self.cloud()))
 
+    @override
     def reload(self, section: Section) -> bool:
         """Follow another source of maps; the source of the pose continues, and gets the new map."""
         assert isinstance(section, LocalizationServerSection)
@@ -204,15 +207,15 @@ class LocalizationServer(Module):
 
     # state
 
+    @override
     def health(self) -> Health:
-        """Return the state of the localization with its reason."""
         if self._grid is None and self._section.source in (None, "own"):
             return Health("waiting", self._maps.trouble)
         status, reason = self._estimate.status.value, self._estimate.reason
         return Health("running", f"{status}: {reason}" if reason else status)
 
+    @override
     def status(self) -> dict[str, Any]:
-        """Return the pose, its quality and the state of the source."""
         estimate = self._estimate
         return {
             "source": self._section.source or "own",
@@ -226,6 +229,7 @@ class LocalizationServer(Module):
             **self.source.status(),
         }
 
+    @override
     def stop(self) -> None:
         """Publish that the pose is unknown, so that planners stop at once, and end all subscriptions."""
         self._publisher.publish(estimates.unknown("localization has ended"), None, None, self.map_name)

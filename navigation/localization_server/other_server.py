@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.modules.host import Host
@@ -40,6 +41,7 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
         self._connected = False
         super().__init__(ILocalization2DMsgs, self.place, host.yarp.naming, "midspan-other-localiser")
 
+    @override
     def estimate(self) -> PoseEstimate:
         """Return its last pose, with its status if that is worse."""
         estimate = super().estimate()
@@ -48,10 +50,11 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
             return PoseEstimate(estimate.pose, estimate.covariance, estimate.quality, self._server_status, reason)
         return estimate
 
+    @override
     def cloud(self) -> Floats:
-        """Return its particles."""
         return self._particles
 
+    @override
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
         """Send it the start after its next reply."""
         if not self._connected:
@@ -63,6 +66,7 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
             self._pending_start = place, Matrix(covariance)
             self._lock.notify()
 
+    @override
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
         """Discard the last pose, which was on the previous map."""
         if grid.name != self._map:
@@ -96,6 +100,7 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
 
     # on the polling thread
 
+    @override
     def _on_unreachable(self, reason: str) -> None:
         self._report(f"{self.place}: {reason}")
         with self._lock:
@@ -104,6 +109,7 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
     def _report(self, reason: str) -> None:
         self._post(lambda: self.refuse(reason))
 
+    @override
     def _follow(self, remote: ILocalization2DMsgs) -> None:
         self._connected = True
         cloud_interval = max(1, round(self._section.particles_period / self._section.period))

@@ -1,7 +1,5 @@
 """Midspan's own localizer with topics of the hub; it saves its last pose over restarts."""
 
-# ruff: noqa: D102 - documented in `PoseSource`
-
 from __future__ import annotations
 
 import json
@@ -14,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.hub.wire.qos import Qos
@@ -55,6 +54,7 @@ class OwnLocalizer(PoseSource):
         self._laser = ""
         host.node.subscription(section.scan, SCAN, self._on_scan, Qos(depth=2))
 
+    @override
     def estimate(self) -> PoseEstimate:
         localizer = self._localizer
         if localizer is None:
@@ -74,15 +74,18 @@ class OwnLocalizer(PoseSource):
         except FramesError:
             return  # the localizer reports for how long it is missing
 
+    @override
     def correction(self) -> Pose | None:
         localizer = self._localizer
         if localizer is None or localizer.scan_age(self._clock.now_ns()) > SCAN_AGE:
             return None
         return localizer.correction
 
+    @override
     def cloud(self) -> Floats:
         return np.empty((0, 3)) if self._localizer is None else self._localizer.cloud()
 
+    @override
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
         if self._localizer is None:
             raise RuntimeError(f"localization is impossible: {self._trouble}")
@@ -92,6 +95,7 @@ class OwnLocalizer(PoseSource):
         except ValueError as err:
             raise RuntimeError(str(err)) from None
 
+    @override
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
         before = self._localizer.estimate() if self._localizer else None
         if start is None and before is not None and before.pose is not None:
@@ -123,18 +127,22 @@ class OwnLocalizer(PoseSource):
                 self._log.warning("cannot save the pose: %s", err)
             self._unsaved = True
 
+    @override
     def close(self) -> None:
         self._save(self.estimate(), now=True)
 
+    @override
     def pause(self, *, on: bool) -> None:
         self._paused = on
 
+    @override
     def on_clock_jump(self) -> None:
         if self._localizer is not None and self._clock.simulated:
             self._localizer.restart()
         elif self._localizer is not None:
             self._localizer.forget_stamps()
 
+    @override
     def status(self) -> dict[str, Any]:
         status: dict[str, Any] = {"scans": self._scans, "left_out": self._left_out, "laser": self._laser}
         if self._localizer is not None:

@@ -1,7 +1,5 @@
 """The sources of the robot's pose: transforms of another localizer, a topic, or a YARP port."""
 
-# ruff: noqa: D102 - documented in `PoseSource`
-
 from __future__ import annotations
 
 import math
@@ -11,6 +9,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.hub.endpoints.calls import CallError
@@ -95,6 +94,7 @@ class FrameSource(PoseSource):
         self._known = False
         self._starts = host.node.publisher(section.initialpose, estimates.POSE_COVARIANCE, Qos(depth=1))
 
+    @override
     def estimate(self) -> PoseEstimate:
         try:
             pose = self._frames.pose()
@@ -103,12 +103,14 @@ class FrameSource(PoseSource):
         self._known = True
         return PoseEstimate(pose, self._covariance, 1.0, LocalizationStatus.OK, "")
 
+    @override
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
         topic = self._section.initialpose
         if not self._host.node.hub.graph.subscriptions(topic):
             raise RuntimeError(f"no subscriber to {topic}: is the localizer running, and does a rule bridge the topic?")
         self._starts.publish(self._start_message(Start(pose, covariance)))
 
+    @override
     def on_clock_jump(self) -> None:
         self._known = False
 
@@ -140,6 +142,7 @@ class AmclSource(FrameSource):
             if topic:
                 node.subscription(topic, kind, on_message, LATCHED)
 
+    @override
     def estimate(self) -> PoseEstimate:
         if self._due is not None:
             self._send_map()
@@ -150,9 +153,11 @@ class AmclSource(FrameSource):
             return replace(estimate, status=LocalizationStatus.NOT_YET, reason=reason)
         return estimate
 
+    @override
     def cloud(self) -> Floats:
         return self._cloud
 
+    @override
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
         """Send amcl every map after its first one, since it does not follow the topic."""
         first, self._grid = self._grid is None, grid
@@ -162,6 +167,7 @@ class AmclSource(FrameSource):
             self._due = grid, start
             self._send_map()
 
+    @override
     def status(self) -> dict[str, Any]:
         return {"set_map": self._map_trouble or ("waits" if self._due else "done")}
 
@@ -247,6 +253,7 @@ class ExternalSource(PoseSource):
             self._host.log.warning("%s: %s", self.place, reason)
         self._trouble = reason
 
+    @override
     def estimate(self) -> PoseEstimate:
         if self._pose is None:
             return unknown(self._trouble or f"waiting for a pose on {self.place}")
@@ -265,16 +272,20 @@ class ExternalSource(PoseSource):
                 pass
         return pose
 
+    @override
     def correction(self) -> Pose | None:
         return self._correction if self.estimate().pose is not None else None
 
-    def initial(self, pose: Pose, covariance: Floats | None) -> None:  # noqa: ARG002 - refused in any case
+    @override
+    def initial(self, pose: Pose, covariance: Floats | None) -> None:
         """Raise `RuntimeError`, as the pose's publisher sets the start."""
         raise RuntimeError(f"poses come from {self.place}; set the start pose at its publisher")
 
+    @override
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
         """Ignore the map: poses arrive as before."""
 
+    @override
     def on_clock_jump(self) -> None:
         if self._host.clock.simulated:  # the robot may be elsewhere when a simulation restarts
             self.drop()

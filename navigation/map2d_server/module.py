@@ -10,6 +10,8 @@ import logging
 import threading
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.config.sections.maps import Map2DServerSection
 from bridge.config.sections.section import Section
 from bridge.hub.graph.owners import owner
@@ -35,8 +37,8 @@ class Map2DServer(Module):
 
     name = "map2d_server"
 
+    @override
     def start(self, host: Host, section: Section) -> None:
-        """Publish the store, and open the services and ports."""
         assert isinstance(section, Map2DServerSection)
         self._host, self._store = host, host.store
         self._changed: set[tuple[str, str]] = set()
@@ -70,15 +72,15 @@ class Map2DServer(Module):
         if section.command_port:
             host.yarp.respond(section.command_port, MapCommands(self._store, self._current).answer)
 
+    @override
     def health(self) -> Health:
-        """Return the current map, and other publishers of its topic."""
         state = f"map {self._current.name}" if self._current.name else "no current map"
         if self._others:
             state += f"; {MAP_TOPIC} is published by {', '.join(self._others)}, not by this module"
         return Health("running", state)
 
+    @override
     def status(self) -> dict[str, Any]:
-        """Return the served maps, and the refused calls."""
         return {
             "current": self._current.name,
             "maps": self._maps.topics,
@@ -88,6 +90,7 @@ class Map2DServer(Module):
             "last_refusal": self._last_refused,
         }
 
+    @override
     def stop(self) -> None:
         """Stop following the store."""
         for close in self._closing:

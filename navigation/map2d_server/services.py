@@ -1,12 +1,14 @@
 """The services of ROS's map servers, YARP's IMap2D, and commands for ``yarp rpc``."""
 
-# ruff: noqa: D102, N802, N815 - YARP's names, documented in its interface
+# ruff: noqa: N815 - YARP's names, documented in its interface
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
+
+from typing_extensions import override
 
 from bridge.hub.endpoints.calls import CallError
 from bridge.modules.host import ModuleNode
@@ -63,34 +65,42 @@ class MapAnswers(IMap2DMsgs):
 
     # -- maps ---------------------------------------------------------------------------------------------------------
 
+    @override
     def clear_all_maps_RPC(self) -> ReturnValue:
         return self._change(self._store.clear, MAP)
 
+    @override
     def store_map_RPC(self, themap: MapGrid2D) -> ReturnValue:
         return self._store_value(MAP, themap.name, themap)
 
+    @override
     def get_map_RPC(self, map_name: str) -> tuple[ReturnValue, MapGrid2D]:
         outcome, grid = self._get(MAP, map_name)
         grid.enable_map_compression_over_network(self._compressed)
         return outcome, grid
 
+    @override
     def get_map_names_RPC(self) -> tuple[ReturnValue, list[str]]:
         return self._names(MAP)
 
+    @override
     def remove_map_RPC(self, map_name: str) -> ReturnValue:
         return self._delete(MAP, map_name)
 
+    @override
     def clear_all_maps_temporary_flags_RPC(self) -> ReturnValue:
         for name in self._names(MAP)[1]:
             self.clear_map_temporary_flags_RPC(name)
         return OK
 
+    @override
     def clear_map_temporary_flags_RPC(self, map_name: str) -> ReturnValue:
         with self._store.replica.still():  # so that flags painted meanwhile are not lost
             _, grid = self._get(MAP, map_name)
             grid.clearMapTemporaryFlags()
             return self._store_value(MAP, map_name, grid)
 
+    @override
     def enable_maps_compression_RPC(self, enable_compression: bool) -> ReturnValue:
         self._compressed = enable_compression
         return OK
@@ -110,27 +120,35 @@ class MapAnswers(IMap2DMsgs):
 
     # -- files --------------------------------------------------------------------------------------------------------
 
+    @override
     def save_maps_collection_RPC(self, maps_collection_file: str) -> ReturnValue:
         return self._change(self._files.save_collection, maps_collection_file)
 
+    @override
     def load_maps_collection_RPC(self, maps_collection_file: str) -> ReturnValue:
         return self._change(self._files.load_collection, maps_collection_file)
 
+    @override
     def save_locations_and_extras_RPC(self, locations_collection_file: str) -> ReturnValue:
         return self._change(self._files.save_places, locations_collection_file)
 
+    @override
     def load_locations_and_extras_RPC(self, locations_collection_file: str) -> ReturnValue:
         return self._change(self._files.load_places, locations_collection_file)
 
+    @override
     def save_map_to_disk_RPC(self, map_name: str, file_name: str) -> ReturnValue:
         return self._change(self._files.save_map, map_name, file_name)
 
+    @override
     def load_map_from_disk_RPC(self, file_name: str) -> ReturnValue:
         return self._change(self._files.load_map, file_name)
 
+    @override
     def reload_maps_collection_RPC(self) -> ReturnValue:
         return self._change(self._files.reload_collection)
 
+    @override
     def reload_locations_and_extras_RPC(self) -> ReturnValue:
         return self._change(self._files.reload_places)
 

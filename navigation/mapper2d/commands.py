@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import MAP
@@ -123,6 +124,7 @@ class MapperCommands(Commands):
             "enlarge_obstacles": self._enlarge_obstacles,
         })  # fmt: skip
 
+    @override
     def answer(self, values: list[Any]) -> list[Any]:
         """Answer as `Commands.answer`; errors of files and the store also raise `ValueError`."""
         try:

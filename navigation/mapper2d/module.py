@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from typing_extensions import override
+
 from bridge.config.sections.maps import Mapper2DSection
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import LATCHED, Qos
@@ -51,8 +53,8 @@ class Mapper2D(Module):
 
     name = "mapper2d"
 
+    @override
     def start(self, host: Host, section: Section) -> None:
-        """Open the section's topics and ports, and start mapping."""
         assert isinstance(section, Mapper2DSection)
         self._section, self._notes = laid_under(section, section.ini, read_file)
         section = self._section
@@ -176,8 +178,8 @@ class Mapper2D(Module):
         except (StoreError, ValueError) as err:
             answer({"success": False, "message": str(err)})
 
+    @override
     def health(self) -> Health:
-        """Return the state, and the reason if it does not map."""
         if not self.mapper.mapping:
             return Health("running", "stopped; 'start' continues mapping")
         received = self._scans.received_ns
@@ -192,8 +194,8 @@ class Mapper2D(Module):
         full = "; the map has reached its largest size (modules.mapper2d.largest)" if self.mapper.full else ""
         return Health("running", f"map {self.mapper.name}: {width:g} x {height:g} m{full}")
 
+    @override
     def status(self) -> dict[str, Any]:
-        """Return the state of the map, and the number of dropped scans."""
         return {
             "map": self.mapper.name,
             "mapping": self.mapper.mapping,
@@ -205,7 +207,7 @@ class Mapper2D(Module):
             "notes": list(self._notes),
         }
 
+    @override
     def stop(self) -> None:
-        """Close the connections."""
         for connection in self._connected:
             connection.close()

@@ -1,13 +1,13 @@
 """The laser's pose at a scan's time: the robot's from /tf, a topic or a port, and the laser's pose on the robot."""
 
-# ruff: noqa: D102 - documented in `RobotPoses`
-
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
+
+from typing_extensions import override
 
 from bridge.config.sections.maps import Mapper2DSection
 from bridge.hub.wire.qos import Qos
@@ -44,6 +44,7 @@ class FramePoses(RobotPoses):
     def __init__(self, frames: RobotFrames) -> None:
         self._frames = frames
 
+    @override
     def pose_at(self, stamp: int) -> Pose:
         frames = self._frames
         if frames.map_frame == frames.odom_frame:
@@ -70,6 +71,7 @@ class InterpolatedPoses(RobotPoses):
             (0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0)),
         )  # fmt: skip
 
+    @override
     def pose_at(self, stamp: int) -> Pose:
         try:
             return flat(self._buffer.lookup_transform(_FIXED, _ROBOT, stamp))

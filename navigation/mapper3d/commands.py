@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import MAP, MAP3D
 from bridge.stores.store import Store, Write
@@ -57,6 +59,7 @@ class SpaceCommands(Commands):
             "load_from_mapserver": lambda arguments: self.load(_name(arguments)),
         })  # fmt: skip
 
+    @override
     def answer(self, values: list[Any]) -> list[Any]:
         """Answer as `Commands.answer`; errors of files and the store also raise `ValueError`."""
         try:

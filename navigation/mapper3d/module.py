@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.config.sections.mapper3d import Mapper3DSection
 from bridge.config.sections.section import Section
@@ -39,8 +40,8 @@ class Mapper3D(Module):
 
     name = "mapper3d"
 
+    @override
     def start(self, host: Host, section: Section) -> None:
-        """Open the section's topics and ports, and start mapping."""
         assert isinstance(section, Mapper3DSection)
         self._host, self._section = host, section
         self.space = Space(section)
@@ -139,8 +140,8 @@ class Mapper3D(Module):
         except (StoreError, ValueError) as err:
             answer({"success": False, "message": str(err)})
 
+    @override
     def health(self) -> Health:
-        """Return the state, and the reason if it does not map."""
         if not self._commands.mapping:
             return Health("running", "stopped; 'start' continues mapping")
         received, section = self._queue.received_ns, self._section
@@ -159,8 +160,8 @@ class Mapper3D(Module):
         )
         return Health("running", f"map {section.map_name}: {voxels.megabytes:.0f} MB{full}")
 
+    @override
     def status(self) -> dict[str, Any]:
-        """Return the size of the map, and the counts of dropped data."""
         space, queue = self.space, self._queue
         return {
             "map": self._section.map_name, "mapping": self._commands.mapping, "clouds": space.clouds,
@@ -169,8 +170,8 @@ class Mapper3D(Module):
             "trouble": queue.trouble or self._trouble,
         }  # fmt: skip
 
+    @override
     def stop(self) -> None:
-        """Save the map if the section asks for it."""
         self._save_state()
 
     def _save_state(self) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yarp_compat.dev.locations import Map2DArea
-from yarp_compat.dev.mapflag import MapFlag, flags_of, lookup
+from yarp_compat.dev.mapflag import MapFlag, lookup
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.mapinfo import MapGrid2DInfo
 from yarp_compat.sig.vec2d import Vec2D
@@ -96,17 +96,6 @@ def keepout_mask(grid: MapGrid2D, areas: Iterable[Map2DArea] = ()) -> NDArray[np
             part, inside = cells_of(grid, area.points)
             mask[part][inside] = KEEP_OUT
     return mask
-
-
-def flags_from(occupancy: NDArray[np.uint8], mask: NDArray[np.int8]) -> NDArray[np.uint8]:
-    """Return the flags of a map and its mask, both (height, width) with the rows in the same order.
-
-    The occupancy is 0 to 100 or 255; weights that :func:`keepout_mask` does not use do not change the flags.
-    """
-    flags = flags_of(occupancy)
-    for flag, weight in _WEIGHTS.items():
-        flags[mask == weight] = flag
-    return flags
 
 
 ABSOLUTE = 2  # CostmapFilterInfo's type for limits in m/s

@@ -3,8 +3,6 @@
 It replaces robotology/navigation's ``robotGotoDev``.
 """
 
-# ruff: noqa: D102 - documented in `PlannerModule` and `Module`
-
 from __future__ import annotations
 
 import math
@@ -13,6 +11,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.config.sections.planners import RobotGotoSection
 from bridge.config.sections.section import Section
@@ -53,6 +52,7 @@ class RobotGoto(PlannerModule):
 
     name = "robot_goto"
 
+    @override
     def start(self, host: Host, section: Section) -> None:
         assert isinstance(section, RobotGotoSection)
         self._section, self._notes = laid_under(section, section.ini, read_file)
@@ -151,20 +151,24 @@ class RobotGoto(PlannerModule):
     # requests
 
     @property
+    @override
     def target(self) -> MapPlace | None:
         task = self.driver.target
         return None if task is None else MapPlace(self.map_name(), task.pose)
 
     @property
+    @override
     def progress(self) -> PlannerStatus:
         return self.driver.status
 
+    @override
     def map_name(self) -> str:
         try:
             return self._host.store.current_map() or ""
         except StoreError:
             return ""
 
+    @override
     def drive(self, *places: MapPlace, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
         self.compiled.check()
         (place,) = places
@@ -182,20 +186,24 @@ class RobotGoto(PlannerModule):
         self._goal.replace(None)
         self.driver.approach(direction, speed, seconds)
 
+    @override
     def pause(self, seconds: float) -> None:
         if not self.driver.pause(seconds):
             raise PlanError(Fault.OTHER, "no active goal to suspend")
 
+    @override
     def resume(self) -> None:
         if not self.driver.resume():
             raise PlanError(Fault.OTHER, "no suspended goal")
 
+    @override
     def stop_driving(self, reason: str) -> None:
         self.driver.cancel()
         self._topics.stop_base()
         self._goal.end(PlannerStatus(State.IDLE, reason))
         self._publish(None)
 
+    @override
     def local_map(self) -> MapGrid2D | None:
         """Return the local grid; None before the first scan, or if the pose is unknown."""
         pose = self._pose_now()
@@ -223,6 +231,7 @@ class RobotGoto(PlannerModule):
         self._publish(pose)
         self._topics.publish_surroundings(self.now(), self.driver, pose, moved)
 
+    @override
     def _pose_now(self) -> Pose | None:
         try:
             pose = self.pose()
@@ -240,6 +249,7 @@ class RobotGoto(PlannerModule):
         else:
             self._feed(pose)
 
+    @override
     def _remaining(self, pose: Pose, _passed: float) -> tuple[float, float, int]:
         target = self.driver.target
         left = 0.0 if target is None else pose.distance(target.pose)
@@ -252,6 +262,7 @@ class RobotGoto(PlannerModule):
 
     # state
 
+    @override
     def health(self) -> Health:
         if self.compiled.trouble:
             return Health("waiting", self.compiled.trouble)
@@ -264,6 +275,7 @@ class RobotGoto(PlannerModule):
             return Health("waiting", silence or self._lost)
         return Health("running", self.driver.status.words)
 
+    @override
     def status(self) -> dict[str, Any]:
         target = self.driver.target
         return super().status() | {
@@ -273,6 +285,7 @@ class RobotGoto(PlannerModule):
             "obstacles": dict(self.driver.obstacles.trouble),
         }
 
+    @override
     def stop(self) -> None:
         self._abort("RobotGoto has stopped")
         if self._connection is not None:

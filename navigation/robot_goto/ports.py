@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.modules.host import Host
@@ -138,11 +139,13 @@ class GotoServer(Navigation2DServer, RobotGotoMsgs):
         super().__init__(GotoDevice(module, calls))
         self._do, self._move, self._driver, self._approach = calls.do, calls.move, driver, approach
 
+    @override
     def ResetParams(self) -> ReturnValue:
         self._do(self._driver.reset)
         return OK
 
-    def Approach(self, dir: float, speed: float, time: float) -> ReturnValue:  # noqa: A002 - its name
+    @override
+    def Approach(self, dir: float, speed: float, time: float) -> ReturnValue:
         if not all(map(math.isfinite, (dir, speed, time))) or time < 0.0:
             raise CallFailed(
                 ReturnCode.METHOD_FAILED,
@@ -151,36 +154,47 @@ class GotoServer(Navigation2DServer, RobotGotoMsgs):
         self._move(lambda: self._approach(math.radians(dir), speed, time))
         return OK
 
+    @override
     def SetLinearTolerance(self, tol: float) -> ReturnValue:
         return self._number("goal_tolerance_lin", tol, 0.001, 10.0)
 
+    @override
     def SetAngularTolerance(self, tol: float) -> ReturnValue:
         return self._number("goal_tolerance_ang", tol, 0.05, 180.0)
 
-    def SetMaxLinearSpeed(self, maxLin: float) -> ReturnValue:  # noqa: N803
+    @override
+    def SetMaxLinearSpeed(self, maxLin: float) -> ReturnValue:
         return self._number("max_lin_speed", maxLin, 0.001, 3.0)
 
-    def SetMaxAngularSpeed(self, maxAng: float) -> ReturnValue:  # noqa: N803
+    @override
+    def SetMaxAngularSpeed(self, maxAng: float) -> ReturnValue:
         return self._number("max_ang_speed", maxAng, 0.1, 360.0)
 
-    def SetMinLinearSpeed(self, minLin: float) -> ReturnValue:  # noqa: N803
+    @override
+    def SetMinLinearSpeed(self, minLin: float) -> ReturnValue:
         return self._number("min_lin_speed", minLin, 0.0, 3.0)
 
-    def SetMinAngularSpeed(self, minAng: float) -> ReturnValue:  # noqa: N803
+    @override
+    def SetMinAngularSpeed(self, minAng: float) -> ReturnValue:
         return self._number("min_ang_speed", minAng, 0.0, 360.0)
 
-    def SetLinearSpeedGain(self, LinGain: float) -> ReturnValue:  # noqa: N803
+    @override
+    def SetLinearSpeedGain(self, LinGain: float) -> ReturnValue:
         return self._number("lin_speed_gain", LinGain, 0.001, 100.0)
 
-    def SetAngularSpeedGain(self, AngGain: float) -> ReturnValue:  # noqa: N803
+    @override
+    def SetAngularSpeedGain(self, AngGain: float) -> ReturnValue:
         return self._number("ang_speed_gain", AngGain, 0.001, 100.0)
 
+    @override
     def SetObstacoleAvoidance(self, enable: bool) -> ReturnValue:
         return self._change_setting("enable_obstacles_avoidance", enable)
 
+    @override
     def SetObstacoleStop(self, enable: bool) -> ReturnValue:
         return self._change_setting("enable_obstacles_emergency_stop", enable)
 
+    @override
     def GetNavigationStatus(self) -> tuple[ReturnValue, str]:
         return OK, f"navigation_status_{self._driver.status.state.value}"
 

@@ -9,6 +9,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from typing_extensions import override
+
 from bridge.config.sections.planners import RobotPathPlannerSection
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, LINK, LOCATION, MAP
@@ -112,8 +114,8 @@ class StoreAtlas(Atlas):
         """Drop cached maps, since maps, areas or the robot have changed."""
         self._grounds.clear()
 
+    @override
     def ground(self, name: str) -> Ground | None:
-        """Return a map of the store, or None."""
         ground = self._grounds.get(name)
         if ground is None:
             grid = self._store.get(MAP, name) if name else None
@@ -126,6 +128,7 @@ class StoreAtlas(Atlas):
         """Return any map with the store's areas."""
         return Ground(grid, self.settings.robot_radius, self.settings.clearance, self._zones())
 
+    @override
     def links(self) -> Sequence[LinkedPlaces]:
         """Return the store's links whose two locations exist."""
         links = []

@@ -3,13 +3,13 @@
 It replaces robotology/navigation's ``robotPathPlannerDev``.
 """
 
-# ruff: noqa: D102 - documented in `PlannerModule` and `Module`
-
 from __future__ import annotations
 
 import base64
 from collections.abc import Collection
 from typing import Any
+
+from typing_extensions import override
 
 from bridge.concurrency import SerialExecutor
 from bridge.config.sections.planners import YARP, RobotPathPlannerSection
@@ -88,6 +88,7 @@ class RobotPathPlanner(PlannerModule):
 
     name = "robot_path_planner"
 
+    @override
     def start(self, host: Host, section: Section) -> None:
         assert isinstance(section, RobotPathPlannerSection)
         self._section, self._notes = laid_under(section, section.ini, read_file, merged=MERGED)
@@ -140,19 +141,24 @@ class RobotPathPlanner(PlannerModule):
     # requests
 
     @property
+    @override
     def target(self) -> MapPlace | None:
         return self.planner.target
 
     @property
+    @override
     def progress(self) -> PlannerStatus:
         return self.planner.status
 
+    @override
     def map_name(self) -> str:
         return self.planner.ground.name if self.planner.ground else ""
 
+    @override
     def _map_names(self) -> Collection[str]:
         return self._host.store.names(MAP)
 
+    @override
     def drive(self, *places: MapPlace, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
         self.compiled.check()
         self._goal.replace(goal)
@@ -161,6 +167,7 @@ class RobotPathPlanner(PlannerModule):
         self._began, self._length = self.now(), 0.0
         self._publish()
 
+    @override
     def stop_driving(self, reason: str) -> None:
         self.planner.cancel(reason)
         self._step()
@@ -186,16 +193,19 @@ class RobotPathPlanner(PlannerModule):
         self.brake()
         return self._host.loop.call(self.halt)
 
+    @override
     def pause(self, seconds: float) -> None:
         if not self.planner.active:
             raise PlanError(Fault.OTHER, "no active goal to suspend")
         self.planner.pause(self.now(), seconds)
 
+    @override
     def resume(self) -> None:
         if self.planner.status.state is not State.PAUSED:
             raise PlanError(Fault.OTHER, "no suspended goal")
         self.planner.resume()
 
+    @override
     def local_map(self) -> MapGrid2D | None:
         """Return the map with the laser's obstacles as temporary obstacles."""
         ground, clutter = self.planner.ground, self.planner.clutter
@@ -260,6 +270,7 @@ class RobotPathPlanner(PlannerModule):
         if not self.planner.active:
             self._goal.end(self.planner.status)
 
+    @override
     def _remaining(self, pose: Pose, passed: float) -> tuple[float, float, int]:
         left = self.planner.remaining(pose)
         self._length = max(self._length, left)
@@ -273,6 +284,7 @@ class RobotPathPlanner(PlannerModule):
 
     # state
 
+    @override
     def health(self) -> Health:
         trouble = self.compiled.trouble or self._map.trouble or "; ".join(self._layers.trouble.values())
         if trouble:
@@ -285,6 +297,7 @@ class RobotPathPlanner(PlannerModule):
             else Health("running", self.progress.words)
         )
 
+    @override
     def status(self) -> dict[str, Any]:
         target = self.planner.target
         return super().status() | {
@@ -296,6 +309,7 @@ class RobotPathPlanner(PlannerModule):
             "layers": dict(self._layers.trouble),
         }
 
+    @override
     def stop(self) -> None:
         self._goal.end(PlannerStatus(State.ABORTED, "the planner has stopped", Fault.NO_NAVIGATOR))
         self.planner.cancel("the planner has stopped")

@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from typing_extensions import override
+
 from bridge.client.actions import SentGoal
 from bridge.hub.wire.qos import LATCHED
 from bridge.messages.actions import GoalState
@@ -170,6 +172,7 @@ class YarpNavigator(PolledServer[INavigation2DMsgs]):
                 self.state, self.reason = state, ""
             self._lock.notify()
 
+    @override
     def _follow(self, remote: INavigation2DMsgs) -> None:
         while self._step(remote):
             with self._lock:
@@ -214,6 +217,7 @@ class YarpNavigator(PolledServer[INavigation2DMsgs]):
                     return  # robotGoto becomes idle some time after it arrives
             self.state, self.reason = state, ""
 
+    @override
     def _on_unreachable(self, reason: str) -> None:
         with self._lock:
             self.state, self.reason = State.ERROR, reason

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.host import Host
@@ -205,10 +206,12 @@ class PathPlannerDevice(PlannerDevice):
     def followPath(self, path: Map2DPath) -> None:
         self._move(lambda: self._module.drive(*map(place_of, path)))
 
+    @override
     def stopNavigation(self) -> None:
         self._brake()
         super().stopNavigation()
 
+    @override
     def suspendNavigation(self, seconds: float) -> None:
         self._brake()
         super().suspendNavigation(seconds)
@@ -251,6 +254,7 @@ class PlannerServer(Navigation2DServer):
         super().__init__(device)
         self._get, self._set = get_radius, set_radius
 
+    @override
     def command(self, words: list[Any]) -> list[Any] | None:
         """Answer a Bottle; return None for an unknown command; raises `ValueError` for an invalid radius."""
         verb, *arguments = words or [""]

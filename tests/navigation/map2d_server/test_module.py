@@ -21,8 +21,8 @@ from bridge.stores.kinds import AREA, BEHAVIOUR, KINDS, LOCATION, MAP, MAP3D
 from bridge.stores.store import Store
 from navigation.map2d_server.publishers import topic_of
 from navigation.maps.grid import from_grid
-from navigation.maps.masks import flags_from
 from tests.contract.hubside import HubSide
+from tests.navigation.maps.test_maps import flags_from
 from tests.peers.hub.modules import Place
 from tests.support.wait import until
 from yarp_compat.dev.extras import AreaBehaviour

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from bridge.messages.definitions.schema import Schema
 from bridge.messages.registry import Registry
@@ -22,16 +23,24 @@ from navigation.maps.masks import (
     KEEP_OUT,
     TEMPORARY_OBSTACLE,
     cells_of,
-    flags_from,
     keepout_mask,
     speed_mask,
 )
 from tests.support.uncompiled import uncompiled
 from tests.yarp_compat.dev.maps import maps
 from yarp_compat.dev.locations import Map2DArea
-from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag
+from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, flags_of
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.sig.vec2d import Vec2D
+
+
+def flags_from(occupancy: NDArray[np.uint8], mask: NDArray[np.int8]) -> NDArray[np.uint8]:
+    """Return the flags of a map and its keep-out mask, both (height, width) with the rows in the same order."""
+    flags = flags_of(occupancy)
+    flags[mask == KEEP_OUT] = MapFlag.KEEP_OUT
+    flags[mask == TEMPORARY_OBSTACLE] = MapFlag.TEMPORARY_OBSTACLE
+    flags[mask == ENLARGED_OBSTACLE] = MapFlag.ENLARGED_OBSTACLE
+    return flags
 
 
 @given(grid=maps())
