@@ -38,9 +38,7 @@ class ClientDrive:
     followed: SentGoal | None = None  #: the goal whose result was requested again after a loss of contact
     sent_at: float = 0.0  #: when it was sent (monotonic)
     released: bool = True  #: whether the planner is known to have none of its goals
-    path_canceled: bool = (
-        False  #: whether another action that may move the base for it was canceled, as Nav2's controller
-    )
+    path_canceled: bool = False  #: whether another action that may move the base was canceled, as Nav2's controller
     reason: str = ""  #: the reason for stopping or waiting
     aborted: tuple[int, str] | None = None  #: code and reason of an abort that is reported when the base stands
     pause_seconds: float = math.inf  #: how long it is paused for
