@@ -50,6 +50,39 @@ def test_the_stores_agree_with_what_is_installed(registry: Registry, world: Worl
             assert bare.ros2(name).type_id == registry.ros2(name).type_id, name
 
 
+@pytest.mark.skipif(not (GENPY / "genpy").is_dir(), reason="ROS 1 is not installed")
+def test_common_ros1_types_need_no_package():
+    """All but roscpp's services of every node, which are private to ROS 1."""
+    bare, checked = Registry(ros1_packages=Path("/nonexistent")), 0
+    for path in sorted(GENPY.glob("*/*/_*.py")):
+        package, kind, stem = path.parts[-3], path.parts[-2], path.stem[1:]
+        md5 = re.findall(r'^  _md5sum\s*=\s*["\'](\w+)["\']', path.read_text(), re.MULTILINE)
+        if kind not in ("msg", "srv") or not md5 or package == "roscpp":
+            continue
+        if kind == "msg":
+            known = bare.ros1(f"{package}/{stem}").type_id
+        else:
+            known = bare.service_hub_to_ros1(f"{package}/srv/{stem}").side.type_id
+        assert known == md5[-1], path
+        checked += 1
+    assert checked > 150
+
+
+@pytest.mark.parametrize(
+    ("name", "md5"),
+    [
+        ("actionlib/TestAction", "991e87a72802262dfbe5d1b3cf6efc9a"),
+        ("shape_msgs/Mesh", "1ffdae9486cd3316a121c578b47a85cc"),
+        ("stereo_msgs/DisparityImage", "04a177815f75271039fa21f16acad8c9"),
+        ("trajectory_msgs/JointTrajectory", "65b4f94a94d1ed67169da35a02f33d3f"),
+        ("visualization_msgs/Marker", "4048c9de2a16f4ae8e0538085ebf1b97"),
+    ],
+)
+def test_common_types_that_are_not_installed_here(name: str, md5: str):
+    """The sums are those that Noetic's packages announce."""
+    assert Registry(ros1_packages=Path("/nonexistent")).ros1(name).type_id == md5
+
+
 def test_octomap_from_a_folder_has_its_known_md5(registry: Registry):
     """As octomap_msgs of Noetic announces it (index.ros.org, octomap_msgs 0.3.5)."""
     conversion = registry.ros1_to_hub("octomap_msgs/Octomap")
