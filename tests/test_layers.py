@@ -213,3 +213,19 @@ def _at_once(node: ast.AST) -> Iterator[ast.AST]:
             continue
         yield child
         yield from _at_once(child)
+
+
+_ROS1 = {"rospy", "rosgraph", "genpy", "roslib", "rosmaster"}
+_ROS1_PROGRAMS = {ROOT / "bridge" / "demo" / "topics_demo" / "robot.py"}
+"""The demo's robot is a ROS 1 program."""
+
+
+def test_midspan_speaks_ros1_without_its_packages() -> None:
+    files = {file for part in ("bridge", "navigation", "yarp_compat", "sim") for file in (ROOT / part).rglob("*.py")}
+    wrong = {
+        f"{file.relative_to(ROOT)} imports {name}"
+        for file in files - _ROS1_PROGRAMS
+        for name, _ in every_import(file)
+        if name.split(".")[0] in _ROS1
+    }
+    assert not wrong

@@ -101,6 +101,14 @@ class DeadlineSocket(socket.socket):
         super().sendall(*args)
 
 
+def bracketed(uri: str) -> str:
+    """Return a URI with brackets around an IPv6 address, which ROS 1's nodes omit if that is their ROS_IP."""
+    scheme, slashes, rest = uri.partition("://")
+    place, slash, path = rest.partition("/")
+    host, _, port = place.rpartition(":")
+    return f"{scheme}{slashes}[{host}]:{port}{slash}{path}" if ":" in host and "[" not in host else uri
+
+
 MAX_ANSWER = 64 * 2**20
 """Size limit in bytes for a master's response; its state with 100,000 registrations is about 20 MB."""
 
@@ -131,7 +139,7 @@ class XmlRpcClient:
 
     def __init__(self, uri: str, timeout: float, limit: int = MAX_ANSWER) -> None:
         try:
-            parts = urlsplit(uri)
+            parts = urlsplit(bracketed(uri))
             host = parts.hostname if parts.scheme == "http" else None
             self._http = _Connection(host or "", parts.port or 80)
         except (ValueError, http.client.InvalidURL):

@@ -5,25 +5,26 @@ from __future__ import annotations
 import logging
 import os
 import threading
-import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import bridge.adapters.ros1.without_numpy  # noqa: F401 - before rospy
 from bridge.adapters.ros1 import names
 from bridge.adapters.ros1.actions import discovery
 from bridge.adapters.ros1.actions.actions import Ros1Actions
 from bridge.adapters.ros1.actions.network import ActionNetwork
 from bridge.adapters.ros1.environment import master_uri
 from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.graph.master import Master
 from bridge.adapters.ros1.graph.presence import Ledger, NodeConnections, NodeEntry, others
 from bridge.adapters.ros1.graph.probe import Ros1Context
 from bridge.adapters.ros1.graph.standing import Connections, StandingGraph
 from bridge.adapters.ros1.graph.state import MasterState, Registration
+from bridge.adapters.ros1.node.node import NodeEvents, Ros1Node
 from bridge.adapters.ros1.peer_pool import PeerPool
 from bridge.adapters.ros1.services.services import Ros1Services
+from bridge.adapters.ros1.topics.book import TopicBook
 from bridge.adapters.ros1.topics.topics import Ros1Topics
 from bridge.adapters.side_edge import SideEdge
 from bridge.concurrency import DelayedCalls
@@ -36,8 +37,6 @@ from bridge.messages.transcode.conversion import Conversion, ServiceConversion, 
 from bridge.routing.edge import Deliver, EdgeCaller, EdgeListener, EdgePublisher, EdgeServer, EdgeSubscription, Endpoint
 
 if TYPE_CHECKING:
-    from bridge.adapters.ros1.graph.master import Master
-    from bridge.adapters.ros1.node import Ros1Node
     from bridge.adapters.ros1.parameters.follower import ParameterSharing
     from bridge.adapters.ros1.parameters.store import ParameterServer
     from bridge.config.sections.routing import ParameterRule
@@ -48,12 +47,9 @@ _log = logging.getLogger(__name__)
 _LONG = 1.0
 """Least seconds between two reads of the master after which the watch for other workers is notified."""
 
-_CHECK_PERIOD = 2.0
-"""Seconds between two checks for dead connections; a check makes a system call per topic."""
-
 
 class Ros1Edge(SideEdge):
-    """Joins one ROS 1 graph. Like rospy, it can exist only once per process; it cannot be restarted."""
+    """Joins one ROS 1 graph. It cannot be restarted."""
 
     side: ClassVar[str] = "ros1"
     awaited: ClassVar[str] = "the ROS master"
@@ -70,10 +66,12 @@ class Ros1Edge(SideEdge):
         self._look: MasterState | None = None
         self._standing = StandingGraph(self._connections)
         self._publishers: frozenset[Registration] = frozenset()
-        self._check_due = 0.0
         self._presence = self._links = NodeConnections(self._caller, self._presence_changed, self._wake_master)
         peer_changed, limit = self._peer_changed, config.limits.message_bytes
-        context = Ros1Context(self._pool, self._loop, self._timer, self._caller, config.name, peer_changed, limit)
+        self._book = TopicBook(self._loop, self._caller, config.name, self._wake_master, peer_changed)
+        self._context = context = Ros1Context(
+            self._pool, self._loop, self._timer, self._book, self._caller, config.name, peer_changed, limit
+        )
         self._topics = Ros1Topics(context, self._refuse)
         self._services = Ros1Services(context, self._wake_master, self._doubt_service)
         check = config.ros1.goal_frames == "check"
@@ -93,19 +91,12 @@ class Ros1Edge(SideEdge):
 
     def start(self, listener: EdgeListener) -> None:
         """Start the node, and begin to poll the master."""
-        for logger in ("rospy", "rosout", "xmlrpc"):
-            logging.getLogger(logger).setLevel(logging.WARNING)
-        from bridge.adapters.ros1.graph.master import Master
-        from bridge.adapters.ros1.node import Ros1Node, raise_descriptor_limit
-
-        raise_descriptor_limit()
         self._listener = listener
         uri = master_uri(self._config, os.environ)
         name = "/" + self._config.ros1.node.strip("/")
         servers = self._services.servers
-        self._node = Ros1Node(
-            name, uri, self._wake_master, self._asked_to_stop, self._links.admit, servers, self._heard
-        )
+        events = NodeEvents(self._wake_master, self._asked_to_stop, self._links.admit, self._on_subscriber)
+        self._node = Ros1Node(name, uri, self._context, servers, events)
         period, daemon = self._config.ros1.poll, self._config.name
         self._master = Master(
             uri, self._node, daemon, self._ledger, period, self._seen, listener.edge_failed, self._services.is_gone,
@@ -145,7 +136,7 @@ class Ros1Edge(SideEdge):
         if self._master is not None:
             self._master.wake()
 
-    def _heard(self, topic: str) -> None:
+    def _on_subscriber(self, topic: str) -> None:
         """Handle a new subscriber of a published topic; called on a thread of the node."""
         if self._actions.awaits(topic):
             self._wake_master()
@@ -157,8 +148,7 @@ class Ros1Edge(SideEdge):
         self._graph_changed()
 
     def _connections(self) -> Connections:
-        subscribers = self._node.subscribers() if self._node is not None else frozenset()
-        return Connections(self._topics.connected(), subscribers, self._services.connected())
+        return Connections(self._topics.connected(), self._book.subscribers(), self._services.connected())
 
     def _doubt_service(self, name: str) -> None:
         if self._master is not None:
@@ -202,7 +192,8 @@ class Ros1Edge(SideEdge):
     def warnings(self) -> list[str]:
         """Return problems with the master, the clock, topics, services, actions and parameters."""
         warnings = []
-        if self._master is not None and self._master.trouble:
+        wanted = self._joined or self._config.ros1.enabled is True or self._config.ros1.master is not None
+        if self._master is not None and self._master.trouble and wanted:
             warnings.append(f"no ROS 1 master: {self._master.trouble}")
         if self._master is not None and self._master.simulated and not self._config.clock.simulated:
             warnings.append(
@@ -211,8 +202,7 @@ class Ros1Edge(SideEdge):
             )
         warnings += self._topics.warnings()
         subscribed = {(s.topic, s.node) for s in self._look.subscribers} if self._look is not None else set()
-        turned_away = self._node.turned_away() if self._node is not None else {}
-        for (topic, node), reason in sorted(turned_away.items()):
+        for (topic, node), reason in sorted(self._book.rejected().items()):
             if (topic, node) in subscribed:
                 warnings.append(f"{topic}: {node} does not receive it: {reason}")
         parameters = [] if self._parameters is None else self._parameters.warnings()
@@ -240,9 +230,6 @@ class Ros1Edge(SideEdge):
         self._topics.take_up(self._publishers)
         self._services.seen(look)
         self._actions.looked()
-        if time.monotonic() >= self._check_due:
-            self._check_due = time.monotonic() + _CHECK_PERIOD
-            self._node.drop_dead_connections()
         self._watch_others(listed)
         if changed:
             self._graph_changed()
@@ -326,7 +313,7 @@ class Ros1Edge(SideEdge):
         from bridge.adapters.ros1.parameters.follower import ParameterSharing
 
         self._parameters = ParameterSharing(rules, hub, self._registry, self._parameter_server(), active)
-        self._node.hear_parameters(self._parameters.changed)
+        self._node.parameter_changed = self._parameters.changed
         return self._parameters.stop
 
     def _parameter_server(self) -> ParameterServer:

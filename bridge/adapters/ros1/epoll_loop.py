@@ -40,7 +40,7 @@ class PolledConnection(ABC):
         return self._sock.fileno()
 
     @abstractmethod
-    def take(self) -> Callable[[], None] | None:
+    def on_ready(self) -> Callable[[], None] | None:
         """Read available data without blocking; return a function for the loop to call after removing this, or None."""
 
     @abstractmethod
@@ -57,7 +57,7 @@ def keep_alive(sock: socket.socket) -> None:
 
 
 class EpollLoop:
-    """Calls `PolledConnection.take` when data is available; thread-safe."""
+    """Calls `PolledConnection.on_ready` when data is available; thread-safe."""
 
     def __init__(self, name: str = "midspan-ros1-intake") -> None:
         self._epoll = select.epoll()
@@ -115,7 +115,7 @@ class EpollLoop:
         while not self._stopped:
             for number, _ in self._epoll.poll(maxevents=_AT_ONCE):
                 source = self._sources.get(number)
-                if source is not None and (then := source.take()) is not None:
+                if source is not None and (then := source.on_ready()) is not None:
                     self.remove(source)
                     self._do(then)
         for source in list(self._sources.values()):

@@ -19,6 +19,7 @@ from bridge.adapters.ros1_peers import (
     Ros1ProtocolError,
     UnreachableError,
     ask,
+    bracketed,
     unanswered,
 )
 
@@ -100,7 +101,7 @@ def connect_service(
     """
     deadline = time.monotonic() + seconds
     try:
-        parts = urlsplit(address)
+        parts = urlsplit(bracketed(address))
         host, port = parts.hostname or "", parts.port or 0
     except ValueError:
         host, port = "", 0

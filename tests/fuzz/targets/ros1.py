@@ -151,6 +151,35 @@ def _xmlrpc() -> Subject:
     return Subject(parse, seeds, (Ros1Error,), _XML_WORDS)
 
 
+def _slave() -> Subject:
+    """Calls of this node's slave API: each has a reply of three values, or a fault."""
+    from bridge.adapters.ros1.epoll_loop import EpollLoop
+    from bridge.adapters.ros1.node.slave import SlaveApi, SlaveEvents, SlaveState
+    from bridge.adapters.ros1.topics.book import TopicBook
+    from bridge.adapters.ros1.xmlrpc_request import DEFAULT_LIMITS, decode_call, encode_response
+    from bridge.messages.transcode.conversion import SideType
+
+    book = TopicBook(EpollLoop(), lambda: "/node", "robot", lambda: None, lambda: None)
+    book.publish("/chatter", SideType("std_msgs/String", "0" * 32, "string data\n"), latched=True)
+    state = SlaveState(lambda: "/node", lambda: "http://x:1/", "http://m:1/", lambda: ("x", 2), book, lambda: [0, 0, 0])
+    api = SlaveApi(state, SlaveEvents(lambda: None, lambda: True, lambda _: None))
+    calls: dict[str, tuple[Any, ...]] = {
+        **dict.fromkeys(api.methods, ()), "shutdown": ("why",), "paramUpdate": ("/a", {"b": [1, 2.5]}),
+        "publisherUpdate": ("/chatter", ["http://h:1/"]), "requestTopic": ("/chatter", [["UDPROS", 1], ["TCPROS"]]),
+    }  # fmt: skip
+
+    def parse(data: bytes) -> None:
+        method, params = decode_call(data, DEFAULT_LIMITS)
+        if method in api.methods:
+            code, text, value = api.methods[method](*params)
+            assert code in (-1, 0, 1)
+            assert isinstance(text, str)
+            encode_response((code, text, value))
+
+    seeds = [xmlrpc.client.dumps(("/caller", *params), name).encode() for name, params in calls.items()]
+    return Subject(parse, seeds, (xmlrpc.client.Fault,), [*_XML_WORDS, *texts(*api.methods, "/chatter", "TCPROS")])
+
+
 def _graph() -> Subject:
     """A master's state as the worker reads it: registrations, types, addresses, other Midspan workers."""
     from bridge.adapters.ros1.graph.presence import NodeEntry, others, removal_calls
@@ -277,6 +306,7 @@ TARGETS = (
     Target("tcpros_greeting", 15_000, _greeting),
     Target("tcpros_frames", 15_000, _frames),
     Target("xmlrpc", 12_000, _xmlrpc),
+    Target("slave_api", 8_000, _slave),
     Target("master_graph", 4_000, _graph),
     Target("http", 8_000, _http),
     Target("node_uri", 15_000, _uri),

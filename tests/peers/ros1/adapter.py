@@ -6,8 +6,9 @@ import base64
 import os
 import struct
 import sys
-import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from bridge.adapters.ros1.environment import worker_environment
@@ -20,9 +21,6 @@ from tests.support.wait import until
 
 ROOT = Path(__file__).parents[3]
 PROGRAM = Path(__file__).with_name("adapter_program.py")
-CACHE = Path(tempfile.gettempdir()) / f"midspan-test-cache-{os.getuid()}"
-"""Shared by all, like a user's: edges in the same environment can be forked from one process."""
-
 AT_ONCE = 4.0
 """Seconds: twice the limit of `Edge.start` and `Edge.stop`, for a busy machine."""
 
@@ -44,15 +42,16 @@ def text(payload: str) -> str:
 class EdgeUnderTest(Peer):
     """A ROS 1 edge in a separate process, in the worker's environment."""
 
-    def __init__(self, master: str, state: Path, daemon: str = "robot", clock: str = "system", **ros1: Any) -> None:
+    def __init__(
+        self, master: str, state: Path, daemon: str = "robot", clock: str = "system",
+        variables: Mapping[str, str] = MappingProxyType({}), **ros1: Any,
+    ) -> None:  # fmt: skip
         source = ClockSection(source=clock)
         config = Config(
             name=daemon, state=state, clock=source, ros1=Ros1Section(master=master, **{"poll": 0.1, **ros1})
         )
         environ = {k: v for k, v in os.environ.items() if not k.startswith("ROS_")}
-        environ["XDG_CACHE_HOME"] = str(CACHE)
-        env = worker_environment(config, environ)
-        env["PYTHONPATH"] += f"{os.pathsep}{ROOT}"
+        env = worker_environment(config, environ | variables) | {"PYTHONPATH": str(ROOT)}
         super().__init__(PROGRAM, Path(sys.executable), env, config.model_dump_json(by_alias=True), str(state))
 
     def joined(self, network: str = "") -> str:

@@ -18,8 +18,6 @@ from collections import defaultdict
 from pathlib import Path
 from typing import IO, Any
 
-import roslib.message
-
 from bridge.adapters.ros1.edge import Ros1Edge
 from bridge.config.model import Config
 from bridge.hub.endpoints.calls import CallError
@@ -114,23 +112,19 @@ class Program:
 
     def __init__(self, config: Config, state: Path) -> None:
         self.listener = Listener()
-        self.edge = Ros1Edge(config, Registry(), state)
+        self.registry = Registry()
+        self.edge = Ros1Edge(config, self.registry, state)
         self.handles: dict[int, Any] = defaultdict()
 
     def add(self, handle: Any) -> dict[str, Any]:
         self.handles[len(self.handles) + 1] = handle
         return {"id": len(self.handles)}
 
-    @staticmethod
-    def side_type(type: str, md5: str = "", definition: str = "") -> SideType:
-        if md5:
-            return SideType(type, md5, definition)
-        cls = roslib.message.get_message_class(type)
-        return SideType(type, cls._md5sum, cls._full_text)
+    def side_type(self, type: str, md5: str = "", definition: str = "") -> SideType:
+        return SideType(type, md5, definition) if md5 else self.registry.ros1(type)
 
-    @staticmethod
-    def service_type(type: str, md5: str = "") -> SideType:
-        return SideType(type, md5 or roslib.message.get_service_class(type)._md5sum, "")
+    def service_type(self, type: str, md5: str = "") -> SideType:
+        return SideType(type, md5 or self.registry.service_hub_to_ros1(type.replace("/", "/srv/")).side.type_id, "")
 
     def do_start(self) -> dict[str, Any]:
         begin = time.monotonic()
@@ -174,6 +168,10 @@ class Program:
 
     def do_subscribers(self, id: int) -> dict[str, Any]:
         return {"count": len(self.handles[id]._publication.connections)}
+
+    def do_connections(self) -> dict[str, Any]:
+        infos = self.edge._book.bus_info()
+        return {kind: [info[4] for info in infos if info[2] == kind[0]] for kind in ("in", "out")}
 
     def do_forget(self, id: int, source: str) -> dict[str, Any]:
         self.handles[id].drop_source(source)

@@ -1,8 +1,8 @@
 """The thread that calls the master: reads its graph, and maintains this node's registrations.
 
-rospy registers once and never again. Here the node's wanted registrations are compared with the master's state at each
-read, and the differences are corrected; so a restarted master, or one that lost the registrations, has them again after
-one read.
+A rospy node registers once and never again. Here the node's wanted registrations are compared with the master's state
+at each read, and the differences are corrected; so a restarted master, or one that lost the registrations, has them
+again after one read.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry, is_alive, removal_calls
 from bridge.adapters.ros1.graph.state import MasterReader, MasterState, Registration
-from bridge.adapters.ros1.node import Ros1Node
+from bridge.adapters.ros1.node.node import Ros1Node
 from bridge.adapters.ros1_peers import Call, Ros1Error, UnreachableError, XmlRpcClient, ask
 
 _log = logging.getLogger(__name__)
@@ -160,7 +160,8 @@ class Master:
         refused = isinstance(err, UnreachableError) and err.refused and self._failures >= _FAILURES
         if refused or time.monotonic() - self._answered > _PATIENCE:
             if not self.trouble:
-                _log.warning("the ROS 1 master is unreachable: %s", err)
+                level = logging.INFO if self._run_id is None else logging.WARNING
+                _log.log(level, "the ROS 1 master is unreachable: %s", err)
             self.trouble = str(err)
             self._run_id = None
             self._seen(None)
@@ -177,7 +178,7 @@ class Master:
             name = self._free_name(look, dead_uris)
             if name != self._node.name:
                 _log.info("the name %s is taken on this ROS 1 network; this node is %s", self._node.name, name)
-                self._node.rename(name)
+                self._node.name = name
                 self._looker.caller = name
             # Another daemon may be choosing a name, too: the one that then reads the other's entry chooses another
             # name.

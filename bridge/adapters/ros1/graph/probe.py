@@ -20,6 +20,7 @@ from bridge.adapters.ros1.epoll_loop import EpollLoop
 from bridge.adapters.ros1.graph.state import Registration
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD, Header, connect
 from bridge.adapters.ros1.peer_pool import PeerPool
+from bridge.adapters.ros1.topics.book import TopicBook
 from bridge.adapters.ros1_peers import DeadlineSocket, Ros1Error, UnreachableError
 from bridge.concurrency import DelayedCalls
 
@@ -43,13 +44,15 @@ _LONGEST_WAIT = 10.0
 class Ros1Context:
     """The shared state of the edge's endpoints.
 
-    ``pool`` calls other nodes, ``loop`` reads connections; ``node`` returns this node's name, ``origin`` is the
-    daemon's; ``found`` is called on new facts about a publisher or server; ``limit`` is the largest message in bytes.
+    ``pool`` calls other nodes, ``loop`` reads connections; ``book`` has this node's topics; ``node`` returns its name,
+    ``origin`` is the daemon's; ``found`` is called on new facts about a publisher or server; ``limit`` is the largest
+    message in bytes.
     """
 
     pool: PeerPool
     loop: EpollLoop
     timer: DelayedCalls
+    book: TopicBook
     node: Callable[[], str]
     origin: str
     found: Callable[[], None]

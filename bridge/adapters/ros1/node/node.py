@@ -46,7 +46,7 @@ class NodeEvents(NamedTuple):
 
 
 class Ros1Node:
-    """The node: ``uri`` (XML-RPC), ``port`` (TCPROS), ``address`` (of its services). Raises `OSError`.
+    """The node: ``uri`` (XML-RPC), ``port`` (TCPROS), ``address`` (of its services).
 
     Attributes:
         name: it may be changed while nothing is registered under the old one.
@@ -65,8 +65,12 @@ class Ros1Node:
             lambda: [figure(total) for total in servers.traffic.totals()],
         )  # fmt: skip
         api = SlaveApi(state, SlaveEvents(events.changed, self._on_parameter, events.shutdown))
-        self._tcpros = TcprosServer(address.listen(), context.loop, context.timer, self._admit)
-        self._server = XmlRpcServer(api.methods, address.bind, name="midspan-ros1-slave", limits=LIMITS)
+        try:
+            self._tcpros = TcprosServer(address.listen(), context.loop, context.timer, self._admit)
+            self._server = XmlRpcServer(api.methods, address.bind, name="midspan-ros1-slave", limits=LIMITS)
+        except OSError as err:
+            msg = f"cannot listen on {address.bind}: {err.strerror}; check ROS_IP, ROS_HOSTNAME and ROS_IPV6"
+            raise RuntimeError(msg) from None
         self.port = self._tcpros.port
         self.uri = f"http://{address.in_uri}:{self._server.port}/"
         self.address = f"rosrpc://{address.in_uri}:{self.port}"

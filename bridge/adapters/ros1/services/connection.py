@@ -141,7 +141,7 @@ class ServiceConnection(PolledConnection):
             pass
         return False
 
-    def take(self) -> None:
+    def on_ready(self) -> None:
         """Read available data, without blocking."""
         try:
             self.ready()

@@ -61,7 +61,8 @@ class _ClientConnection(ServiceConnection):
         else:
             self.cut()
 
-    def _message(self, head: bytes, body: bytes) -> None:  # noqa: ARG002 - a request's head is only its length
+    def _message(self, head: bytes, body: bytes) -> None:
+        self._server.traffic.add(calls=1, received=len(head) + len(body))
         with self._state:
             self._turn += 1
             turn = self._turn
@@ -112,7 +113,9 @@ class _ClientConnection(ServiceConnection):
         if isinstance(result, bytes) and len(result) > self._limit:
             result = CallError(f"the reply has {len(result)} bytes, limits.message allows {self._limit}")
         ok, body = (b"\1", result) if isinstance(result, bytes) else (b"\0", str(result).encode(errors="replace"))
-        if not self.send(ok + LENGTH.pack(len(body)), body):
+        if self.send(ok + LENGTH.pack(len(body)), body):
+            self._server.traffic.add(sent=len(body) + 5)
+        else:
             self.cut()
 
     def _sent(self) -> None:
@@ -131,11 +134,31 @@ class _ClientConnection(ServiceConnection):
         self._server.left(self)
 
 
-class Ros1Server:
-    """One service of this node."""
+class Traffic:
+    """Totals over all services: calls, bytes received and bytes sent. Thread-safe."""
 
-    def __init__(self, name: str, side_type: SideType, call: Call, closed: Callable[[Ros1Server], None]) -> None:
-        self.name, self.side_type, self.call = name, side_type, call
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._totals = (0, 0, 0)
+
+    def add(self, calls: int = 0, received: int = 0, sent: int = 0) -> None:
+        """Add to the totals."""
+        with self._lock:
+            before = self._totals
+            self._totals = (before[0] + calls, before[1] + received, before[2] + sent)
+
+    def totals(self) -> tuple[int, int, int]:
+        """Return calls, bytes received and bytes sent."""
+        return self._totals
+
+
+class Ros1Server:
+    """One service of this node; its calls count in ``traffic``."""
+
+    def __init__(
+        self, name: str, side_type: SideType, call: Call, closed: Callable[[Ros1Server], None], traffic: Traffic
+    ) -> None:
+        self.name, self.side_type, self.call, self.traffic = name, side_type, call, traffic
         self.gone = f"{name} is no longer served"
         self._closed = closed
         self._lock = threading.Lock()
@@ -182,12 +205,17 @@ class Ros1Server:
 
 
 class ServiceServers:
-    """The services of this node; ``changed`` is called when one is added or removed, to update the master."""
+    """The services of this node; ``changed`` is called when one is added or removed, to update the master.
+
+    Attributes:
+        traffic: the totals of all services, including those that have ended.
+    """
 
     def __init__(self, context: Ros1Context, changed: Callable[[], None]) -> None:
         self._context, self._changed = context, changed
         self._lock = threading.Lock()
         self._servers: dict[str, Ros1Server] = {}
+        self.traffic = Traffic()
 
     def open(self, name: str, side_type: SideType, call: Call) -> Ros1Server:
         """Serve a service; raises `MessageTypeError`."""
@@ -196,7 +224,7 @@ class ServiceServers:
                 f"the md5 sum of {side_type.name} is unknown, ROS 1 clients would reject it",
                 "give the type's .srv folder under types.folders",
             )
-        server = Ros1Server(name, side_type, call, self._gone)
+        server = Ros1Server(name, side_type, call, self._gone, self.traffic)
         with self._lock:
             if name in self._servers:
                 raise MessageTypeError(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import logging
 import select
 import socket
@@ -11,7 +10,8 @@ import struct
 import threading
 from collections.abc import Callable
 
-from bridge.adapters.ros1.epoll_loop import EpollLoop, PolledConnection
+from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.topics.bus import TopicConnection
 from bridge.adapters.ros1_peers import DeadlineSocket, Ros1ProtocolError
 
 _log = logging.getLogger(__name__)
@@ -26,32 +26,25 @@ _LARGE = 32 * 1024
 _TRUSTED = 16 * 2**20
 """Bytes that are allocated on announcement; more only after these have arrived."""
 
-_numbers = itertools.count(1)
-
 Refused = Callable[[str, str], None]
 """``refused(reason, why)``: a message is not delivered; ``reason`` is ``bad`` or ``large``."""
 
 
-class PublisherConnection(PolledConnection):
+class PublisherConnection(TopicConnection):
     """Reads one publisher's messages until the connection ends.
 
     The loop's thread reads them until a large one comes. From then on, and without a loop, a separate thread does.
-    rospy's bus statistics (rosnode info) need the attributes that have no docstring.
+    ``dropped`` is the number of messages above the limit, which are not delivered.
     """
 
     direction = "i"
-    transport_type = "TCPROS"
 
     def __init__(
         self, sock: DeadlineSocket, topic: str, uri: str, deliver: Callable[[bytes], None],
         ended: Callable[[str], None], refused: Refused, limit: int = MAX_MESSAGE, loop: EpollLoop | None = None,
     ) -> None:  # fmt: skip
-        self.id = f"midspan-{next(_numbers)}"
-        self.endpoint_id = uri
-        self.stat_bytes = self.stat_num_msg = 0
-        self.done = False
-        self._peer, self._local = sock.getpeername(), sock.getsockname()
-        super().__init__(sock)  # its lock decides which thread closes the socket
+        super().__init__(sock, uri)  # its lock decides which thread closes the socket
+        self.dropped = 0
         self._deliver, self._ended, self._refused, self._limit = deliver, ended, refused, limit
         self._loop, self._taken = loop, b""
         self._started = self._midway = False
@@ -90,7 +83,7 @@ class PublisherConnection(PolledConnection):
             if not self._started:
                 self._sock.close()
 
-    def take(self) -> Callable[[], None] | None:
+    def on_ready(self) -> Callable[[], None] | None:
         """Deliver small messages; return how to continue at a large message or at the end, else None."""
         try:
             alone = self._take_small()
@@ -114,12 +107,6 @@ class PublisherConnection(PolledConnection):
         with self._lock:
             self.done = True
             self._sock.close()
-
-    def get_transport_info(self) -> str:
-        """Return the description that rosnode's parser expects."""
-        return (
-            f"TCPROS connection on port {self._local[1]} to [{self._peer[0]}:{self._peer[1]} on socket {self.fileno()}]"
-        )
 
     def _run(self) -> None:
         trouble = _CLOSED
@@ -164,8 +151,8 @@ class PublisherConnection(PolledConnection):
         return False
 
     def _hand_over(self, payload: bytes) -> None:
-        self.stat_bytes += len(payload) + 4
-        self.stat_num_msg += 1
+        self.bytes += len(payload) + 4
+        self.messages += 1
         if not self.done:
             self._deliver(payload)
 
@@ -189,6 +176,8 @@ class PublisherConnection(PolledConnection):
                 )
             at += 4
             if size > self._limit:
+                self.dropped += 1
+                self.bytes += size + 4
                 self._refused("large", f"message of {size} bytes, limits.message allows {self._limit}")
                 available = min(left - 4, size)
                 at += available

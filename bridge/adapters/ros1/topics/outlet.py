@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import socket
 import struct
 import threading
 from collections import Counter, deque
+from collections.abc import Callable
+
+from bridge.adapters.ros1.topics.bus import TopicConnection
 
 _log = logging.getLogger(__name__)
 
@@ -20,23 +24,31 @@ _LENGTH = struct.Struct("<I")
 _NOW = getattr(socket, "MSG_DONTWAIT", 0)
 
 
-class SubscriberConnection:
+class SubscriberConnection(TopicConnection):
     """Sends messages to one subscriber without ever blocking the sender.
 
     While the socket's buffer has room, the sender's thread writes. A slower subscriber gets a separate thread and a
     queue of at most ``depth`` messages per source and `MAX_WAITING` bytes; the oldest of the source are dropped.
+    ``node`` is the subscriber's name; ``ended`` is called when the loop notices that it has disconnected.
     """
 
-    def __init__(self, sock: socket.socket, name: str) -> None:
+    direction = "o"
+
+    def __init__(
+        self, sock: socket.socket, name: str, node: str = "",
+        ended: Callable[[SubscriberConnection], None] | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(sock, node)
+        self.listens = False
+        self._sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.dropped = 0
-        self._sock, self._name = sock, name
+        self._name, self._ended = name, ended
         self._condition = threading.Condition()
         self._queue: deque[tuple[str, bytes]] = deque()
         self._waiting: Counter[str] = Counter()
         self._bytes = 0
         self._rest: bytes | memoryview = b""
         self._writing = False
-        self._closed = False
         self._thread: threading.Thread | None = None
 
     @property
@@ -47,7 +59,7 @@ class SubscriberConnection:
     def send(self, payload: bytes, source: str, depth: int) -> bool:
         """Send or queue one message; return False if the connection is broken."""
         with self._condition:
-            if self._closed:
+            if self.done:
                 return False
             if self._writing or self._rest or self._queue:
                 self._enqueue(payload, source, depth)
@@ -58,21 +70,40 @@ class SubscriberConnection:
             except BlockingIOError:
                 sent = 0
             except OSError:
-                self._closed = True
                 return False
+            self.bytes += sent
             if sent < len(payload) + 4:
                 self._rest = header[sent:] + payload if sent < 4 else memoryview(payload)[sent - 4 :]
                 self._wake()
+            else:
+                self.messages += 1
             return True
 
     def close(self) -> None:
-        """Stop sending; the owner closes the socket."""
+        """Disconnect; queued messages are dropped. Safe to call twice."""
         with self._condition:
-            self._closed = True
+            if self.done:
+                return
+            self.done = True
             self._queue.clear()
             self._waiting.clear()
             self._bytes = 0
+            with contextlib.suppress(OSError):
+                self._sock.shutdown(socket.SHUT_RDWR)
+            if not self._writing:  # else the thread closes it
+                self._sock.close()
             self._condition.notify()
+
+    def on_ready(self) -> Callable[[], None]:
+        """Handle the subscriber's end of the connection."""
+        return self.abandon
+
+    def abandon(self) -> None:
+        """Close the connection, as its subscriber has disconnected or the loop ends."""
+        if self._ended is not None:
+            self._ended(self)
+        else:
+            self.close()
 
     def _enqueue(self, payload: bytes, source: str, depth: int) -> None:
         while self._waiting[source] and (self._waiting[source] >= depth or self._bytes + len(payload) > MAX_WAITING):
@@ -100,9 +131,9 @@ class SubscriberConnection:
 
     def _next(self) -> bytes | memoryview | None:
         """Wait for data to write; return None once closed. The lock is held."""
-        while not self._closed and not self._rest and not self._queue:
+        while not self.done and not self._rest and not self._queue:
             self._condition.wait()
-        if self._closed:
+        if self.done:
             return None
         if self._rest:
             unsent, self._rest = self._rest, b""
@@ -117,7 +148,6 @@ class SubscriberConnection:
     def _run(self) -> None:
         while True:
             with self._condition:
-                self._writing = False
                 data = self._next()
                 if data is None:
                     return
@@ -126,5 +156,17 @@ class SubscriberConnection:
                 self._sock.sendall(data)
             except OSError as err:
                 _log.debug("%s: %s", self._name, err)
-                self.close()
+                broken = True
+            else:
+                broken = False
+            with self._condition:
+                self._writing = False
+                if self.done:
+                    self._sock.close()
+                    return
+                if not broken:
+                    self.bytes += len(data)
+                    self.messages += 1
+            if broken:
+                self.abandon()
                 return

@@ -1,9 +1,7 @@
-"""Subscriptions that are registered through rospy and read by Midspan's own connections.
+"""Subscriptions: connections to the native publishers of one topic.
 
-rospy's ``Subscriber`` with ``AnyMsg`` connects to every publisher of a topic, including Midspan's, does not limit the
-size of messages, and reads parameters from the master in the caller's thread. This module connects only to publishers
-that are known to be native and of the subscription's type. Messages of a Midspan are not even received, and a latched
-message is not lost while its publisher is not yet known.
+They connect only to publishers that are known to be native and of the subscription's type. Messages of a Midspan are
+not even received, and a latched message is not lost while its publisher is not yet known.
 """
 
 from __future__ import annotations
@@ -13,10 +11,6 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-
-import rospy
-import rospy.impl.registration as registration
-from rospy.topics import _TopicImpl
 
 from bridge.adapters.ros1.graph.probe import HANDSHAKE_SECONDS, Facts, ProbedConnection, Prober, Ros1Context
 from bridge.adapters.ros1.graph.state import Registration, publisher_id
@@ -33,35 +27,6 @@ SETTLE_SECONDS = 0.5
 """How long a new publisher is left unread. Meanwhile the other sides create their endpoints of the topic; messages sent
 before these have discovered their peers would be lost, so they wait in the connection. Fast DDS often needs over 0.2
 s."""
-
-
-class _SubscribedTopic(_TopicImpl):  # type: ignore[misc]  # rospy has no types
-    """One subscribed topic in rospy's topic manager, from which the slave API reports our subscriptions."""
-
-    def __init__(self, topic: str) -> None:
-        super().__init__(topic, rospy.AnyMsg)
-        self.resolved_name = self.name = topic
-        # rospy uses an epoll descriptor per topic to detect broken connections; Midspan's readers detect these
-        # themselves
-        self.connection_poll.poller.close()
-
-    def check(self) -> None:
-        """Do nothing: the readers detect broken connections."""
-
-    def get_stats(self) -> tuple[str, list[tuple[str, int, int, int, bool]]]:
-        connections = [(c.id, c.stat_bytes, c.stat_num_msg, -1, not c.done) for c in self.connections]
-        return self.resolved_name, connections
-
-
-def _acquire(topic: str) -> _SubscribedTopic:
-    topics = registration.get_topic_manager()
-    with topics.lock:
-        entry = topics.subs.get(topic)
-        if entry is None:
-            entry = _SubscribedTopic(topic)
-            topics._add(entry, topics.subs, registration.Registration.SUB)
-        entry.ref_count += 1
-        return entry  # type: ignore[no-any-return]
 
 
 @dataclass(slots=True)
@@ -107,7 +72,7 @@ class Ros1Subscription:
         self._publishers: dict[Registration, _PublisherState] = {}
         self._closed = False
         self._settle = settle
-        self._entry = _acquire(topic)
+        self._entry = context.book.subscribe(topic)
 
     @property
     def restless(self) -> bool:
@@ -161,7 +126,7 @@ class Ros1Subscription:
             sources, self._publishers = list(self._publishers.values()), {}
         for source in sources:
             self._drop(source.reader)
-        registration.get_topic_manager().release_impl(registration.Registration.SUB, self.topic)
+        self._context.book.unsubscribe(self._entry)
 
     def _connect(self, link: Registration, source: _PublisherState) -> None:
         try:
@@ -198,8 +163,7 @@ class Ros1Subscription:
             reader.close()
             return
         self._drop(before)
-        with self._entry.c_lock:
-            self._entry.connections = [*self._entry.connections, reader]
+        self._entry.add(reader)
         if taken and self._settle:
             self._context.timer.after(self._settle, lambda: self._start(reader))
         else:
@@ -233,5 +197,4 @@ class Ros1Subscription:
         if reader is None:
             return
         reader.close()
-        with self._entry.c_lock:
-            self._entry.connections = [c for c in self._entry.connections if c is not reader]
+        self._entry.remove(reader)

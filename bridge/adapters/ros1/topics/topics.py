@@ -69,7 +69,7 @@ class Ros1Topics(Follower["Ros1Subscription"]):
         """Publish on a topic."""
         from bridge.adapters.ros1.topics.publisher import Ros1Publisher
 
-        return Ros1Publisher(topic, side_type, qos, self._context.origin, self._context.found)
+        return Ros1Publisher(self._context.book, topic, side_type, qos)
 
     def _tell(self, end: Ros1Subscription, known: Mapping[Registration, Facts]) -> None:
         end.follow(known)

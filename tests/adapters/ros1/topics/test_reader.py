@@ -96,8 +96,8 @@ def test_messages_arrive_complete_and_in_order(connection, sizes, piece):
     for at in range(0, len(stream), piece):
         connection.publisher.sendall(stream[at : at + piece])
     assert connection.finish() == expected
-    assert connection.reader.stat_num_msg == len(expected)
-    assert connection.reader.stat_bytes == len(stream)
+    assert connection.reader.messages == len(expected)
+    assert connection.reader.bytes == len(stream)
     assert "closed" in connection.trouble
 
 

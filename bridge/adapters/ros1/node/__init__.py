@@ -1,0 +1,1 @@
+"""This node on the ROS 1 graph: its address, its slave API and its TCPROS server."""

@@ -1,0 +1,39 @@
+"""The part of a TCPROS connection that the slave API reports (https://wiki.ros.org/ROS/Slave_API)."""
+
+from __future__ import annotations
+
+import itertools
+import socket
+from typing import Any, ClassVar
+
+from bridge.adapters.ros1.epoll_loop import PolledConnection
+
+_numbers = itertools.count(1)
+
+
+class TopicConnection(PolledConnection):
+    """A connection of one topic.
+
+    Attributes:
+        id: its number within this process.
+        peer: the node of a subscriber, or the XML-RPC address of a publisher.
+        bytes: number of bytes of messages so far, with their lengths.
+        messages: number of messages so far.
+        done: whether it has ended.
+    """
+
+    direction: ClassVar[str]
+    """``i`` for a connection to a publisher, ``o`` for one to a subscriber."""
+
+    def __init__(self, sock: socket.socket, peer: str) -> None:
+        self.id, self.peer = next(_numbers), peer
+        self.bytes = self.messages = 0
+        self.done = False
+        self._far, self._near = sock.getpeername(), sock.getsockname()
+        super().__init__(sock)
+
+    def bus_info(self, topic: str) -> list[Any]:
+        """Return an entry of ``getBusInfo``; the last text is as ``rosnode info`` parses it."""
+        place = f"[{self._far[0]}:{self._far[1]} on socket {self.fileno()}]"
+        text = f"TCPROS connection on port {self._near[1]} to {place}"
+        return [self.id, self.peer, self.direction, "TCPROS", topic, not self.done, text]

@@ -1,0 +1,161 @@
+"""One topic that this node publishes, shared by the bridge's publishers of that topic.
+
+A ROS 1 node has one publication per topic, while the hub may have any number of publishers. Latched messages are
+retained for each of them, and every late joiner receives all.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from threading import Lock
+from typing import Any
+
+from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.handshake import ORIGIN_FIELD, Header, encode
+from bridge.adapters.ros1.topics.outlet import SubscriberConnection
+from bridge.adapters.ros1_peers import DeadlineSocket
+from bridge.messages.transcode.conversion import SideType
+
+_log = logging.getLogger(__name__)
+
+ANY = "*"
+"""The md5 sum and the type of a subscriber that accepts any message."""
+
+
+class Publication:
+    """The connections to a topic's subscribers; ``changed`` is called when one joined or left.
+
+    Attributes:
+        users: number of publishers that share it.
+        latches: number of those that latch.
+        published: bytes of all published messages.
+    """
+
+    def __init__(
+        self, topic: str, side_type: SideType, node: Callable[[], str], origin: str, loop: EpollLoop,
+        changed: Callable[[], None],
+    ) -> None:  # fmt: skip
+        self.topic, self.side_type = topic, side_type
+        self.users = self.latches = self.published = 0
+        self._node, self._origin, self._loop, self._changed = node, origin, loop, changed
+        self._lock = Lock()
+        self._closed = False
+        self._dropped_before = 0
+        self._connections: tuple[SubscriberConnection, ...] = ()
+        self._retained: dict[str, deque[bytes]] = {}
+
+    @property
+    def connections(self) -> tuple[SubscriberConnection, ...]:
+        """The connected subscribers."""
+        return self._connections
+
+    @property
+    def dropped(self) -> int:
+        """Number of messages that slow subscribers missed."""
+        return self._dropped_before + sum(c.dropped for c in self._connections)
+
+    def header(self) -> Header:
+        """Return the connection header for subscribers."""
+        return {
+            "callerid": self._node(),
+            "topic": self.topic,
+            "type": self.side_type.name,
+            "md5sum": self.side_type.type_id,
+            "message_definition": self.side_type.definition,
+            "latching": "1" if self.latches else "0",
+            ORIGIN_FIELD: self._origin,
+        }
+
+    def mismatch(self, header: Header) -> str:
+        """Return why a subscriber's type does not match; "" if it does."""
+        name, md5 = self.side_type.name, self.side_type.type_id
+        if header["md5sum"] in (ANY, md5):
+            return ""
+        theirs = header.get("type", name)
+        if theirs != name:
+            return f"topic types do not match: [{theirs}] vs. [{name}]"
+        return (
+            f"{header['callerid']} wants topic {self.topic} to have {theirs} with md5 {header['md5sum']}, but this"
+            f" node has md5 {md5}; use the same version of {name.split('/')[0]} on both sides"
+        )
+
+    def admit(self, sock: DeadlineSocket, subscriber: str) -> None:
+        """Send the header and the retained messages to a new subscriber; raises `OSError`.
+
+        It replaces an earlier connection of the same node, which the peer may have lost. A subscriber that is admitted
+        as the publication ends is disconnected after the header.
+        """
+        sock.sendall(encode(self.header()))
+        connection = SubscriberConnection(sock, f"midspan-ros1-out{self.topic}", subscriber, self.remove)
+        for old in [c for c in self._connections if c.peer == subscriber]:
+            self.remove(old)
+        with self._lock:
+            closed = self._closed
+            if not closed:
+                self._connections = (*self._connections, connection)
+                for source, payloads in self._retained.items():
+                    for payload in payloads:
+                        connection.send(payload, source, len(payloads))
+        try:
+            admitted = not closed and self._loop.add(connection)
+        except OSError as err:  # the system is out of descriptors or memory
+            _log.warning("%s: the subscriber %s cannot be watched: %s", self.topic, subscriber, err)
+            admitted = False
+        if not admitted:
+            self.remove(connection)
+        self._changed()
+
+    def remove(self, connection: SubscriberConnection) -> None:
+        """Disconnect a subscriber. Safe to call twice."""
+        with self._lock:
+            listed = connection in self._connections
+            if listed:
+                self._connections = tuple(c for c in self._connections if c is not connection)
+                self._dropped_before += connection.dropped
+        self._loop.remove(connection)
+        connection.close()
+        if listed:
+            _log.debug("%s: the subscriber %s has disconnected", self.topic, connection.peer)
+            self._changed()
+
+    def close(self) -> None:
+        """Disconnect all subscribers."""
+        with self._lock:
+            self._closed = True
+        for connection in self._connections:
+            self.remove(connection)
+
+    def send(self, payload: bytes, source: str, depth: int, *, retain: bool) -> None:
+        """Publish to all subscribers without blocking."""
+        with self._lock:
+            if self._closed:
+                return
+            if retain:
+                kept = self._retained.get(source)
+                if kept is None or kept.maxlen != depth:
+                    kept = self._retained[source] = deque(kept or (), depth)
+                kept.append(payload)
+            self.published += len(payload)
+            broken = [c for c in self._connections if not c.send(payload, source, depth)]
+        for connection in broken:
+            self.remove(connection)
+
+    def drop_source(self, source: str) -> None:
+        """Drop a source's retained messages."""
+        with self._lock:
+            self._retained.pop(source, None)
+
+    def bus_stats(self) -> list[Any]:
+        """Return an entry of ``getBusStats``."""
+        return [
+            self.topic,
+            figure(self.published),
+            [[c.id, figure(c.bytes), figure(c.messages), not c.done] for c in self._connections],
+        ]
+
+
+def figure(number: int) -> int | float:
+    """Return a number as XML-RPC can represent it: integers have 32 bits."""
+    return number if number < 2**31 else float(number)

@@ -1,0 +1,175 @@
+"""The TCPROS server: silent, slow and hostile peers do not keep others from being admitted."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import socket
+import struct
+import threading
+from collections.abc import Iterator, Mapping
+
+import pytest
+
+from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.handshake import MAX_HEADER, encode, read_header
+from bridge.adapters.ros1.node import greeting
+from bridge.adapters.ros1.node.greeting import TcprosServer
+from bridge.adapters.ros1_peers import DeadlineSocket, Ros1ProtocolError
+from bridge.concurrency import DelayedCalls
+from tests.support.wait import until
+
+
+class Bench:
+    """A server that replies with the received header, and rejects peers whose header has the field ``reject``."""
+
+    def __init__(self) -> None:
+        self.loop, self.timer = EpollLoop("test-greet"), DelayedCalls("test-later")
+        self.server = TcprosServer(socket.create_server(("127.0.0.1", 0)), self.loop, self.timer, self.admit)
+        self.peers = contextlib.ExitStack()
+
+    def admit(self, sock: DeadlineSocket, header: Mapping[str, str]) -> str:
+        if "reject" in header:
+            return header["reject"]
+        if "fail" in header:
+            raise RuntimeError(header["fail"])
+        sock.sendall(encode(header))
+        self.peers.enter_context(sock)
+        return ""
+
+    def connect(self, data: bytes = b"") -> DeadlineSocket:
+        plain = socket.create_connection(("127.0.0.1", self.server.port), 20)
+        sock = self.peers.enter_context(DeadlineSocket(fileno=plain.detach()))
+        sock.sendall(data)
+        return sock
+
+    def greet(self, **fields: str) -> dict[str, str]:
+        return read_header(self.connect(encode(fields)))
+
+    def close(self) -> None:
+        self.server.close()
+        self.loop.stop()
+        self.timer.close()
+        self.peers.close()
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    yield bench
+    bench.close()
+
+
+def test_a_peer_is_admitted_with_its_header(bench: Bench) -> None:
+    assert bench.greet(topic="/a", md5sum="*") == {"topic": "/a", "md5sum": "*"}
+
+
+def test_bytes_after_the_header_stay_in_the_socket(bench: Bench) -> None:
+    received = []
+
+    def admit(sock: DeadlineSocket, _header: Mapping[str, str]) -> str:
+        received.append(sock.recv(100))
+        return "enough"
+
+    bench.server._admit = admit
+    assert read_header(bench.connect(encode({"service": "/s"}) + b"request")) == {"error": "enough"}
+    assert received == [b"request"]
+
+
+def test_a_header_may_arrive_byte_by_byte(bench: Bench) -> None:
+    sock = bench.connect()
+    for byte in encode({"topic": "/slow"}):
+        sock.sendall(bytes([byte]))
+    assert read_header(sock) == {"topic": "/slow"}
+
+
+def test_the_reason_of_a_rejection_is_sent(bench: Bench) -> None:
+    assert bench.greet(reject="not here") == {"error": "not here"}
+
+
+def test_an_exception_closes_only_its_connection(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+    with pytest.raises(Ros1ProtocolError, match="closed the connection"):
+        bench.greet(fail="broken")
+    assert "could not be admitted" in caplog.text
+    assert bench.greet(topic="/a") == {"topic": "/a"}
+
+
+@pytest.mark.parametrize(
+    "data", [struct.pack("<I", MAX_HEADER), b"\xff" * 8, struct.pack("<II", 8, 100) + b"abcd"], ids=str
+)
+def test_a_malformed_header_closes_the_connection(bench: Bench, data: bytes) -> None:
+    sock = bench.connect(data)
+    with contextlib.suppress(ConnectionResetError):
+        assert sock.recv(1) == b""
+    assert bench.greet(topic="/a") == {"topic": "/a"}
+
+
+def test_500_silent_clients_cost_no_thread_and_delay_nobody(bench: Bench) -> None:
+    before = threading.active_count()
+    silent = [bench.connect(b"\x10\0\0\0half"[: n % 9]) for n in range(500)]
+    until(lambda: len(bench.server._open) == 500, "all are connected")
+    assert bench.greet(topic="/a") == {"topic": "/a"}
+    assert threading.active_count() <= before + 3, "the loop, the timer, and one thread that admits"
+    for sock in silent:
+        sock.close()
+    until(lambda: not bench.server._open, "their ends are noticed")
+    assert bench.server._bytes == 0
+
+
+def test_500_clients_at_once_are_all_admitted(bench: Bench) -> None:
+    clients = [bench.connect(encode({"topic": f"/{n}"})) for n in range(500)]
+    assert [read_header(sock)["topic"] for sock in clients] == [f"/{n}" for n in range(500)]
+
+
+def test_a_silent_client_is_disconnected(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(greeting, "_SECONDS", 0.05)
+    assert bench.connect(b"\x10\0\0\0half").recv(1) == b""
+    until(lambda: not bench.server._open, "it is removed")
+
+
+def test_further_silent_clients_are_rejected(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(greeting, "_MAX_OPEN", 3)
+    kept = [bench.connect() for _ in range(3)]
+    until(lambda: len(bench.server._open) == 3, "they are connected")
+    assert bench.connect().recv(1) == b""
+    kept[0].close()
+    until(lambda: len(bench.server._open) == 2, "one has left")
+    assert bench.greet(topic="/a") == {"topic": "/a"}
+
+
+def test_the_bytes_of_all_incomplete_headers_are_limited(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(greeting, "_MAX_BYTES", 100_000)
+    part = struct.pack("<I", 500_000) + bytes(90_000)
+    bench.connect(part)
+    until(lambda: bench.server._bytes == len(part), "the first part is received")
+    with contextlib.suppress(ConnectionResetError):
+        assert bench.connect(part).recv(1) == b""
+    until(lambda: bench.server._bytes == len(part), "the second connection's bytes are dropped")
+    assert bench.greet(topic="/a") == {"topic": "/a"}
+
+
+def test_accepting_pauses_without_descriptors(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(greeting, "_PAUSE", 0.05)
+    listener, attempts = bench.server._sock, []
+
+    class Scarce:
+        fileno = listener.fileno
+        close = listener.close
+
+        @staticmethod
+        def accept() -> tuple[socket.socket, object]:
+            attempts.append(1)
+            if len(attempts) < 3:
+                raise OSError(errno.EMFILE, "too many open files")
+            return listener.accept()
+
+    bench.server._sock = Scarce()  # type: ignore[assignment]
+    assert bench.greet(topic="/a") == {"topic": "/a"}
+    assert len(attempts) >= 3
+
+
+def test_a_closed_server_accepts_nobody(bench: Bench) -> None:
+    bench.server.close()
+    bench.server.close()
+    with pytest.raises(ConnectionRefusedError):
+        bench.connect()

@@ -1,0 +1,190 @@
+"""The slave API of a node without a master, called over XML-RPC."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from xmlrpc.client import Binary, Fault, ServerProxy
+
+import pytest
+
+from bridge.adapters.ros1.edge import Ros1Edge
+from bridge.adapters.ros1.handshake import connect
+from bridge.adapters.ros1.topics.publication import figure
+from bridge.config.model import Config
+from bridge.config.sections.ros import Ros1Section
+from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.messages.registry import Registry
+from tests.support.wait import until
+
+MASTER = "http://127.0.0.1:9/"
+"""Nobody listens there."""
+
+METHODS = {
+    "getBusStats": 0, "getBusInfo": 0, "getMasterUri": 0, "shutdown": 1, "getPid": 0, "getSubscriptions": 0,
+    "getPublications": 0, "paramUpdate": 2, "publisherUpdate": 2, "requestTopic": 2, "getUri": 0, "getName": 0,
+}  # fmt: skip
+"""The methods, with their parameters after the caller's name."""
+
+NOTHING: list[Any] = [
+    0,
+    "",
+    [],
+    {},
+    -1,
+    1e300,
+    True,
+    "\u2028ü",
+    Binary(b"\0"),
+    [[]],
+    [["", None]],
+    {"a": []},
+    "/" * 9999,
+]
+
+
+class Events:
+    """The edge's listener."""
+
+    def __init__(self) -> None:
+        self.failures: list[str] = []
+
+    def graph_changed(self) -> None: ...
+
+    def presence_changed(self) -> None: ...
+
+    def message_refused(self, topic: str, reason: str, why: str) -> None: ...
+
+    def edge_failed(self, reason: str) -> None:
+        self.failures.append(reason)
+
+
+class Node:
+    """An edge, and a client of its slave API."""
+
+    def __init__(self) -> None:
+        self.events, self.registry = Events(), Registry()
+        self.edge = Ros1Edge(Config(ros1=Ros1Section(master=MASTER)), self.registry, Path(tempfile.mkdtemp()))
+        self.edge.start(self.events)
+        assert self.edge._node is not None
+        self.node = self.edge._node
+        self.proxy = ServerProxy(self.node.uri, allow_none=True)
+
+    def call(self, method: str, *params: Any) -> Any:
+        return getattr(self.proxy, method)("/caller", *params)
+
+    def value(self, method: str, *params: Any) -> Any:
+        code, _, value = self.call(method, *params)
+        assert code == 1
+        return value
+
+    def close(self) -> None:
+        self.proxy("close")()
+        self.edge.stop()
+
+
+@pytest.fixture(scope="module")
+def node() -> Iterator[Node]:
+    patch = pytest.MonkeyPatch()
+    patch.setenv("ROS_IP", "127.0.0.1")
+    node = Node()
+    patch.undo()
+    yield node
+    node.close()
+
+
+def test_facts_about_the_node(node: Node) -> None:
+    assert node.value("getPid") == os.getpid()
+    assert node.value("getMasterUri") == MASTER
+    assert node.value("getName") == "/midspan"
+    assert node.value("getUri") == node.node.uri
+
+
+def test_its_topics_and_figures(node: Node) -> None:
+    text = node.registry.ros1("std_msgs/String")
+    publisher = node.edge.advertise("/figures", text, LATCHED)
+    subscription = node.edge.subscribe("/read", text, Qos(), lambda *_: None)
+    assert ["/figures", "std_msgs/String"] in node.value("getPublications")
+    assert ["/read", "*"] in node.value("getSubscriptions")
+    publisher.send(b"\1\0\0\0a", "hub")
+    sock, header = connect("/reader", node.node.uri, "/figures", 20.0)
+    with sock:
+        assert (header["latching"], header["callerid"]) == ("1", "/midspan")
+        entry = lambda: next(e for e in node.value("getBusStats")[0] if e[0] == "/figures")  # noqa: E731
+        ((number, _, _, _),) = until(lambda: entry()[2], "it is connected")
+        publisher.send(b"\2\0\0\0bb", "hub")
+        assert entry() == ["/figures", 11, [[number, 9 + 10, 2, True]]]
+        (info,) = node.value("getBusInfo")
+        assert info[:6] == [number, "/reader", "o", "TCPROS", "/figures", True]
+        assert f"on port {node.node.port} to [127.0.0.1:{sock.getsockname()[1]} on socket" in info[6]
+    until(lambda: not node.value("getBusInfo"), "the end of the connection is noticed at once")
+    assert node.value("getBusStats")[1:] == [[["/read", []]], [0, 0, 0]]
+    publisher.close()
+    subscription.close()
+    assert node.value("getPublications") == node.value("getSubscriptions") == []
+
+
+def test_figures_above_32_bits_are_doubles() -> None:
+    assert [figure(2**31 - 1), figure(2**31), figure(2**50)] == [2**31 - 1, 2.0**31, 2.0**50]
+    assert isinstance(figure(2**31 - 1), int)
+
+
+def test_udpros_is_refused_and_tcpros_chosen(node: Node) -> None:
+    publisher = node.edge.advertise("/ask", node.registry.ros1("std_msgs/String"), Qos())
+    udpros = ["UDPROS", Binary(b"\4\0\0\0a=b"), "127.0.0.1", 4242, 1500]
+    ready = ["TCPROS", "127.0.0.1", node.node.port]
+    assert node.call("requestTopic", "/ask", [udpros, ["TCPROS"]])[2] == ready
+    assert node.call("requestTopic", "ask", [["TCPROS"]])[2] == ready, "relative to the caller"
+    code, text, value = node.call("requestTopic", "/ask", [udpros])
+    assert (code, value) == (0, [])
+    assert "TCPROS, not UDPROS" in text
+    for odd in ([[]], ["TCPROS"], [[5]], [{}], [None]):
+        assert node.call("requestTopic", "/ask", odd)[::2] == [0, []]
+    publisher.close()
+    code, text, value = node.call("requestTopic", "/ask", [["TCPROS"]])
+    assert (code, value) == (-1, [])
+    assert "Not a publisher of [/ask]" in text
+
+
+def test_updates_wake_their_readers(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+    woken: list[str] = []
+    assert node.call("paramUpdate", "/a", 1)[0] == -1, "no parameter is subscribed"
+    monkeypatch.setattr(node.node, "parameter_changed", lambda: woken.append("parameter"))
+    assert node.value("paramUpdate", "/a/", {"b": 1}) == 0
+    assert node.value("publisherUpdate", "/a", []) == 0
+    assert node.value("publisherUpdate", "/a", ["http://[::1]:4/", "http://b:5/"]) == 0
+    assert woken == ["parameter"]
+
+
+def test_a_shutdown_request_is_reported_with_its_reason(node: Node) -> None:
+    node.events.failures.clear()
+    assert node.call("shutdown", "new node registered with same name") == [1, "shutdown", 0]
+    assert node.call("shutdown") == [1, "shutdown", 0]
+    assert node.events.failures == [
+        "/caller requested this node's shutdown: new node registered with same name",
+        "/caller requested this node's shutdown",
+    ]
+
+
+@pytest.mark.parametrize(("method", "count"), METHODS.items())
+def test_invalid_calls_have_a_code_and_a_value_of_the_right_type(node: Node, method: str, count: int) -> None:
+    call: Callable[..., Any] = getattr(node.proxy, method)
+    usual = type(call("/caller", *(["/x", []][:count]))[2])
+    calls: list[list[Any]] = [[], ["/caller"] * (count + 2), *([odd, *["/x"] * count] for odd in NOTHING)]
+    calls += [["/caller", *[odd] * count] for odd in NOTHING if method not in ("shutdown", "paramUpdate")]
+    for params in calls:
+        code, text, value = call(*params)
+        assert isinstance(text, str)
+        assert code in (-1, 0, 1)
+        assert type(value) is usual
+        if not params or not isinstance(params[0], str):
+            assert code == -1
+
+
+def test_an_unknown_method_is_a_fault(node: Node) -> None:
+    with pytest.raises(Fault, match="not supported"):
+        node.call("getEverything")
+    assert node.value("getPid") == os.getpid()
