@@ -80,8 +80,8 @@ def descriptors() -> str:
 
 
 WANTED_FILES = 1 << 16
-"""More than enough: rospy needs about two descriptors for a subscribed topic. An "infinite" hard limit is not used,
-since some programs loop over all possible descriptors."""
+"""More than enough: each connection needs a descriptor. An "infinite" hard limit is not used, since some programs loop
+over all possible descriptors."""
 
 
 def raise_open_files() -> int:

@@ -88,7 +88,6 @@ BUILT_IN = (
         label="ROS 1",
         edges="bridge.adapters.ros1.edge:Ros1Edge",
         environment="bridge.adapters.ros1.environment",
-        loading="importing rospy",
         private_topics=_ROS1_TOPICS,
         private_services=_ROS1_SERVICES,
         checks="bridge.doctor.checks.ros1:CHECKS",

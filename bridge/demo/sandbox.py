@@ -18,10 +18,10 @@ from typing import Any, Self
 import yaml
 
 import bridge
-from bridge.adapters.ros1 import environment as ros1
 from bridge.adapters.ros2 import environment as ros2
 from bridge.config.load import load
 from bridge.config.model import Config
+from bridge.demo.rospy_packages import missing_rospy, packages_folder
 from bridge.shipped import shipped_folder
 from navigation.status import not_compiled
 
@@ -233,7 +233,7 @@ def too_slow() -> list[str]:
 
 def ros1_packages(config: Config) -> Path:
     """Return the folder of ROS 1's Python packages; only valid if nothing is `missing`."""
-    folder = ros1.packages_folder(config, os.environ)
+    folder = packages_folder(config, os.environ)
     assert folder is not None
     return folder
 
@@ -247,7 +247,7 @@ def roscore(config: Config) -> Path:
 
 def without_ros1(config: Config) -> str:
     """Return what is missing of ROS 1, with its cure; "" if it is complete."""
-    reason = ros1.available(config)
+    reason = missing_rospy(config, os.environ)
     if reason:
         return f"ROS 1: {reason}"
     folder = ros1_packages(config)

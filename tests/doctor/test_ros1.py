@@ -20,7 +20,6 @@ from tests.support.ports import free_port
 NOWHERE = "no-such-host.invalid"
 REMOTE = "http://192.0.2.1:11311"
 WORKER = {"worker": "ros1", "side": "ros1"}
-"""With a ros1 worker on the hub the checks do not depend on rospy being here."""
 
 
 @pytest.fixture(scope="module")
@@ -85,11 +84,20 @@ def test_checks_are_skipped_without_ros1() -> None:
 
 
 def test_missing_packages(tmp_path: Path) -> None:
+    missing = tmp_path / "missing"
     for enabled, result in ((True, Result.FAIL), ("auto", Result.WARN)):
-        place = around({"ros1": {"enabled": enabled, "packages": tmp_path}})
+        place = around({"ros1": {"enabled": enabled, "packages": missing}})
         finding = only(ros1.look_at_packages(place))
-        assert (finding.result, str(tmp_path) in finding.seen) == (result, True), finding
-    assert only(ros1.look_at_master(around({"ros1": {"packages": tmp_path}}))).result is Result.SKIP
+        assert (finding.result, str(missing) in finding.seen) == (result, True), finding
+    assert only(ros1.look_at_master(around({"ros1": {"packages": missing}}))).result is Result.SKIP
+
+
+def test_a_machine_without_ros1(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bridge.adapters.ros1.environment.DEFAULT_MASTER", f"http://127.0.0.1:{free_port()}")
+    place = around({})
+    assert only(ros1.look_at_packages(place)).result is Result.OK
+    finding = only(ros1.look_at_master(place))
+    assert (finding.result, "waits for a master" in finding.seen) == (Result.SKIP, True), finding
 
 
 @needs_ros1

@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from bridge.adapters.ros1.environment import available, master_uri
+from bridge.adapters.ros1.environment import master_uri
 from bridge.adapters.yarp.contents import Contents
 from bridge.adapters.yarp.network import OWNER, PRESENCE, PortNames
 from bridge.config.model import Config
@@ -130,7 +130,7 @@ class Ros1Ports:
 
 def _client(config: Config) -> XmlRpcClient | None:
     """Return a client of the ROS 1 side's master, None without a ROS 1 side."""
-    if config.ros1.enabled is False or (config.ros1.enabled == "auto" and available(config)):
+    if config.ros1.enabled is False:
         return None
     from bridge.adapters.ros1_peers import Ros1Error, XmlRpcClient
 

@@ -17,7 +17,7 @@ _ANY = ("0.0.0.0", "::")  # noqa: S104  compared with
 class Ros1Section(SideSection):
     """The ROS 1 side."""
 
-    enabled: Enabled = setting("auto", "`auto`: if rospy is installed.")
+    enabled: Enabled = setting("auto", "`auto` and true: yes; without a master, the side waits for one.")
     master: MasterUri | None = setting(
         None,
         "ROS master URI; default $ROS_MASTER_URI or http://localhost:11311. `embedded`: Midspan runs a master itself;"
@@ -41,7 +41,9 @@ class Ros1Section(SideSection):
         "Frames of action goals: `check` removes leading slashes and rejects goals in frames that no transform of this"
         " side names, which a move_base would follow for ever; `pass` leaves them unchanged.",
     )
-    packages: Path | None = setting(None, "Folder with the ROS 1 Python packages; default the system's dist-packages.")
+    packages: Path | None = setting(
+        None, "Folder with ROS 1's Python packages, for their message definitions; default those of this system."
+    )
 
     @property
     def embedded_uri(self) -> str:

@@ -1,6 +1,7 @@
 """A ROS 1 robot in one program: the simulated R1 (`sim`) with rospy's endpoints, driven by ``/cmd_vel``.
 
-Runs on Midspan's Python in the environment of the ROS 1 worker: ``python -m bridge.demo.topics_demo.robot``.
+Runs on Midspan's Python in the environment of `bridge.demo.rospy_packages`:
+``python -m bridge.demo.topics_demo.robot``.
 """
 
 from __future__ import annotations

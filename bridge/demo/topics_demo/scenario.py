@@ -10,8 +10,8 @@ from functools import partial
 from types import TracebackType
 from typing import Any, Self
 
-from bridge.adapters.ros1.environment import worker_environment
 from bridge.demo.progress import DemoRun
+from bridge.demo.rospy_packages import program_environment
 from bridge.demo.sandbox import Sandbox
 from bridge.demo.shutdown import Shutdown, end_all
 from bridge.demo.topics_demo import messages
@@ -105,7 +105,8 @@ class TopicsDemo(DemoRun):
         self._launch_program(ROS2, "ros2_program", environment)
         self._launch_program(YARP, "yarp_program", environment, sandbox.yarp_port)
         self._wait_for(sandbox.master_answers, "roscore")
-        self._launch_program(ROS1, "robot", worker_environment(sandbox.config, environment))
+        ros1 = program_environment(sandbox.config, environment, sandbox.folder / "packages")
+        self._launch_program(ROS1, "robot", ros1)
         self._wait_for(lambda: self._parts.up("router"), "the hub's router")  # the SDK requires it
         self._launch_program(ZENOH, "zenoh_program", environment, sandbox.router_port, sandbox.config.hub.domain)
         for program in PROGRAMS:

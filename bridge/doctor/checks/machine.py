@@ -19,7 +19,7 @@ from bridge.hub.graph.tokens import EndpointKind
 from bridge.resources import FULL, RAISE, folder_trouble
 
 WANTED = 4096
-"""rospy takes about two descriptors for a subscribed topic; a thousand topics and room for the rest."""
+"""A descriptor for each connection; a thousand topics with several each, and room for the rest."""
 
 
 def look_at_descriptors(context: CheckContext) -> Findings:

@@ -24,17 +24,18 @@ from bridge.doctor.context import CheckContext, environment_of, read_master
 
 
 def look_at_packages(context: CheckContext) -> Findings:
-    """Check that rospy is installed."""
-    return packages("ros1", "rospy", context.config.ros1.enabled, available(context.config, context.environ))
+    """Check that the side can run as configured; it needs no ROS 1 packages."""
+    enabled, lacking = context.config.ros1.enabled, available(context.config)
+    if enabled is False or lacking:
+        return packages("ros1", "ROS 1", enabled, lacking)
+    return ok("Midspan joins ROS 1 without its packages")
 
 
 def why_not(context: CheckContext) -> str:
     """Return why the ROS 1 side is not checked, "" if there is one."""
     if context.config.ros1.enabled is False:
         return "ros1.enabled is false"
-    if available(context.config, context.environ) and not context.hub.of_side("ros1"):
-        return "no ROS 1 on this machine"
-    return ""
+    return "" if context.hub.of_side("ros1") else available(context.config)
 
 
 def look_at_master(context: CheckContext) -> Findings:
@@ -54,7 +55,9 @@ def look_at_master(context: CheckContext) -> Findings:
     seen = f"{look} (it resolves to {', '.join(addresses)})"
     cure = "start roscore there, check ROS_MASTER_URI or ros1.master, and that no firewall holds its port back"
     meant = context.config.ros1.master or context.environ.get("ROS_MASTER_URI")
-    return fail(seen, cure) if meant or context.config.ros1.enabled is True else warn(seen, cure)
+    if meant or context.config.ros1.enabled is True:
+        return fail(seen, cure)
+    return skip(f"the ROS 1 side waits for a master at {uri}")
 
 
 def look_at_environment(context: CheckContext) -> Findings:

@@ -10,6 +10,9 @@ import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+ROS1_PACKAGES = "MIDSPAN_ROS1_PACKAGES"
+"""Environment variable with folders of ROS 1's Python packages, separated as in ``PYTHONPATH``."""
+
 MAX_NAME = 200  # characters of a type's name; longer ones cannot be the names of files that define them
 _ROS1_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*")
 _ROS2_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*/(?:msg|srv|action)/[A-Za-z][A-Za-z0-9_]*")

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from bridge.messages.definitions.hashes import EMPTY_MEMBER
-from bridge.messages.definitions.names import is_legal_type, is_ros1_name, is_ros2_name, package_name
+from bridge.messages.definitions.names import ROS1_PACKAGES, is_legal_type, is_ros1_name, is_ros2_name, package_name
 from bridge.messages.definitions.parts import (
     CONTENTS,
     actionlib_names,
@@ -281,8 +281,8 @@ def read_text(path: Path) -> str:
 def _ros1_python_folders() -> list[Path]:
     """Where Debian, a sourced workspace or /opt/ros put ROS 1's Python packages; never the venv's own ROS 2 ones."""
     site_folders = {Path(folder).resolve() for folder in site.getsitepackages()}
-    wanted = [*_split(os.environ.get("PYTHONPATH")), Path("/opt/ros/noetic/lib/python3/dist-packages")]
-    wanted.append(Path("/usr/lib/python3/dist-packages"))
+    wanted = [*_split(os.environ.get(ROS1_PACKAGES)), *_split(os.environ.get("PYTHONPATH"))]
+    wanted += [Path("/opt/ros/noetic/lib/python3/dist-packages"), Path("/usr/lib/python3/dist-packages")]
     return [folder for folder in dict.fromkeys(wanted) if folder.resolve() not in site_folders]
 
 
