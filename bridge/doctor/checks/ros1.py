@@ -32,7 +32,7 @@ def look_at_packages(context: CheckContext) -> Findings:
 
 
 def why_not(context: CheckContext) -> str:
-    """Return why the ROS 1 side is not checked, "" if there is one."""
+    """Return why the ROS 1 side is not checked, "" if it is."""
     if context.config.ros1.enabled is False:
         return "ros1.enabled is false"
     return "" if context.hub.of_side("ros1") else available(context.config)

@@ -11,6 +11,7 @@ from bridge.adapters.ros1.master import saved
 from bridge.adapters.ros1.master.api import MasterApi
 from bridge.adapters.ros1.master.liveness import Liveness, Nodes
 from bridge.adapters.ros1.master.node_calls import NodeCalls
+from bridge.adapters.ros1.master.rosout import AGGREGATED, RosoutNode, is_elsewhere
 from bridge.adapters.ros1.xmlrpc import XmlRpcServer
 from bridge.adapters.ros1.xmlrpc_request import Limits
 
@@ -35,6 +36,7 @@ class EmbeddedMaster:
         state: file for its state, None if it is not kept.
         purge: seconds without an answer after which a dead node is removed; 0 for never.
         shut_down: is called upon the API's ``shutdown``; None if that is refused.
+        rosout: whether it has the node ``/rosout``, unless another program runs that.
 
     Attributes:
         uri: its address.
@@ -46,7 +48,7 @@ class EmbeddedMaster:
 
     def __init__(
         self, address: str, port: int, uri: str = "", *, state: Path | None = None, purge: float = 0.0,
-        shut_down: Callable[[], None] | None = None,
+        shut_down: Callable[[], None] | None = None, rosout: bool = True,
     ) -> None:  # fmt: skip
         self.calls = NodeCalls(lambda subscriber, key: self.api.drop_param_subscriber(subscriber, key))
         self._writer: saved.StateWriter | None = None
@@ -54,7 +56,8 @@ class EmbeddedMaster:
         self._server = XmlRpcServer(self.api.methods, address, port, name="midspan-ros1-master", limits=_LIMITS)
         host = f"[{address}]" if ":" in address else address
         self.uri = self.api.uri = uri or f"http://{host}:{self._server.port}/"
-        self._state = state
+        self._address, self._state, self._has_rosout = address, state, rosout
+        self._rosout: RosoutNode | None = None
         self._liveness = Liveness(self.nodes, self._on_dead, purge)
 
     def start(self) -> None:
@@ -70,7 +73,18 @@ class EmbeddedMaster:
             if not self.api.parameters.has(name):
                 self.api.set_param(_ROSCORE, name, value)
         self._server.start()
+        self._start_rosout()
         self._liveness.start(restored)
+
+    def _start_rosout(self) -> None:
+        if not self._has_rosout or is_elsewhere(self.api):
+            return
+        try:
+            self._rosout = RosoutNode(self.api, self.uri, self._address)
+        except OSError as err:
+            _log.warning("%s is not published: %s", AGGREGATED, err.strerror)
+        else:
+            self._rosout.start()
 
     def nodes(self) -> Nodes:
         """Return names and addresses of the registered nodes."""
@@ -79,6 +93,8 @@ class EmbeddedMaster:
 
     def close(self) -> None:
         """Stop serving, and write the state."""
+        if self._rosout is not None:
+            self._rosout.close()
         self._server.close()
         if self._writer is not None:  # first, since a daemon that stops waits only a second
             self._writer.close()

@@ -163,6 +163,32 @@ def _relayed(node: Peer, listener: Peer, logs: int, text: str = "to be relayed")
     return any(text in message["msg"] for message in listener.wait(logs, 1, seconds=1))
 
 
+def test_logs_are_collected(network: Network, talker: Peer):
+    assert "/rosout" in network.tool("rosnode", "list").split()
+    assert "xmlrpc reply from" in network.tool("rosnode", "ping", "-c", "1", "/rosout")
+    listener = network.peer("collector")
+    try:
+        logs = listener.subscribe("/rosout_agg", "rosgraph_msgs/Log")
+        until(lambda: _relayed(talker, listener, logs), "the log of a rospy node is published again")
+        late = network.peer("late")
+        until(lambda: _relayed(late, listener, logs, "from a late node"), "a later node's log, too")
+        late.stop()
+        info = network.tool("rosnode", "info", "/rosout")
+        for part in ("* /rosout_agg [rosgraph_msgs/Log]", "* /rosout", "to: /collector", "to: /talker"):
+            assert part in info
+    finally:
+        listener.stop()
+
+
+def test_a_native_rosout_replaces_the_own_one(tmp_path: Path):
+    network = Network(tmp_path)
+    own = network.master.nodes()["/rosout"]
+    with Process([ROSCPP_NODE, "__name:=rosout"], network.env):
+        until(lambda: network.master.nodes().get("/rosout", own) != own, "the native node registers")
+        until(lambda: not _connects(own), "the own node has ended")
+    network.close()
+
+
 def _connects(uri: str) -> bool:
     parts = urlsplit(uri)
     try:
