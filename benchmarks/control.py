@@ -23,8 +23,8 @@ if not __package__:  # run as a file
 
 from benchmarks.localizer import Tour, simulated
 from benchmarks.rows import Row, add_json_option, report
-from bridge.config.sections.localization_server import LocaliserSection
 from navigation.localization_server.localizer import Localizer
+from navigation.localization_server.section import LocaliserSection
 from navigation.pose import Pose
 from navigation.robot_goto.driver import Driver
 from navigation.scan import scan_points

@@ -24,15 +24,15 @@ if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
-from bridge.config.sections.localization_server import LocaliserSection
-from bridge.config.sections.sim import EncodersSection, LaserSection, SimSection
 from navigation.algorithms.astar import astar
 from navigation.algorithms.distance_transform import distance_transform
 from navigation.localization_server.localizer import Localizer
+from navigation.localization_server.section import LocaliserSection
 from navigation.pose import Pose, wrapped
 from navigation.scan import scan_points
 from sim import export
 from sim.base import Twist
+from sim.section import EncodersSection, LaserSection, SimSection
 from sim.simulation import Simulation
 from yarp_compat.dev.mapgrid import MapFlag
 

@@ -23,18 +23,18 @@ if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.rows import Row, add_json_option, need_peers, report
-from bridge.config.sections.maps import Mapper2DSection
-from bridge.config.sections.sim import SimSection
 from bridge.messages.scan import Turn
 from navigation.algorithms.astar import astar
 from navigation.algorithms.distance_transform import distance_transform
 from navigation.algorithms.shortcut import shortcut
 from navigation.mapper2d.mapper import Mapper
+from navigation.mapper2d.section import Mapper2DSection
 from navigation.pose import Pose, wrapped
 from sim.base import Twist
 from sim.export import grid as true_grid
 from sim.laser_kernel import cast
 from sim.plan import Plan, load_plan
+from sim.section import SimSection
 from sim.simulation import Simulation
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 

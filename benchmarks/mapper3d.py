@@ -27,13 +27,13 @@ if not __package__:  # run as a file
 
 from benchmarks.rows import Row, add_json_option, need_peers, report
 from bridge.config.model import Config
-from bridge.config.sections.mapper3d import Mapper3DSection
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host
 from navigation.mapper3d.depth import Camera, Rays
 from navigation.mapper3d.layer import UPDATE, LayerPublisher
+from navigation.mapper3d.section import Mapper3DSection
 from navigation.mapper3d.space import OPTICAL, FieldOfView, SensorPose, Space
 from navigation.maps.grid_map import GRID_MAP, HEIGHTS
 from navigation.messages import GRID

@@ -23,13 +23,13 @@ if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
-from bridge.config.sections.sim import CameraSection, LaserSection, SimSection
 from sim import bodies
 from sim.base import STEP_NS, Twist
 from sim.depth import DepthCamera
 from sim.environment import dartpy
 from sim.laser_kernel import cast
 from sim.plan import Box, Floor, Plan
+from sim.section import CameraSection, LaserSection, SimSection
 from sim.simulation import Simulation
 
 BEAMS = 1600

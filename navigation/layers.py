@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.planners import ObstacleSection
+from bridge.config.sections.obstacles import ObstacleSection
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.host import Host
 from navigation.frames import FramesError, RobotFrames

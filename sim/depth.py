@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.sim import CameraSection
 from sim.base import BasePose
 from sim.depth_kernel import render
+from sim.section import CameraSection
 
 Depths = NDArray[np.float32]
 Floats = NDArray[np.float64]

@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.sim import LaserSection
 from bridge.messages.scan import Turn
 from sim.laser_kernel import blend, cast
 from sim.robot import Mount, Scanner
+from sim.section import LaserSection
 
 Floats = NDArray[np.float64]
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from bridge.config.sections.sim import CameraSection
 from bridge.messages.scan import Turn
 from sim.base import BasePose, Encoders, Twist
 from sim.depth import Depths
 from sim.robot import RobotDescription
+from sim.section import CameraSection
 from sim.sensors import Charge
 
 Message = dict[str, Any]

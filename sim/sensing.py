@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from bridge.config.sections.sim import SimSection
 from bridge.messages.scan import Turn
 from sim.base import TICK_NS, Base, Encoders
 from sim.depth import DepthCamera, Depths
 from sim.laser import Laser
 from sim.robot import RobotDescription
+from sim.section import SimSection
 from sim.sensors import Faults, Odometry, WheelEncoders
 from sim.world import FloorWorld
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bridge.config.sections.sim import EncodersSection
 from sim.base import Base, BasePose, Encoders, Floats, Twist
 from sim.environment import SimError
 from sim.robot import BatteryDescription
+from sim.section import EncodersSection
 
 _ROUNDING = 1e-9
 """rad/s below which a wheel's velocity is a rounding error of the physics: encoders of wheels that stand report 0."""

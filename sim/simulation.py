@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from bridge.config.sections.sim import SimSection
 from bridge.messages.scan import Turn
 from sim import robot
 from sim.base import STEP_NS, TICK_NS, Base, BasePose, Differential, Holonomic, Twist
 from sim.depth import DepthCamera, Depths
 from sim.environment import SimError
 from sim.plan import Plan, load_plan
+from sim.section import SimSection
 from sim.sensing import Sensing
 from sim.sensors import Battery, Estimate, Faults
 from sim.wheels import WheelControls

@@ -13,7 +13,6 @@ from typing_extensions import override
 from bridge.clock import CLOCK_TOPIC, CLOCK_TYPE, DONE_TOPIC, DONE_TYPE
 from bridge.config.model import Config
 from bridge.config.sections.section import Section
-from bridge.config.sections.sim import SimSection
 from bridge.hub.wire.qos import LATCHED, Qos, Reliability
 from bridge.messages.registry import Registry
 from bridge.modules.endpoints import ModulePublisher
@@ -26,6 +25,7 @@ from sim import messages
 from sim.base import TICK_NS, BasePose, Twist
 from sim.environment import SimError
 from sim.messages import TopicNames, names_of
+from sim.section import SimSection
 from sim.services import ChangeServices, Stepping, answered
 from sim.simulation import Simulation
 from sim.stamps import WallStamps

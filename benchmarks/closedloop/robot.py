@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 
-from bridge.config.sections.base_control import BaseControlSection
-from bridge.config.sections.sim import CameraSection, EncodersSection, LaserSection, SimSection
 from bridge.messages.scan import Turn
 from navigation.base_control.base import DrivenBase
 from navigation.base_control.commands import Velocity
+from navigation.base_control.section import BaseControlSection
 from navigation.base_control.settings import resolved
 from navigation.pose import Pose
 from sim import robot as robots
 from sim.base import TICK_NS
 from sim.plan import Plan
 from sim.robot import RobotDescription as Described
+from sim.section import CameraSection, EncodersSection, LaserSection, SimSection
 from sim.simulation import Simulation
 
 LASER = LaserSection(beams=720, rate=10.0, noise=0.005)

@@ -8,19 +8,21 @@ import numpy as np
 
 from benchmarks.closedloop.robot import Robot
 from benchmarks.closedloop.worlds import World
-from bridge.config.sections.localization_server import LocaliserSection
-from bridge.config.sections.mapper3d import LayerSection, Mapper3DSection
-from bridge.config.sections.planners import ObstacleSection, RobotGotoSection, RobotPathPlannerSection
+from bridge.config.sections.obstacles import ObstacleSection
 from navigation.constraints import Constraints
 from navigation.localization_server.estimate import LocalizationStatus
 from navigation.localization_server.localizer import Localizer
+from navigation.localization_server.section import LocaliserSection
 from navigation.mapper3d.depth import Camera
 from navigation.mapper3d.layer import grid_of
+from navigation.mapper3d.section import LayerSection, Mapper3DSection
 from navigation.mapper3d.space import OPTICAL, FieldOfView, SensorPose, Space
 from navigation.pose import Pose
 from navigation.robot_goto.driver import Driver
+from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_path_planner.ground import Ground
 from navigation.robot_path_planner.planner import PathPlanner
+from navigation.robot_path_planner.section import RobotPathPlannerSection
 from navigation.scan import scan_points
 from navigation.status import Fault, State
 from sim.base import BasePose

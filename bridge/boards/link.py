@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from bridge.config.sections.control_boards import ControlBoardSection
+from bridge.boards.section import ControlBoardSection
 from yarp_compat.dev.controlboard import modes
 from yarp_compat.dev.controlboard.client import ControlBoardClient
 from yarp_compat.dev.controlboard.streams import JointData

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bridge.boards.link import BoardLink, Joints
-from bridge.config.sections.control_boards import ControlBoardSection, ControlBoardsSection
+from bridge.boards.section import ControlBoardSection, ControlBoardsSection
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import Qos, Reliability
 from bridge.modules.host import Host

@@ -10,7 +10,7 @@ from itertools import combinations
 
 from bridge.config.document import Document, KeyPath, Problem, key_text
 from bridge.config.model import Config
-from bridge.config.sections.web import split
+from bridge.config.sections.listen import split
 
 _ANY_IPV4 = str(ipaddress.IPv4Address(0))
 _TRANSPORTS = {"tcp": "tcp", "tls": "tcp", "ws": "tcp", "quic": "udp", "udp": "udp"}

@@ -10,21 +10,22 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, create_model
 
 from bridge.config.rules import with_navigation
-from bridge.config.sections.foxglove import FoxgloveSection
+from bridge.config.sections.clock import ClockSection
 from bridge.config.sections.hub import HubSection
-from bridge.config.sections.maps import StoreSection
-from bridge.config.sections.metrics import MetricsSection
 from bridge.config.sections.modules import ModulesSection
 from bridge.config.sections.navigation import NavigationSection
-from bridge.config.sections.record import RecordSection
 from bridge.config.sections.ros import Ros1Section, Ros2Section
 from bridge.config.sections.routing import RoutingSection
 from bridge.config.sections.section import Section, setting, subsection
-from bridge.config.sections.sim import ClockSection, SimSection
-from bridge.config.sections.web import WebSection
+from bridge.config.sections.store import StoreSection
 from bridge.config.sections.yarp import YarpSection
 from bridge.config.sections.zenoh import ZenohSection
+from bridge.foxglove.section import FoxgloveSection
+from bridge.metrics.section import MetricsSection
+from bridge.record.section import RecordSection
 from bridge.sides import imported, own_sides
+from bridge.web.section import WebSection
+from sim.section import SimSection
 
 DAEMON_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,62}$"
 FORMAT = 1

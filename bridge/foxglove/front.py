@@ -22,9 +22,10 @@ from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs
 
-from bridge.config.sections.foxglove import FoxgloveSection
-from bridge.config.sections.web import WebSection, split
+from bridge.config.sections.listen import split
+from bridge.foxglove.section import FoxgloveSection
 from bridge.foxglove.visitors import Visitor, Visitors
+from bridge.web.section import WebSection
 from bridge.web.serving.access import Access, Grant, WrongTokenError
 from bridge.web.serving.scarce_log import ScarceLog
 

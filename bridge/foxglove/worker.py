@@ -14,13 +14,13 @@ from foxglove.websocket import Capability
 
 from bridge.client.topics import HubTopics
 from bridge.config.model import Config
-from bridge.config.sections.foxglove import FoxgloveSection
 from bridge.foxglove.channels import Channels
 from bridge.foxglove.events import Events
 from bridge.foxglove.front import Front
 from bridge.foxglove.parameters import Parameters
 from bridge.foxglove.publishing import Publishing
 from bridge.foxglove.scene import SCENE, Scene
+from bridge.foxglove.section import FoxgloveSection
 from bridge.foxglove.server import FoxgloveServer
 from bridge.foxglove.services import Services
 from bridge.foxglove.visitors import Visitors

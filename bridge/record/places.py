@@ -11,9 +11,9 @@ from itertools import count
 from pathlib import Path
 from typing import Protocol
 
-from bridge.config.sections.record import KeepSection
 from bridge.record.file import Written
 from bridge.record.metadata import write_metadata
+from bridge.record.section import KeepSection
 
 _log = logging.getLogger("midspan.record")
 

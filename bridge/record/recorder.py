@@ -19,12 +19,12 @@ from pathlib import Path
 from typing import Any
 
 from bridge.client.topics import HubTopic, HubTopics, TopicKey
-from bridge.config.sections.record import RecordSection
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from bridge.record.arrivals import ArrivalQueue
 from bridge.record.file import total
 from bridge.record.places import RecordPlace
+from bridge.record.section import RecordSection
 from bridge.record.selection import Selection
 from bridge.record.series import FileSeries
 from bridge.record.subscriptions import RecordedTopics

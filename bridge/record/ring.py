@@ -14,10 +14,10 @@ from collections import deque
 from dataclasses import replace
 from pathlib import Path
 
-from bridge.config.sections.record import RingSection
 from bridge.record.file import Written
 from bridge.record.metadata import write_metadata
 from bridge.record.places import KeptFolder
+from bridge.record.section import RingSection
 
 _log = logging.getLogger("midspan.record")
 

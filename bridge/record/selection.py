@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bridge.client.topics import HubTopic
-from bridge.config.sections.record import RecordSection
 from bridge.hub.graph.tokens import TAPS, Origin
+from bridge.record.section import RecordSection
 from bridge.routing.rules import NameFilter
 
 

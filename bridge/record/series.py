@@ -8,13 +8,13 @@ from pathlib import Path
 
 from bridge.bags.mcap_writer import ChannelInfo
 from bridge.client.topics import Definitions
-from bridge.config.sections.record import RecordSection
 from bridge.hub.graph import HubGraph
 from bridge.record.arrivals import RecordedMessage
 from bridge.record.file import RESUME, ChannelKey, RecordFile, room
 from bridge.record.latched import LatchedState
 from bridge.record.places import RecordPlace
 from bridge.record.ring import Ring
+from bridge.record.section import RecordSection
 from bridge.record.selection import side_of, tapped
 
 _log = logging.getLogger("midspan.record")

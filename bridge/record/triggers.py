@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from bridge.client.topics import TopicKey
-from bridge.config.sections.record import TriggerSection
 from bridge.hub.control import RECORDED
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.errors import HubError
 from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
 from bridge.modules.services import Answer
+from bridge.record.section import TriggerSection
 
 _log = logging.getLogger("midspan.record")
 

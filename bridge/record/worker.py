@@ -14,13 +14,13 @@ from typing_extensions import override
 
 from bridge import __version__
 from bridge.config.model import Config
-from bridge.config.sections.record import RecordSection
 from bridge.hub.errors import HubError
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host
 from bridge.record.places import KeptFolder, RecordPlace
 from bridge.record.recorder import Recorder
 from bridge.record.ring import Ring
+from bridge.record.section import RecordSection
 from bridge.record.taps import Taps
 from bridge.record.triggers import Triggers
 from bridge.state_file import worker_folder

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from bridge.config.model import Config
-from bridge.config.sections.maps import StoreSection
+from bridge.config.sections.store import StoreSection
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub
 from bridge.state_file import worker_folder

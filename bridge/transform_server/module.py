@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from bridge.client.authorities import Authorities
-from bridge.config.sections.modules import TransformServerSection
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import LATCHED, Durability, Qos
 from bridge.modules.host import Host
@@ -14,6 +13,7 @@ from bridge.tf.buffer import TransformBuffer
 from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE
 from bridge.transform_server.buffer_server import BufferServer
 from bridge.transform_server.exchange import Exchange
+from bridge.transform_server.section import TransformServerSection
 from bridge.transform_server.view import View, YarpClock
 from bridge.transform_server.yarp_ports import FrameStream, Getter, Setter
 from bridge.worker import Health

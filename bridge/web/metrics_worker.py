@@ -7,7 +7,6 @@ import secrets
 from typing import TYPE_CHECKING, Any
 
 from bridge.config.model import Config
-from bridge.config.sections.web import WebSection
 from bridge.hub.diagnostics import announce, has_subscribers
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
@@ -15,6 +14,7 @@ from bridge.metrics.endpoint import MetricsRoutes
 from bridge.metrics.link import HubLink
 from bridge.metrics.source import Source
 from bridge.status import WorkerStatus
+from bridge.web.section import WebSection
 from bridge.web.serving.access import Access
 from bridge.web.serving.server import HttpServer
 from bridge.worker import Health, StatusHead, Worker

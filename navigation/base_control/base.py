@@ -8,10 +8,10 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from bridge.config.sections.base_control import BaseControlSection
 from navigation.base_control.commands import NO_CHOICE, STILL, Arbiter, CommandInput, FullControl
 from navigation.base_control.kinematics import Array, Travelled, WheelOdometry, kinematics
 from navigation.base_control.limits import FILTERS, Limiter, smoothed
+from navigation.base_control.section import BaseControlSection
 from navigation.base_control.settings import limits
 from navigation.yarp import Commands
 

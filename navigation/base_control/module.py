@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from bridge.config.sections.base_control import BaseControlSection
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
@@ -26,6 +25,7 @@ from navigation.base_control.base import BaseCommands, DrivenBase
 from navigation.base_control.encoders import ReadingTimes
 from navigation.base_control.kinematics import Array
 from navigation.base_control.ports import CommandInputs, OdometryPublisher, OdometryRpc
+from navigation.base_control.section import BaseControlSection
 from navigation.base_control.settings import resolved
 
 JOINTS = "sensor_msgs/msg/JointState"

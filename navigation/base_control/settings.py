@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from bridge.config.sections.base_control import INPUTS, BaseControlSection, BaseInput
 from navigation.base_control.kinematics import KINDS, KinematicsError, kinematics
 from navigation.base_control.limits import FILTERS, BaseLimits
+from navigation.base_control.section import INPUTS, BaseControlSection, BaseInput
 from navigation.ini import Ini, IniGroup, laid_under, port_name
 
 _GENERAL, _GEOMETRY, _MOTORS, _STICK = "BASECTRL_GENERAL", "ROBOT_GEOMETRY", "MOTORS", "JOYSTICK"

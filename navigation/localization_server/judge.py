@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from bridge.config.sections.localization_server import LocaliserSection
 from navigation.localization_server.estimate import LocalizationStatus
+from navigation.localization_server.section import LocaliserSection
 from navigation.pose import Pose
 
 _MEMORY = 0.7  # weight of the previous quality in the next one

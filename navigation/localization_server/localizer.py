@@ -12,12 +12,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.localization_server import LocaliserSection
 from navigation.algorithms import particle_filter
 from navigation.algorithms.likelihood_field import LikelihoodField
 from navigation.algorithms.pose_search import PoseSearch, SearchWindow
 from navigation.localization_server.estimate import LocalizationStatus, PoseEstimate, Track
 from navigation.localization_server.judge import Judge
+from navigation.localization_server.section import LocaliserSection
 from navigation.pose import Pose
 from navigation.scan import thinned
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D

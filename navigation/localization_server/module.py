@@ -14,7 +14,6 @@ from typing import Any
 
 from typing_extensions import override
 
-from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
@@ -34,6 +33,7 @@ from navigation.localization_server.estimate import (
 from navigation.localization_server.other_server import OtherServer
 from navigation.localization_server.own import OwnLocalizer
 from navigation.localization_server.ports import PosePublisher
+from navigation.localization_server.section import LocalizationServerSection
 from navigation.localization_server.sources import AmclSource, FrameSource, PortSource, PoseSource, Start, TopicSource
 from navigation.map_in_use import MapInUse
 from navigation.maps.grid import same_walls

@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 from typing_extensions import override
 
-from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.modules.host import Host
 from navigation.frames import RobotFrames
 from navigation.localization_server.estimate import Floats, LocalizationStatus, PoseEstimate
+from navigation.localization_server.section import LocalizationServerSection
 from navigation.localization_server.sources import ExternalSource, PoseSource, Start, start_covariance
 from navigation.pose import Pose
 from navigation.yarp import PolledServer

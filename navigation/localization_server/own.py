@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
 from bridge.routing.processes import process_name
 from navigation.frames import LATE, FramesError, RobotFrames
 from navigation.localization_server.estimate import Floats, LocalizationStatus, PoseEstimate, unknown
 from navigation.localization_server.localizer import SCAN_AGE, Localizer
+from navigation.localization_server.section import LocalizationServerSection
 from navigation.localization_server.sources import PoseSource, Start, start_covariance
 from navigation.messages import stamp_ns
 from navigation.pose import Pose, wrapped

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from typing_extensions import override
 
-from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.hub.endpoints.calls import CallError
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.modules.host import Host
@@ -19,6 +18,7 @@ from bridge.modules.loop import Newest
 from navigation.frames import LATE, FramesError, RobotFrames
 from navigation.localization_server import estimate as estimates
 from navigation.localization_server.estimate import Floats, LocalizationStatus, PoseEstimate, plane_of, pose_of, unknown
+from navigation.localization_server.section import LocalizationServerSection
 from navigation.maps.grid import to_grid, turned
 from navigation.messages import pose_message, stamp_ns
 from navigation.pose import Pose

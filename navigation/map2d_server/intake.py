@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bridge.config.sections.maps import TakenMap
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.endpoints import Subscription
@@ -16,6 +15,7 @@ from bridge.modules.host import Host
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import LOCATION, MAP
 from bridge.stores.store import Store
+from navigation.map2d_server.section import TakenMap
 from navigation.maps.grid import from_grid
 from navigation.messages import GRID, Message
 from yarp_compat.dev.locations import Map2DLocation

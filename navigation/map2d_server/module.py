@@ -12,7 +12,6 @@ from typing import Any
 
 from typing_extensions import override
 
-from bridge.config.sections.maps import Map2DServerSection
 from bridge.config.sections.section import Section
 from bridge.hub.graph.owners import owner
 from bridge.modules.host import Host
@@ -25,6 +24,7 @@ from navigation.map2d_server.files import MapFiles, MapsFolder
 from navigation.map2d_server.intake import ClickedPoints, MapIntake, is_ours
 from navigation.map2d_server.maps3d import Maps3D
 from navigation.map2d_server.publishers import MAP_TOPIC, AllMaps, CurrentMap, Head, Keys, Markers, Masks
+from navigation.map2d_server.section import Map2DServerSection
 from navigation.map2d_server.services import MapAnswers, MapCommands, MapServices
 
 _log = logging.getLogger(__name__)

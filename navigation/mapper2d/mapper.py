@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.maps import Mapper2DSection
 from navigation.algorithms.occupancy import LEAST, MOST, OccupancyMap
+from navigation.mapper2d.section import Mapper2DSection
 from navigation.maps.grid import turned
 from navigation.pose import Pose
 from yarp_compat.dev.mapflag import UNKNOWN, MapFlag

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 from typing_extensions import override
 
-from bridge.config.sections.maps import Mapper2DSection
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.scan import Turn
@@ -23,6 +22,7 @@ from navigation.map2d_server.files import MapsFolder
 from navigation.mapper2d.commands import Canvas, MapperCommands
 from navigation.mapper2d.mapper import Mapper
 from navigation.mapper2d.poses import COVARIANT, Poses, of_message, sent_ns
+from navigation.mapper2d.section import Mapper2DSection
 from navigation.mapper2d.settings import read_file
 from navigation.maps.grid import to_cdr
 from navigation.messages import GRID, stamp_ns

@@ -9,13 +9,13 @@ from typing import Any
 
 from typing_extensions import override
 
-from bridge.config.sections.maps import Mapper2DSection
 from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.errors import TransformError
 from bridge.tf.transform import LATEST
 from navigation.frames import FramesError, RobotFrames, flat
+from navigation.mapper2d.section import Mapper2DSection
 from navigation.maps.grid import yaw_of
 from navigation.messages import stamp_ns
 from navigation.pose import Pose

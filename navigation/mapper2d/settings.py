@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from bridge.config.sections.maps import Mapper2DSection
 from navigation.ini import Ini, IniGroup, frame_name, port_name
+from navigation.mapper2d.section import Mapper2DSection
 
 OTHERS = frozenset({"robot", "part", "local", "name"})  # keys of upstream's own program
 STALE = {("ROBOT_GEOMETRY", "robot_radius"): "the map does not depend on it"}

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from bridge.config.sections.mapper3d import Mapper3DSection
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.host import Host
 from navigation.algorithms.voxel_layer import EDGE, FLOOR, OBSTACLE, LayerColumns
+from navigation.mapper3d.section import Mapper3DSection
 from navigation.maps.grid import to_cdr
 from navigation.maps.grid_map import GRID_MAP, HEIGHTS, HIGHEST, LOWEST, to_grid_map
 from navigation.messages import GRID

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from bridge.config.sections.mapper3d import Mapper3DSection
 from bridge.config.sections.section import Section
 from bridge.hub.errors import HubError
 from bridge.modules.host import Host
@@ -22,6 +21,7 @@ from navigation.map2d_server.files import MapsFolder
 from navigation.mapper3d.commands import SpaceCommands
 from navigation.mapper3d.layer import LayerPublisher, grid_of
 from navigation.mapper3d.octomaps import OctomapServer
+from navigation.mapper3d.section import Mapper3DSection
 from navigation.mapper3d.sources import SensorPoses, SensorReading, Sources
 from navigation.mapper3d.space import SensorPose, Space
 from yarp_compat.dev.mapgrid import MapGrid2D

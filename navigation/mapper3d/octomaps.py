@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.mapper3d import Mapper3DSection
 from bridge.modules.host import Host
 from bridge.modules.services import Answer
 from navigation.clouds import POINT_CLOUD
 from navigation.map2d_server.maps3d import GET, OCTOMAP, octomap_message
+from navigation.mapper3d.section import Mapper3DSection
 from navigation.mapper3d.space import Space
 from yarp_compat.octomap import Octomap
 

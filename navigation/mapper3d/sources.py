@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.mapper3d import DepthSource, Mapper3DSection
 from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
 from bridge.tf.errors import TransformError
@@ -18,6 +17,7 @@ from bridge.tf.transform import LATEST, Quaternion, Transform
 from navigation.clouds import POINT_CLOUD, read_points
 from navigation.frames import FramesError, RobotFrames
 from navigation.mapper3d.depth import CAMERA_INFO, IMAGE, Rays, read_camera, read_depth
+from navigation.mapper3d.section import DepthSource, Mapper3DSection
 from navigation.mapper3d.space import OPTICAL, FieldOfView, Floats, Place, SensorPose
 from navigation.messages import stamp_ns
 from navigation.sensor_queue import SensorQueue

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.mapper3d import Mapper3DSection
 from navigation.algorithms.voxel_layer import LayerColumns, RobotSize, columns
 from navigation.algorithms.voxel_leaves import leaves
 from navigation.algorithms.voxel_map import LEAST, MIDDLE, SIDE, VoxelMap, within
+from navigation.mapper3d.section import Mapper3DSection
 from yarp_compat.octree import OcTree
 
 BLOCK_BYTES = 4700

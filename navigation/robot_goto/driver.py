@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.planners import RobotGotoSection
 from bridge.messages.scan import Turn
 from bridge.state_machine import Machine
 from navigation.constraints import Constraints
@@ -21,6 +20,7 @@ from navigation.robot_goto.guard import FAST_ROOM
 from navigation.robot_goto.local_grid import LocalGrid
 from navigation.robot_goto.machine import DRIVER, DriverEvent, DriverState
 from navigation.robot_goto.obstacles import Obstacles
+from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.steering import STILL, Aim, DriveCommand, GoalLimits, drive, people_speed
 from navigation.robot_goto.surroundings import Surroundings
 from navigation.robot_goto.task import CLEAR, GotoTask, TimedMove

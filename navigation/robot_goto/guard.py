@@ -8,11 +8,11 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.planners import RobotGotoSection
 from navigation.algorithms.rolling_grid import UNKNOWN
 from navigation.algorithms.stopping import ahead, slowed
 from navigation.pose import Pose, wrapped
 from navigation.robot_goto.local_grid import LocalGrid
+from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.steering import STILL, DriveCommand
 
 CREEP_ROOM, FAST_ROOM = 0.01, 0.05  # meters beyond the radius, when creeping and at full speed

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from bridge.config.sections.planners import RobotGotoSection
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import Qos
 from bridge.messages.point_cloud import CloudError
@@ -36,6 +35,7 @@ from navigation.pose import Pose
 from navigation.robot_goto.driver import Driver
 from navigation.robot_goto.obstacles import MOST, thinned
 from navigation.robot_goto.ports import GotoServer, GotoTopics, local_map
+from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.settings import read_file
 from navigation.scan import SCAN, ScanError, of_ros, of_yarp
 from navigation.status import Fault, PlanError, PlannerStatus, State

@@ -7,11 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.planners import RobotGotoSection
 from navigation.clouds import Points
 from navigation.layers import Places, on
 from navigation.pose import Pose
 from navigation.robot_goto.local_grid import RESOLUTION, SIDE
+from navigation.robot_goto.section import RobotGotoSection
 
 LEAST = 2  # points of a cloud in an occupied voxel: a single one may be noise
 MOST, RAYS = 50_000, 10_000  # points of a cloud that are used as obstacles and as rays

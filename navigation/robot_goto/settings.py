@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from bridge.config.sections.planners import LaserPose, RobotGotoSection
 from navigation.ini import Ini, IniGroup, frame_name, port_name
+from navigation.robot_goto.section import LaserPose, RobotGotoSection
 
 _TRAJECTORY = (
     ("max_beta_angle", 5.0, 0.1, 180.0, "deg"),

@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bridge.config.sections.planners import RobotGotoSection
 from navigation.algorithms.distance_transform import distance_transform
 from navigation.algorithms.potential_field import Descent, descend
 from navigation.algorithms.rolling_grid import OCCUPIED, UNKNOWN
 from navigation.constraints import Constraints
 from navigation.pose import Pose
 from navigation.robot_goto.local_grid import RESOLUTION, SIDE, LocalGrid
+from navigation.robot_goto.section import RobotGotoSection
 
 
 class DriveCommand(NamedTuple):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from bridge.config.sections.planners import RobotGotoSection
 from bridge.messages.scan import Turn
 from navigation.pose import Pose, wrapped
 from navigation.robot_goto.guard import FollowCheck, Guard
 from navigation.robot_goto.local_grid import LocalGrid
 from navigation.robot_goto.obstacles import Obstacles
+from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.steering import DriveCommand
 from navigation.scan import is_blind
 

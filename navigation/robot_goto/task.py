@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bridge.config.sections.planners import RobotGotoSection
 from navigation.constraints import Constraints
 from navigation.pose import Pose, wrapped
 from navigation.robot_goto.guard import FAST_ROOM, Guard
 from navigation.robot_goto.local_grid import LocalGrid
+from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.steering import STILL, Aim, DriveCommand, GoalLimits, aim, people_speed
 
 CLEAR = 1.0  # seconds for which the path has to be free before the robot drives on

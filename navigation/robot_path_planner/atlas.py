@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 from typing_extensions import override
 
-from bridge.config.sections.planners import RobotPathPlannerSection
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, LINK, LOCATION, MAP
 from bridge.stores.store import Store
@@ -19,6 +18,7 @@ from navigation.algorithms.astar import astar
 from navigation.goals import MapPlace
 from navigation.pose import Pose
 from navigation.robot_path_planner.ground import Ground, Zone
+from navigation.robot_path_planner.section import RobotPathPlannerSection
 from navigation.status import Fault, PlanError
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapgrid import MapGrid2D

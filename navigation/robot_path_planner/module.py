@@ -12,7 +12,6 @@ from typing import Any
 from typing_extensions import override
 
 from bridge.concurrency import SerialExecutor
-from bridge.config.sections.planners import YARP, RobotPathPlannerSection
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import Qos
 from bridge.modules.action_server import Goal
@@ -32,6 +31,7 @@ from navigation.robot_path_planner.atlas import StoreAtlas
 from navigation.robot_path_planner.navigators import ActionNavigator, YarpNavigator
 from navigation.robot_path_planner.planner import PathPlanner
 from navigation.robot_path_planner.ports import PathPlannerDevice, PathPlannerTopics, PlannerServer, goal_of_click, png
+from navigation.robot_path_planner.section import YARP, RobotPathPlannerSection
 from navigation.robot_path_planner.settings import MERGED, read_file
 from navigation.scan import SCAN, ScanError, is_blind, of_ros
 from navigation.status import Fault, PlanError, PlannerStatus, State

@@ -10,7 +10,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.planners import RobotPathPlannerSection
 from navigation.algorithms.astar import Cells, Weights, astar
 from navigation.algorithms.shortcut import sees, shortcut
 from navigation.constraints import Constraints
@@ -18,6 +17,7 @@ from navigation.goals import MapPlace
 from navigation.pose import Pose, wrapped
 from navigation.robot_path_planner.atlas import Leg
 from navigation.robot_path_planner.ground import Cell, Ground
+from navigation.robot_path_planner.section import RobotPathPlannerSection
 from navigation.status import Fault, PlanError
 from yarp_compat.dev.extras import AreaBehaviour
 

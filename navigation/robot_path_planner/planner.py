@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from bridge.config.sections.planners import RobotPathPlannerSection
 from bridge.messages.scan import Turn
 from navigation.constraints import Constraints
 from navigation.goals import MapPlace
@@ -32,6 +31,7 @@ from navigation.robot_path_planner.path import (
     length,
     plan_path,
 )
+from navigation.robot_path_planner.section import RobotPathPlannerSection
 from navigation.scan import believed
 from navigation.status import Fault, PlanError, PlannerStatus, State
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from bridge.config.sections.planners import DrivenSection, RobotPathPlannerSection
 from navigation.ini import Ini, IniGroup, frame_name, port_name
+from navigation.robot_path_planner.section import DrivenSection, RobotPathPlannerSection
 
 MERGED = ("waypoint", "goal")
 _CELL = 0.05

@@ -9,20 +9,20 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
+from bridge.boards.section import ControlBoardSection
 from bridge.config import generate
 from bridge.config.load import load, loads
 from bridge.config.model import Config
 from bridge.config.problems import all_keys
-from bridge.config.sections.base_control import BaseInput
-from bridge.config.sections.control_boards import ControlBoardSection
-from bridge.config.sections.mapper3d import DepthSource
 from bridge.config.sections.modules import OwnModule
 from bridge.config.sections.navigation import Planner
-from bridge.config.sections.planners import ObstacleSection
+from bridge.config.sections.obstacles import ObstacleSection
 from bridge.config.sections.routing import ParameterRule, QosOverride, Rule
-from bridge.config.sections.web import OtherRobot
 from bridge.config.sections.yarp import ServicePort, TopicPort
 from bridge.config.sections.zenoh import Dialect, DialectKey
+from bridge.web.section import OtherRobot
+from navigation.base_control.section import BaseInput
+from navigation.mapper3d.section import DepthSource
 
 ROOT = Path(__file__).parents[2]
 ENTRIES = (

@@ -15,9 +15,9 @@ from pydantic import ValidationError
 from websockets.exceptions import InvalidStatus
 
 from bridge.config.model import Config
-from bridge.config.sections.foxglove import FoxgloveSection
 from bridge.foxglove import front
 from bridge.foxglove.front import RequestHead, TurnedAwayError
+from bridge.foxglove.section import FoxgloveSection
 from bridge.foxglove.visitors import MARK
 from bridge.foxglove.worker import Live, SdkLog
 from bridge.hub.security.certificates import Authority

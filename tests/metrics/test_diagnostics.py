@@ -15,7 +15,6 @@ import yaml
 
 from bridge.config.load import load
 from bridge.config.model import Config
-from bridge.config.sections.metrics import MetricsSection
 from bridge.daemon.query import Phase, ask_daemon
 from bridge.hub.diagnostics import HEARD, TOPIC, TYPE, has_subscribers
 from bridge.hub.graph.tokens import Origin
@@ -26,6 +25,7 @@ from bridge.metrics import diagnostics
 from bridge.metrics.diagnostics import publishing_worker
 from bridge.metrics.on_demand import DiagnosticsOnDemand
 from bridge.metrics.parts import Level, PartStatus, parts
+from bridge.metrics.section import MetricsSection
 from bridge.worker import Health, Worker
 from tests.adapters.yarp.conftest import YarpPort
 from tests.contract.hubside import HubSide

@@ -12,7 +12,6 @@ import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
-from bridge.config.sections.record import RecordSection
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED, Durability, Qos
@@ -22,6 +21,7 @@ from bridge.record import series as record_series
 from bridge.record.arrivals import ArrivalQueue, RecordedMessage, TopicCounts
 from bridge.record.places import PREFIX, BagFolder, Files, KeptFolder
 from bridge.record.ring import Ring
+from bridge.record.section import RecordSection
 from tests.peers.hub.quick import QuickHub
 from tests.peers.hub.recorded_robot import Robot, await_topics, await_written, read, recording
 from tests.support.wait import until

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
 
-from bridge.config.sections.record import TriggerSection
+from bridge.record.section import TriggerSection
 from bridge.record.triggers import Triggers
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from bridge.config.sections.sim import SimSection
 from sim import robot
 from sim.base import BasePose, Twist
 from sim.environment import SimError
+from sim.section import SimSection
 from sim.simulation import Simulation
 from tests.peers.sim.floors import INSIDE, drive, simulation, turn_wheels
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import yarp_compat as yarp
-from bridge.config.sections.sim import SimSection
 from sim.base import Twist
 from sim.board import WheelBoard
+from sim.section import SimSection
 from sim.simulation import Simulation
 from tests.peers.yarp.network import network_of
 from tests.sim.test_hub import Place

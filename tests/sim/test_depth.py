@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from bridge.config.sections.sim import CameraSection, SimSection
 from bridge.messages.registry import Registry
 from bridge.messages.values import MessageWriter
 from bridge.tf.buffer import TransformBuffer
@@ -17,6 +16,7 @@ from sim import messages
 from sim.base import BasePose
 from sim.depth import DepthCamera
 from sim.plan import Box, Floor, Plan, load_plan
+from sim.section import CameraSection, SimSection
 from sim.simulation import Simulation
 from sim.world import solids_of
 from tests.peers.sim.floors import drive, simulation

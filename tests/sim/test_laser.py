@@ -8,12 +8,12 @@ import dartpy
 import numpy as np
 import pytest
 
-from bridge.config.sections.sim import LaserSection
 from sim import bodies, robot
 from sim.laser import Laser, reference
 from sim.laser_kernel import cast
 from sim.pieces import Piece
 from sim.plan import load_plan
+from sim.section import LaserSection
 from tests.peers.sim.floors import drive, simulation
 
 NOTHING = np.zeros((0, 3))

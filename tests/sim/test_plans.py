@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from bridge.config.sections.sim import SimSection
 from sim import pieces
 from sim.base import BasePose
 from sim.environment import SimError, ready
 from sim.pieces import Walker
 from sim.plan import Box, Floor, Person, load_plan, rectangles
+from sim.section import SimSection
 from sim.simulation import Simulation
 from tests.peers.sim.floors import INSIDE, drive, simulation
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.config.sections.maps import StoreSection
+from bridge.config.sections.store import StoreSection
 from bridge.stores.kinds import AREA, BEHAVIOUR, LINK, LOCATION, MAP
 from bridge.stores.service import import_at_start
 from tests.stores.conftest import Make

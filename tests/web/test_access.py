@@ -16,9 +16,10 @@ import pytest
 from pydantic import ValidationError
 from websockets.exceptions import InvalidStatus, WebSocketException
 
-from bridge.config.sections.web import TokenSection, WebSection
+from bridge.config.sections.listen import TokenSection
 from bridge.hub.security.certificates import Authority
 from bridge.hub.security.tokens import new_token
+from bridge.web.section import WebSection
 from bridge.web.serving import access
 from bridge.web.serving.access import COOKIE, Access, Grant, WrongTokens, stored_secret
 from bridge.web.serving.scarce_log import ScarceLog

@@ -20,8 +20,8 @@ from yarp_compat.file_names import forbidden
 
 if TYPE_CHECKING:
     from bridge.config.model import Config
-    from bridge.config.sections.record import RecordSection
     from bridge.record.places import RecordPlace
+    from bridge.record.section import RecordSection
     from bridge.record.worker import Recording
 
 _EPILOG = """\
@@ -143,7 +143,7 @@ def _section(args: argparse.Namespace) -> RecordSection:
     from pydantic import ValidationError
 
     from bridge.client.graph import absolute
-    from bridge.config.sections.record import RecordSection
+    from bridge.record.section import RecordSection
 
     topics = [absolute(topic) for topic in args.topics]
     try:

@@ -58,8 +58,8 @@ def _list() -> int:
 
 def _config(args: argparse.Namespace) -> Config:
     from bridge.config.load import load
-    from bridge.config.sections.sim import SimSection
     from bridge.state_file import with_state
+    from sim.section import SimSection
 
     config = with_state(load(args.config))
     speed = args.speed

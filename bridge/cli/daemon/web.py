@@ -90,8 +90,8 @@ def _drivers(trusted: tuple[str, ...]) -> str:
 def _make_token(name: str, role: str) -> int:
     from pydantic import ValidationError
 
-    from bridge.config.sections.web import WebSection
     from bridge.hub.security.tokens import new_token
+    from bridge.web.section import WebSection
 
     token, digest = new_token()
     try:

@@ -7,12 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from bridge.config.sections.base_control import BaseControlSection
-from bridge.config.sections.control_boards import ControlBoardsSection
-from bridge.config.sections.localization_server import LocalizationServerSection
-from bridge.config.sections.mapper3d import Mapper3DSection
-from bridge.config.sections.maps import Map2DServerSection, Mapper2DSection
-from bridge.config.sections.planners import RobotGotoSection, RobotPathPlannerSection
+from bridge.boards.section import ControlBoardsSection
 from bridge.config.sections.section import (
     ModuleSection,
     OptionalPort,
@@ -22,6 +17,13 @@ from bridge.config.sections.section import (
     setting,
     subsection,
 )
+from navigation.base_control.section import BaseControlSection
+from navigation.localization_server.section import LocalizationServerSection
+from navigation.map2d_server.section import Map2DServerSection
+from navigation.mapper2d.section import Mapper2DSection
+from navigation.mapper3d.section import Mapper3DSection
+from navigation.robot_goto.section import RobotGotoSection
+from navigation.robot_path_planner.section import RobotPathPlannerSection
 
 
 class TransformServerSection(ModuleSection):

@@ -8,8 +8,8 @@ from typing import Literal
 
 from pydantic import field_validator
 
+from bridge.config.sections.listen import split
 from bridge.config.sections.section import EMBEDDED, Enabled, MasterUri, NodeName, SideSection, setting
-from bridge.config.sections.web import split
 
 _ANY = ("0.0.0.0", "::")  # noqa: S104  compared with
 

@@ -19,7 +19,6 @@ from sensor_msgs.msg import Image, LaserScan
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
-from bridge.config.sections.sim import SimSection
 from bridge.demo.topics_demo import messages
 from bridge.demo.topics_demo.report import Reporter
 from navigation.maps.grid import occupied
@@ -27,6 +26,7 @@ from sim import export
 from sim.base import BasePose
 from sim.base import Twist as Velocity
 from sim.environment import SimError
+from sim.section import SimSection
 from sim.simulation import Simulation
 
 _LASER = {"beams": messages.BEAMS, "rate": messages.SCAN_RATE, "farthest": 8.0}

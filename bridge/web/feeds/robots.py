@@ -5,13 +5,13 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from bridge.config.sections.web import OtherRobot
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.endpoints import Subscription
 from bridge.modules.host import Host
 from bridge.tf.transform import LATEST
 from bridge.web.feeds.frames import FrameFeed, FrameFollower
 from bridge.web.feeds.robot import ROBOT_SECONDS, disc, place, points_of_path
+from bridge.web.section import OtherRobot
 from navigation.frames import FramesError
 from navigation.gateway.telemetry import PATH
 

@@ -18,8 +18,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bridge.config.sections.web import Role, TokenSection, WebSection
+from bridge.config.sections.listen import Role, TokenSection
 from bridge.hub.security.tokens import token_hash
+from bridge.web.section import WebSection
 from bridge.web.serving.scarce_log import ScarceLog
 
 COOKIE = "__Host-midspan"

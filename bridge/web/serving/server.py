@@ -23,7 +23,7 @@ from starlette.routing import BaseRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
-from bridge.config.sections.web import split
+from bridge.config.sections.listen import split
 from bridge.web.serving.access import Access
 from bridge.web.serving.connections import (
     MOST_CONNECTIONS,

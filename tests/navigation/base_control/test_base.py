@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from bridge.config.sections.base_control import BaseControlSection
 from navigation.base_control.base import HELP, BaseCommands, DrivenBase
 from navigation.base_control.commands import Velocity
+from navigation.base_control.section import BaseControlSection
 from navigation.base_control.settings import resolved
 
 

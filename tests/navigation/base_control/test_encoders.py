@@ -9,10 +9,10 @@ from collections.abc import Iterator, Sequence
 
 import pytest
 
-from bridge.config.sections.base_control import BaseControlSection
 from navigation.base_control.base import DrivenBase
 from navigation.base_control.encoders import PATIENCE, WINDOW, ReadingTimes
 from navigation.base_control.kinematics import Travelled, WheelOdometry, kinematics
+from navigation.base_control.section import BaseControlSection
 from navigation.base_control.settings import resolved
 
 RADIUS, DISTANCE = 0.16416, 0.338

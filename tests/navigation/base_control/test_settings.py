@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from bridge.config.sections.base_control import INPUTS, BaseControlSection
 from navigation.base_control.base import DrivenBase
 from navigation.base_control.limits import BaseLimits
+from navigation.base_control.section import INPUTS, BaseControlSection
 from navigation.base_control.settings import limits, resolved
 
 R1 = """\

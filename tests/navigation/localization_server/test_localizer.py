@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from benchmarks.localizer import DEGREES, METERS, Tour, drive, simulated
-from bridge.config.sections.localization_server import LocaliserSection
-from bridge.config.sections.sim import LaserSection, SimSection
 from navigation.localization_server.estimate import LocalizationStatus
 from navigation.localization_server.localizer import Localizer
 from navigation.localization_server.own import Memory
+from navigation.localization_server.section import LocaliserSection
 from navigation.pose import Pose, wrapped
 from navigation.scan import scan_points
 from sim.base import Twist
+from sim.section import LaserSection, SimSection
 from sim.simulation import Simulation
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 

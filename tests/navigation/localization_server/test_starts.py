@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from bridge.clock import RunClock, SystemClock
-from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.modules.host import Host
 from navigation.localization_server.estimate import plane_of, pose_of
 from navigation.localization_server.module import LocalizationServer
+from navigation.localization_server.section import LocalizationServerSection
 from navigation.localization_server.sources import Start
 from navigation.pose import Pose
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D

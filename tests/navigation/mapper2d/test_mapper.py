@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from bridge.config.sections.maps import Mapper2DSection
 from navigation.mapper2d.mapper import PAINTS, Mapper
+from navigation.mapper2d.section import Mapper2DSection
 from navigation.pose import Pose
 from yarp_compat.dev.mapflag import UNKNOWN, MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D

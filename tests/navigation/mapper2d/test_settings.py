@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from bridge.config.sections.maps import Mapper2DSection
 from navigation.ini import laid_under
+from navigation.mapper2d.section import Mapper2DSection
 from navigation.mapper2d.settings import read_file
 
 FILE = """\

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bridge.config.sections.mapper3d import Mapper3DSection
 from navigation.algorithms.voxel_layer import EDGE, FLOOR, OBSTACLE
 from navigation.mapper3d.layer import grid_of
+from navigation.mapper3d.section import Mapper3DSection
 from navigation.mapper3d.space import OPTICAL, FieldOfView, SensorPose, Space, view_of
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.octree import OcTree

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from bridge.config.sections.planners import RobotGotoSection
 from bridge.messages.scan import Turn
 from navigation.pose import Pose
 from navigation.robot_goto.guard import Guard
 from navigation.robot_goto.local_grid import LocalGrid
+from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.steering import STILL, DriveCommand
 
 SETTINGS, ORIGIN = RobotGotoSection(), Pose(0.0, 0.0, 0.0)

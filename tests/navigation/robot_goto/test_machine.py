@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bridge.config.sections.planners import RobotGotoSection
 from bridge.messages.scan import Turn
 from bridge.state_machine import Machine
 from navigation.constraints import Constraints
 from navigation.pose import Pose
 from navigation.robot_goto.driver import Driver
 from navigation.robot_goto.machine import DRIVER, DriverEvent, DriverState
+from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.steering import STILL
 from navigation.status import State
 

@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from bridge.config.sections.planners import ObstacleSection, RobotGotoSection
+from bridge.config.sections.obstacles import ObstacleSection
 from navigation.pose import Pose
 from navigation.robot_goto.obstacles import CloudWindow, Obstacles
+from navigation.robot_goto.section import RobotGotoSection
 from navigation.status import Fault, State
 from sim.pieces import Piece
 from tests.peers.navigation.scene import Scene

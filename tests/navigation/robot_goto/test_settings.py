@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from bridge.config.sections.planners import RobotGotoSection
 from navigation.ini import laid_under
 from navigation.robot_goto.driver import Driver
+from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.settings import read_file
 
 R1 = """

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from bridge.config.sections.planners import RobotGotoSection
 from navigation.constraints import Constraints
+from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.steering import GoalLimits, clipped, drive, people_speed, side_slowdown
 
 SETTINGS = RobotGotoSection()

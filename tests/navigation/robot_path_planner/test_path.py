@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bridge.config.sections.planners import RobotPathPlannerSection, WaypointSection
 from navigation.constraints import Constraints
 from navigation.goals import MapPlace
 from navigation.pose import Pose
 from navigation.robot_path_planner.atlas import Leg, LinkedPlaces, leg
 from navigation.robot_path_planner.ground import Clutter, Ground, Zone
 from navigation.robot_path_planner.path import PlannedPath, blocked, plan_path, sampled
+from navigation.robot_path_planner.section import RobotPathPlannerSection, WaypointSection
 from navigation.status import Fault, PlanError
 from tests.peers.navigation.floors import ROOMS, SETTINGS, floor, paint
 from yarp_compat.dev.extras import AreaBehaviour

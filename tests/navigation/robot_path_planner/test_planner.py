@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from bridge.config.sections.planners import ObstacleSection, RobotPathPlannerSection
+from bridge.config.sections.obstacles import ObstacleSection
 from navigation.goals import MapPlace
 from navigation.pose import Pose
 from navigation.robot_path_planner.ground import Ground, Zone
+from navigation.robot_path_planner.section import RobotPathPlannerSection
 from navigation.status import Fault, State
 from tests.navigation.robot_path_planner.test_path import LIFT, Two, area
 from tests.peers.navigation.floors import ROOMS, SETTINGS, Drive, floor, paint

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from bridge.config.sections.planners import RobotPathPlannerSection
 from navigation.constraints import Constraints
 from navigation.ini import laid_under
+from navigation.robot_path_planner.section import RobotPathPlannerSection
 from navigation.robot_path_planner.settings import MERGED, read_file
 
 R1 = """\

@@ -13,13 +13,13 @@ from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
 
 from bridge.config.model import Config
-from bridge.config.sections.record import RecordSection
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
 from bridge.record.places import RecordPlace
+from bridge.record.section import RecordSection
 from bridge.record.worker import Recording
 from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until

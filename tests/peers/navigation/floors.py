@@ -7,13 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bridge.config.sections.planners import RobotPathPlannerSection
 from bridge.messages.scan import Turn
 from navigation.constraints import Constraints
 from navigation.pose import Pose, wrapped
 from navigation.robot_path_planner.atlas import Atlas
 from navigation.robot_path_planner.ground import Ground, Zone
 from navigation.robot_path_planner.planner import PathPlanner
+from navigation.robot_path_planner.section import RobotPathPlannerSection
 from navigation.status import Fault, PlannerStatus, State
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D

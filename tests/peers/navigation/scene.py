@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from bridge.config.sections.planners import RobotGotoSection
-from bridge.config.sections.sim import CameraSection, LaserSection, SimSection
 from navigation.constraints import Constraints
 from navigation.pose import Pose
 from navigation.robot_goto.driver import Driver
+from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.steering import DriveCommand
 from navigation.status import State
 from sim.base import BasePose, Twist
+from sim.section import CameraSection, LaserSection, SimSection
 from sim.simulation import Simulation
 
 RADIUS = {"r1": 0.3, "ikart_v1": 0.4}

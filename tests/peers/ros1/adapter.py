@@ -13,8 +13,8 @@ from typing import Any
 
 from bridge.adapters.ros1.environment import worker_environment
 from bridge.config.model import Config
+from bridge.config.sections.clock import ClockSection
 from bridge.config.sections.ros import Ros1Section
-from bridge.config.sections.sim import ClockSection
 from tests.peers.peer import Peer
 from tests.peers.ros1.network import RosMaster
 from tests.support.wait import until

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from bridge.config.sections.sim import SimSection
 from sim.base import Twist
 from sim.plan import Floor, Plan
+from sim.section import SimSection
 from sim.simulation import Simulation
 
 ROOM = (((-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0)),)

@@ -6,7 +6,6 @@ import math
 import time
 
 from bridge.clock import SYSTEM
-from bridge.config.sections.sim import LaserSection, SimSection
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
@@ -15,6 +14,7 @@ from bridge.modules.loop import EventLoop
 from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE, Stamped, write
 from navigation.pose import Pose
 from sim import export, messages
+from sim.section import LaserSection, SimSection
 from sim.simulation import Simulation
 from yarp_compat.dev.mapgrid import MapGrid2D
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from bridge.adapters.ros1.master.embedded import EmbeddedMaster
 from bridge.config.model import Config
-from bridge.config.sections.web import split
+from bridge.config.sections.listen import split
 from bridge.state_file import worker_folder
 from bridge.worker import Health, Worker, WorkerFailedError
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pydantic import field_validator
 
+from bridge.config.sections.listen import is_loopback_address, split
 from bridge.config.sections.section import Section, setting
-from bridge.config.sections.web import WebSection, is_loopback_address, split
+from bridge.web.section import WebSection
 
 
 class MetricsSection(Section):

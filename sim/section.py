@@ -1,4 +1,4 @@
-"""The sections ``sim`` and ``clock``."""
+"""The section ``sim``."""
 
 from __future__ import annotations
 
@@ -7,20 +7,6 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from bridge.config.sections.section import Section, matching, setting, subsection
-
-
-class ClockSection(Section):
-    """The time scale of all stamps that Midspan makes."""
-
-    source: Literal["system", "sim"] = setting(
-        "system", "`system`: the machine's; `sim`: the topic `/clock`, and ROS 1's master gets `/use_sim_time`."
-    )
-
-    @property
-    def simulated(self) -> bool:
-        """Whether the time is that of ``/clock``."""
-        return self.source == "sim"
-
 
 _Prefix = Annotated[str, matching(r"(?:/[A-Za-z0-9_]+)*", "is not a prefix of port names: write it as /cer")]
 

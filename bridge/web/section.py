@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import ipaddress
 import math
 import re
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
+from bridge.config.sections.listen import PersonName, TokenSection, is_loopback_address, split
 from bridge.config.sections.section import FrameName, OptionalTopic, Section, matching, setting
 
-Role = Literal["watch", "drive"]
-"""What a person may do: look, or command too."""
-
-_ADDRESS = re.compile(r"(?:\[(?P<six>[0-9A-Fa-f:.]+)\]|(?P<name>[^\[\]:/\s]+)):(?P<port>\d{1,5})")
 _HOST = r"[A-Za-z0-9_](?:[A-Za-z0-9_.-]{0,251}[A-Za-z0-9_])?|[0-9A-Fa-f:.]*:[0-9A-Fa-f:.]*"
 _NO_LOGIN = "it has no login: give web.tokens ('midspan web --token NAME' makes one), or web.trusted for certificates"
 
 HostName = Annotated[str, matching(_HOST, "is neither a host name nor an IP address; leave port and scheme out")]
-PersonName = Annotated[str, matching(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}", "is not a name: letters, digits, '_' and '-'")]
 
 
 _PREFIX = re.compile(r"(?:/[A-Za-z0-9_-][A-Za-z0-9_.-]*)+/?|/?")
@@ -36,15 +31,6 @@ def _without_end(prefix: str) -> str:
     if first in _OWN_PATHS:
         raise ValueError(f"{prefix!r} is a path of the console itself; use another one, for instance /robot1")
     return prefix.rstrip("/")
-
-
-class TokenSection(Section):
-    """A token by which a person or a program gets in."""
-
-    role: Role = setting("drive", "`watch`: only watch; `drive`: also command.")
-    sha256: str = Field(
-        description="SHA-256 of the token, as `midspan web --token NAME` prints it.", pattern=r"^[0-9a-f]{64}$"
-    )
 
 
 class OtherRobot(Section):
@@ -119,20 +105,3 @@ class WebSection(Section):
             msg = f"listen: other machines reach {address}, but {_NO_LOGIN}"
             raise ValueError(msg)
         return self
-
-
-def split(listen: str) -> tuple[str, int]:
-    """Address and port; raises `ValueError`."""
-    match = _ADDRESS.fullmatch(listen)
-    if match is None or int(match["port"]) > 65535:
-        msg = f"{listen!r} is not an address with a port: write it as 127.0.0.1:8480 or [::1]:8480"
-        raise ValueError(msg)
-    return match["six"] or match["name"], int(match["port"])
-
-
-def is_loopback_address(address: str) -> bool:
-    """Whether only programs of this machine reach what listens there."""
-    try:
-        return ipaddress.ip_address(address).is_loopback
-    except ValueError:
-        return address == "localhost"

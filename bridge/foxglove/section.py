@@ -6,8 +6,8 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
+from bridge.config.sections.listen import PersonName, TokenSection, is_loopback_address, split
 from bridge.config.sections.section import Section, setting
-from bridge.config.sections.web import PersonName, TokenSection, is_loopback_address, split
 
 
 class FoxgloveSection(Section):

@@ -1,0 +1,31 @@
+"""The section ``store``: the store of maps and places."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bridge.config.sections.section import (
+    Enabled,
+    Section,
+    setting,
+)
+
+
+class StoreSection(Section):
+    """The store of maps, locations, areas, paths, objects and links on the hub; see docs/navigation/maps.md."""
+
+    enabled: Enabled = setting("auto", "Whether this daemon keeps a copy; `auto`: if a module uses it.")
+    maps: Path | None = setting(
+        None,
+        "A collection of maps (`maps_collection.ini`) or one map (`.map`, `.yaml`), imported at start. The import"
+        " neither replaces nor restores maps that the store has or has deleted.",
+    )
+    locations: Path | None = setting(
+        None, "A file of locations, areas, paths and objects (`locations.ini`), imported in the same way."
+    )
+    keys: int = setting(10_000, "Maximum number of values in the store.", ge=1, le=100_000)
+    megabytes: int = setting(1024, "Megabytes (1,048,576 bytes) of all values together.", ge=1, le=1 << 20)
+    deleted: int = setting(10_000, "Deleted names that it remembers, the latest ones.", ge=0, le=100_000)
+    deleted_days: float = setting(
+        30.0, "Days for which it does. A machine away for longer brings deleted values back.", gt=0, le=3650
+    )

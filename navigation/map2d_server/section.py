@@ -1,0 +1,69 @@
+"""The section ``modules.map2d_server``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from bridge.config.sections.section import (
+    FrameName,
+    ModuleSection,
+    OptionalPort,
+    PortName,
+    Section,
+    TopicName,
+    differ,
+    matching,
+    setting,
+)
+
+_PointName = Annotated[
+    str,
+    matching(
+        r"[A-Za-z0-9_. -]{0,64}", "cannot begin a location's name: use letters, digits, blanks and the signs . _ -"
+    ),
+]
+
+
+class TakenMap(Section):
+    """Maps of a topic that are taken into the store."""
+
+    topic: TopicName = Field(description="The topic (`nav_msgs/msg/OccupancyGrid`) on the hub: `/map`.")
+    name: str = Field(min_length=1, max_length=64, description="The map's name in the store.")
+    use: bool = setting(True, "Whether each map that arrives becomes the current one.")
+    period: float = setting(2.0, "Seconds between two maps that are taken, at least.", ge=0.0, le=3600.0)
+
+
+class Map2DServerSection(ModuleSection):
+    """The map server."""
+
+    ports: tuple[PortName, ...] = setting(
+        ("/map2D_nws_yarp/rpc", "/mapServer/rpc"), "YARP ports that answer map clients (`map2D_nwc_yarp`)."
+    )
+    command_port: OptionalPort = setting(
+        "/map2D_server/command", 'YARP port that takes the words `current`, `use NAME` and `help`; "": none.'
+    )
+    folder: Path | None = setting(
+        None, "The only folder in which clients may save and load; default `maps` in the module's state folder."
+    )
+    current: str = setting("", "The current map until a client chooses one.")
+    frame: FrameName = setting("map", "The frame of all maps and markers.")
+    take: tuple[TakenMap, ...] = setting(
+        (), "Maps of other servers and mappers for the store. The server does not publish `/map` that it takes."
+    )
+    clicked_point: _PointName = setting(
+        "", 'Points of `/clicked_point` become locations of the current map, with this name and a number; "": none do.'
+    )
+
+    @model_validator(mode="after")
+    def _nothing_comes_twice(self) -> Map2DServerSection:
+        differ([*self.ports, *filter(None, [self.command_port])], "two keys name the port")
+        differ([taken.topic for taken in self.take], "two entries of 'take' name the topic")
+        differ([taken.name for taken in self.take], "two entries of 'take' name the map")
+        return self
+
+    def taken_as(self, topic: str) -> str:
+        """The map's name in the store for maps of a topic; "" where the store does not take them."""
+        return next((taken.name for taken in self.take if taken.topic == topic), "") if self.enabled else ""

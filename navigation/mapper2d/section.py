@@ -1,0 +1,58 @@
+"""The section ``modules.mapper2d``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from bridge.config.sections.section import (
+    PORT_OR_NONE,
+    FrameName,
+    ModuleSection,
+    OptionalTopic,
+    matching,
+    setting,
+)
+
+_Prefix = Annotated[str, matching(r"(?:/[A-Za-z0-9_.-]+)+", "is not a prefix of port names: write it as /mapper2D")]
+
+
+class Mapper2DSection(ModuleSection):
+    """The mapper."""
+
+    ini: Path | None = setting(None, "A `mapper2D` file of an existing robot; keys set here override it.")
+    mapping: bool = setting(True, "Whether it maps from the start, or only after `start`.")
+    map_name: str = setting("map", "The map's name in the store.", min_length=1, max_length=64)
+    width: float = setting(10.0, "Metres at the start, around the robot.", gt=0.0, le=400.0)
+    height: float = setting(10.0, "Metres at the start, around the robot.", gt=0.0, le=400.0)
+    resolution: float = setting(0.05, "Metres of a cell.", ge=0.005, le=1.0)
+    largest: float = setting(100.0, "Metres to which a side of the map may grow.", gt=0.0, le=400.0)
+    farthest: float = setting(10.0, "Metres beyond which beams are ignored.", gt=0.0, le=100.0)
+    scan: OptionalTopic = setting("/scan", 'Topic of the laser (`sensor_msgs/msg/LaserScan`); "": none.')
+    laser_port: str = setting("", "A laser on YARP (`/cer/laser:o`) for `laser:i`; empty: none.", pattern=PORT_OR_NONE)
+    laser: tuple[float, float, float] | None = setting(
+        None, "Pose on the robot: metres, metres, degrees; empty: by `/tf` and `/tf_static`, on YARP the middle."
+    )
+    pose: Literal["tf", "topic", "port"] = setting(
+        "tf", "Source of the pose: `tf`: the frames of all sides; `topic`: `pose_topic`; `port`: `odometry:i` on YARP."
+    )
+    pose_topic: OptionalTopic = setting(
+        "/localization/pose", "Topic of the pose: `Odometry`, `PoseStamped` or `PoseWithCovarianceStamped`."
+    )
+    pose_port: str = setting(
+        "", "Poses (`/baseControl/odometry:o`) for `odometry:i`; empty: none.", pattern=PORT_OR_NONE
+    )
+    initial_pose: OptionalTopic = setting("", 'Topic that sets the pose (`PoseWithCovarianceStamped`); "": none.')
+    map_frame: FrameName = setting(
+        "map", "The map's frame. Without a localiser, `odom` maps by odometry only.", min_length=1, max_length=100
+    )
+    odom_frame: FrameName = setting("odom", "The odometry's frame.")
+    base_frame: FrameName = setting("base_link", "The robot's frame.")
+    topic: OptionalTopic = setting(
+        "/mapper2d/map", 'Topic of the growing map (`nav_msgs/msg/OccupancyGrid`), such as `/map`; "": none.'
+    )
+    period: float = setting(1.0, "Seconds between two published and drawn maps.", ge=0.05, le=60.0)
+    folder: Path | None = setting(
+        None, "The only folder in which clients may save and load; default `maps` in the module's state folder."
+    )
+    prefix: _Prefix = setting("/mapper2D", "Prefix of its YARP ports.")

@@ -1,0 +1,108 @@
+"""The section ``modules.robot_path_planner``, the global planner."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import field_validator
+
+from bridge.config.sections.obstacles import ObstacleSection
+from bridge.config.sections.section import (
+    ROS2_NAME,
+    YARP_PORT,
+    FrameName,
+    MapSource,
+    ModuleSection,
+    OptionalPort,
+    OptionalTopic,
+    Section,
+    matching,
+    setting,
+    subsection,
+)
+
+YARP = "yarp:"  # begins the name of a local navigator on YARP
+_Navigator = Annotated[
+    str,
+    matching(
+        f"{YARP}{YARP_PORT.pattern}|{ROS2_NAME.pattern}",
+        "is neither an action on the hub (/planner/robot_goto/navigate_to_pose) nor ports of YARP (yarp:/robotGoto)",
+    ),
+]
+
+
+class DrivenSection(Section):
+    """Settings for driving to a waypoint or to the goal; empty ones are those of the local navigator.
+
+    Speeds and gains only apply to RobotGoto, not to other local navigators.
+    """
+
+    tolerance_lin: float | None = setting(None, "Metres.", gt=0.0, le=10.0)
+    tolerance_ang: float | None = setting(None, "Degrees.", gt=0.0, le=180.0)
+    max_lin_speed: float | None = setting(None, "Metres per second.", gt=0.0, le=10.0)
+    min_lin_speed: float | None = setting(None, "Metres per second.", ge=0.0, le=10.0)
+    max_ang_speed: float | None = setting(None, "Degrees per second.", gt=0.0, le=720.0)
+    min_ang_speed: float | None = setting(None, "Degrees per second.", ge=0.0, le=720.0)
+    lin_speed_gain: float | None = setting(None, "Metres per second for each metre to go.", gt=0.0, le=100.0)
+    ang_speed_gain: float | None = setting(None, "Degrees per second for each degree to go.", gt=0.0, le=100.0)
+
+
+class WaypointSection(DrivenSection):
+    """Settings for driving to a waypoint."""
+
+    tolerance_lin: float | None = setting(
+        0.1, "Metres to the waypoint at which it sends the next one.", gt=0.0, le=10.0
+    )
+
+
+class GoalSection(DrivenSection):
+    """Settings for driving to the goal itself."""
+
+    tolerance_lin: float | None = setting(0.05, "Metres.", gt=0.0, le=10.0)
+    tolerance_ang: float | None = setting(0.6, "Degrees.", gt=0.0, le=180.0)
+
+
+class RobotPathPlannerSection(ModuleSection):
+    """The planner."""
+
+    ini: Path | None = setting(None, "A `robotPathPlanner` file of an existing robot; keys set here override it.")
+    map: MapSource | None = setting(
+        None, "`store` (its current map), or a topic (`nav_msgs/msg/OccupancyGrid`); empty: `navigation.map`."
+    )
+    frame: FrameName = setting("map", "The map's frame.")
+    base_frame: FrameName = setting("base_link", "The robot's frame.")
+    navigator: _Navigator = setting(
+        "/planner/robot_goto/navigate_to_pose",
+        "The local navigator, which drives to waypoints: an action on the hub (`nav2_msgs/action/NavigateToPose`), or"
+        " `yarp:` and the port prefix of an INavigation2D server: `yarp:/robotGoto`.",
+    )
+    scan: OptionalTopic = setting("/scan", 'Laser that shows new obstacles (`sensor_msgs/msg/LaserScan`); "": none.')
+    obstacles: tuple[ObstacleSection, ...] = setting((), "Layers that it plans around, in addition to the laser.")
+    robot_radius: float = setting(0.3, "Metres that it keeps from walls and keep-out cells.", gt=0.0, le=10.0)
+    clearance: float = setting(0.2, "Additional clearance that it keeps if the space allows, metres.", ge=0.0, le=10.0)
+    waypoint: WaypointSection = subsection(WaypointSection, "Settings for driving to waypoints.")
+    goal: GoalSection = subsection(GoalSection, "Settings for driving to the goal.")
+    min_waypoint_distance: float = setting(0.2, "Metres within which it joins waypoints if it can.", ge=0.0, le=10.0)
+    use_optimized_path: bool = setting(True, "Whether it straightens paths; else every cell is a waypoint.")
+    recoveries: int = setting(5, "How often in a row it tries another path without coming nearer.", ge=0, le=100)
+    patience: float = setting(3.0, "Seconds that an obstacle may block the path before a detour.", ge=0.0, le=600.0)
+    max_waiting_time: float = setting(
+        60.0, "Seconds that it waits for a path, localisation, a layer or the local navigator.", ge=0.0, le=86400.0
+    )
+    max_map_waiting_time: float = setting(
+        300.0, "Seconds that it waits at a link to another map for the change of maps.", ge=0.0, le=86400.0
+    )
+    obstacle_memory: float = setting(30.0, "Seconds for which it remembers what the laser saw.", gt=0.0, le=86400.0)
+    obstacle_distance: float = setting(5.0, "Range of laser points that it considers, metres.", gt=0.0, le=100.0)
+    period: float = setting(0.05, "Seconds between two steps.", ge=0.01, le=1.0)
+    image_hz: float = setting(2.0, "Pictures per second on `map:o` while it is connected; 0: none.", ge=0.0, le=30.0)
+    prefix: OptionalPort = setting("/robotPathPlanner", 'Prefix of its YARP ports; "": none.')
+
+    @field_validator("obstacles")
+    @classmethod
+    def _are_layers(cls, value: tuple[ObstacleSection, ...]) -> tuple[ObstacleSection, ...]:
+        cloud = next((source.topic for source in value if source.type == "cloud"), None)
+        if cloud is not None:
+            raise ValueError(f"{cloud} is a cloud: RobotPathPlanner plans around layers; give clouds to RobotGoto")
+        return value
