@@ -1,21 +1,16 @@
 """The sides that Midspan joins, each described by one `Side`.
 
-To add a side, write a package with a `Side`, and name it in an entry point of the group ``midspan.sides`` or in
-``$MIDSPAN_SIDES`` (``package.module:NAME,...``); see docs/develop/add_a_side.md.
+To add a side, write a package with a `Side`, and register it as `bridge.registration` describes; see
+docs/develop/add_a_side.md.
 """
 
 from __future__ import annotations
 
 import functools
-import importlib
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import entry_points
-from typing import Any
 
-GROUP = "midspan.sides"
-VARIABLE = "MIDSPAN_SIDES"
+from bridge.registration import registered
 
 Private = tuple[tuple[str, str], ...]
 """Regular expressions of names that are private to a side, each with the reason, for people."""
@@ -137,35 +132,17 @@ BUILT_IN = (
 )
 
 
-def imported(place: str) -> Any:
-    """Import the object named by ``package.module:name``."""
-    module, _, name = place.partition(":")
-    return getattr(importlib.import_module(module), name)
-
-
 @functools.cache
 def own_sides() -> tuple[Side, ...]:
     """Return the sides that do not ship with Midspan.
 
-    Raises `RuntimeError` if one cannot be imported, is not a `Side`, or has the name of another one.
+    Raises `RuntimeError` if one cannot be imported, is incomplete, or has the name of another one.
     """
-    places = [point.value for point in entry_points(group=GROUP)]
-    places += [place.strip() for place in os.environ.get(VARIABLE, "").split(",") if place.strip()]
-    sides: dict[str, Side] = {}
-    for place in dict.fromkeys(places):
-        try:
-            side = imported(place)
-        except (ImportError, AttributeError, ValueError) as err:
-            msg = f"the side {place} cannot be imported: {err}"
-            raise RuntimeError(msg) from err
-        if not isinstance(side, Side) or not side.section or not side.edges:
-            msg = f"the side {place} is not a bridge.sides.Side with 'section' and 'edges'"
-            raise RuntimeError(msg)
-        if side.name in sides or side.name in {built_in.name for built_in in BUILT_IN}:
-            msg = f"the side {place}: there is already a side named {side.name}"
-            raise RuntimeError(msg)
-        sides[side.name] = side
-    return tuple(sides.values())
+    sides = registered(Side, "side", (side.name for side in BUILT_IN))
+    for side in sides:
+        if not side.section or not side.edges:
+            raise RuntimeError(f"the side {side.name} needs 'section' and 'edges'")
+    return sides
 
 
 def all_sides() -> tuple[Side, ...]:

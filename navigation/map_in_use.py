@@ -9,6 +9,7 @@ from bridge.hub.wire.qos import LATCHED
 from bridge.modules.host import Host
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import CURRENT, MAP, ValueKind
+from navigation.map2d_server.section import Map2DServerSection
 from navigation.maps.grid import from_grid
 from navigation.messages import GRID, Message
 from yarp_compat.dev.mapgrid import MapGrid2D
@@ -67,7 +68,7 @@ class MapInUse:
         if self._closed:
             return  # received just before closing
         try:
-            name = self._host.config.modules.map2d_server.taken_as(self._topic)
+            name = self._host.config.section(Map2DServerSection).taken_as(self._topic)
             grid = from_grid(message, name or self._host.store.current_map() or self._topic.strip("/"))
         except (ValueError, StoreError) as err:
             self.trouble = f"{self._topic}: {err}"

@@ -365,7 +365,7 @@ class SimWorker(Worker):
         """Start the simulation; after a failure it is retried, and `health` gives the reason."""
         self._config = config
         registry = Registry.of(config.types)
-        self._running = Running(Simulator, Simulator.name, config.sim, config, registry)
+        self._running = Running(Simulator, Simulator.name, config.section(SimSection), config, registry)
         self._running.start()
 
     @override
@@ -379,8 +379,9 @@ class SimWorker(Worker):
         self._config = config
         logging.getLogger().setLevel(config.log.level.upper())
         running.take_up_releases(config)
-        if running.section != config.sim:
-            running.reload(config.sim, config)
+        section = config.section(SimSection)
+        if running.section != section:
+            running.reload(section, config)
         return True
 
     @override

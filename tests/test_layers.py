@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-TOOLS = {"clock", "concurrency", "progress", "resources", "shipped", "sides"}
+TOOLS = {"clock", "concurrency", "descriptors", "progress", "registration", "resources", "shipped", "sides"}
 TOOLS |= {"state_file", "state_machine", "status", "text", "worker"}
 """Single modules next to the parts, which import only ``config`` and each other from ``bridge``."""
 
 BELOW = {
-    "config": {"sides"},
+    "config": {"descriptors", "registration", "sides"},
     "messages": set[str](),
     "tf": set(),
-    "transform_server": {"tf", "client", "clock", "config", "hub", "messages", "modules", "worker"},
+    "transform_server": {"tf", "client", "clock", "config", "descriptors", "hub", "messages", "modules", "worker"},
     "interfaces": {"config", "messages"},
     "hub": {*TOOLS, "config", "messages"},
     "stores": {*TOOLS, "config", "hub"},
@@ -140,7 +140,7 @@ def named(file: Path) -> set[tuple[str, str]]:
 
 def test_the_simulator_imports_only_the_hub_the_module_host_and_yarp_compat() -> None:
     below = {"bridge.clock", "bridge.config", "bridge.hub", "bridge.messages", "bridge.modules", "bridge.stores"}
-    allowed = {*below, "bridge.tf", "bridge.worker", "sim", "yarp_compat"}
+    allowed = {*below, "bridge.descriptors", "bridge.tf", "bridge.worker", "sim", "yarp_compat"}
     wrong = {
         f"{file.relative_to(ROOT)} imports {name}"
         for file in (ROOT / "sim").rglob("*.py")
@@ -161,7 +161,7 @@ def test_navigation_imports_only_the_hub_its_clients_the_store_and_the_module_ho
         "bridge.routing.stall",
         "bridge.routing.processes",
     }
-    allowed = {*below, "bridge.tf", "bridge.worker", "navigation", "yarp_compat"}
+    allowed = {*below, "bridge.descriptors", "bridge.tf", "bridge.worker", "navigation", "yarp_compat"}
     wrong = {
         f"{file.relative_to(ROOT)} imports {name}"
         for file in (ROOT / "navigation").rglob("*.py")

@@ -26,6 +26,7 @@ from bridge.hub.session import Hub, HubSettings, follow_clock
 from bridge.messages.actions import GET_RESULT, split
 from bridge.messages.registry import Registry
 from bridge.progress import working
+from bridge.registration import imported
 from bridge.routing.diagnostics import Diagnostics
 from bridge.routing.edge import Edge
 from bridge.routing.engine import Engine
@@ -33,7 +34,7 @@ from bridge.routing.hold import Hold, held_topics
 from bridge.routing.route import Route
 from bridge.routing.services.route import ServiceRoute
 from bridge.routing.services.side_to_hub import PLANNERS
-from bridge.sides import all_networks, imported
+from bridge.sides import all_networks
 from bridge.state_file import lane_folder, state_folder, worker_folder
 from bridge.worker import Health, StatusHead, Worker, WorkerFailedError
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pydantic import Field
+from typing_extensions import override
 
 from bridge.config.sections.section import ModuleSection, OptionalTopic, PortName, Section, TopicName, setting
 
@@ -23,3 +24,8 @@ class ControlBoardsSection(ModuleSection):
     """Joints of a YARP robot's control boards."""
 
     boards: tuple[ControlBoardSection, ...] = setting((), "The boards.")
+
+    @property
+    @override
+    def driven(self) -> tuple[str, ...]:
+        return tuple(board.command for board in self.boards)

@@ -10,7 +10,7 @@ from itertools import combinations
 
 from bridge.config.document import Document, KeyPath, Problem, key_text
 from bridge.config.model import Config
-from bridge.config.sections.listen import split
+from bridge.config.sections.listen import ServerSection, split
 
 _ANY_IPV4 = str(ipaddress.IPv4Address(0))
 _TRANSPORTS = {"tcp": "tcp", "tls": "tcp", "ws": "tcp", "quic": "udp", "udp": "udp"}
@@ -46,8 +46,8 @@ def listeners(config: Config) -> Iterator[Listener]:
     yield from _zenoh(("hub", "listen"), config.hub.listen)
     for index, place in enumerate(config.hub.open.listen):
         yield from _zenoh(("hub", "open", "listen", index), place)
-    for name, section in (("web", config.web), ("foxglove", config.foxglove), ("metrics", config.metrics)):
-        if section.enabled:
+    for name, section in config:
+        if isinstance(section, ServerSection) and section.enabled:
             host, port = split(section.listen)
             yield Listener((name, "listen"), section.listen, _host(host), port)
     if config.ros1.enabled is not False and config.ros1.embedded_uri:

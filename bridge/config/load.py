@@ -15,6 +15,7 @@ from bridge.config.migrate import too_new
 from bridge.config.model import Config
 from bridge.config.problems import key_name, model_of, problems
 from bridge.config.rules import untyped
+from bridge.config.sections.listen import ServerSection
 from bridge.config.zenoh_settings import zenoh_problems
 
 # paths that need not exist: Midspan creates them
@@ -60,8 +61,9 @@ def _config(document: Document) -> Config:
         raise ConfigError(problems(document, Config, err.errors(include_url=False))) from err
     if config.hub.open.opened and (vague := untyped(config.routing)):
         raise ConfigError([document.problem(("routing", "rules", rule.index), rule.text) for rule in vague])
-    if unguarded := config.metrics.unguarded(config.web):
-        raise ConfigError([document.problem(("metrics", "listen"), unguarded)])
+    servers = {name: section for name, section in config if isinstance(section, ServerSection)}
+    if conflicts := {name: text for name, section in servers.items() if (text := section.conflict(config))}:
+        raise ConfigError([document.problem((name, "listen"), text) for name, text in conflicts.items()])
     if twice := listener_problems(document, config):
         raise ConfigError(twice)
     missing: list[Problem] = []

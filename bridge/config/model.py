@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import socket
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 from pydantic import Field, create_model
 
@@ -16,16 +16,14 @@ from bridge.config.sections.modules import ModulesSection
 from bridge.config.sections.navigation import NavigationSection
 from bridge.config.sections.ros import Ros1Section, Ros2Section
 from bridge.config.sections.routing import RoutingSection
-from bridge.config.sections.section import Section, setting, subsection
+from bridge.config.sections.section import Section, fields_of, setting, subsection
 from bridge.config.sections.store import StoreSection
 from bridge.config.sections.yarp import YarpSection
 from bridge.config.sections.zenoh import ZenohSection
-from bridge.foxglove.section import FoxgloveSection
-from bridge.metrics.section import MetricsSection
-from bridge.record.section import RecordSection
-from bridge.sides import imported, own_sides
-from bridge.web.section import WebSection
-from sim.section import SimSection
+from bridge.descriptors import all_workers
+from bridge.sides import own_sides
+
+SomeSection = TypeVar("SomeSection", bound=Section)
 
 DAEMON_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,62}$"
 FORMAT = 1
@@ -84,7 +82,6 @@ class Config(Section):
     zenoh: ZenohSection = subsection(ZenohSection, "The other key dialects on zenoh networks.")
     yarp: YarpSection = subsection(YarpSection, "The YARP side.")
     modules: ModulesSection = subsection(ModulesSection, "The modules that Midspan hosts.")
-    sim: SimSection = subsection(SimSection, "The simulated base.")
     store: StoreSection = subsection(StoreSection, "The store of maps and locations.")
     clock: ClockSection = subsection(ClockSection, "The time scale of this run.")
     types: TypesSection = subsection(TypesSection, "Message types beyond those installed.")
@@ -92,14 +89,13 @@ class Config(Section):
     navigation: NavigationSection = subsection(
         NavigationSection, "Planners and clients; see docs/navigation/navigation.md."
     )
-    record: RecordSection = subsection(RecordSection, "Recording into files; see docs/operate/record.md.")
-    web: WebSection = subsection(WebSection, "The console in the browser; see docs/operate/console.md.")
-    foxglove: FoxgloveSection = subsection(
-        FoxgloveSection, "The server for the Foxglove app; see docs/operate/foxglove.md."
-    )
-    metrics: MetricsSection = subsection(MetricsSection, "Figures for Prometheus; see docs/operate/metrics.md.")
     limits: LimitsSection = subsection(LimitsSection, "Limits of sizes.")
     log: LogSection = subsection(LogSection, "Logging.")
+
+    def section(self, model: type[SomeSection]) -> SomeSection:
+        """Return the section of a worker or a module, by its model."""
+        sections = (*self.__dict__.values(), *self.modules.__dict__.values())
+        return next(section for section in sections if isinstance(section, model))
 
     @property
     def rules(self) -> RoutingSection:
@@ -122,15 +118,12 @@ def _filled(section: Section, defaults: dict[str, str | None]) -> Section:
     return section.model_copy(update=left) if left else section
 
 
-def _with_own_sides() -> type[Config]:
-    """The model with the sections of the sides that do not come with Midspan, each under its side's name."""
-    fields: dict[str, Any] = {
-        side.name: (section, Field(default_factory=section, description=f"The {side.label} side."))
-        for side in own_sides()
-        for section in (imported(side.section),)
-    }
-    return create_model("Config", __base__=Config, __doc__=Config.__doc__, **fields) if fields else Config
+def _with_registered_sections() -> type[Config]:
+    """Return the model with the sections of the workers and of the sides that do not ship with Midspan."""
+    sections = {worker.name: (worker.section, worker.about) for worker in all_workers() if worker.section}
+    sections |= {side.name: (side.section, f"The {side.label} side.") for side in own_sides()}
+    return create_model("Config", __base__=Config, __doc__=Config.__doc__, **fields_of(sections))
 
 
 if not TYPE_CHECKING:
-    Config = _with_own_sides()
+    Config = _with_registered_sections()

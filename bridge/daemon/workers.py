@@ -1,4 +1,4 @@
-"""Midspan's workers by name: their code, their requirements, and the sections of the configuration that they use.
+"""The workers as the daemon starts them, made from the descriptors of `bridge.descriptors` and `bridge.sides`.
 
 ``$MIDSPAN_WORKERS`` (``ros1=package.module:Class,...``) replaces a worker by a custom class, which is called without
 arguments and runs in the daemon's environment.
@@ -12,7 +12,7 @@ import os
 import site
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,50 +20,29 @@ import bridge
 from bridge.config.model import Config
 from bridge.config.sections.section import Enabled
 from bridge.daemon.notify import ENVIRONMENT as NOTIFY_ENVIRONMENT
+from bridge.descriptors import DIAGNOSTICS, NODE, WorkerDescriptor, all_workers
+from bridge.registration import imported
 from bridge.sides import Side, all_sides
 from bridge.worker import Worker
 
 VARIABLE = "MIDSPAN_WORKERS"
 
 
-@dataclass(frozen=True, slots=True)
-class WorkerKind:
-    """One kind of worker.
-
-    Attributes:
-        factory: ``module:Class``, imported in the worker's own process.
-        sections: the worker is reloaded only if one of these sections of the configuration changes.
-        environment: a module with ``available(config)`` and ``worker_environment(config, environ)``.
-        needs: without ``environment``, the packages that must be importable; pip's ``extra`` installs them.
-        outlives: the worker continues if the daemon dies, and the next daemon adopts it.
-    """
-
-    name: str
-    factory: str
-    arguments: tuple[str, ...] = ()
-    sections: frozenset[str] = frozenset()
-    environment: str = ""
-    needs: tuple[str, ...] = ()
-    extra: str = ""
-    outlives: bool = False
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorkerKind(WorkerDescriptor):
+    """A worker as the daemon starts it."""
 
     def create(self) -> Worker:
         """Import and create the worker, in the process that runs it."""
-        module, _, name = self.factory.partition(":")
-        worker: Worker = getattr(importlib.import_module(module), name)(*self.arguments)
+        worker: Worker = imported(self.factory)(*self.arguments)
         return worker
 
     def enabled(self, config: Config) -> Enabled:
-        """Return the configuration's value, or what the side's environment derives from it."""
-        decide = getattr(importlib.import_module(self.environment), "enabled", None) if self.environment else None
-        if decide is not None:
-            enabled: Enabled = decide(config)
-            return enabled
-        if self.name == "ros1_master":
-            return config.ros1.enabled is not False and bool(config.ros1.embedded_uri)
-        if self.name == "modules":
-            return config.modules.enabled if config.hosted or config.store.enabled is True else False
-        return config.hub.router if self.name == "router" else getattr(config, self.name).enabled
+        """Return whether a configuration enables it; ``auto``: if this machine has what it needs."""
+        environment = importlib.import_module(self.environment) if self.environment else None
+        decide = imported(self.switch) if self.switch else getattr(environment, "enabled", None)
+        enabled: Enabled = getattr(config, self.name).enabled if decide is None else decide(config)
+        return enabled
 
     def missing(self, config: Config) -> str:
         """Return why it cannot run on this machine, or ""."""
@@ -85,76 +64,34 @@ class WorkerKind:
 
     def config_part(self, config: Config) -> dict[str, Any]:
         """Return the part of the configuration that it uses, for comparison."""
-        part = {name: getattr(config, name) for name in sorted({"name", "state", "hub", "log", *self.sections})}
-        if self.name in ("web", "metrics") and config.web.guarded:  # both show the certificate of hub.open
-            listener = config.hub.open
-            part["keys"] = (listener.keys, listener.ca, listener.certificate, listener.key)
-        if self.name != "router":
-            return {**part, "hub": config.hub.indoors}
-        # its access rules depend on the rules for commands
-        return {**part, "routing": config.rules} if config.hub.open.opened else part
+        names = {"name", "state", "log", *self.sections, *([self.name] if self.section else [])}
+        part = {name: getattr(config, name) for name in names} | {"hub": config.hub.indoors}
+        return part | imported(self.uses)(config) if self.uses else part
 
 
 def _of_side(side: Side) -> WorkerKind:
-    sections = frozenset({side.name, "types", "limits", "routing", "navigation", "metrics", "modules", "clock"})
-    return WorkerKind(side.name, "bridge.adapters.worker:BridgeWorker", (side.name,), sections, side.environment)
+    return WorkerKind(
+        name=side.name,
+        factory="bridge.adapters.worker:BridgeWorker",
+        arguments=(side.name,),
+        sections=frozenset({side.name, "routing"}) | NODE | DIAGNOSTICS,
+        environment=side.environment,
+    )
 
 
-_WEB = ("starlette", "uvicorn", "websockets")
-
-WORKERS = (
-    WorkerKind("router", "bridge.hub.router:create_router", outlives=True),
-    WorkerKind(
-        "ros1_master", "bridge.adapters.ros1.master.worker:MasterWorker", sections=frozenset({"ros1"}), outlives=True
-    ),
-    *map(_of_side, all_sides()),
-    WorkerKind(
-        "modules",
-        "bridge.modules.worker:ModulesWorker",
-        sections=frozenset({"modules", "navigation", "store", "types", "limits", "yarp", "metrics", "clock"}),
-    ),
-    WorkerKind(
-        "sim",
-        "sim.simulator:SimWorker",
-        sections=frozenset({"sim", "clock", "types", "limits", "yarp"}),
-        environment="sim.environment",
-    ),
-    WorkerKind(
-        "record",
-        "bridge.record.worker:RecordWorker",
-        sections=frozenset({"record", "clock", "types", "limits", "yarp"}),
-    ),
-    WorkerKind(
-        "web",
-        "bridge.web.worker:WebWorker",
-        sections=frozenset({"web", "metrics", "navigation", "modules", "types", "limits", "clock", "routing"}),
-        needs=_WEB,
-        extra="web",
-    ),
-    WorkerKind(
-        "foxglove",
-        "bridge.foxglove.worker:FoxgloveWorker",
-        sections=frozenset(
-            {"foxglove", "web", "metrics", "navigation", "modules", "types", "limits", "clock", "routing"}
-        ),
-        needs=("foxglove",),
-        extra="foxglove",
-    ),
-    WorkerKind(
-        "metrics",
-        "bridge.web.metrics_worker:MetricsWorker",
-        sections=frozenset({"metrics", "web", "clock", "types", "modules", "navigation"}),
-        needs=_WEB,
-        extra="web",
-    ),
-)
+def _of(descriptor: WorkerDescriptor) -> WorkerKind:
+    return WorkerKind(**{field.name: getattr(descriptor, field.name) for field in fields(descriptor)})
 
 
 def worker_kinds(environ: Mapping[str, str] = os.environ) -> dict[str, WorkerKind]:
-    """Return all workers by name, in the order in which they start."""
-    kinds = {kind.name: kind for kind in WORKERS}
-    for entry in filter(None, environ.get(VARIABLE, "").split(",")):
-        name, _, factory = entry.partition("=")
+    """Return all workers by name, in the order in which they start: those that outlive it, the sides, all others."""
+    workers = [_of(descriptor) for descriptor in all_workers()]
+    first, others = ([kind for kind in workers if kind.outlives is outlives] for outlives in (True, False))
+    kinds = {kind.name: kind for kind in (*first, *map(_of_side, all_sides()), *others)}
+    for entry in environ.get(VARIABLE, "").split(","):
+        name, equals, factory = entry.partition("=")
+        if not equals:  # registers another worker: see `bridge.registration`
+            continue
         if name not in kinds or ":" not in factory:
             raise RuntimeError(f"${VARIABLE}: {entry!r} is not NAME=module:Class; NAME is one of {', '.join(kinds)}")
         kinds[name] = replace(kinds[name], factory=factory, arguments=(), environment="", needs=())

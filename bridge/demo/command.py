@@ -170,8 +170,9 @@ def _topics(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.Exit
 def _console(sandbox: Sandbox) -> str:
     """Return a line with the address of the console, or the reason why it is off."""
     from bridge.daemon.workers import worker_kinds
+    from bridge.web.section import WebSection
 
-    if sandbox.config.web.enabled:
+    if sandbox.config.section(WebSection).enabled:
         return f"console: http://127.0.0.1:{sandbox.web_port}/ (responds a few seconds after the start)"
     return f"console: off; {worker_kinds()['web'].missing(sandbox.config) or 'the configuration disables it'}"
 

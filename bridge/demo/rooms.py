@@ -21,6 +21,7 @@ from bridge.demo.sandbox import SYSTEM_PYTHON, Sandbox
 from bridge.demo.shutdown import Shutdown, end_all
 from bridge.demo.tracking import RobotTracker
 from bridge.shipped import shipped_folder
+from bridge.web.section import WebSection
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
@@ -135,7 +136,11 @@ class RoomsDemo(DemoRun):
     def suggestion(self) -> str:
         """Suggestions for the running demo, in one line."""
         sandbox = self._sandbox
-        page = f"http://127.0.0.1:{sandbox.web_port}/ in a browser, or " if sandbox.config.web.enabled else ""
+        page = (
+            f"http://127.0.0.1:{sandbox.web_port}/ in a browser, or "
+            if sandbox.config.section(WebSection).enabled
+            else ""
+        )
         networks = f"ROS_MASTER_URI={sandbox.master}, ROS_DOMAIN_ID={sandbox.domain}, YARP's names at 127.0.0.1:"
         return (
             f"{page}midspan goto bedroom --router tcp/127.0.0.1:{sandbox.router_port}  ({networks}{sandbox.yarp_port})"

@@ -6,14 +6,13 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from bridge.config.sections.listen import PersonName, TokenSection, is_loopback_address, split
-from bridge.config.sections.section import Section, setting
+from bridge.config.sections.listen import PersonName, ServerSection, TokenSection, is_loopback_address, split
+from bridge.config.sections.section import setting
 
 
-class FoxgloveSection(Section):
+class FoxgloveSection(ServerSection):
     """The server for the Foxglove app."""
 
-    enabled: bool = setting(False, "Whether it runs.")
     listen: str = setting(
         "127.0.0.1:8765",
         "Address and port that the app opens; port 0: any. One that other machines reach (`0.0.0.0:8765`) has TLS, with"

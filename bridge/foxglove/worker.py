@@ -26,8 +26,10 @@ from bridge.foxglove.services import Services
 from bridge.foxglove.visitors import Visitors
 from bridge.hub.diagnostics import announce, has_subscribers
 from bridge.messages.registry import Registry
+from bridge.metrics.section import MetricsSection
 from bridge.modules.host import Host
 from bridge.status import WorkerStatus
+from bridge.web.section import WebSection
 from bridge.web.serving.scarce_log import ScarceLog
 from bridge.web.verbs.hold import HandDriving
 from bridge.worker import Health, StatusHead, Worker
@@ -87,7 +89,7 @@ class Live:
     """
 
     def __init__(self, config: Config) -> None:
-        section = config.foxglove
+        section = config.section(FoxgloveSection)
         registry = Registry.of(config.types)
         self._tls = _tls(config) if section.guarded else None
         self.visitors = Visitors()
@@ -104,13 +106,14 @@ class Live:
         self._channels = Channels(server, self._topics)
         self._scene = Scene(host, config, server)
         self._gateway = _gateway(host, config) if section.commanded else None
-        most = config.web.speed, config.web.turn
+        web = config.section(WebSection)
+        most = web.speed, web.turn
         busy = partial(getattr, self._gateway, "busy", "")
         driving = HandDriving(host, config.navigation.velocity, most, busy)
         self._publishing = Publishing(host, server, events, self.visitors, self._topics.definitions, driving)
         self._services = Services(host, server, self.visitors)
         self._parameters = events.parameters = Parameters(host, server, self.visitors)
-        if config.metrics.diagnostics:
+        if config.section(MetricsSection).diagnostics:
             announce(host.node.hub, registry)
         self._head = StatusHead({"daemon": config.name, "worker": "foxglove", "side": "foxglove"})
 
@@ -143,7 +146,7 @@ class Live:
 
     def _on_graph_change(self) -> None:
         self._channels.refresh()
-        if self.host.config.foxglove.commanded:
+        if self.host.config.section(FoxgloveSection).commanded:
             self._services.refresh()
 
     def _on_events(self) -> None:

@@ -13,3 +13,14 @@ A node with a publisher, whose messages are bytes (CDR); `bridge.client` and `br
         input("Press Enter once there is a subscriber.")
         publisher.put(from_json(registry, kind, {"data": True}))
 """
+
+from bridge.descriptors import WorkerDescriptor
+
+WORKER = WorkerDescriptor(
+    name="router",
+    factory="bridge.hub.router:create_router",
+    switch="bridge.hub.settings:router_enabled",
+    uses="bridge.hub.settings:router_uses",
+    outlives=True,
+    checks="bridge.doctor.checks.router:CHECKS",
+)

@@ -10,6 +10,7 @@ from starlette.routing import Route
 
 from bridge.config.model import Config
 from bridge.metrics.collector import MidspanCollector
+from bridge.metrics.section import MetricsSection
 from bridge.metrics.source import Readiness, Source
 
 
@@ -27,7 +28,7 @@ class MetricsRoutes:
     def __init__(self, config: Config, source: Source) -> None:
         self._readiness = Readiness(config)
         self._registry = CollectorRegistry(auto_describe=False)
-        self._registry.register(MidspanCollector(source, config.metrics.routes))
+        self._registry.register(MidspanCollector(source, config.section(MetricsSection).routes))
         self.routes = [
             Route("/metrics", self._metrics),
             Route("/healthz", self._alive),

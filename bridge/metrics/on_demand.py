@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 
 from bridge.config.model import Config
+from bridge.metrics.section import MetricsSection
 from bridge.worker import Worker
 
 
@@ -24,7 +25,7 @@ class DiagnosticsOnDemand:
         """Start if there are subscribers, restart if the configuration has changed; called repeatedly by one thread."""
         if self._thread is not None and (config is not self._config or not self._thread.is_alive()):
             self.close()
-        if self._thread is None and config.metrics.diagnostics and self._worker.diagnostics_wanted():
+        if self._thread is None and config.section(MetricsSection).diagnostics and self._worker.diagnostics_wanted():
             self._config = config
             self._closing.clear()
             self._thread = threading.Thread(target=self._run, args=(config,), name="midspan-diagnostics", daemon=True)

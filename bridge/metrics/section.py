@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from pydantic import field_validator
+from typing_extensions import override
 
-from bridge.config.sections.listen import is_loopback_address, split
-from bridge.config.sections.section import Section, setting
-from bridge.web.section import WebSection
+from bridge.config.sections.listen import ServerSection, is_loopback_address, split
+from bridge.config.sections.section import setting
+
+if TYPE_CHECKING:
+    from bridge.config.model import Config
 
 
-class MetricsSection(Section):
+class MetricsSection(ServerSection):
     """The address that Prometheus scrapes; the console always serves the same figures at its own address."""
 
     enabled: bool = setting(False, "Whether `/metrics`, `/healthz` and `/readyz` are served without the console, too.")
@@ -31,9 +36,10 @@ class MetricsSection(Section):
         """Whether other machines reach the address, so that clients must authenticate."""
         return not is_loopback_address(split(self.listen)[0])
 
-    def unguarded(self, web: WebSection) -> str:
-        """Return why the address may not be served without authentication; "" if it may."""
-        if not self.enabled or not self.reached or web.guarded:
+    @override
+    def conflict(self, config: Config) -> str:
+        guarded: bool = getattr(config, "web").guarded  # noqa: B009 - a lower layer cannot import its model
+        if not self.enabled or not self.reached or guarded:
             return ""
         return (
             f"other machines reach {self.listen}, but it has no login: give web.tokens"

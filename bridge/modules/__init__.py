@@ -15,3 +15,12 @@ A module of your own, which the configuration names in ``modules.own``::
             self.state.publish({"data": request["data"]})
             answer({"success": True})
 """
+
+from bridge.descriptors import DIAGNOSTICS, NODE, WorkerDescriptor
+
+WORKER = WorkerDescriptor(
+    name="modules",
+    factory="bridge.modules.worker:ModulesWorker",
+    switch="bridge.modules.settings:enabled",
+    sections=frozenset({"modules", "store", "yarp"}) | NODE | DIAGNOSTICS,
+)

@@ -1,14 +1,15 @@
-"""The interface between a module and its host, and the modules that come with Midspan."""
+"""The interface between a module and its host."""
 
 from __future__ import annotations
 
-import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bridge.config.sections.modules import OwnModule
 from bridge.config.sections.section import Section
+from bridge.descriptors import all_modules
+from bridge.registration import imported
 from bridge.worker import Health
 
 if TYPE_CHECKING:
@@ -52,27 +53,11 @@ class Module(ABC):
         """Release what the module itself acquired; the host closes the endpoints afterwards."""
 
 
-KINDS: dict[str, str] = {
-    "base_control": "navigation.base_control.module:BaseControl",
-    "control_boards": "bridge.boards.module:ControlBoards",
-    "gateway": "navigation.gateway.module:GatewayModule",
-    "localization_server": "navigation.localization_server.module:LocalizationServer",
-    "map2d_server": "navigation.map2d_server.module:Map2DServer",
-    "mapper2d": "navigation.mapper2d.module:Mapper2D",
-    "mapper3d": "navigation.mapper3d.module:Mapper3D",
-    "robot_goto": "navigation.robot_goto.module:RobotGoto",
-    "robot_path_planner": "navigation.robot_path_planner.module:RobotPathPlanner",
-    "transform_server": "bridge.transform_server.module:TransformServer",
-}
-"""``package.module:Class`` of each module that comes with Midspan; imported only in the process that runs it."""
-
-
 def kind_of(name: str, section: Section) -> type[Module]:
     """Return a module's class; raises `RuntimeError` if the import fails or the object is not a module class."""
-    factory = section.factory if isinstance(section, OwnModule) else KINDS[name]
-    package, _, class_name = factory.partition(":")
+    factory = section.factory if isinstance(section, OwnModule) else all_modules()[name].factory
     try:
-        kind = getattr(importlib.import_module(package), class_name)
+        kind = imported(factory)
     except (ImportError, AttributeError) as err:
         raise RuntimeError(f"modules.{name}: {factory} cannot be imported: {err}") from None
     if not (isinstance(kind, type) and issubclass(kind, Module)):

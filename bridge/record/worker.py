@@ -116,7 +116,7 @@ def _threads() -> set[int]:
 
 def default_folder(config: Config) -> Path:
     """Return the folder of the daemon's recordings."""
-    return config.record.folder or worker_folder(config) / "recordings"
+    return config.section(RecordSection).folder or worker_folder(config) / "recordings"
 
 
 def ring_or_files(folder: KeptFolder, section: RecordSection) -> RecordPlace:
@@ -135,7 +135,7 @@ class RecordWorker(Worker):
     def start(self, config: Config) -> None:
         """Join the hub and start recording; the recorder retries a folder that cannot be written."""
         self._config = config
-        section = config.record
+        section = config.section(RecordSection)
         place = ring_or_files(KeptFolder(default_folder(config), section.keep), section)
         recording = self._recording = Recording("record", config, section, place)
         if section.ring.seconds:

@@ -1,1 +1,10 @@
 """The transform server, a hosted module that shares one buffer with other programs."""
+
+from bridge.descriptors import ModuleDescriptor
+
+MODULE = ModuleDescriptor(
+    name="transform_server",
+    factory="bridge.transform_server.module:TransformServer",
+    section="bridge.transform_server.section:TransformServerSection",
+    about="The frames of all sides for YARP programs; see docs/sides/frames.md.",
+)

@@ -12,6 +12,7 @@ from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from bridge.metrics.endpoint import MetricsRoutes
 from bridge.metrics.link import HubLink
+from bridge.metrics.section import MetricsSection
 from bridge.metrics.source import Source
 from bridge.status import WorkerStatus
 from bridge.web.section import WebSection
@@ -43,16 +44,16 @@ class MetricsWorker(Worker):
     def start(self, config: Config) -> None:
         """Open the server; raises `RuntimeError` if the address is in use, or requires authentication."""
         self._config = config
-        section = config.metrics
-        if unguarded := section.unguarded(config.web):
-            raise RuntimeError(f"metrics.listen: {unguarded}")
+        section, web = config.section(MetricsSection), config.section(WebSection)
+        if conflict := section.conflict(config):
+            raise RuntimeError(f"metrics.listen: {conflict}")
         self._link = HubLink(config, "metrics", self._status)
         if section.reached:
             from bridge.web.serving.tls import ServerTls  # loopback does without its memory
 
             self._tls = ServerTls(config)
         # without a login page, no cookie is valid
-        web = config.web.model_copy(update={"prefix": ""})
+        web = web.model_copy(update={"prefix": ""})
         access = Access(web if section.reached else WebSection(), secrets.token_bytes(32))
         routes = MetricsRoutes(config, Source(config, self._link.ask)).routes
         self.server = HttpServer(
@@ -75,7 +76,7 @@ class MetricsWorker(Worker):
         if self.server.trouble:
             raise RuntimeError(self.server.trouble)
         hub = self._link.join()
-        if hub is not None and self._hub is None and self._config.metrics.diagnostics:
+        if hub is not None and self._hub is None and self._config.section(MetricsSection).diagnostics:
             announce(hub, Registry())
             self._hub = hub
         return Health("running", "; ".join(filter(None, (f"{self.server.address}metrics", self._link.trouble))))

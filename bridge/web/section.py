@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from bridge.config.sections.listen import PersonName, TokenSection, is_loopback_address, split
+from bridge.config.sections.listen import PersonName, ServerSection, TokenSection, is_loopback_address, split
 from bridge.config.sections.section import FrameName, OptionalTopic, Section, matching, setting
+
+if TYPE_CHECKING:
+    from bridge.config.model import Config
 
 _HOST = r"[A-Za-z0-9_](?:[A-Za-z0-9_.-]{0,251}[A-Za-z0-9_])?|[0-9A-Fa-f:.]*:[0-9A-Fa-f:.]*"
 _NO_LOGIN = "it has no login: give web.tokens ('midspan web --token NAME' makes one), or web.trusted for certificates"
@@ -42,10 +45,9 @@ class OtherRobot(Section):
     radius: float = setting(0.3, "Metres: the disc that the map draws for it.", gt=0.0, le=10.0)
 
 
-class WebSection(Section):
+class WebSection(ServerSection):
     """The console."""
 
-    enabled: bool = setting(False, "Whether it runs.")
     listen: str = setting(
         "127.0.0.1:8480",
         "Address and port of the page; port 0: any. One that other machines reach (`0.0.0.0:8480`) has TLS, with the"
@@ -105,3 +107,10 @@ class WebSection(Section):
             msg = f"listen: other machines reach {address}, but {_NO_LOGIN}"
             raise ValueError(msg)
         return self
+
+
+def certificate_keys(config: Config) -> dict[str, Any]:
+    """Return the keys of the hub's certificate if the servers of the console and of metrics use it."""
+    listener = config.hub.open
+    keys = listener.keys, listener.ca, listener.certificate, listener.key
+    return {"certificate": keys} if config.section(WebSection).guarded else {}

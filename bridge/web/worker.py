@@ -18,6 +18,7 @@ from bridge.hub.diagnostics import announce, has_subscribers
 from bridge.hub.namesakes import own_answers
 from bridge.messages.registry import Registry
 from bridge.metrics.endpoint import MetricsRoutes
+from bridge.metrics.section import MetricsSection
 from bridge.metrics.source import ASK_SECONDS, Source
 from bridge.modules.host import Host
 from bridge.state_file import worker_folder
@@ -35,6 +36,7 @@ from bridge.web.feeds.robot import DrivingFeed, LaserFeed, PathFeed, RobotFeed, 
 from bridge.web.feeds.robots import RobotsFeed
 from bridge.web.feeds.topics import MessageFeed
 from bridge.web.page import Page
+from bridge.web.section import WebSection
 from bridge.web.serving.access import Access, Grant, stored_secret
 from bridge.web.serving.console import WebServer, hello
 from bridge.web.serving.tls import ServerTls
@@ -100,7 +102,7 @@ class Console:
     """
 
     def __init__(self, config: Config) -> None:
-        section = config.web
+        section = config.section(WebSection)
         registry = Registry.of(config.types)
         pictures = Pictures(section.prefix)
         self._tls = ServerTls(config) if section.guarded else None
@@ -112,7 +114,7 @@ class Console:
         except BaseException:
             self.server.close()
             raise
-        if config.metrics.diagnostics:
+        if config.section(MetricsSection).diagnostics:
             announce(host.node.hub, registry)
         self._head = StatusHead({"side": "web"}, uptime=False)
         client = Client(host.node.hub, config, f"the hub of {config.name}")

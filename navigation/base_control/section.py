@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, field_validator
+from typing_extensions import override
 
 from bridge.config.sections.section import PORT, ModuleSection, Section, differ, setting, subsection
 
@@ -89,6 +90,11 @@ class BaseControlSection(ModuleSection):
     odom_frame: str = setting("odom", "The odometry's frame.", min_length=1)
     base_frame: str = setting("base_link", "The base's frame.", min_length=1)
     publish_tf: bool = setting(True, "Whether the odometry is also on `/tf`.")
+
+    @property
+    @override
+    def driven(self) -> tuple[str, ...]:
+        return (self.wheel_command,)
 
     @field_validator("inputs")
     @classmethod

@@ -1,1 +1,10 @@
 """Mapper2D: builds a map from a laser and the robot's pose; people can paint on it meanwhile."""
+
+from bridge.descriptors import ModuleDescriptor
+
+MODULE = ModuleDescriptor(
+    name="mapper2d",
+    factory="navigation.mapper2d.module:Mapper2D",
+    section="navigation.mapper2d.section:Mapper2DSection",
+    about="Makes a map from a laser and a known pose; see docs/navigation/mapper2d.md.",
+)

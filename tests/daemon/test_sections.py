@@ -36,6 +36,7 @@ ALL = {"name", "state", "hub", "log"}
 SIDE = {*ALL, "types", "limits", "routing", "navigation", "metrics", "modules", "clock"}
 USES = {
     "router": {*ALL, "hub.open"},
+    "ros1_master": {*ALL, "ros1"},
     "ros1": {*SIDE, "ros1"},
     "ros2": {*SIDE, "ros2"},
     "yarp": {*SIDE, "yarp"},

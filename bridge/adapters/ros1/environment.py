@@ -21,6 +21,11 @@ DEFAULT_MASTER = "http://localhost:11311"
 """rosgraph's default of ROS_MASTER_URI."""
 
 
+def master_enabled(config: Config) -> bool:
+    """Return whether Midspan runs the ROS 1 master."""
+    return config.ros1.enabled is not False and bool(config.ros1.embedded_uri)
+
+
 def available(config: Config) -> str:
     """Return why the ROS 1 side cannot run as configured; "" if it can."""
     folder = config.ros1.packages

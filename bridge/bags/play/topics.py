@@ -80,14 +80,14 @@ class CommandTopics:
     """
 
     def __init__(self, config: Config) -> None:
-        section, modules = config.navigation, config.modules
+        section = config.navigation
         self._parts: dict[str, set[str]] = {}
         for type_name, parts in commands(config.rules).items():
             self._parts.setdefault(_short(type_name), set()).update(parts)
         self._rules = RuleSet(config.rules)
         velocities = {section.velocity, *(planner.velocity for planner in section.others.values())}
-        joints = {modules.base_control.wheel_command, *(board.command for board in modules.control_boards.boards)}
-        self._driven = (velocities | joints) - {""}
+        driven = (topic for module in config.modules.shipped.values() for topic in module.driven)
+        self._driven = {*velocities, *driven} - {""}
 
     def has(self, name: str, type_name: str) -> bool:
         """Whether messages of this type (ROS 2's name) on this topic of the hub move a robot."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 from bridge.cli.arguments import add_config
 from bridge.cli.output import CliError
-from bridge.daemon.workers import WORKERS, child_command, worker_kinds
+from bridge.daemon.workers import child_command, worker_kinds
 
 if TYPE_CHECKING:
     from bridge.config.model import Config
@@ -32,7 +32,7 @@ def register_run(parser: argparse.ArgumentParser) -> None:
         "--adopt",
         action="append",
         default=[],
-        choices=[kind.name for kind in WORKERS],
+        choices=list(worker_kinds({})),
         metavar="WORKER",
         help="use this worker of a separate service, never start or stop it (may be repeated)",
     )
@@ -42,7 +42,7 @@ def register_run(parser: argparse.ArgumentParser) -> None:
 def run_run(args: argparse.Namespace) -> int:
     """Run the daemon until it is asked to stop."""
     if sys.platform == "win32":  # its locks and its channels to the workers need POSIX
-        workers = ", ".join(kind.name for kind in WORKERS)
+        workers = ", ".join(worker_kinds({}))
         raise CliError(
             f"the daemon does not run on Windows: start each worker with 'midspan worker NAME' ({workers}),"
             " or run the daemon on a Linux machine on the same hub"
@@ -74,7 +74,7 @@ def register_worker(parser: argparse.ArgumentParser) -> None:
         "Runs one worker in the foreground, without the daemon: on another machine, or as a separate service."
         " SIGHUP reloads the configuration."
     )
-    parser.add_argument("side", choices=[kind.name for kind in WORKERS], help="which worker")
+    parser.add_argument("side", choices=list(worker_kinds({})), help="which worker")
     add_config(parser)
     parser.add_argument(
         "--control",

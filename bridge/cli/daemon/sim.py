@@ -71,7 +71,7 @@ def _config(args: argparse.Namespace) -> Config:
     given = {"plan": args.plan, "robot": args.robot, "speed": speed}
     changed = {name: value for name, value in given.items() if value is not None}
     try:
-        section = SimSection.model_validate({**config.sim.model_dump(), **changed, "enabled": True})
+        section = SimSection.model_validate({**config.section(SimSection).model_dump(), **changed, "enabled": True})
     except ValueError as err:
         raise CliError(str(err)) from None
     return config.model_copy(update={"sim": section})
@@ -80,11 +80,13 @@ def _config(args: argparse.Namespace) -> Config:
 def _export(config: Config, args: argparse.Namespace) -> int:
     from sim import export
     from sim.plan import load_plan
+    from sim.section import SimSection
 
     resolution = args.resolution or 0.05
     if not 0.001 <= resolution <= 10:
         raise CliError(f"--resolution {resolution}: 0.001 to 10 metres")
-    plan = load_plan(config.sim.plan, config.sim.resolution)
+    section = config.section(SimSection)
+    plan = load_plan(section.plan, section.resolution)
     for file in export.save(plan, args.export, resolution):
         print(file)
     for name, link in export.links(plan).items():
@@ -94,8 +96,9 @@ def _export(config: Config, args: argparse.Namespace) -> int:
 
 def _picture(config: Config, file: Path) -> int:
     from sim.export import png
+    from sim.section import SimSection
     from sim.simulation import Simulation
 
-    png(Simulation(config.sim), file)
+    png(Simulation(config.section(SimSection)), file)
     print(file)
     return 0

@@ -55,8 +55,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _address(config: Config) -> str:
     from bridge.daemon.query import Phase, ask_daemon
+    from bridge.web.section import WebSection
 
-    if not config.web.enabled:
+    if not config.section(WebSection).enabled:
         raise CliError("the console is switched off: set web.enabled in the configuration")
     workers = (ask_daemon(config) or {}).get("workers")
     if workers is None:
@@ -72,12 +73,14 @@ def _address(config: Config) -> str:
 
 def _how_to_get_in(config: Config) -> str:
     from bridge.hub.security.door import key_files
+    from bridge.web.section import WebSection
 
-    people = ", ".join(f"{name} ({token.role})" for name, token in config.web.tokens.items())
+    section = config.section(WebSection)
+    people = ", ".join(f"{name} ({token.role})" for name, token in section.tokens.items())
     hints = [
         f"- the browser must know the authority: import {key_files(config).ca} there",
         f"- log in with a token of {people}" if people else "",
-        "- or show a certificate of that authority" + _drivers(config.web.trusted),
+        "- or show a certificate of that authority" + _drivers(section.trusted),
         "- another token: midspan web --token NAME",
     ]
     return "\n".join(["To get in:", *filter(None, hints)])

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import ipaddress
 import re
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
 from bridge.config.sections.section import Section, matching, setting
+
+if TYPE_CHECKING:
+    from bridge.config.model import Config
 
 Role = Literal["watch", "drive"]
 """What a person may do: look, or command too."""
@@ -25,6 +28,17 @@ class TokenSection(Section):
     sha256: str = Field(
         description="SHA-256 of the token, as `midspan web --token NAME` prints it.", pattern=r"^[0-9a-f]{64}$"
     )
+
+
+class ServerSection(Section):
+    """The section of a worker that listens at an address and port."""
+
+    enabled: bool = setting(False, "Whether it runs.")
+    listen: str = setting(..., "Address and port.")
+
+    def conflict(self, config: Config) -> str:  # noqa: ARG002 - most sections are checked alone
+        """Return why it may not listen there with the other sections, "" if it may."""
+        return ""
 
 
 def split(listen: str) -> tuple[str, int]:

@@ -6,13 +6,14 @@ import ipaddress
 import re
 import types
 import typing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from bridge.registration import imported
 from bridge.sides import all_networks
 
 if TYPE_CHECKING:
@@ -69,6 +70,12 @@ def subsection(section: type[Section], description: str) -> Any:
     return Field(default_factory=section, description=description)
 
 
+def fields_of(sections: Mapping[str, tuple[str, str]]) -> dict[str, Any]:
+    """Return fields for `pydantic.create_model`, from the ``package.module:Model`` and the description of each."""
+    models = {name: (imported(place), about) for name, (place, about) in sections.items()}
+    return {name: (model, subsection(model, about)) for name, (model, about) in models.items()}
+
+
 class SideSection(Section):
     """The section of a side."""
 
@@ -83,6 +90,11 @@ class ModuleSection(Section):
     """A module of Midspan; its key in `modules` is its name."""
 
     enabled: bool = setting(False, "Whether it runs.")
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """Topics whose messages move the robot, beyond those that rules and types show."""
+        return ()
 
 
 def matching(pattern: str | re.Pattern[str], mistake: str) -> AfterValidator:

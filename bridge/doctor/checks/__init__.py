@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+
+from bridge.descriptors import ModuleDescriptor, WorkerDescriptor, all_modules, all_workers
 from bridge.doctor.check import Check
-from bridge.doctor.checks import bridges, connections, console, cyclone, hub, machine, sharedmemory, types
-from bridge.sides import all_sides, imported
+from bridge.doctor.checks import bridges, cyclone, hub, machine, sharedmemory, types
+from bridge.registration import imported
+from bridge.sides import Side, all_sides
+
+
+def _registered(descriptors: Iterable[Side | WorkerDescriptor | ModuleDescriptor]) -> Iterator[Check]:
+    """Yield the checks that descriptors name."""
+    for descriptor in descriptors:
+        yield from imported(descriptor.checks) if descriptor.checks else ()
+
 
 CHECKS: tuple[Check, ...] = (
     Check("config", "the configuration", hub.look_at_config),
     Check("daemon", "the daemon and its workers", hub.look_at_workers),
     Check("services", "several daemons on this machine (`midspan@.service`)", hub.look_at_services),
-    Check("router-port", "the router's port", hub.look_at_port),
-    Check(
-        "keys",
-        "the certificates and connections of other machines (`hub.open`)",
-        connections.look_at_connections,
-        seconds=connections.SECONDS,
-    ),
-    Check("console", "the certificate of the console (`web`)", console.look_at_certificate),
+    *_registered((*all_workers(), *all_modules().values())),
     Check("kernels", "the compiled kernels", machine.look_at_kernels),
     Check("wheels", "libraries that have no wheel on this system", machine.look_at_wheels),
-    *(check for side in all_sides() if side.checks for check in imported(side.checks)),
+    *_registered(all_sides()),
     *cyclone.CHECKS,
     Check("two-bridges", "other bridges on the same networks", bridges.check, seconds=15.0),
     Check("types", "message types that could not be used", types.look_at_refused),

@@ -8,6 +8,7 @@ import ssl
 from bridge.config.model import Config
 from bridge.hub.security.certificates import read_certificate, trouble
 from bridge.hub.security.door import KeyWatch, key_files
+from bridge.web.section import WebSection
 
 _log = logging.getLogger("midspan.web")
 
@@ -30,7 +31,7 @@ class ServerTls:
         reason = trouble(self._files)
         if reason:
             raise RuntimeError(f"{what} cannot use TLS: {reason}")
-        self.names = config.web.names or read_certificate(self._files.certificate).names
+        self.names = config.section(WebSection).names or read_certificate(self._files.certificate).names
         self.context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         self.context.minimum_version = ssl.TLSVersion.TLSv1_2
         self.context.verify_mode = ssl.CERT_OPTIONAL

@@ -30,6 +30,7 @@ from bridge.stores.client import StoreClient
 from bridge.stores.entry import StoreError
 from bridge.web.feeds.hub import explain
 from navigation.constraints import Constraints
+from navigation.localization_server.section import LocalizationServerSection
 from navigation.messages import NAVIGATE, pose_message
 from navigation.pose import Pose
 
@@ -279,7 +280,7 @@ class Verbs:
         )
 
     def _set_pose(self, x: float, y: float, theta: float) -> str:
-        topic = self._config.modules.localization_server.initialpose
+        topic = self._config.section(LocalizationServerSection).initialpose
         if not topic or not self._host.node.hub.graph.subscriptions(topic):
             raise VerbError(
                 f"{topic or 'the initial pose'} has no subscriber: check that the localizer runs and is bridged"

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from bridge.doctor.check import Result
-from bridge.doctor.checks.console import look_at_certificate
 from bridge.hub.security import certificates
 from bridge.hub.security.certificates import Authority
+from bridge.web.checks import look_at_certificate
 from tests.doctor.parts import around, only
 
 TOKENS = {"anna": {"sha256": "0" * 64}}

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import stat
 
-from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
+from bridge.doctor.check import Check, Finding, Findings, fail, ok, skip, warn
 from bridge.doctor.checks.hub import early_cure
 from bridge.doctor.context import CheckContext
 from bridge.hub.security.certificates import read_certificate, trouble
 from bridge.hub.security.door import key_files
+from bridge.metrics.section import MetricsSection
+from bridge.web.section import WebSection
 
 SOON_DAYS = 30
 _MAKE = "'midspan keys make' makes the files; see docs/operate/console.md"
@@ -16,7 +18,7 @@ _MAKE = "'midspan keys make' makes the files; see docs/operate/console.md"
 
 def look_at_certificate(context: CheckContext) -> Findings:
     """Check the files of the console's TLS: present, readable, of one authority, valid, and protected."""
-    web, metrics = context.config.web, context.config.metrics
+    web, metrics = context.config.section(WebSection), context.config.section(MetricsSection)
     if not (web.enabled and web.guarded) and not (metrics.enabled and metrics.reached):
         return skip("console and metrics only listen on loopback, or are off: no certificate is needed")
     files = key_files(context.config)
@@ -42,3 +44,6 @@ def look_at_certificate(context: CheckContext) -> Findings:
     return findings or ok(
         f"browsers find the console as {', '.join(web.names or certificate.names)}, until {certificate.until:%Y-%m-%d}"
     )
+
+
+CHECKS = (Check("console", "the certificate of the console (`web`)", look_at_certificate),)

@@ -1,0 +1,115 @@
+"""The workers and modules of Midspan, each described by one object in its own package.
+
+To add one, write a package with a `WorkerDescriptor` or a `ModuleDescriptor`, and add a line to `WORKERS` or
+`MODULES`; see docs/develop/add_a_worker.md and docs/develop/add_a_module.md. A package outside this tree registers its
+descriptor as `bridge.registration` describes. A descriptor names its code, which is imported only when used.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+from bridge.registration import imported, registered
+from bridge.sides import all_sides
+
+NODE = frozenset({"clock", "limits", "types"})
+"""The sections that a node of the hub uses."""
+
+DIAGNOSTICS = frozenset({"metrics", "modules", "navigation"})
+"""The sections that a worker uses to publish on ``/diagnostics``."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorkerDescriptor:
+    """A worker. Names like ``package.module:name`` are imported only when used.
+
+    Attributes:
+        name: its name, and the key of its section in the configuration.
+        factory: ``package.module:Class``, imported in the worker's own process and called with ``arguments``.
+        section: ``package.module:Model`` of its section, whose key ``enabled`` switches it on; "" without one.
+        about: description of the section.
+        sections: the worker is reloaded if one of these sections of the configuration changes.
+        uses: ``package.module:function`` that returns further values to reload for, by name, from a configuration.
+        switch: ``package.module:function`` that returns whether a configuration enables it, in place of the key.
+        environment: a module with ``available(config)`` and ``worker_environment(config, environ)``.
+        needs: without ``environment``, the packages that must be importable; pip's ``extra`` installs them.
+        outlives: the worker continues if the daemon dies, and the next daemon adopts it.
+        checks: ``package.module:name`` of the doctor's checks.
+    """
+
+    name: str
+    factory: str
+    arguments: tuple[str, ...] = ()
+    section: str = ""
+    about: str = ""
+    sections: frozenset[str] = frozenset()
+    uses: str = ""
+    switch: str = ""
+    environment: str = ""
+    needs: tuple[str, ...] = ()
+    extra: str = ""
+    outlives: bool = False
+    checks: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModuleDescriptor:
+    """A hosted module. Names like ``package.module:name`` are imported only when used.
+
+    Attributes:
+        name: its name on the hub, and the key of its section under ``modules``.
+        factory: ``package.module:Class``, imported only in the process that runs it.
+        section: ``package.module:Model`` of its section; "" for the gateway, whose section is ``navigation``.
+        about: description of the section.
+        checks: ``package.module:name`` of the doctor's checks.
+    """
+
+    name: str
+    factory: str
+    section: str = ""
+    about: str = ""
+    checks: str = ""
+
+
+WORKERS = (
+    "bridge.hub:WORKER",
+    "bridge.adapters.ros1.master:WORKER",
+    "bridge.modules:WORKER",
+    "sim:WORKER",
+    "bridge.record:WORKER",
+    "bridge.web:WORKER",
+    "bridge.foxglove:WORKER",
+    "bridge.metrics:WORKER",
+)
+"""The workers that come with Midspan, except those of the sides, in the order in which they start. The daemon starts the
+sides after those that outlive it."""
+
+MODULES = (
+    "navigation.base_control:MODULE",
+    "bridge.boards:MODULE",
+    "navigation.gateway:MODULE",
+    "navigation.localization_server:MODULE",
+    "navigation.map2d_server:MODULE",
+    "navigation.mapper2d:MODULE",
+    "navigation.mapper3d:MODULE",
+    "navigation.robot_goto:MODULE",
+    "navigation.robot_path_planner:MODULE",
+    "bridge.transform_server:MODULE",
+)
+"""The modules that come with Midspan."""
+
+
+@functools.cache
+def all_workers() -> tuple[WorkerDescriptor, ...]:
+    """Return all workers except those of the sides, in the order in which they start."""
+    built_in: tuple[WorkerDescriptor, ...] = tuple(map(imported, WORKERS))
+    names = (descriptor.name for descriptor in (*built_in, *all_sides()))
+    return (*built_in, *registered(WorkerDescriptor, "worker", names))
+
+
+@functools.cache
+def all_modules() -> dict[str, ModuleDescriptor]:
+    """Return all modules by name, except those of the configuration's ``modules.own``."""
+    modules: dict[str, ModuleDescriptor] = {module.name: module for module in map(imported, MODULES)}
+    return modules | {module.name: module for module in registered(ModuleDescriptor, "module", modules)}

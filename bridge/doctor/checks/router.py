@@ -1,0 +1,16 @@
+"""The checks of the hub's router."""
+
+from __future__ import annotations
+
+from bridge.doctor.check import Check
+from bridge.doctor.checks import connections, hub
+
+CHECKS = (
+    Check("router-port", "the router's port", hub.look_at_port),
+    Check(
+        "keys",
+        "the certificates and connections of other machines (`hub.open`)",
+        connections.look_at_connections,
+        seconds=connections.SECONDS,
+    ),
+)

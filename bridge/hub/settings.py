@@ -1,0 +1,18 @@
+"""The parts of the configuration that the router uses beyond those of every worker."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bridge.config.model import Config
+from bridge.config.sections.section import Enabled
+
+
+def router_enabled(config: Config) -> Enabled:
+    """Return whether the daemon runs a router."""
+    return config.hub.router
+
+
+def router_uses(config: Config) -> dict[str, Any]:
+    """Return the whole hub, and the rules if other machines can join: access depends on the rules for commands."""
+    return {"hub": config.hub, **({"routing": config.rules} if config.hub.open.opened else {})}

@@ -1,0 +1,60 @@
+"""Descriptors that packages register: of sides, workers, modules and views of the console.
+
+A package registers a descriptor by an entry point of a group such as ``midspan.sides``, or in an environment variable
+such as ``$MIDSPAN_SIDES`` (``package.module:NAME,...``).
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Iterable
+from importlib.metadata import entry_points
+from typing import Any, Protocol, TypeVar
+
+
+class Named(Protocol):
+    """A descriptor."""
+
+    @property
+    def name(self) -> str:
+        """Its name, unique among the descriptors of its kind."""
+
+
+Kind = TypeVar("Kind", bound=Named)
+
+
+def imported(place: str) -> Any:
+    """Import the object named by ``package.module:name``."""
+    module, _, name = place.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def registered(kind: type[Kind], word: str, taken: Iterable[str]) -> tuple[Kind, ...]:
+    """Return the descriptors that do not ship with Midspan.
+
+    Args:
+        kind: their class.
+        word: ``side``, ``worker``, ``module`` or ``view``.
+        taken: the names of those that ship with Midspan.
+
+    Raises:
+        RuntimeError: one cannot be imported, has another type, or has the name of another one.
+    """
+    places = [point.value for point in entry_points(group=f"midspan.{word}s")]
+    places += [place.strip() for place in os.environ.get(f"MIDSPAN_{word.upper()}S", "").split(",")]
+    descriptors: dict[str, Kind] = {}
+    names = set(taken)
+    for place in dict.fromkeys(places):
+        if not place or "=" in place:  # $MIDSPAN_WORKERS also replaces workers: NAME=package.module:Class
+            continue
+        try:
+            descriptor = imported(place)
+        except (ImportError, AttributeError, ValueError) as err:
+            raise RuntimeError(f"the {word} {place} cannot be imported: {err}") from err
+        if not isinstance(descriptor, kind):
+            raise RuntimeError(f"the {word} {place} is not a {kind.__module__}.{kind.__name__}")  # noqa: TRY004
+        if descriptor.name in names | descriptors.keys():
+            raise RuntimeError(f"the {word} {place}: there is already a {word} named {descriptor.name}")
+        descriptors[descriptor.name] = descriptor
+    return tuple(descriptors.values())
