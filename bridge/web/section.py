@@ -21,7 +21,9 @@ HostName = Annotated[str, matching(_HOST, "is neither a host name nor an IP addr
 
 
 _PREFIX = re.compile(r"(?:/[A-Za-z0-9_-][A-Za-z0-9_.-]*)+/?|/?")
-_OWN_PATHS = frozenset({"login", "logout", "whoami", "socket", "map", "metrics", "healthz", "readyz"})
+_OWN_PATHS = frozenset({
+    "login", "logout", "whoami", "socket", "map", "metrics", "healthz", "readyz", "lib", "views",
+})  # fmt: skip
 
 
 def _without_end(prefix: str) -> str:

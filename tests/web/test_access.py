@@ -130,9 +130,10 @@ def test_an_unauthenticated_client_gets_only_the_login(guarded: GuardedDesk) -> 
     assert status == 200
     assert "default-src 'none'" in headers["content-security-policy"]
     assert "Your token" in body
-    for path in ("/login.js", "/login.css", "/style.css", "/icon.svg"):
+    for path in ("/login/login.js", "/login/login.css", "/style.css", "/icon.svg"):
         assert guarded.ask("GET", path)[0] == 200
-    for path in ("/index.html", "/app.js", "/map/occupancy.png", "/whoami", "/none", "//login", "/login/../app.js"):
+    files = ("/index.html", "/app.js", "/views/drive/view.js", "/lib/dom.js", "/login/login.html", "/map/occupancy.png")
+    for path in (*files, "/whoami", "/none", "//login", "/login/../app.js"):
         status, _, body = guarded.ask("GET", path)
         assert status == 401, path
         assert "login required" in body

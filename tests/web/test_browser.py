@@ -47,7 +47,7 @@ const [x, y] = [canvas.width / 2, canvas.height / 2 - 10 * devicePixelRatio];
 return [...canvas.getContext("2d").getImageData(x, y, 1, 1).data];
 """
 WINDOWS = ((1440, 760), (1536, 730), (1600, 789), (1440, 900), (1879, 1019), (1880, 920), (1920, 937), (2560, 1300))
-"""Window sizes on common screens, and on both sides of the limits in drive.css."""
+"""Window sizes on common screens, and on both sides of the limits in the styles of the view Drive."""
 
 until = partial(wait.until, every=0.2)
 """Interval between checks: each is a request to the browser, and one of its pixels is as costly as drawing them."""
@@ -642,7 +642,7 @@ def test_many_places_scroll_in_their_list_only(operator: Operator, places: Calla
 
 
 ENDPOINTS = """
-const { statusView } = await import("./status.js");
+const { statusView } = await import("./views/status/view.js");
 const [root, own] = [document.createElement("div"), { watch: (_, show) => ((own.show = show), () => {}), call() {} }];
 document.body.append(root);
 statusView(root, own).show();
@@ -686,7 +686,7 @@ def test_status_and_frames_show_the_deployment(operator: Operator) -> None:
 
 TWO_FEEDS = """
 const done = arguments[1];
-import("./socket.js").then(({ Socket }) => {
+import("./lib/socket.js").then(({ Socket }) => {
   const socket = new Socket(arguments[0]), received = [];
   let end = () => {};
   socket.watch("first", (value) => { received.push(value); end(); });

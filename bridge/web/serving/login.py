@@ -19,7 +19,7 @@ from bridge.web.serving.access import LOGIN_SECONDS, Access, Grant, WrongTokenEr
 _log = logging.getLogger("midspan.web")
 
 STATIC = Path(__file__).parents[1] / "static"
-OPEN = frozenset({"/login", "/login.js", "/login.css", "/style.css", "/icon.svg", "/healthz", "/readyz"})
+OPEN = frozenset({"/login", "/login/login.js", "/login/login.css", "/style.css", "/icon.svg", "/healthz", "/readyz"})
 """Paths that need no authentication."""
 MOST_BODY = 1024
 _BODY_SECONDS = 5.0
@@ -82,7 +82,7 @@ class Login:
         ]
 
     async def _page(self, _request: Request) -> Response:
-        return Response((STATIC / "login.html").read_bytes(), media_type="text/html; charset=utf-8")
+        return Response((STATIC / "login" / "login.html").read_bytes(), media_type="text/html; charset=utf-8")
 
     async def _login(self, request: Request) -> Response:
         if "origin" not in request.headers:  # `server.refusal` has checked its value

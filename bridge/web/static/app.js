@@ -1,15 +1,15 @@
 // The page: its views by #hash, the connection to the console, STOP.
 
-import { types, write } from "./dom.js";
-import { driveView } from "./drive.js";
-import { framesView } from "./frames.js";
-import { placesView } from "./places.js";
-import { ask, say } from "./say.js";
-import { Socket } from "./socket.js";
-import { statusView } from "./status.js";
-import { systemView } from "./system.js";
-import { topicsView } from "./topics.js";
-import { mood, stateWords } from "./words.js";
+import { types, write } from "./lib/dom.js";
+import { driveView } from "./views/drive/view.js";
+import { framesView } from "./views/frames/view.js";
+import { placesView } from "./views/places/view.js";
+import { ask, say } from "./lib/say.js";
+import { Socket } from "./lib/socket.js";
+import { statusView } from "./views/status/view.js";
+import { systemView } from "./views/system/view.js";
+import { topicsView } from "./views/topics/view.js";
+import { mood, stateWords } from "./lib/words.js";
 
 const MAKERS = { drive: driveView, places: placesView, status: statusView, topics: topicsView, frames: framesView, system: systemView };
 const byId = (id) => document.getElementById(id);
