@@ -82,8 +82,8 @@ WORKERS = (
     "bridge.foxglove:WORKER",
     "bridge.metrics:WORKER",
 )
-"""The workers that come with Midspan, except those of the sides, in the order in which they start. The daemon starts the
-sides after those that outlive it."""
+"""The workers that come with Midspan, except those of the sides, in the order in which they start. The sides start after
+those that outlive the daemon."""
 
 MODULES = (
     "navigation.base_control:MODULE",

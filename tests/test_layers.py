@@ -109,6 +109,28 @@ def test_the_command_line_reaches_the_hub_only_through_the_client_library() -> N
     assert not wrong
 
 
+CONSOLE = {
+    "sources": set[str](),
+    "serving": {"section"},
+    "feeds": {"section", "sources"},
+    "verbs": {"section", "sources"},
+    "views": {"feeds", "section", "serving", "sources", "verbs"},
+}
+"""Other parts of the console that each of its parts may import."""
+
+
+@pytest.mark.parametrize("part", CONSOLE)
+def test_parts_of_the_console_import_only_lower_parts(part: str) -> None:
+    allowed = {part, *CONSOLE[part]}
+    wrong = {
+        f"{file.relative_to(ROOT)} imports bridge.{name}"
+        for file in (ROOT / "bridge" / "web" / part).rglob("*.py")
+        for name in imported(file)
+        if name.startswith("web.") and name.split(".")[1] not in allowed
+    }
+    assert not wrong
+
+
 SIDES = ("ros1", "ros2", "yarp", "zenoh")
 SHARED = {"environment", "names"}
 """Modules that other sides may import since they need no middleware: whether a side can run, and its names."""

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
 from enum import StrEnum
 
 from bridge.config.sections.section import Enabled
@@ -76,6 +77,14 @@ def packages(side: str, package: str, enabled: Enabled, lacking: str) -> Finding
     if enabled is True:
         return fail(f"{side}.enabled is true, but {lacking}")
     return warn(f"the {name} side stays off: {lacking}", f"nothing to do if no {name} is wanted: {side}.enabled: false")
+
+
+def early_cure() -> str:
+    """Return the cure for a certificate that is not valid yet."""
+    return (
+        f"set this machine's clock unless it is {datetime.now(UTC):%Y-%m-%d %H:%M} UTC; if it is right, 'midspan keys"
+        " make NAME --replace' on a machine with the right time, and copy the files"
+    )
 
 
 _log = logging.getLogger(__name__)

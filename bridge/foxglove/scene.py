@@ -34,6 +34,7 @@ from bridge.messages.definitions.text import full_text
 from bridge.messages.values import MessageWriter
 from bridge.modules.host import Host
 from bridge.web.feeds.feed import Feed
+from bridge.web.section import WebSection
 
 if TYPE_CHECKING:
     from bridge.web.feeds.maps import StoreFollower, StoreView
@@ -118,7 +119,7 @@ class Scene(Feed):
 
         at = Timestamp(*divmod(now, 1_000_000_000))
         every = SceneEntityDeletion(timestamp=at, type=SceneEntityDeletionType.All)
-        section = self._config.web
+        section = self._config.section(WebSection)
         corners = section.footprint or disc(section.radius)
         robot = SceneEntity(
             timestamp=at, frame_id=self._config.navigation.base_frame, id="robot", frame_locked=True,

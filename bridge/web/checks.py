@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import stat
 
-from bridge.doctor.check import Check, Finding, Findings, fail, ok, skip, warn
-from bridge.doctor.checks.hub import early_cure
+from bridge.doctor.check import Check, Finding, Findings, early_cure, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext
 from bridge.hub.security.certificates import read_certificate, trouble
 from bridge.hub.security.door import key_files

@@ -26,7 +26,6 @@ MOST_CALLS, MOST_STOPS = 16, 64
 """Pending calls of a page; stops have a separate limit."""
 MOST_ERRORS = 20
 MOST_WAITING = 200
-MOST_BYTES = 64 * 1024
 MOST_REPLIES = 500
 _POLICY = 1008
 _check_speed = number_between(-1e9, 1e9)

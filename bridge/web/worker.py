@@ -24,30 +24,20 @@ from bridge.modules.host import Host
 from bridge.state_file import worker_folder
 from bridge.status import WorkerStatus
 from bridge.web.feeds.feed import Feeds
-from bridge.web.feeds.frames import FrameFollower, FramePoseFeed, FramesFeed
-from bridge.web.feeds.hub import PolledFeed, StatusPoller, list_topics
-from bridge.web.feeds.images import ImageFeed
-from bridge.web.feeds.layers import LayerFeed
-from bridge.web.feeds.log import LogFollower, log_feed
+from bridge.web.feeds.frames import FrameFollower
 from bridge.web.feeds.map_pictures import Pictures
-from bridge.web.feeds.maps import MapFeed, StoreFeed, StoreFollower
-from bridge.web.feeds.obstacles import ObstaclesFeed
-from bridge.web.feeds.robot import DrivingFeed, LaserFeed, PathFeed, RobotFeed, disc
-from bridge.web.feeds.robots import RobotsFeed
-from bridge.web.feeds.topics import MessageFeed
+from bridge.web.feeds.maps import StoreFollower
+from bridge.web.feeds.patrol import PatrolFeed
+from bridge.web.feeds.robot import DrivingFeed
 from bridge.web.page import Page
 from bridge.web.section import WebSection
 from bridge.web.serving.access import Access, Grant, stored_secret
 from bridge.web.serving.console import WebServer, hello
 from bridge.web.serving.tls import ServerTls
 from bridge.web.verbs.hold import HOLD_SECONDS, HandDriving
-from bridge.web.verbs.inspection import inspection_verbs
-from bridge.web.verbs.map_files import MapFileVerbs
-from bridge.web.verbs.paint import Painter
 from bridge.web.verbs.patrol import ANOTHER, STOPPED, Patrol
-from bridge.web.verbs.places import PlaceVerbs
-from bridge.web.verbs.sending import Sending, list_services, sending_verbs
 from bridge.web.verbs.verbs import Verbs
+from bridge.web.views import Parts, all_views
 from bridge.worker import Health, StatusHead, Worker
 
 _log = logging.getLogger("midspan.web")
@@ -108,7 +98,10 @@ class Console:
         self._tls = ServerTls(config) if section.guarded else None
         access = Access(section, stored_secret(worker_folder(config)) if section.guarded else b"")
         metrics = MetricsRoutes(config, Source(config, self._ask_workers))
-        self.server = WebServer(section.listen, self._serve, pictures, access, self._tls, metrics.routes, section.names)
+        views = all_views()
+        self.server = WebServer(
+            section.listen, self._serve, views, pictures, access, self._tls, metrics.routes, section.names
+        )
         try:
             self.host = host = Host("web", config, registry)
         except BaseException:
@@ -121,42 +114,22 @@ class Console:
         known = Types(client)
         self._asking, self._decoding = SerialExecutor("midspan-web-ask"), SerialExecutor("midspan-web-decode")
         follower, self._store = FrameFollower(host, config), StoreFollower(host, config)
-        driving = DrivingFeed(host, config)
-        self._patrol = Patrol(host, driving)
-        self._map = MapFeed(host, config, self._store, pictures)
-        log = LogFollower(config)
+        driving, patrol_feed = DrivingFeed(host, config), PatrolFeed()
+        self._driving, self._patrol = driving, Patrol(host, driving, patrol_feed.publish)
+        parts = Parts(
+            host, config, client, known, follower, self._store, driving, pictures, self._asking, self._decoding
+        )
+        offers = [view.offer(parts) for view in views]
+        self._closing = [action for offer in offers for action in offer.closing]
         self.feeds = Feeds(
-            [
-                RobotFeed(host, follower, section.footprint or disc(section.radius)),
-                RobotsFeed(host, follower, section.robots),
-                LaserFeed(host, follower, section.laser),
-                PathFeed(host, config, driving),
-                ObstaclesFeed(host, config, follower, driving),
-                LayerFeed(host, follower, section.layer),
-                driving,
-                self._patrol.feed,
-                self._map,
-                StoreFeed("maps", self._store, lambda view: view.maps),
-                StoreFeed("places", self._store, lambda view: view.places),
-                PolledFeed(host, "status", self._asking, StatusPoller(client)),
-                PolledFeed(host, "topics", self._asking, lambda: list_topics(client)),
-                FramesFeed(host, follower),
-                PolledFeed(host, "services", self._asking, lambda: list_services(client)),
-                log_feed(host, self._asking, log),
-            ],
-            {
-                "topic:/": lambda name: MessageFeed(host, known, self._decoding, name),
-                "pose:": lambda name: FramePoseFeed(host, follower, name),
-                "image:": lambda name: ImageFeed(host, known, self._decoding, name),
-            },
+            [driving, patrol_feed, *(feed for offer in offers for feed in offer.feeds)],
+            {prefix: make for offer in offers for prefix, make in offer.factories.items()},
         )
         most = (section.speed, section.turn)
         self._hold = HandDriving(
             host, config.navigation.velocity, most,
             driven=lambda: driving.busy or self._patrol.busy, begins=driving.moved_by_hand,
         )  # fmt: skip
-        self._driving, self._sending = driving, Sending(host, config, client, known)
-        written = (self._store.client, lambda: host.loop.post(self._store.refresh))
         self.verbs = Verbs(
             host, config, client, known, self._store.client,
             on_planner=driving.on_planner, pause_or_resume=self._patrol.pause_or_resume,
@@ -164,10 +137,7 @@ class Console:
                 **dict.fromkeys(("stop", "halt"), self._stop_robot),
                 **dict.fromkeys(("goto", "goto_place"), lambda: self._patrol.end(ANOTHER)),
             },
-            more={
-                **inspection_verbs(client, log), **PlaceVerbs(*written).verbs(), **Painter(*written).verbs(),
-                **self._patrol.verbs(), **MapFileVerbs(*written).verbs(), **sending_verbs(self._sending, known),
-            },
+            more={**self._patrol.verbs(), **{name: verb for offer in offers for name, verb in offer.verbs.items()}},
         )  # fmt: skip
         self._hello = hello(config.name, __version__, config.navigation.frame, most, HOLD_SECONDS)
 
@@ -212,9 +182,9 @@ class Console:
         self.host.loop.call(self._stop_robot)
         self.host.loop.call(self.feeds.close)
         self.verbs.close()
-        self._sending.close()
+        for close in self._closing:
+            close()
         for executor in (self._asking, self._decoding):
             executor.close()
         self._store.close()
-        self._map.end()
         self.host.close()

@@ -25,6 +25,8 @@ from tests.peers.browser.page import TestPage
 from tests.peers.browser.robot import WebRobot
 from tests.support import wait
 from tests.support.missing import BROWSER, DART, need
+from tests.web import example_view
+from tests.web.conftest import Desk
 from yarp_compat.dev.mapgrid import MapFlag
 
 FREE = (6.0, 4.8)
@@ -642,7 +644,7 @@ def test_many_places_scroll_in_their_list_only(operator: Operator, places: Calla
 
 
 ENDPOINTS = """
-const { statusView } = await import("./views/status/view.js");
+const { default: statusView } = await import("./views/status/view.js");
 const [root, own] = [document.createElement("div"), { watch: (_, show) => ((own.show = show), () => {}), call() {} }];
 document.body.append(root);
 statusView(root, own).show();
@@ -669,6 +671,18 @@ def test_a_failing_endpoint_is_shown(operator: Operator) -> None:
     assert "another authority" in failing
     assert "copy it" in failing
     assert "7448 listening" not in failing
+
+
+def test_the_view_of_the_documentation_is_shown(
+    chrome: Chrome, desk: Desk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    example_view.add(tmp_path / "copy", monkeypatch)
+    desk.open_with()
+    charge = desk.far.advertise("/battery_state", "sensor_msgs/BatteryState", latched=True, depth=1)
+    desk.far.publish(charge, {"percentage": 0.25})
+    chrome.get(f"http://127.0.0.1:{desk.port}/#battery")
+    until(lambda: [each.text for each in chrome.find_elements(By.ID, "charge")] == ["25 %"], "the charge is shown")
+    assert chrome.find_element(By.CSS_SELECTOR, '#tabs [aria-current="page"]').text == "Battery"
 
 
 def test_status_and_frames_show_the_deployment(operator: Operator) -> None:

@@ -167,7 +167,7 @@ def test_foreign_pages_get_no_socket(desk: Desk) -> None:
 
 def test_an_address_in_use_is_reported(desk: Desk) -> None:
     with pytest.raises(RuntimeError, match=rf"cannot listen on 127.0.0.1:{desk.port}: .*in use; set web.listen"):
-        WebServer(f"127.0.0.1:{desk.port}", None, None, None)  # type: ignore[arg-type]
+        WebServer(f"127.0.0.1:{desk.port}", None, (), None, None)  # type: ignore[arg-type]
 
 
 def test_incomplete_requests_do_not_block_others(desk: Desk) -> None:

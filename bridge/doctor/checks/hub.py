@@ -5,7 +5,6 @@ from __future__ import annotations
 import ssl
 import stat
 from collections.abc import Container, Iterator, Mapping, Sequence
-from datetime import UTC, datetime
 from itertools import combinations, product
 
 import psutil
@@ -17,7 +16,7 @@ from bridge.config.model import Config
 from bridge.daemon.query import Phase
 from bridge.daemon.units import STATE, start_hint, units_in_use
 from bridge.doctor.causes import cause, grouped, shared
-from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
+from bridge.doctor.check import Finding, Findings, early_cure, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext, Document
 from bridge.doctor.daemon_state import unresponsive_router
 from bridge.doctor.hub_problems import absence
@@ -252,14 +251,6 @@ def _validity(certificate: Certificate) -> list[Finding]:
     if left < SOON_DAYS:
         return [warn(f"{certificate.file} expires in {left} days", _RENEW)]
     return []
-
-
-def early_cure() -> str:
-    """Return the cure for a certificate that is not valid yet."""
-    return (
-        f"set this machine's clock unless it is {datetime.now(UTC):%Y-%m-%d %H:%M} UTC; if it is right, 'midspan keys"
-        " make NAME --replace' on a machine with the right time, and copy the files"
-    )
 
 
 def _fit(files: KeyFiles) -> list[Finding]:

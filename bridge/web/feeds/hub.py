@@ -9,9 +9,8 @@ from functools import partial
 from typing import Any
 
 from bridge.client.errors import ClientError
-from bridge.client.graph import decisions_in
 from bridge.client.session import Client
-from bridge.client.status import Document, answered, daemon_names, dicts, route_list
+from bridge.client.status import Document, answered, dicts, route_list
 from bridge.concurrency import SerialExecutor
 from bridge.daemon.query import Phase, ask_daemon
 from bridge.doctor.daemon_state import absent
@@ -28,7 +27,6 @@ _ASK_SECONDS = 1.0
 _NOT_HERE = {phase.value for phase in Phase} - {Phase.OFF.value, Phase.UP.value}
 _ROUTE = ("direction", "topic", "hub_topic", "type", "kind", "state", "rate", "bytes", "error", "way", "why")
 _ENDPOINT = ("way", "endpoint", "state", "reason", "cure", "machine", "since")
-_DECISION = ("daemon", "direction", "decision", "why", "cure")
 
 
 class PolledFeed(Feed):
@@ -158,10 +156,3 @@ def list_topics(client: Client) -> list[dict[str, Any]]:
                 empty = {"topic": end.topic, "type": end.type_name, "publishers": 0, "subscribers": 0}
                 topics.setdefault((end.topic, end.type_name), empty)[key] += 1
     return [topics[key] for key in sorted(topics)]
-
-
-def explain(client: Client, name: str) -> list[dict[str, Any]]:
-    """Return why a topic, a service or an action is bridged or not."""
-    names = daemon_names(client, client.ask("status", worker="router", timeout=_ASK_SECONDS))
-    decisions = decisions_in(names.apply(client.ask("explain", {"topic": name})))
-    return [{"side": decision.worker, **{key: getattr(decision, key) for key in _DECISION}} for decision in decisions]

@@ -87,6 +87,11 @@ class StoreFollower:
                 self._client = StoreClient(self._space, self._config.name)
             return self._client
 
+    @property
+    def writing(self) -> tuple[Callable[[], StoreClient], Callable[[], None]]:
+        """What verbs need to change the store: `client`, and what to call after a change."""
+        return self.client, lambda: self._host.loop.post(self.refresh)
+
     def refresh(self) -> None:
         """Poll now, unless a query is running or there are no feeds."""
         if not self._asking and self._feeds:

@@ -18,6 +18,7 @@ from bridge.modules.host import Host
 from bridge.modules.loop import Timer
 from bridge.web.feeds.feed import Feed
 from bridge.web.feeds.frames import FrameFeed, FrameFollower
+from bridge.web.section import WebSection
 from navigation.frames import LATE, FramesError, RobotFrames, laser_pose
 from navigation.gateway.telemetry import PATH
 from navigation.maps.grid import yaw_of
@@ -137,7 +138,8 @@ class PathFeed(TopicsFeed):
         self._topic = ""
 
     def _update(self) -> None:
-        driving, topic = self._driving, self._config.web.path or self._path_topic(self._driving.planner)
+        driving = self._driving
+        topic = self._config.section(WebSection).path or self._path_topic(driving.planner)
         ended = not (driving.drives or driving.paused)
         if ended or not (self.watched or driving.paused):
             self._last = []

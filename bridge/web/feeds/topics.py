@@ -17,10 +17,11 @@ from bridge.hub.graph import HubEndpoint
 from bridge.messages.errors import ConversionError
 from bridge.modules.host import Host
 from bridge.web.feeds.feed import Feed
+from bridge.web.sources.messages import cut
 
 TOPIC_SECONDS = 0.2
 RATE_SECONDS = 1.0
-MOST_ITEMS, MOST_TEXT, MOST_DEPTH, MOST_BYTES = 32, 2000, 16, 4 << 20
+MOST_BYTES = 4 << 20
 
 
 class NewestFeed(Feed):
@@ -138,15 +139,3 @@ class MessageFeed(NewestFeed):
     def value(self, type_name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:
         """Return the message's fields, with long arrays and texts truncated."""
         return {"message": cut(self._types.decode(type_name, type_hash, cdr))}
-
-
-def cut(value: Any, depth: int = 0) -> Any:
-    """Truncate long arrays and texts of a message for pages; ``{"...": 360}`` shows the full length."""
-    if isinstance(value, dict):
-        return {key: cut(item, depth + 1) for key, item in value.items()} if depth < MOST_DEPTH else {"...": len(value)}
-    if isinstance(value, list):
-        items = [cut(item, depth + 1) for item in value[:MOST_ITEMS]]
-        return [*items, {"...": len(value)}] if len(value) > MOST_ITEMS else items
-    if isinstance(value, str) and len(value) > MOST_TEXT:
-        return f"{value[:MOST_TEXT]}... ({len(value)} characters in all)"
-    return value

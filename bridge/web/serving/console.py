@@ -6,25 +6,32 @@ import asyncio
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
-from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
-from starlette.staticfiles import StaticFiles
+from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
-from bridge.web.feeds.map_pictures import Pictures
-from bridge.web.page import MOST_BYTES
 from bridge.web.serving.access import Access, Grant
-from bridge.web.serving.login import STATIC, Login, address_of
+from bridge.web.serving.login import Login, address_of
+from bridge.web.serving.page_files import PageFiles, Tab
 from bridge.web.serving.server import HttpServer
 from bridge.web.serving.tls import ServerTls
 
 PROTOCOL = "midspan.console.1"
 MOST_PAGES, MOST_PAGES_OF_ADDRESS = 50, 25
+MOST_BYTES = 64 * 1024
+"""Of a page's message."""
 
 Serve = Callable[[WebSocket, Grant], Awaitable[None]]
+
+
+class Pictures(Protocol):
+    """The images of a map."""
+
+    def get(self, name: str, version: str, *, dark: bool = False) -> bytes | None:
+        """Return the PNG of an address, in the colors for dark or light pages; None if it has expired."""
 
 
 class WebServer(HttpServer):
@@ -33,6 +40,8 @@ class WebServer(HttpServer):
     Args:
         listen: address and port.
         serve: runs the protocol with a page until its socket closes.
+        tabs: the views of the page.
+        pictures: the images of the map.
         access: authentication of clients.
         tls: certificate and key, None without TLS.
         more: routes in addition to the page's.
@@ -40,8 +49,8 @@ class WebServer(HttpServer):
     """
 
     def __init__(
-        self, listen: str, serve: Serve, pictures: Pictures, access: Access, tls: ServerTls | None = None,
-        more: Sequence[BaseRoute] = (), names: Sequence[str] = (),
+        self, listen: str, serve: Serve, tabs: Sequence[Tab], pictures: Pictures, access: Access,
+        tls: ServerTls | None = None, more: Sequence[BaseRoute] = (), names: Sequence[str] = (),
     ) -> None:  # fmt: skip
         self._serve, self._pictures = serve, pictures
         self._pages: Counter[str] = Counter()
@@ -50,8 +59,7 @@ class WebServer(HttpServer):
             *Login(access).routes,
             Route("/map/{name:str}.png", self._picture),
             *more,
-            Route("/", self._index),
-            Mount("/", StaticFiles(directory=STATIC)),
+            *PageFiles(tabs).routes,
         ]
         super().__init__(
             listen, routes, access, tls, what="the console", key="web.listen", names=names, most_bytes=MOST_BYTES
@@ -61,9 +69,6 @@ class WebServer(HttpServer):
     def pages(self) -> int:
         """Number of open sockets."""
         return self._pages.total()
-
-    async def _index(self, _request: Request) -> Response:
-        return Response((STATIC / "index.html").read_bytes(), media_type="text/html; charset=utf-8")
 
     async def _picture(self, request: Request) -> Response:
         query = request.query_params

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-from pathlib import Path
 from typing import Any
 
 from starlette.requests import Request
@@ -15,10 +14,10 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from bridge.web.serving.access import LOGIN_SECONDS, Access, Grant, WrongTokenError
+from bridge.web.serving.page_files import STATIC
 
 _log = logging.getLogger("midspan.web")
 
-STATIC = Path(__file__).parents[1] / "static"
 OPEN = frozenset({"/login", "/login/login.js", "/login/login.css", "/style.css", "/icon.svg", "/healthz", "/readyz"})
 """Paths that need no authentication."""
 MOST_BODY = 1024

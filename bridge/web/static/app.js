@@ -1,17 +1,11 @@
 // The page: its views by #hash, the connection to the console, STOP.
 
 import { types, write } from "./lib/dom.js";
-import { driveView } from "./views/drive/view.js";
-import { framesView } from "./views/frames/view.js";
-import { placesView } from "./views/places/view.js";
 import { ask, say } from "./lib/say.js";
 import { Socket } from "./lib/socket.js";
-import { statusView } from "./views/status/view.js";
-import { systemView } from "./views/system/view.js";
-import { topicsView } from "./views/topics/view.js";
 import { mood, stateWords } from "./lib/words.js";
+import { VIEWS } from "./views.js";
 
-const MAKERS = { drive: driveView, places: placesView, status: statusView, topics: topicsView, frames: framesView, system: systemView };
 const byId = (id) => document.getElementById(id);
 
 const socket = new Socket(new URL("socket", location.href).href.replace(/^http/, "ws"));
@@ -22,14 +16,14 @@ let shown = null;
 
 function route() {
   const [name, ...rest] = location.hash.slice(1).split("/");
-  const wanted = Object.hasOwn(MAKERS, name) ? name : "drive";
+  const wanted = Object.hasOwn(VIEWS, name) ? name : Object.keys(VIEWS)[0];
   if (shown !== wanted) {
     if (shown !== null) {
       views[shown].hide();
       byId(shown).hidden = true;
     }
     shown = wanted;
-    views[wanted] ??= MAKERS[wanted](byId(wanted), socket);
+    views[wanted] ??= VIEWS[wanted](byId(wanted), socket);
     byId(wanted).hidden = false;
     views[wanted].show();
     byId("main").scrollTop = 0;

@@ -10,9 +10,11 @@ import yaml
 
 from bridge.client.session import Client
 from bridge.config.document import ConfigError, text_of
-from bridge.web.feeds.log import LogFollower, log_verb
+from bridge.web.sources.log import LEVELS, LogFollower
 from bridge.web.verbs.config_text import Secrets, config_file, secrets_of, show_config
 from bridge.web.verbs.verbs import PageVerb, VerbError
+
+_MOST_TEXT = 200
 
 
 class Doctor:
@@ -53,8 +55,27 @@ def inspection_verbs(client: Client, log: LogFollower) -> dict[str, PageVerb]:
     def config() -> dict[str, Any]:
         return show_config(client.config)
 
+    filters = {"after": _number, "level": _level, "worker": _text, "text": _text}
     return {
-        "log": log_verb(log),
+        "log": PageVerb(log.read, {}, filters, commands=False),
         "doctor": PageVerb(Doctor(client), {}, {}, commands=False, slow=True),
         "config": PageVerb(config, {}, {}, commands=False, slow=True),
     }
+
+
+def _number(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**53:
+        raise ValueError("must be the number of a line")
+    return value
+
+
+def _level(value: Any) -> str:
+    if value not in LEVELS:
+        raise ValueError(f"must be one of {', '.join(LEVELS)}")
+    return str(value)
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str) or len(value) > _MOST_TEXT:
+        raise ValueError(f"must be a text of up to {_MOST_TEXT} characters")
+    return value

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 from bridge.client.actions import ActionClient, SentGoal
 from bridge.client.services import ServiceClient
@@ -17,8 +17,6 @@ from bridge.hub.endpoints.calls import CallError
 from bridge.messages.actions import GoalState
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
-from bridge.web.feeds.feed import Feed
-from bridge.web.feeds.robot import DrivingFeed
 from bridge.web.verbs.verbs import PageVerb, VerbError, name_of, number_between
 from navigation.gateway.services import GET_LOCATION
 from navigation.messages import NAVIGATE
@@ -43,36 +41,31 @@ wait_of = number_between(SHORTEST, LONGEST, " of seconds")
 """Check the seconds at each place."""
 
 
-class PatrolFeed(Feed):
-    """``patrol``: the current patrol, or how the last one ended."""
+class Gateway(Protocol):
+    """The state of the gateway."""
 
-    def __init__(self) -> None:
-        super().__init__("patrol")
-        self._now: Mapping[str, Any] | None = None
+    @property
+    def state(self) -> str:
+        """Its state, "" if unknown."""
 
-    def open(self) -> None:
-        """Publish the current state."""
-        self.put(self._now, "" if self._now else "no patrol yet")
+    @property
+    def goal_id(self) -> bytes:
+        """The id of its goal; zeros without one."""
 
-    def close(self) -> None:
-        """Do nothing: it has no subscriptions."""
-
-    def publish(self, value: Mapping[str, Any]) -> None:
-        """Publish a new state."""
-        self._now = value
-        self.put(value)
+    def on_change(self, action: Callable[[], None]) -> None:
+        """Register a callback for changes of its state."""
 
 
 class Patrol:
     """The patrol of a console; one at a time.
 
     Args:
-        driving: reports whether a client stops the robot, or sends it elsewhere, during the stop at a place.
+        gateway: shows whether a client stops the robot, or sends it elsewhere, during the stop at a place.
+        publish: called with each new state of the patrol.
     """
 
-    def __init__(self, host: Host, driving: DrivingFeed) -> None:
-        self._host, self._driving = host, driving
-        self.feed = PatrolFeed()
+    def __init__(self, host: Host, gateway: Gateway, publish: Callable[[Mapping[str, Any]], None]) -> None:
+        self._host, self._gateway, self._publish_state = host, gateway, publish
         self._locate: ServiceClient | None = None
         self._goals: ActionClient | None = None
         self._places: Sequence[str] = ()
@@ -83,7 +76,7 @@ class Patrol:
         self._goal: SentGoal | None = None
         self._newest = b""  # the id of the newest goal
         self._timer: Timer | None = None
-        driving.on_change(self._on_status)
+        gateway.on_change(self._on_status)
 
     def verbs(self) -> dict[str, PageVerb]:
         """Return the verb by its name."""
@@ -195,7 +188,7 @@ class Patrol:
         """Check the gateway's status, which shows a stop or another client's goal between two goals of the patrol."""
         if not self._active:
             return
-        state, of = self._driving.state, self._driving.goal_id
+        state, of = self._gateway.state, self._gateway.goal_id
         if self._goal is not None and of == self._goal.id:
             self._seen = True
             held = state == "paused"
@@ -213,4 +206,4 @@ class Patrol:
 
     def _publish(self, state: str, why: str = "") -> None:
         now = {"state": state, "places": list(self._places), "at": self._at, "round": self._round}
-        self.feed.publish({**now, "wait": self._wait, "why": why})
+        self._publish_state({**now, "wait": self._wait, "why": why})

@@ -22,8 +22,8 @@ from bridge.messages.actions import split
 from bridge.modules.host import Host
 from bridge.routing.limits import COMMAND_TYPES, RateLimit
 from bridge.routing.rules import RuleSet
-from bridge.web.feeds.definitions import KINDS, definition
-from bridge.web.feeds.topics import cut
+from bridge.web.sources.definitions import KINDS, definition
+from bridge.web.sources.messages import cut
 from bridge.web.verbs.verbs import PageVerb, VerbError
 
 MOST_RATE = 5.0

@@ -28,7 +28,7 @@ from bridge.modules.endpoints import ModulePublisher
 from bridge.modules.host import Host
 from bridge.stores.client import StoreClient
 from bridge.stores.entry import StoreError
-from bridge.web.feeds.hub import explain
+from bridge.web.verbs.explaining import explain
 from navigation.constraints import Constraints
 from navigation.localization_server.section import LocalizationServerSection
 from navigation.messages import NAVIGATE, pose_message

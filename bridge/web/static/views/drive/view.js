@@ -13,7 +13,7 @@ import { teleop } from "./teleop.js";
 import { isBusy, mood, stateWords } from "../../lib/words.js";
 
 /** Builds the view; `look` takes `x,y` to show on the map. */
-export function driveView(root, socket) {
+export default function driveView(root, socket) {
   const heading = () => map.values.robot?.pose?.theta ?? 0;
   const tools = {
     go: { label: "Go here", drives: true, icon: "M12 21V9M6 12l6-8 6 8", hint: "Press where to go; drag to set the heading.",

@@ -8,7 +8,7 @@ import { searchField } from "../../lib/table.js";
 const OLD = 2; // seconds after which a moving frame is shown as outdated
 
 /** Builds the view. */
-export function framesView(root, socket) {
+export default function framesView(root, socket) {
   const body = el("tbody", { role: "rowgroup" });
   const empty = el("p", { class: "empty" });
   const number = el("span", { class: "count" });

@@ -8,7 +8,7 @@ import { goToPlace } from "../../lib/poses.js";
 import { searchField, Table } from "../../lib/table.js";
 
 /** Builds the view. */
-export function placesView(root, socket) {
+export default function placesView(root, socket) {
   let [map, places, why] = [undefined, null, ""];
   const maps = mapsBlock(socket);
   const locations = locationTable(socket, () => map);

@@ -13,7 +13,7 @@ const routeKey = (route) => JSON.stringify([route.daemon, route.side, route.dire
 const workerKey = (worker) => JSON.stringify([worker.daemon, worker.worker]);
 
 /** Builds the view. */
-export function statusView(root, socket) {
+export default function statusView(root, socket) {
   const curves = new Map(); // route -> its rates of the last minute
   const workers = workerTable();
   const routes = routeTable(curves);

@@ -8,7 +8,7 @@ import { logPart } from "./log.js";
 const PARTS = { log: ["Log", logPart], doctor: ["Doctor", doctorPart], config: ["Configuration", configPart] };
 
 /** Builds the view; `look` takes the name of a part. */
-export function systemView(root, socket) {
+export default function systemView(root, socket) {
   const made = {}; // name -> {element, show(), hide()}
   const links = Object.entries(PARTS).map(([name, [words]]) => el("a", { href: `#system/${name}`, text: words }));
   const place = el("div", { class: "part" });

@@ -15,7 +15,7 @@ const MOST_CURVES = 6;
 const MOST_TOPICS = 500;
 
 /** Builds the view; `look` takes the name of a topic, "services" or "service:" and the name of a service. */
-export function topicsView(root, socket) {
+export default function topicsView(root, socket) {
   const topic = topicBlock(socket, (name) => topics.typesOf(name)[0]);
   const service = serviceBlock(socket);
   const topics = namesList(socket, "topics", "Topics", ({ topic: name }) => name, (name) => `#topics/${encodeURIComponent(name)}`,

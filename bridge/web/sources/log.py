@@ -1,4 +1,4 @@
-"""The log of the daemon and its workers: a feed announces new lines, a verb returns those that a page requests."""
+"""The log of the daemon and its workers."""
 
 from __future__ import annotations
 
@@ -7,18 +7,15 @@ from collections import deque
 from typing import Any
 
 from bridge.client.errors import ClientError
-from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
 from bridge.daemon.log_query import ask_log
-from bridge.modules.host import Host
-from bridge.web.feeds.hub import PolledFeed
-from bridge.web.verbs.verbs import PageVerb
 
 LEVELS = ("debug", "info", "warning", "error")
 MOST_LINES = 2000
 MOST_RETURNED = 500
 LOG_SECONDS = 0.5
-_MOST_TEXT = 200
+"""Interval at which the feed ``log`` checks for new lines."""
+
 _ROUNDS = 50
 
 
@@ -66,32 +63,3 @@ class LogFollower:
             and all(term in line["text"].lower() for term in terms)
         ]
         return {"last": last, "lines": matching[-MOST_RETURNED:]}
-
-
-def log_feed(host: Host, executor: SerialExecutor, follower: LogFollower) -> PolledFeed:
-    """Return the feed ``log``: the number of the newest line, and the workers that have lines."""
-    return PolledFeed(host, "log", executor, follower.ask, LOG_SECONDS)
-
-
-def _number(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**53:
-        raise ValueError("must be the number of a line")
-    return value
-
-
-def _level(value: Any) -> str:
-    if value not in LEVELS:
-        raise ValueError(f"must be one of {', '.join(LEVELS)}")
-    return str(value)
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str) or len(value) > _MOST_TEXT:
-        raise ValueError(f"must be a text of up to {_MOST_TEXT} characters")
-    return value
-
-
-def log_verb(follower: LogFollower) -> PageVerb:
-    """Return the verb ``log``, which returns the lines that a page requests."""
-    may = {"after": _number, "level": _level, "worker": _text, "text": _text}
-    return PageVerb(follower.read, {}, may, commands=False)

@@ -1,0 +1,1 @@
+"""What both the feeds and the verbs of the console use; these packages do not import each other."""
