@@ -82,8 +82,10 @@ WORKERS = (
     "bridge.foxglove:WORKER",
     "bridge.metrics:WORKER",
 )
-"""The workers that come with Midspan, except those of the sides, in the order in which they start. The sides start after
-those that outlive the daemon."""
+"""The workers that come with Midspan, except those of the sides, in the order in which they start.
+
+The sides start after those that outlive the daemon.
+"""
 
 MODULES = (
     "navigation.base_control:MODULE",
@@ -104,12 +106,13 @@ MODULES = (
 def all_workers() -> tuple[WorkerDescriptor, ...]:
     """Return all workers except those of the sides, in the order in which they start."""
     built_in: tuple[WorkerDescriptor, ...] = tuple(map(imported, WORKERS))
-    names = (descriptor.name for descriptor in (*built_in, *all_sides()))
+    names = [*(worker.name for worker in built_in), *(side.name for side in all_sides())]
     return (*built_in, *registered(WorkerDescriptor, "worker", names))
 
 
 @functools.cache
 def all_modules() -> dict[str, ModuleDescriptor]:
     """Return all modules by name, except those of the configuration's ``modules.own``."""
-    modules: dict[str, ModuleDescriptor] = {module.name: module for module in map(imported, MODULES)}
-    return modules | {module.name: module for module in registered(ModuleDescriptor, "module", modules)}
+    built_in: tuple[ModuleDescriptor, ...] = tuple(map(imported, MODULES))
+    names = (descriptor.name for descriptor in built_in)
+    return {module.name: module for module in (*built_in, *registered(ModuleDescriptor, "module", names))}

@@ -20,6 +20,8 @@ from pydantic_core import PydanticUndefined
 from bridge.config.model import Config
 from bridge.config.problems import key_name, model_of
 
+Config.model_rebuild()  # imports the models of all sections
+
 
 @dataclass(frozen=True, slots=True)
 class Key:

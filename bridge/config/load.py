@@ -18,6 +18,8 @@ from bridge.config.rules import untyped
 from bridge.config.sections.listen import ServerSection
 from bridge.config.zenoh_settings import zenoh_problems
 
+Config.model_rebuild()  # imports the models of all sections
+
 # paths that need not exist: Midspan creates them
 MADE_BY_US: frozenset[KeyPath] = frozenset({("state",), ("record", "folder")})
 

@@ -4,30 +4,56 @@ from __future__ import annotations
 
 import re
 import socket
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ForwardRef, Literal, TypeVar
 
 from pydantic import Field, create_model
+from typing_extensions import override
 
-from bridge.config.rules import with_navigation
-from bridge.config.sections.clock import ClockSection
-from bridge.config.sections.hub import HubSection
-from bridge.config.sections.modules import ModulesSection
-from bridge.config.sections.navigation import NavigationSection
-from bridge.config.sections.ros import Ros1Section, Ros2Section
-from bridge.config.sections.routing import RoutingSection
-from bridge.config.sections.section import Section, fields_of, setting, subsection
-from bridge.config.sections.store import StoreSection
-from bridge.config.sections.yarp import YarpSection
-from bridge.config.sections.zenoh import ZenohSection
-from bridge.descriptors import all_workers
+from bridge.config.sections.section import Section, setting, subsection
+from bridge.descriptors import all_modules, all_workers
+from bridge.registration import imported
 from bridge.sides import own_sides
+
+if TYPE_CHECKING:
+    from bridge.config.sections.clock import ClockSection
+    from bridge.config.sections.hub import HubSection
+    from bridge.config.sections.modules import ModulesSection
+    from bridge.config.sections.navigation import NavigationSection
+    from bridge.config.sections.ros import Ros1Section, Ros2Section
+    from bridge.config.sections.routing import RoutingSection
+    from bridge.config.sections.store import StoreSection
+    from bridge.config.sections.yarp import YarpSection
+    from bridge.config.sections.zenoh import ZenohSection
 
 SomeSection = TypeVar("SomeSection", bound=Section)
 
 DAEMON_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,62}$"
 FORMAT = 1
 """The format of the files that this Midspan reads; `bridge.config.migrate` brings older ones to it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Default:
+    """Creates a section with all defaults; imports its model, ``package.module:Model``, at the first use."""
+
+    place: str
+
+    @property
+    def model(self) -> type[Section]:
+        """The section's model."""
+        model: type[Section] = imported(self.place)
+        return model
+
+    def __call__(self) -> Section:
+        """Return the section."""
+        return self.model()
+
+
+def _later(place: str, description: str) -> Any:
+    """A section whose model is imported at the first use."""
+    return Field(default_factory=Default(place), description=description)
 
 
 class TypesSection(Section):
@@ -76,30 +102,56 @@ class Config(Section):
     state: Path | None = setting(
         None, "State folder; default $STATE_DIRECTORY, $XDG_STATE_HOME/midspan or ~/.local/state/midspan."
     )
-    hub: HubSection = subsection(HubSection, "The hub.")
-    ros1: Ros1Section = subsection(Ros1Section, "The ROS 1 side.")
-    ros2: Ros2Section = subsection(Ros2Section, "The ROS 2 (DDS) side.")
-    zenoh: ZenohSection = subsection(ZenohSection, "The other key dialects on zenoh networks.")
-    yarp: YarpSection = subsection(YarpSection, "The YARP side.")
-    modules: ModulesSection = subsection(ModulesSection, "The modules that Midspan hosts.")
-    store: StoreSection = subsection(StoreSection, "The store of maps and locations.")
-    clock: ClockSection = subsection(ClockSection, "The time scale of this run.")
+    hub: HubSection = _later("bridge.config.sections.hub:HubSection", "The hub.")
+    ros1: Ros1Section = _later("bridge.config.sections.ros:Ros1Section", "The ROS 1 side.")
+    ros2: Ros2Section = _later("bridge.config.sections.ros:Ros2Section", "The ROS 2 (DDS) side.")
+    zenoh: ZenohSection = _later(
+        "bridge.config.sections.zenoh:ZenohSection", "The other key dialects on zenoh networks."
+    )
+    yarp: YarpSection = _later("bridge.config.sections.yarp:YarpSection", "The YARP side.")
+    modules: ModulesSection = _later("bridge.config.sections.modules:ModulesSection", "The modules that Midspan hosts.")
+    store: StoreSection = _later("bridge.config.sections.store:StoreSection", "The store of maps and locations.")
+    clock: ClockSection = _later("bridge.config.sections.clock:ClockSection", "The time scale of this run.")
     types: TypesSection = subsection(TypesSection, "Message types beyond those installed.")
-    routing: RoutingSection = subsection(RoutingSection, "Which topics cross, and how.")
-    navigation: NavigationSection = subsection(
-        NavigationSection, "Planners and clients; see docs/navigation/navigation.md."
+    routing: RoutingSection = _later("bridge.config.sections.routing:RoutingSection", "Which topics cross, and how.")
+    navigation: NavigationSection = _later(
+        "bridge.config.sections.navigation:NavigationSection",
+        "Planners and clients; see docs/navigation/navigation.md.",
     )
     limits: LimitsSection = subsection(LimitsSection, "Limits of sizes.")
     log: LogSection = subsection(LogSection, "Logging.")
 
+    @classmethod
+    @override
+    def model_rebuild(cls, **options: Any) -> bool | None:
+        """Import the models of all sections; pydantic calls this when the model is used for the first time."""
+        options.pop("_parent_namespace_depth", None)
+        models: dict[str, Any] = {}
+        for info in cls.model_fields.values():
+            reference: Any = info.annotation
+            if isinstance(reference, ForwardRef) and isinstance(info.default_factory, Default):
+                models[reference.__forward_arg__] = info.default_factory.model
+        return super().model_rebuild(**options, _types_namespace=models)
+
     def section(self, model: type[SomeSection]) -> SomeSection:
         """Return the section of a worker or a module, by its model."""
-        sections = (*self.__dict__.values(), *self.modules.__dict__.values())
-        return next(section for section in sections if isinstance(section, model))
+        place = f"{model.__module__}:{model.__name__}"
+        section: SomeSection
+        for worker in all_workers():
+            if worker.section == place:
+                section = getattr(self, worker.name)
+                return section
+        for module in all_modules().values():
+            if module.section == place:
+                section = getattr(self.modules, module.name)
+                return section
+        raise LookupError(f"{place} is not the section of a worker or a module")
 
     @property
     def rules(self) -> RoutingSection:
         """The rules of ``routing``, after those that follow from ``navigation``."""
+        from bridge.config.rules import with_navigation
+
         return with_navigation(self.routing, self.navigation)
 
     @property
@@ -122,7 +174,10 @@ def _with_registered_sections() -> type[Config]:
     """Return the model with the sections of the workers and of the sides that do not ship with Midspan."""
     sections = {worker.name: (worker.section, worker.about) for worker in all_workers() if worker.section}
     sections |= {side.name: (side.section, f"The {side.label} side.") for side in own_sides()}
-    return create_model("Config", __base__=Config, __doc__=Config.__doc__, **fields_of(sections))
+    fields: dict[str, Any] = {
+        name: (ForwardRef(f"{name}_section"), _later(place, about)) for name, (place, about) in sections.items()
+    }
+    return create_model("Config", __base__=Config, __doc__=Config.__doc__, **fields)
 
 
 if not TYPE_CHECKING:

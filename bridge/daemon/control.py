@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
+from bridge.config.received import ReceivedConfig
 from bridge.daemon import protocol
 from bridge.daemon.heartbeat import start_heartbeat
 from bridge.progress import working
@@ -53,7 +54,7 @@ class DaemonPipe:
         working.at("reading the configuration")
         while True:
             if self._waiting:
-                command = protocol.decode_command(self._waiting.pop(0))
+                command = protocol.decode_command(self._waiting.pop(0), ReceivedConfig.of)
                 return command if isinstance(command, protocol.NewConfig) else None
             data = os.read(self._input, _READ_SIZE)
             if not data:

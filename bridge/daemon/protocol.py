@@ -25,6 +25,7 @@ The end of the daemon's stream is also a stop command, except for a worker with 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -127,14 +128,14 @@ def encode_command(command: Command) -> bytes:
             return _line({"stop": True})
 
 
-def decode_command(line: bytes) -> Command:
-    """Decode a command from its line; raises `ProtocolError`."""
+def decode_command(line: bytes, parse: Callable[[dict[str, Any]], Config] = Config.model_validate) -> Command:
+    """Decode a command from its line; ``parse`` makes a configuration from plain data. Raises `ProtocolError`."""
     data = _object(line)
     if data.get("stop") is True:
         return Stop("requested by the daemon")
     if "config" in data:
         try:
-            return NewConfig(Config.model_validate(data["config"]))
+            return NewConfig(parse(data["config"]))
         except ValidationError as err:
             raise ProtocolError(f"an invalid configuration: {err}") from err
     raise ProtocolError(f"not a command: {line[:200]!r}")

@@ -75,7 +75,7 @@ class WorkerLoop:
         self._report = report
         self._load = load
         self._end_for_restart = end_for_restart
-        self._config = Config()
+        self._config: Config
         self._beats = 0
         self._last_health: Health | None = None
         self._answering = True

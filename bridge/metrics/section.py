@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 from pydantic import field_validator
 from typing_extensions import override
 
 from bridge.config.sections.listen import ServerSection, is_loopback_address, split
 from bridge.config.sections.section import setting
-
-if TYPE_CHECKING:
-    from bridge.config.model import Config
 
 
 class MetricsSection(ServerSection):
@@ -37,8 +34,8 @@ class MetricsSection(ServerSection):
         return not is_loopback_address(split(self.listen)[0])
 
     @override
-    def conflict(self, config: Config) -> str:
-        guarded: bool = getattr(config, "web").guarded  # noqa: B009 - a lower layer cannot import its model
+    def conflict(self, config: Any) -> str:
+        guarded: bool = config.web.guarded  # a lower layer cannot import its model
         if not self.enabled or not self.reached or guarded:
             return ""
         return (

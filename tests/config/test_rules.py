@@ -13,6 +13,7 @@ from bridge.config.rules import commands
 from bridge.config.sections.navigation import OURS
 from bridge.hub.security.access import QUESTIONS, harmless_keys
 from bridge.routing.rules import RoutePolicy, RuleSet
+from navigation.map2d_server.section import Map2DServerSection
 
 GOAL, POSE, TWIST = "nav2_msgs/action/NavigateToPose", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/Twist"
 MOVE = "move_base_msgs/action/MoveBase"
@@ -163,7 +164,7 @@ def test_the_choices_are_the_built_in_and_the_configured_planners() -> None:
 def test_a_map_from_a_topic_has_the_name_of_its_copy_in_the_store() -> None:
     """Planner and localizer receive it before the store does, and start poses refer to the map by this name."""
     section = {"enabled": True, "take": [{"topic": "/other", "name": "other"}, {"topic": "/map", "name": "apartment"}]}
-    server = Config.model_validate({"modules": {"map2d_server": section}}).modules.map2d_server
+    server = Config.model_validate({"modules": {"map2d_server": section}}).section(Map2DServerSection)
     assert server.taken_as("/map") == "apartment"
     assert server.taken_as("/far") == ""
     assert server.model_copy(update={"enabled": False}).taken_as("/map") == ""

@@ -6,14 +6,16 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from bridge.config.model import Config
+from navigation.mapper2d.section import Mapper2DSection
+from navigation.robot_path_planner.section import RobotPathPlannerSection
 
 VIEW = Path(__file__).parents[2] / "configs" / "views" / "navigation_yarpmanager.xml"
 
 
 def test_yarpmanager_connects_ports_that_there_are() -> None:
     application = ET.parse(VIEW).getroot()
-    modules, ports = Config().modules, set[str]()
-    for prefix in (modules.robot_path_planner.prefix, modules.mapper2d.prefix):
+    config, ports = Config(), set[str]()
+    for prefix in (config.section(RobotPathPlannerSection).prefix, config.section(Mapper2DSection).prefix):
         ports |= {f"{prefix}/map:o", f"{prefix}/yarpviewTarget:i"}
     for module in application.iter("module"):
         texts = (module.findtext("parameters") or "").split()

@@ -66,7 +66,7 @@ def status_of(desk: Desk, **options: Any) -> int:
 
 
 def test_it_is_disabled_and_local_by_default() -> None:
-    section = Config().foxglove
+    section = Config().section(FoxgloveSection)
     assert (section.enabled, section.listen, section.drive, section.guarded) == (False, "127.0.0.1:8765", False, False)
 
 

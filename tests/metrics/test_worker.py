@@ -21,6 +21,7 @@ from bridge.hub.daemons import DaemonIdentity, identity_of
 from bridge.hub.security.certificates import Authority
 from bridge.hub.security.tokens import new_token
 from bridge.hub.session import Hub
+from bridge.metrics.section import MetricsSection
 from bridge.web.metrics_worker import MetricsWorker
 from tests.metrics.documents import route, side
 from tests.peers.hub.quick import QuickHub
@@ -206,7 +207,7 @@ def test_a_public_address_without_protection_is_refused(place: Place) -> None:
         place.start(metrics={"listen": "0.0.0.0:0"})
     with pytest.raises(ConfigError, match="not an address with a port"):
         loads("metrics: {listen: '9480'}")
-    assert loads("metrics: {listen: '0.0.0.0:9480'}").metrics.reached
+    assert loads("metrics: {listen: '0.0.0.0:9480'}").section(MetricsSection).reached
 
 
 def test_an_address_in_use_is_reported(place: Place) -> None:

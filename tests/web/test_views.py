@@ -97,9 +97,13 @@ def test_the_feeds_and_verbs_of_the_documentation_work(
     assert console.verbs.begin("dock", {"on": True}, "test").result(5) == "docking: True"
     loop = console.host.loop
     loop.call(lambda: console.feeds.find("charge").watch(watcher))
-    out = desk.far.advertise("/battery_state", BATTERY, latched=True, depth=1)
-    desk.far.publish(out, {"percentage": 0.25})
-    until(lambda: any('"percent":25' in text for text in watcher.texts), "the charge is shown")
+    out = desk.far.advertise("/battery_state", BATTERY, depth=1)
+
+    def shown() -> bool:
+        desk.far.publish(out, {"percentage": 0.25})
+        return any('"percent":25' in text for text in watcher.texts)
+
+    until(shown, "the charge is shown", 20, every=0.2)
 
 
 def test_a_view_outside_the_tree_brings_its_own_folder(tmp_path: Path) -> None:

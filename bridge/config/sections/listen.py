@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import ipaddress
 import re
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from bridge.config.sections.section import Section, matching, setting
-
-if TYPE_CHECKING:
-    from bridge.config.model import Config
 
 Role = Literal["watch", "drive"]
 """What a person may do: look, or command too."""
@@ -36,7 +33,7 @@ class ServerSection(Section):
     enabled: bool = setting(False, "Whether it runs.")
     listen: str = setting(..., "Address and port.")
 
-    def conflict(self, config: Config) -> str:  # noqa: ARG002 - most sections are checked alone
+    def conflict(self, config: Any) -> str:  # noqa: ARG002 - most sections are checked alone
         """Return why it may not listen there with the other sections, "" if it may."""
         return ""
 
