@@ -18,6 +18,7 @@ from tests.support import forks
 from tests.support.process import Process
 from tests.support.wait import until
 
+ROOT = Path(__file__).parents[1]
 Start = Callable[..., Process]
 
 
@@ -108,6 +109,17 @@ def test_modules_are_run_by_their_name() -> None:
         program.popen.stdin.close()
         assert program.popen.stdout.read() == "[\n    1\n]\n"
         assert program.popen.wait(20) == 0
+
+
+def test_imports_of_the_tests_modules_are_ready_and_these_are_not(start: Start) -> None:
+    program = start(
+        f"import sys\nready = set(sys.modules)\nsys.path.insert(0, {str(ROOT)!r})\n"
+        "from tests.support.rosbags_messages import Messages\n"
+        "print('rosbags' in ready, 'tests' in ready, Messages.__name__)",
+        PYTHONHASHSEED="11",
+    )
+    assert program.popen.wait(20) == 0, program.output()
+    assert program.output() == "True False Messages\n"
 
 
 def test_what_starts_threads_is_not_forked(start: Start, tmp_path: Path) -> None:

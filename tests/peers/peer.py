@@ -10,7 +10,7 @@ except the first ``since``, after ``count`` have arrived or the time is over); `
 until it has finished (or stop it now) -> sent; ``tally`` id, since -> received, distinct numbers, ``last``:
 ``time.monotonic()`` at the last arrival, ``silence``: the longest time between two arrivals from ``since`` on;
 ``silence`` id, since: those two of any type; ``broadcast`` id, child, rate (ROS 1): transforms from ``map`` to
-``child`` until ``counted``; ``exit``.
+``child`` until ``counted``.
 
 An answer has ``ok``; when false, ``error``.
 

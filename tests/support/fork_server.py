@@ -27,6 +27,7 @@ from importlib.abc import InspectLoader
 from pathlib import Path
 from typing import Any
 
+ROOT = Path(__file__).resolve().parents[2]
 LONGEST = 1 << 18
 _PR_SET_PDEATHSIG = 1
 
@@ -111,7 +112,7 @@ def send(owner: socket.socket, message: dict[str, Any]) -> None:
 
 
 def prepare(request: dict[str, Any]) -> None:
-    """Import a program's modules: those requested, and those that its file and files next to it import at the top."""
+    """Import a program's modules: those requested, and those that its file and the tests' files import at the top."""
     names = list(request["imports"])
     if request["args"][0] != "-m":
         names += imported(Path(request["args"][0]))
@@ -132,7 +133,10 @@ def wait_for_quiet(request: dict[str, Any]) -> None:
 
 
 def imported(file: Path) -> list[str]:
-    """Return the modules that a program and its sibling files import, but not these files: other programs differ."""
+    """Return the modules that a program imports, itself and by other files of the tests.
+
+    This process does not import those files itself: it may lack the search path that a program sets for them.
+    """
     if file in _seen:
         return []
     _seen.add(file)
@@ -142,8 +146,10 @@ def imported(file: Path) -> list[str]:
         if isinstance(node, ast.ImportFrom) and node.module and not node.level:
             modules = [node.module]
         for module in modules:
-            sibling = file.with_name(f"{module.partition('.')[0]}.py")
-            names += imported(sibling) if sibling.is_file() else [module]
+            if module.partition(".")[0] != "tests":
+                names.append(module)
+            elif (source := ROOT.joinpath(*module.split(".")).with_suffix(".py")).is_file():
+                names += imported(source)
     return names
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Callable
 from typing import Any
 
 from bridge.clock import SYSTEM
@@ -13,26 +12,24 @@ from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
 from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
-from tests.support.wait import until
+from tests.peers.commands import Commands, Record
+from tests.support.wait import until as wait_until
 
 
-class Acting:
+class Acting(Record):
     """An action server: each goal publishes feedback, waits if held, and ends as configured."""
 
     def __init__(self, node: ModuleNode, params: dict[str, Any]) -> None:
+        super().__init__(lambda goal: goal.goal)
         self._feedback, self._held = params.get("feedback") or [], bool(params.get("held"))
         self._outcome = params.get("outcome", "succeed")
-        self._goals: list[Goal] = []
-        self._changed = threading.Condition()
-        node.action_server(params["action"], full(params["type"]), self._on_goal, self._cancel)
         self._loop = node.loop
+        node.action_server(params["action"], full(params["type"]), self._on_goal, self._cancel)
 
     def _on_goal(self, goal: Goal) -> bool:
         if self._outcome == "reject":
             return False
-        with self._changed:
-            self._goals.append(goal)
-            self._changed.notify_all()
+        self.add(goal)
         self._loop.post(lambda: self._run(goal))
         return True
 
@@ -50,23 +47,37 @@ class Acting:
         self._loop.post(goal.canceled)
         return True
 
-    def goals(self, count: int, seconds: float) -> list[dict[str, Any]]:
-        with self._changed:
-            self._changed.wait_for(lambda: len(self._goals) >= count, seconds)
-            return [goal.goal for goal in self._goals]
-
     def release(self) -> None:
         self._held = False
-        for goal in self._goals:
+        for goal in self.items:
             self._loop.post(lambda goal=goal: self._end(goal))
 
 
-class Sent:
+class PolledGoal:
+    """A goal whose state is read when it is needed."""
+
+    def state(self) -> dict[str, Any]:
+        """Return the goal's state, as that of `tests.peers.commands.GoalRecord`."""
+        raise NotImplementedError
+
+    def wait(self, until: dict[str, Any], seconds: float) -> dict[str, Any]:
+        """Return the state, once it has these values (feedback: at least that many) or the time is over."""
+
+        def reached() -> bool:
+            state = self.state()
+            return all(len(state[k]) >= v if k == "feedback" else state[k] == v for k, v in until.items())
+
+        with contextlib.suppress(AssertionError):  # the caller checks the state
+            wait_until(reached, "the goal's state", seconds)
+        return self.state()
+
+
+class Sent(PolledGoal):
     """A goal, with its received states, feedback and result."""
 
     def __init__(self, node: ModuleNode, params: dict[str, Any]) -> None:
         client = node.action_client(params["action"], full(params["type"]))
-        until(lambda: client.ready, f"there is a server of {params['action']}", params["seconds"])
+        wait_until(lambda: client.ready, f"there is a server of {params['action']}", params["seconds"])
         self._feedback: list[dict[str, Any]] = []
         self._result: dict[str, Any] | None = None
         self._ended = False
@@ -102,46 +113,27 @@ class Sent:
         }
 
 
-class HubActions:
+class HubActions(Commands):
     """The program."""
 
     def __init__(self, settings: HubSettings) -> None:
+        super().__init__()
         self._loop = EventLoop("module")
         self._hub = Hub.open(settings)
         self._node = ModuleNode(self._hub, Registry(), self._loop, SYSTEM)
         self._loop.start()
-        self._ends: list[Any] = []
 
-    def ask(self, do: str, **params: Any) -> dict[str, Any]:
-        """Execute a command."""
-        if do in ("act", "send_goal"):
-            self._ends.append((Acting if do == "act" else Sent)(self._node, params))
-            return {"id": len(self._ends) - 1}
-        end = self._ends[params["id"]]
-        if do == "goals":
-            return {"goals": end.goals(params.get("count", 1), params.get("seconds", 20.0))}
-        if do == "goal":
-            return waited(end.state, params["until"], params["seconds"])
-        getattr(end, do)()
-        return {}
+    def act(self, **params: Any) -> dict[str, Any]:
+        return self.add(Acting(self._node, params))
+
+    def send_goal(self, **params: Any) -> dict[str, Any]:
+        return self.add(Sent(self._node, params))
 
     def stop(self) -> None:
         """Leave the hub."""
         self._node.close()
         self._loop.close()
         self._hub.close()
-
-
-def waited(state: Callable[[], dict[str, Any]], wanted: dict[str, Any], seconds: float) -> dict[str, Any]:
-    """Return the state of a goal, once it has these fields (or this much feedback) or the time is over."""
-
-    def there() -> bool:
-        known = state()
-        return all(len(known[k]) >= v if k == "feedback" else known[k] == v for k, v in wanted.items())
-
-    with contextlib.suppress(AssertionError):  # the caller checks the state
-        until(there, "the goal's state", seconds)
-    return state()
 
 
 def full(name: str) -> str:

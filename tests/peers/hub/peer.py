@@ -4,143 +4,118 @@ Argument: the settings in JSON. Commands: ``publisher`` and ``subscription`` top
 text; ``drum`` id, rate, size: put numbers from 1 on, endlessly; ``wait`` id, count, seconds -> texts; ``way`` id
 -> way, why, settled, lost; ``exhaust`` on: use up all file descriptors, or release them; ``drop`` id; ``origin`` side,
 network, daemon; ``serve`` name, type, hash, hold: answer each request with itself, or never; ``requests`` -> count;
-``call`` name, type, hash: call without waiting for the reply; ``exit``.
+``call`` name, type, hash: call without waiting for the reply.
 """
+# ruff: noqa: A002  # parameters are named as in the commands
 
 from __future__ import annotations
 
-import itertools
 import json
+import math
 import sys
-import threading
-import time
 from contextlib import ExitStack
 from typing import Any
 
 from bridge.hub.endpoints.calls import Abandon, Done
 from bridge.hub.endpoints.lane_subscription import LaneSubscription
-from bridge.hub.endpoints.publisher import HubPublisher
-from bridge.hub.endpoints.subscription import HubSample, HubSubscription
+from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub, HubSettings
 from bridge.hub.wire.qos import Durability, Qos
+from tests.peers.commands import Commands, Counting, Record, only_answers, serve
 from tests.support.descriptors import no_descriptors
 from tests.support.wait import until
 
 TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + "5e" * 32
 
 
-class HubPeer:
+class HubPeer(Commands):
     """Executes the commands."""
 
     def __init__(self, hub: Hub) -> None:
+        super().__init__()
         self._hub = hub
-        self._endpoints: list[HubPublisher | HubSubscription] = []
-        self._texts: dict[int, list[str]] = {}
-        self._arrived = threading.Condition()
+        self._texts: dict[int, Record] = {}
         self._requests = 0
         self._none = ExitStack()
 
-    def publisher(self, params: dict[str, Any]) -> dict[str, Any]:
-        self._endpoints.append(self._hub.publisher(params["topic"], TYPE, HASH, qos(params)))
-        return {"id": len(self._endpoints) - 1}
+    def publisher(self, topic: str, **options: Any) -> dict[str, Any]:
+        return self.add(self._hub.publisher(topic, TYPE, HASH, qos(**options)))
 
-    def subscription(self, params: dict[str, Any]) -> dict[str, Any]:
-        texts: list[str] = []
+    def subscription(self, topic: str, **options: Any) -> dict[str, Any]:
+        texts = Record()
 
         def on_sample(sample: HubSample) -> None:
-            with self._arrived:
-                texts.append(sample.data().decode())
-                self._arrived.notify_all()
+            texts.add(sample.data().decode())
 
-        self._endpoints.append(self._hub.subscription(params["topic"], TYPE, HASH, qos(params), on_sample))
-        number = len(self._endpoints) - 1
-        self._texts[number] = texts
-        return {"id": number}
+        number = self.add(self._hub.subscription(topic, TYPE, HASH, qos(**options), on_sample))
+        self._texts[number["id"]] = texts
+        return number
 
-    def put(self, params: dict[str, Any]) -> dict[str, Any]:
-        publisher = self._endpoints[params["id"]]
-        assert isinstance(publisher, HubPublisher)
-        publisher.put(params["text"].encode())
+    def put(self, id: int, text: str) -> dict[str, Any]:
+        self.parts[id].put(text.encode())
         return {}
 
-    def drum(self, params: dict[str, Any]) -> dict[str, Any]:
-        publisher = self._endpoints[params["id"]]
-        assert isinstance(publisher, HubPublisher)
-
-        def run() -> None:
-            due = time.monotonic()
-            for number in itertools.count(1):
-                publisher.put(str(number).encode().ljust(params.get("size", 0)))
-                due += 1 / params["rate"]
-                time.sleep(max(0.0, due - time.monotonic()))
-
-        threading.Thread(target=run, daemon=True).start()
+    def drum(self, id: int, rate: float, size: int = 0) -> dict[str, Any]:
+        publisher = self.parts[id]
+        self.countings[id] = Counting(lambda number: publisher.put(number.encode().ljust(size)), 1, math.inf, rate)
         return {}
 
-    def wait(self, params: dict[str, Any]) -> dict[str, Any]:
-        texts = self._texts[params["id"]]
-        with self._arrived:
-            self._arrived.wait_for(lambda: len(texts) >= params["count"], params["seconds"])
-            return {"texts": list(texts)}
+    def wait(self, id: int, count: int, seconds: float, since: int = 0) -> dict[str, Any]:
+        return {"texts": self._texts[id].wait(count, seconds, since)}
 
-    def way(self, params: dict[str, Any]) -> dict[str, Any]:
-        subscription = self._endpoints[params["id"]]
+    def way(self, id: int) -> dict[str, Any]:
+        subscription = self.parts[id]
         assert isinstance(subscription, LaneSubscription)
         lost = subscription.lost
         return {"way": subscription.way, "why": subscription.why, "settled": subscription.settled, "lost": lost}
 
-    def exhaust(self, params: dict[str, Any]) -> dict[str, Any]:
-        if params["on"]:
+    def exhaust(self, on: bool) -> dict[str, Any]:
+        if on:
             self._none.enter_context(no_descriptors())
         else:
             self._none.close()
         return {}
 
-    def drop(self, params: dict[str, Any]) -> dict[str, Any]:
-        self._endpoints[params["id"]].close()
+    def drop(self, id: int) -> dict[str, Any]:
+        self.parts[id].close()
         return {}
 
-    def origin(self, params: dict[str, Any]) -> dict[str, Any]:
-        self._hub.set_origin(Origin(params["side"], params["network"], params["daemon"]))
+    def origin(self, side: str, network: str, daemon: str) -> dict[str, Any]:
+        self._hub.set_origin(Origin(side, network, daemon))
         return {"zid": self._hub.zid}
 
-    def serve(self, params: dict[str, Any]) -> dict[str, Any]:
-        def asked(request: bytes, done: Done) -> Abandon:
+    def serve(self, name: str, type: str, hash: str, hold: bool = False) -> dict[str, Any]:
+        def on_request(request: bytes, done: Done) -> Abandon:
             self._requests += 1
-            if not params.get("hold"):
+            if not hold:
                 done(request)
             return lambda: None
 
-        self._hub.server(params["name"], params["type"], params["hash"], asked)
+        self._hub.server(name, type, hash, on_request)
         return {}
 
-    def requests(self, _params: dict[str, Any]) -> dict[str, Any]:
+    def requests(self) -> dict[str, Any]:
         return {"count": self._requests}
 
-    def call(self, params: dict[str, Any]) -> dict[str, Any]:
-        client = self._hub.client(params["name"], params["type"], params["hash"])
+    def call(self, name: str, type: str, hash: str) -> dict[str, Any]:
+        client = self._hub.client(name, type, hash)
         until(lambda: client.ready, "a server")
         client.call(b"from a peer", lambda _result: None)
         return {}
 
 
-def qos(params: dict[str, Any]) -> Qos:
+def qos(latched: bool = False, depth: int = 1) -> Qos:
     """Return a command's quality of service."""
-    latched = Durability.TRANSIENT_LOCAL if params.get("latched") else Durability.VOLATILE
-    return Qos(durability=latched, depth=params.get("depth", 1))
+    durability = Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE
+    return Qos(durability=durability, depth=depth)
 
 
 def main() -> None:
-    """Read commands until the input ends or ``exit``."""
+    """Execute the commands from standard input until it ends."""
+    answers = only_answers()
     with Hub.open(HubSettings(**json.loads(sys.argv[1]))) as hub:
-        peer = HubPeer(hub)
-        for line in sys.stdin:
-            command = json.loads(line)
-            name = command.pop("do")
-            if name == "exit":
-                break
-            print(json.dumps({"ok": True, **getattr(peer, name)(command)}), flush=True)
+        serve(HubPeer(hub), answers)
 
 
 if __name__ == "__main__":

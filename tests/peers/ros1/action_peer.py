@@ -8,19 +8,22 @@ A cancel request ends a goal as canceled, unless its thousands digit is odd.
 """
 # ruff: noqa: A002, ANN003, ANN204, ARG002  # parameters are named as in the commands; it runs without Midspan
 
-import json
-import os
 import signal
 import sys
 import threading
-import time
+from pathlib import Path
 
 import actionlib
 import roslib.message
 import rospy
 from actionlib.action_client import CommState
 from actionlib_msgs.msg import GoalID
-from shutdown import shut_down
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+
+from tests.peers.commands import Commands, Record, only_answers, serve
+from tests.peers.ros1.shutdown import shut_down
+from tests.support.wait import until
 
 OUTCOMES = ("succeed", "abort", "reject", "preempt", "hold")
 """The outcome of a goal, by its number modulo 10; goals with any other number are held."""
@@ -35,21 +38,20 @@ def to_plain(value):
     return {n: to_plain(getattr(value, n)) for n in value.__slots__} if hasattr(value, "__slots__") else value
 
 
-class Server:
+class Server(Record):
     """An actionlib.ActionServer that acts according to the goals' numbers."""
 
     def __init__(self, name, type):
-        self.type, self.handles, self.seen = type, {}, []
-        self.lock = threading.Lock()
+        super().__init__()
+        self.type, self.handles = type, {}
         self.server = actionlib.ActionServer(name, action_class(type), self.on_goal, self.on_cancel, auto_start=False)
         self.server.start()
 
     def on_goal(self, handle):
         goal_id, goal = handle.get_goal_id().id, handle.get_goal()
         number = getattr(goal, "goal", None)
-        with self.lock:
-            self.handles[goal_id] = handle
-            self.seen.append((goal_id, to_plain(goal) if number is None else number))
+        self.handles[goal_id] = handle
+        self.add((goal_id, to_plain(goal) if number is None else number))
         if number is None:
             handle.set_accepted()
             return
@@ -145,6 +147,7 @@ class Flood:
     """Goals without an actionlib client, which is too slow for a thousand."""
 
     def __init__(self, name, type):
+        self.ready = threading.Condition()
         self.goal = roslib.message.get_message_class(type + "ActionGoal")
         self.results = {}
         self.publisher = rospy.Publisher(name + "/goal", self.goal, queue_size=0)
@@ -152,7 +155,10 @@ class Flood:
         rospy.Subscriber(name + "/result", result, self.on_result, buff_size=1 << 22)
 
     def on_result(self, message):
-        self.results.setdefault(message.status.goal_id.id, []).append([message.status.status, message.result.result])
+        with self.ready:
+            results = self.results.setdefault(message.status.goal_id.id, [])
+            results.append([message.status.status, message.result.result])
+            self.ready.notify_all()
 
     def send(self, count):
         for number in range(count):
@@ -162,59 +168,46 @@ class Flood:
             self.publisher.publish(message)
 
 
-class Peer:
+class Peer(Commands):
     """Executes the commands."""
 
-    def __init__(self):
-        self.parts = {}
-
-    def add(self, part):
-        self.parts[len(self.parts) + 1] = part
-        return {"id": len(self.parts)}
-
-    def do_server(self, name, type="actionlib/Test", simple=False, **_):
+    def server(self, name, type="actionlib/Test", simple=False):
         return self.add((Simple if simple else Server)(name, type))
 
-    def do_goals(self, id, count=1, seconds=40.0, **_):
-        end = time.monotonic() + seconds
-        while len(self.parts[id].seen) < count and time.monotonic() < end:
-            time.sleep(0.01)
-        return {"goals": self.parts[id].seen}
-
-    def do_finish(self, id, goal="", outcome="succeed", **_):
+    def finish(self, id, goal="", outcome="succeed"):
         self.parts[id].finish(goal, outcome)
         return {}
 
-    def do_finish_all(self, id, **_):
+    def finish_all(self, id):
         """End the held goals, each according to its number's hundreds digit."""
         server = self.parts[id]
-        for goal_id, number in list(server.seen):
+        for goal_id, number in list(server.items):
             server.finish(goal_id, ("succeed", "abort", "preempt")[number // 100 % 3])
         return {}
 
-    def do_stop_server(self, id, **_):
+    def stop_server(self, id):
         self.parts[id].server.stop()
         return {}
 
-    def do_client(self, name, type="actionlib/Test", **_):
+    def client(self, name, type="actionlib/Test"):
         return self.add(Client(name, type))
 
-    def do_wait_for_server(self, id, seconds=40.0, **_):
+    def wait_for_server(self, id, seconds=40.0):
         return {"there": self.parts[id].client.wait_for_server(rospy.Duration(seconds))}
 
-    def do_send(self, id, numbers, **_):
+    def send(self, id, numbers):
         for number in numbers:
             self.parts[id].send(number, number)
         return {}
 
-    def do_outcomes(self, id, numbers, seconds=40.0, state="DONE", **_):
+    def outcomes(self, id, numbers, seconds=40.0, state="DONE"):
         """Return the outcomes of goals, once each is in a state of the client or the time is over."""
         client = self.parts[id]
         with client.ready:
             client.ready.wait_for(lambda: all(state in client.goals[n]["states"] for n in numbers), seconds)
         return {"outcomes": [client.outcome(n) for n in numbers]}
 
-    def do_cancel(self, id, number=None, before=None, **_):
+    def cancel(self, id, number=None, before=None):
         client = self.parts[id]
         if number is not None:
             client.goals[number]["handle"].cancel()
@@ -224,11 +217,11 @@ class Peer:
             client.client.cancel_all_goals()
         return {}
 
-    def do_cancel_id(self, id, goal, **_):
+    def cancel_id(self, id, goal):
         self.parts[id].client.pub_cancel.publish(GoalID(id=goal))
         return {}
 
-    def do_raw_goal(self, id, number, goal="", stamp=(0, 0), **_):
+    def raw_goal(self, id, number, goal="", stamp=(0, 0)):
         """Send an ActionGoal with a given id and stamp."""
         client = self.parts[id]
         message = client.client.ActionGoal()
@@ -237,43 +230,29 @@ class Peer:
         client.client.pub_goal.publish(message)
         return {}
 
-    def do_flood(self, name, count, type="actionlib/Test", **_):
+    def flood(self, name, count, type="actionlib/Test"):
         flood = Flood(name, type)
-        while not flood.publisher.impl.has_connection("/midspan"):  # a probe connects earlier
-            time.sleep(0.01)
+        # a probe connects earlier
+        until(lambda: flood.publisher.impl.has_connection("/midspan"), "the bridge is connected")
         flood.send(count)
         return self.add(flood)
 
-    def do_results(self, id, count, seconds=60.0, **_):
-        end = time.monotonic() + seconds
-        while len(self.parts[id].results) < count and time.monotonic() < end:
-            time.sleep(0.01)
-        return {"results": self.parts[id].results}
+    def results(self, id, count, seconds=60.0):
+        flood = self.parts[id]
+        with flood.ready:
+            flood.ready.wait_for(lambda: len(flood.results) >= count, seconds)
+            return {"results": {goal: list(results) for goal, results in flood.results.items()}}
 
-    def do_status(self, id, **_):
+    def status(self, id):
         status = self.parts[id].client.last_status_msg
         return {"goals": [[s.goal_id.id, s.status, s.text] for s in status.status_list] if status else None}
 
-    def do_exit(self, **_):
-        return {}
-
 
 def main():
-    answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # keeps rospy's output apart from the answers
+    answers = only_answers()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     rospy.init_node(sys.argv[1], disable_signals=True)
-    peer = Peer()
-    for line in sys.stdin:
-        command = json.loads(line)
-        name = command.pop("do")
-        try:
-            answer = {"ok": True, **getattr(peer, "do_" + name)(**command)}
-        except Exception as err:
-            answer = {"ok": False, "error": f"{type(err).__name__}: {err}"}
-        answers.write(json.dumps(answer) + "\n")
-        if name == "exit":
-            break
+    serve(Peer(), answers)
     shut_down()
 
 

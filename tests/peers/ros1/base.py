@@ -13,9 +13,9 @@ import rospy
 from geometry_msgs.msg import TransformStamped, Twist
 from tf2_msgs.msg import TFMessage
 
-sys.path.append(str(Path(__file__).parents[1] / "sim"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
-from base_body import PERIOD, Body, arguments
+from tests.peers.sim.base_body import PERIOD, Body, arguments
 
 
 def transform(parent, child, x, y, yaw):

@@ -5,29 +5,29 @@ Beyond the common commands: ``define`` type, definition (full text: own fields, 
 installed; ``advertise`` and ``subscribe`` take ``queue``
 (rospy's queue_size); ``header`` id -> headers of the last message of each publisher; ``parameters`` -> names;
 ``now`` -> seconds: the node's time, 0 until /clock arrives;
-``log`` text: to /rosout; ``await_service`` service, seconds: rospy's wait_for_service; ``count``, ``counted`` and
-``tally``: see `tests.peers.peer`.
+``log`` text: to /rosout; ``await_service`` service, seconds: rospy's wait_for_service.
 
 Messages are dicts of their fields; arrays of bytes are lists of integers, times are ``{"secs": .., "nsecs": ..}``.
 Usage: peer.py NODE
 """
-# ruff: noqa: A002, ANN003, ANN204  # parameters are the commands' own words; it runs without Midspan
+# ruff: noqa: A002, ANN003, ANN204  # parameters are named as in the commands; it runs without Midspan
 
-import itertools
-import json
-import os
 import signal
 import sys
 import threading
-import time
+from pathlib import Path
 
 import genpy
 import genpy.message
 import rosgraph
 import rospy
-from actions import Actions
-from message_types import define, message_class, service_type
-from shutdown import shut_down
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+
+from tests.peers.commands import Calling, Commands, Counting, Record, only_answers, serve
+from tests.peers.ros1.actions import Acting, Goal, action_client
+from tests.peers.ros1.message_types import define, message_class, service_type
+from tests.peers.ros1.shutdown import shut_down
 
 
 def to_plain(value):
@@ -74,224 +74,126 @@ def full(name):
     return "std_msgs/Header" if name == "Header" else name
 
 
-class Subscriber:
-    """A subscriber that stores all messages."""
+class Publisher(rospy.Publisher):
+    drop = rospy.Publisher.unregister
+
+
+class Subscriber(Record):
+    """A subscriber that stores all messages, and the last connection header of each publisher."""
 
     def __init__(self, topic, cls, queue):
-        self.messages, self.times, self.headers, self.ready = [], [], {}, threading.Condition()
+        super().__init__(to_plain)
+        self.headers = {}
         self.endpoint = rospy.Subscriber(topic, cls, self.on_message, queue_size=queue, tcp_nodelay=True)
 
     def on_message(self, message):
-        with self.ready:
-            self.messages.append(message)
-            self.times.append(time.monotonic())
-            header = dict(message._connection_header)
-            self.headers[header.get("callerid", "")] = header
-            self.ready.notify_all()
+        header = dict(message._connection_header)
+        self.headers[header.get("callerid", "")] = header
+        self.add(message)
 
-    def wait(self, count, seconds, since):
-        with self.ready:
-            self.ready.wait_for(lambda: len(self.messages) >= count, seconds)
-            return [to_plain(m) for m in self.messages[since:]]
+    def get_num_connections(self):
+        return self.endpoint.get_num_connections()
+
+    def drop(self):
+        self.endpoint.unregister()
 
 
-class Serving:
+class Serving(Record):
     """A service with one answer to all requests."""
 
     def __init__(self, service, cls, reply, error, held):
+        super().__init__()
         self.cls, self.reply, self.error = cls, reply, error
-        self.requests, self.ready = [], threading.Condition()
         self.released = threading.Event()
         if not held:
             self.released.set()
         self.service = rospy.Service(service, cls, self.on_request)
 
     def on_request(self, request):
-        with self.ready:
-            self.requests.append(to_plain(request))
-            self.ready.notify_all()
+        self.add(to_plain(request))
         self.released.wait()
         if self.error:
             raise rospy.ServiceException(self.error)
         return fill(self.cls._response_class(), self.reply)
 
-    def wait(self, count, seconds):
-        with self.ready:
-            self.ready.wait_for(lambda: len(self.requests) >= count, seconds)
-            return list(self.requests)
-
     def release(self):
         self.released.set()
 
-    def unregister(self):
+    def drop(self):
         self.released.set()
         self.service.shutdown("end of the test")
 
 
-class Calling:
-    """A service call on a thread."""
-
-    def __init__(self, proxy, request):
-        self.reply, self.error, self.at = None, "", 0.0
-        self.thread = threading.Thread(target=self.run, args=(proxy, request), daemon=True)
-        self.thread.start()
-
-    def run(self, proxy, request):
-        try:
-            self.reply = to_plain(proxy.call(request))
-        except Exception as err:
-            self.error = str(err) or type(err).__name__
-        self.at = time.monotonic()
-
-    def result(self, seconds):
-        self.thread.join(seconds)
-        return {"done": not self.thread.is_alive(), "reply": self.reply, "error": self.error, "at": self.at}
-
-
-class Counting:
-    """Publishes numbers, one per message, on a thread."""
-
-    def __init__(self, publish, first, count, rate):
-        self.publish, self.sent, self.stopping = publish, 0, False
-        self.thread = threading.Thread(target=self.run, args=(first, count, rate), daemon=True)
-        self.thread.start()
-
-    def run(self, first, count, rate):
-        due = time.monotonic()
-        while self.sent < count and not self.stopping:
-            self.publish(str(first + self.sent))
-            self.sent += 1
-            due += 1.0 / rate
-            time.sleep(max(0.0, due - time.monotonic()))
-
-    def end(self, now):
-        self.stopping = now
-        self.thread.join()
-        return {"sent": self.sent}
-
-
-class Peer:
+class Peer(Commands):
     """Executes the commands."""
 
     def __init__(self):
-        self.endpoints, self.countings, self.proxies = {}, {}, {}
-        self.next_id = 0
-        self.actions = Actions(fill, to_plain)
+        super().__init__()
+        self.proxies, self.action_clients = {}, {}
 
-    def add(self, endpoint):
-        self.next_id += 1
-        self.endpoints[self.next_id] = endpoint
-        return {"id": self.next_id}
-
-    def do_define(self, type, definition, **_):
+    def define(self, type, definition):
         return {"md5": define(type, definition)._md5sum}
 
-    def do_advertise(self, topic, type, latched=False, queue=100, **_):
-        return self.add(rospy.Publisher(topic, message_class(type), latch=latched, queue_size=queue, tcp_nodelay=True))
+    def advertise(self, topic, type, latched=False, queue=100, **_):
+        return self.add(Publisher(topic, message_class(type), latch=latched, queue_size=queue, tcp_nodelay=True))
 
-    def do_publish(self, id, message, times=1, **_):
-        publisher = self.endpoints[id]
+    def publish(self, id, message, times=1):
+        publisher = self.parts[id]
         filled = fill(publisher.data_class(), message)
         for _ in range(times):
             publisher.publish(filled)
         return {}
 
-    def do_subscribe(self, topic, type, queue=None, **_):
+    def subscribe(self, topic, type, queue=None, **_):
         cls = rospy.AnyMsg if type == "*" else message_class(type)
         return self.add(Subscriber(topic, cls, queue))
 
-    def do_wait(self, id, count, seconds, since=0, **_):
-        return {"messages": self.endpoints[id].wait(count, seconds, since)}
-
-    def do_count(self, id, first, count, rate, **_):
-        publisher = self.endpoints[id]
-        self.countings[id] = Counting(lambda text: publisher.publish(data=text), first, count, rate)
-        return {}
-
-    def do_broadcast(self, id, child, rate, **_):
-        publisher = self.endpoints[id]
+    def broadcast(self, id, child, rate):
         message = fill(message_class("tf2_msgs/TFMessage")(), {"transforms": [{"child_frame_id": child}]})
 
         def publish(_text) -> None:
             message.transforms[0].header = fill(message_class("std_msgs/Header")(), {"frame_id": "map"})
             message.transforms[0].header.stamp = rospy.Time.now()
             message.transforms[0].transform.rotation.w = 1.0
-            publisher.publish(message)
+            self.parts[id].publish(message)
 
         self.countings[id] = Counting(publish, 0, sys.maxsize, rate)
         return {}
 
-    def do_counted(self, id, now=False, **_):
-        return self.countings.pop(id).end(now)
+    def header(self, id):
+        return {"headers": self.parts[id].headers}
 
-    def do_tally(self, id, since=0.0, **_):
-        with self.endpoints[id].ready:
-            numbers = [int(m.data) for m in self.endpoints[id].messages]
-        silence = self.do_silence(id, since)
-        return {"received": len(numbers), "distinct": len(set(numbers)), **silence}
-
-    def do_silence(self, id, since=0.0, **_):
-        with self.endpoints[id].ready:
-            times = list(self.endpoints[id].times)
-        later = [since, *(t for t in times if t >= since)]
-        silence = max((after - before for before, after in itertools.pairwise(later)), default=0.0)
-        return {"last": times[-1] if times else 0.0, "silence": silence}
-
-    def do_header(self, id, **_):
-        return {"headers": self.endpoints[id].headers}
-
-    def do_serve(self, service, type, reply=None, error="", held=False, **_):
+    def serve(self, service, type, reply=None, error="", held=False, **_):
         return self.add(Serving(service, service_type(type), reply or {}, error, held))
 
-    def do_release(self, id, **_):
-        self.endpoints[id].release()
-        return {}
-
-    def do_requests(self, id, count=1, seconds=40.0, **_):
-        return {"requests": self.endpoints[id].wait(count, seconds)}
-
-    def do_call(self, service, type, request=None, persistent=False, **_):
+    def call(self, service, type, request=None, persistent=False, **_):
         cls = service_type(type)
         proxy = self.proxies.get(service) if persistent else None
         if proxy is None:
             proxy = rospy.ServiceProxy(service, cls, persistent=persistent)
         if persistent:
             self.proxies[service] = proxy
-        return self.add(Calling(proxy, fill(cls._request_class(), request or {})))
+        filled = fill(cls._request_class(), request or {})
+        return self.add(Calling(lambda: to_plain(proxy.call(filled))))
 
-    def do_result(self, id, seconds=40.0, **_):
-        return self.endpoints[id].result(seconds)
+    def act(self, **params):
+        return self.add(Acting(params, fill, to_plain))
 
-    def do_act(self, **params):
-        return self.add(self.actions.act(params))
+    def send_goal(self, action, type, goal=None, seconds=40.0, **_):
+        if (action, type) not in self.action_clients:
+            self.action_clients[action, type] = action_client(action, type)
+        client = self.action_clients[action, type]
+        assert client.wait_for_server(rospy.Duration(seconds)), f"no server of {action}"
+        return self.add(Goal(client, fill(message_class(type + "Goal")(), goal or {}), to_plain))
 
-    def do_goals(self, id, count=1, seconds=40.0, **_):
-        return {"goals": self.endpoints[id].wait(count, seconds)}
-
-    def do_send_goal(self, **params):
-        return self.add(self.actions.send_goal(params))
-
-    def do_goal(self, id, until=None, seconds=40.0, **_):
-        return self.endpoints[id].wait(until or {}, seconds)
-
-    def do_cancel(self, id, **_):
-        self.endpoints[id].cancel()
-        return {}
-
-    def do_await_service(self, service, seconds=40.0, **_):
+    def await_service(self, service, seconds=40.0):
         rospy.wait_for_service(service, seconds)
         return {}
 
-    def do_drop(self, id, **_):
-        endpoint = self.endpoints.pop(id)
-        getattr(endpoint, "endpoint", endpoint).unregister()
-        return {}
+    def connections(self, id):
+        return {"count": self.parts[id].get_num_connections()}
 
-    def do_connections(self, id, **_):
-        endpoint = self.endpoints[id]
-        return {"count": getattr(endpoint, "endpoint", endpoint).get_num_connections()}
-
-    def do_graph(self, **_):
+    def graph(self):
         master = rosgraph.Master(rospy.get_name())
         publishers, subscribers, _ = master.getSystemState()
         types = {}
@@ -299,51 +201,32 @@ class Peer:
             types.setdefault(topic, []).append(name)
         return {"topics": types, "publishers": dict(publishers), "subscriptions": dict(subscribers)}
 
-    def do_log(self, text, **_):
+    def log(self, text):
         rospy.loginfo(text)
         return {}
 
-    def do_set_param(self, name, value, **_):
+    def set_param(self, name, value):
         rospy.set_param(name, value)
         return {}
 
-    def do_get_param(self, name, **_):
+    def get_param(self, name):
         return {"value": rospy.get_param(name, None)}
 
-    def do_parameters(self, **_):
+    def parameters(self):
         return {"names": rosgraph.Master(rospy.get_name()).getParamNames()}
 
-    def do_now(self, **_):
+    def now(self):
         return {"seconds": rospy.get_time()}
-
-    def do_exit(self, **_):
-        return {}
 
 
 def main():
-    answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # rospy's own output must not mix with the answers
+    answers = only_answers()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     rospy.init_node(sys.argv[1], disable_signals=True)
     try:
-        serve(answers)
+        serve(Peer(), answers)
     finally:
         shut_down()
-
-
-def serve(answers):
-    """Execute commands until the input ends."""
-    peer = Peer()
-    for line in sys.stdin:
-        command = json.loads(line)
-        name = command.pop("do")
-        try:
-            answer = {"ok": True, **getattr(peer, "do_" + name)(**command)}
-        except Exception as err:
-            answer = {"ok": False, "error": f"{type(err).__name__}: {err}"}
-        answers.write(json.dumps(answer) + "\n")
-        if name == "exit":
-            break
 
 
 main()

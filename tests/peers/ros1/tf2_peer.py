@@ -7,11 +7,15 @@ standard error.
 
 import marshal
 import sys
+from pathlib import Path
 
 import genpy
 import geometry_msgs.msg
 import tf2_py
-import trees
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+
+from tests.peers.ros1 import trees
 
 
 def stamp_of(ns):

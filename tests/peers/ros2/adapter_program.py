@@ -5,9 +5,6 @@ Usage: adapter_program.py CONFIG STATE, the configuration as JSON. Messages are 
 
 from __future__ import annotations
 
-import contextlib
-import json
-import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -16,20 +13,20 @@ from bridge.adapters.ros2.edge import Ros2Edge
 from bridge.config.model import Config
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
-from tests.adapters.ros2.conftest import Inbox, string
-from tests.support.wait import until
+from tests.adapters.ros2.conftest import string, text
+from tests.peers.commands import Commands, Record, only_answers, serve
 
 TYPE = "std_msgs/msg/String"
 
 
-class Program:
+class Program(Commands):
     """Executes the commands."""
 
     def __init__(self, config: Config, state: Path) -> None:
+        super().__init__()
         self.registry = Registry()
         self.edge = Ros2Edge(config, self.registry, state)
         self.failed: list[str] = []
-        self.handles: dict[int, Any] = {}
         self.edge.start(self)
 
     def graph_changed(self) -> None:
@@ -44,10 +41,6 @@ class Program:
     def edge_failed(self, reason: str) -> None:
         self.failed.append(reason)
 
-    def add(self, handle: Any) -> dict[str, Any]:
-        self.handles[len(self.handles) + 1] = handle
-        return {"id": len(self.handles)}
-
     def qos(self, latched: bool) -> Qos:
         return Qos(durability=Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE)
 
@@ -55,18 +48,15 @@ class Program:
         return self.add(self.edge.advertise(topic, self.registry.ros2(TYPE), self.qos(latched)))
 
     def publish(self, id: int, message: str, source: str = "hub") -> dict[str, Any]:  # noqa: A002
-        self.handles[id].send(string(message), source)
+        self.parts[id].send(string(message), source)
         return {}
 
     def subscribe(self, topic: str, latched: bool = False) -> dict[str, Any]:
-        inbox = Inbox()
-        self.edge.subscribe(topic, self.registry.ros2(TYPE), self.qos(latched), inbox.deliver)
-        return self.add(inbox)
-
-    def wait(self, id: int, count: int, seconds: float) -> dict[str, Any]:  # noqa: A002
-        with contextlib.suppress(AssertionError):
-            until(lambda: len(self.handles[id].messages) >= count, "messages", seconds)
-        return {"messages": self.handles[id].texts()}
+        record = Record()
+        self.edge.subscribe(
+            topic, self.registry.ros2(TYPE), self.qos(latched), lambda payload, *_: record.add(text(payload))
+        )
+        return self.add(record)
 
     def announce(self, record: str) -> dict[str, Any]:
         self.edge.announce(record.encode())
@@ -85,19 +75,9 @@ class Program:
 
 def main() -> None:
     """Execute the commands from standard input until it ends."""
-    answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # keeps Fast DDS's output apart from the answers
+    answers = only_answers()  # Fast DDS writes to standard output
     program = Program(Config.model_validate_json(sys.argv[1]), Path(sys.argv[2]))
-    for line in sys.stdin:
-        params = json.loads(line)
-        do = params.pop("do")
-        if do == "exit":
-            break
-        try:
-            answer = {"ok": True, **getattr(program, do)(**params)}
-        except Exception as err:
-            answer = {"ok": False, "error": f"{type(err).__name__}: {err}"}
-        answers.write(json.dumps(answer) + "\n")
+    serve(program, answers)
     program.edge.stop()
 
 

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Any
 
-from peer import Endpoint, Peer, main, message_class
 from rclpy.qos import qos_profile_best_available
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+
+from tests.peers.ros2.peer import Peer, main
 
 
 class BestAvailablePeer(Peer):
     """The program's commands; ``advertise`` and ``subscribe`` ignore the QoS that a command asks for."""
 
-    def advertise(self, params: dict[str, Any]) -> dict[str, Any]:
-        type_ = message_class(params["type"])
-        return self._add(
-            Endpoint(self.node.create_publisher(type_, params["topic"], qos_profile_best_available), type_)
-        )
-
-    def subscribe(self, params: dict[str, Any]) -> dict[str, Any]:
-        type_ = message_class(params["type"])
-        endpoint = Endpoint(None, type_)
-        endpoint.handle = self.node.create_subscription(
-            type_, params["topic"], endpoint.receive, qos_profile_best_available
-        )
-        return self._add(endpoint)
+    def profile(self, _params: dict[str, Any]) -> Any:
+        return qos_profile_best_available
 
 
 if __name__ == "__main__":

@@ -12,6 +12,8 @@ from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalRespons
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
+from tests.peers.commands import GoalRecord, Record
+
 Fill = Callable[[Any, dict[str, Any]], Any]
 Plain = Callable[[Any], Any]
 
@@ -22,15 +24,14 @@ def type_class(name: str, folder: str) -> Any:
     return getattr(importlib.import_module(f"{package}.{folder}"), short)
 
 
-class Serving:
+class Serving(Record):
     """A service with one answer to all requests, or none if it has an ``error``, as ROS 2 has no error replies."""
 
     def __init__(self, node: Any, params: dict[str, Any], profile: Any, fill: Fill, plain: Plain) -> None:
+        super().__init__()
         self.node, self.fill, self.plain = node, fill, plain
         self.reply, self.error = params.get("reply") or {}, params.get("error", "")
         self.echo = params.get("echo", {})
-        self.requests: list[Any] = []
-        self.arrived = threading.Condition()
         self.held: Any = Future()
         if not params.get("held"):
             self.held.set_result(None)
@@ -45,19 +46,12 @@ class Serving:
         )
 
     async def asked(self, request: Any, response: Any) -> Any:
-        with self.arrived:
-            self.requests.append(self.plain(request))
-            self.arrived.notify_all()
+        self.add(self.plain(request))
         if not self.held.done():
             await self.held
         for target, source in self.echo.items():
             setattr(response, target, getattr(request, source))
         return self.fill(response, self.reply)
-
-    def wait(self, count: int, seconds: float) -> list[Any]:
-        with self.arrived:
-            self.arrived.wait_for(lambda: len(self.requests) >= count, seconds)
-            return list(self.requests)
 
     def release(self) -> None:
         if not self.error and not self.held.done():
@@ -102,17 +96,16 @@ def depths(profile: Any, *parts: str) -> dict[str, Any]:
     return {f"{part}_qos_profile": profile for part in parts}
 
 
-class Acting:
+class Acting(Record):
     """An action server: each goal gives its feedback, waits if it is held, and ends with the given outcome."""
 
     def __init__(self, node: Any, params: dict[str, Any], profile: Any, fill: Fill, plain: Plain) -> None:
+        super().__init__()
         self.node, self.fill, self.plain = node, fill, plain
         self.type = type_class(params["type"], "action")
         self.feedback, self.result = params.get("feedback") or [], params.get("result") or {}
         self.outcome, self.held, self.keeps = params.get("outcome", "succeed"), params.get("held"), params.get("keeps")
         self.times, self.period = params.get("times", 1), params.get("period", 0.0)
-        self.goals: list[Any] = []
-        self.arrived = threading.Condition()
         self.waits: dict[bytes, Any] = {}
         self.name = params["action"]
         self.handle = ActionServer(
@@ -126,9 +119,7 @@ class Acting:
         )
 
     async def execute(self, handle: Any) -> Any:
-        with self.arrived:
-            self.goals.append(self.plain(handle.request))
-            self.arrived.notify_all()
+        self.add(self.plain(handle.request))
         if self.period:
             threading.Thread(target=self.work, args=(handle,), daemon=True).start()
         else:
@@ -173,11 +164,6 @@ class Acting:
             wait.set_result(None)
         self.node.executor.wake()  # setting a future's result does not wake the executor
 
-    def wait(self, count: int, seconds: float) -> list[Any]:
-        with self.arrived:
-            self.arrived.wait_for(lambda: len(self.goals) >= count, seconds)
-            return list(self.goals)
-
     def release(self) -> None:
         self.held = False
         for goal in list(self.waits):
@@ -206,28 +192,21 @@ def on_executor(node: Any, work: Callable[[], None]) -> None:
     done.wait(20.0)
 
 
-class Goal:
-    """A goal of an action client, with its feedback and result."""
+class Goal(GoalRecord):
+    """A goal of an action client."""
 
     def __init__(self, node: Any, client: ActionClient, goal: Any, plain: Plain) -> None:
+        super().__init__()
         self.node, self.plain = node, plain
         self.handle: Any = None
-        self.state: dict[str, Any] = {"accepted": None, "feedback": [], "status": 0, "result": None, "cancel": None}
-        self.state |= {"ends": 0, "ended_at": 0.0}
-        self.news = threading.Condition()
 
         def send() -> None:
             client.send_goal_async(goal, feedback_callback=self.on_feedback).add_done_callback(self.answered)
 
         on_executor(node, send)
 
-    def update(self, **news: Any) -> None:
-        with self.news:
-            self.state.update(news)
-            self.news.notify_all()
-
     def on_feedback(self, message: Any) -> None:
-        self.update(feedback=[*self.state["feedback"], self.plain(message.feedback)])
+        self.add_feedback(self.plain(message.feedback))
 
     def answered(self, future: Any) -> None:
         self.handle = future.result()
@@ -253,55 +232,5 @@ class Goal:
 
         on_executor(self.node, lambda: self.handle.cancel_goal_async().add_done_callback(on_answer))
 
-    def wait(self, until: dict[str, Any], seconds: float) -> dict[str, Any]:
-        """Return the state, once each field of ``until`` has its value (feedback: at least that many)."""
-
-        def reached() -> bool:
-            state = {**self.state, "feedback": len(self.state["feedback"])}
-            return all(state[k] >= v if k == "feedback" else state[k] == v for k, v in until.items())
-
-        with self.news:
-            self.news.wait_for(reached, seconds)
-            return dict(self.state)
-
     def drop(self) -> None:
         """Do nothing: the client stays for other calls."""
-
-
-class Calls:
-    """The service and action commands of the peer."""
-
-    def __init__(self, node: Any, profile: Callable[[dict[str, Any]], Any], fill: Fill, plain: Plain) -> None:
-        self.node, self.profile, self.fill, self.plain = node, profile, fill, plain
-        self.clients: dict[tuple[str, str], Any] = {}
-        self.action_clients: dict[tuple[str, str], ActionClient] = {}
-
-    def serve(self, params: dict[str, Any]) -> Serving:
-        return Serving(self.node, params, self.profile(params), self.fill, self.plain)
-
-    def client(self, params: dict[str, Any]) -> Any:
-        key = params["service"], params["type"]
-        if key not in self.clients:
-            profile = self.profile(params)
-            self.clients[key] = self.node.create_client(type_class(key[1], "srv"), key[0], qos_profile=profile)
-        return self.clients[key]
-
-    def call(self, params: dict[str, Any]) -> Calling:
-        type_ = type_class(params["type"], "srv")
-        requests = params.get("requests") or [params.get("request") or {}]
-        client = self.client(params)
-        assert client.wait_for_service(params.get("seconds", 40.0)), f"no server of {params['service']}"
-        return Calling(client, [self.fill(type_.Request(), fields) for fields in requests], self.plain)
-
-    def send_goal(self, params: dict[str, Any]) -> Goal:
-        key = params["action"], params["type"]
-        type_ = type_class(key[1], "action")
-        if key not in self.action_clients:
-            parts = depths(self.profile(params), "goal_service", "result_service", "cancel_service", "feedback_sub")
-            self.action_clients[key] = ActionClient(self.node, type_, key[0], **parts)
-        client = self.action_clients[key]
-        assert client.wait_for_server(params.get("seconds", 40.0)), f"no server of {params['action']}"
-        return Goal(self.node, client, self.fill(type_.Goal(), params.get("goal") or {}), self.plain)
-
-    def act(self, params: dict[str, Any]) -> Acting:
-        return Acting(self.node, params, self.profile(params), self.fill, self.plain)

@@ -18,8 +18,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
+import sys
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -29,7 +31,10 @@ from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
-from transforms import Pose, Transforms  # run as a file, it imports from its own folder
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+
+from tests.peers.ros2.transforms import Pose, Transforms
 
 PERIOD = 0.05
 NEAR, GAIN = 0.05, 5.0

@@ -7,20 +7,20 @@ encapsulation header: the client's id and the number of the request (rmw_cyclone
 Commands: ``advertise`` topic, type -> id; ``subscribe`` topic, type -> id; ``publish`` id, payload; ``wait`` id, count,
 seconds -> payloads; ``serve`` service, type, reply -> id; ``requests`` id -> payloads of all requests as received;
 ``call`` service, type, request -> id, once a server has matched; ``result`` id, seconds -> reply ("" without one);
-``act`` action, type, reply -> id: three services and two topics; ``exit``.
+``act`` action, type, reply -> id: three services and two topics.
 Types are spelled ``package/Name`` for topics and services alike, ``package/action/Name_Feedback`` for parts of actions.
 """
+# ruff: noqa: A002  # parameters are named as in the commands
 
 from __future__ import annotations
 
-import json
 import os
 import struct
 import sys
-import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from cyclonedds.core import Listener
@@ -32,6 +32,11 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+
+from tests.peers.commands import Commands, Record, only_answers, serve
+from tests.support.wait import until
 
 HEADER = slice(4, 20)
 RELIABLE = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(100))
@@ -69,24 +74,16 @@ class Reader(Listener):  # type: ignore[misc]
 
     def __init__(self, peer: Peer, topic: str, type_: str, qos: Qos, received: Callable[[bytes], None] = len) -> None:
         super().__init__()
-        self.payloads: list[bytes] = []
-        self._received, self._arrived = received, threading.Condition()
+        self.record = Record()
+        self._received = received
         self.end = DataReader(peer.participant, peer.topic(topic, type_), qos=qos, listener=self)
 
     def on_data_available(self, reader: Any) -> None:
         """Store what has arrived; runs on a thread of Cyclone DDS."""
         for payload in reader.take(N=1000):
             if isinstance(payload, Bytes):
-                with self._arrived:
-                    self.payloads.append(bytes(payload))
-                    self._arrived.notify_all()
+                self.record.add(bytes(payload))
                 self._received(bytes(payload))
-
-    def wait(self, count: int, seconds: float) -> list[bytes]:
-        """Return all payloads, after ``count`` have arrived or the time is over."""
-        with self._arrived:
-            self._arrived.wait_for(lambda: len(self.payloads) >= count, seconds)
-            return list(self.payloads)
 
 
 class Writer:
@@ -129,11 +126,7 @@ class Client:
 
     def call(self, request: bytes) -> None:
         """Send the request once a server has matched."""
-        end = time.monotonic() + 30
-        while not self.writer.matched():
-            if time.monotonic() > end:
-                raise TimeoutError("no server has matched")
-            time.sleep(0.02)
+        until(self.writer.matched, "a server has matched", 30)
         self.writer.write(request[:4] + self._header + request[4:])
 
     def reply(self, seconds: float) -> bytes:
@@ -141,21 +134,20 @@ class Client:
         end = time.monotonic() + seconds
         count = 0
         while True:
-            payloads = self._reader.wait(count + 1, max(0.0, end - time.monotonic()))
+            payloads = self._reader.record.wait(count + 1, max(0.0, end - time.monotonic()))
             matching = [payload for payload in payloads if payload[HEADER] == self._header]
             if matching or len(payloads) == count:
                 return matching[0][:4] + matching[0][HEADER.stop :] if matching else b""
             count = len(payloads)
 
 
-class Peer:
+class Peer(Commands):
     """The participant, and the commands that use it."""
 
     def __init__(self, domain: int) -> None:
+        super().__init__()
         self.participant = DomainParticipant(domain)
         self._topics: dict[str, Topic] = {}
-        self._ends: dict[int, Any] = {}
-        self._count = 0
 
     def topic(self, name: str, type_: str) -> Topic:
         """Return the topic, which is created once."""
@@ -163,68 +155,50 @@ class Peer:
             self._topics[name] = Topic(self.participant, name, raw_type(type_))
         return self._topics[name]
 
-    def _add(self, end: Any) -> dict[str, Any]:
-        self._count += 1
-        self._ends[self._count] = end
-        return {"id": self._count}
+    def advertise(self, topic: str, type: str) -> dict[str, Any]:
+        return self.add(Writer(self, f"rt{topic}", dds_type(type, "msg"), RELIABLE))
 
-    def advertise(self, topic: str, type: str) -> dict[str, Any]:  # noqa: A002
-        return self._add(Writer(self, f"rt{topic}", dds_type(type, "msg"), RELIABLE))
+    def subscribe(self, topic: str, type: str) -> dict[str, Any]:
+        return self.add(Reader(self, f"rt{topic}", dds_type(type, "msg"), RELIABLE))
 
-    def subscribe(self, topic: str, type: str) -> dict[str, Any]:  # noqa: A002
-        return self._add(Reader(self, f"rt{topic}", dds_type(type, "msg"), RELIABLE))
-
-    def publish(self, id: int, payload: str) -> dict[str, Any]:  # noqa: A002
-        self._ends[id].write(bytes.fromhex(payload))
+    def publish(self, id: int, payload: str) -> dict[str, Any]:
+        self.parts[id].write(bytes.fromhex(payload))
         return {}
 
-    def wait(self, id: int, count: int, seconds: float) -> dict[str, Any]:  # noqa: A002
-        return {"payloads": [payload.hex() for payload in self._ends[id].wait(count, seconds)]}
+    def wait(self, id: int, count: int, seconds: float) -> dict[str, Any]:
+        return {"payloads": [payload.hex() for payload in self.parts[id].record.wait(count, seconds)]}
 
-    def serve(self, service: str, type: str, reply: str) -> dict[str, Any]:  # noqa: A002
-        return self._add(Server(self, service, type, bytes.fromhex(reply)))
+    def serve(self, service: str, type: str, reply: str) -> dict[str, Any]:
+        return self.add(Server(self, service, type, bytes.fromhex(reply)))
 
-    def requests(self, id: int) -> dict[str, Any]:  # noqa: A002
-        server = self._ends[id]
+    def requests(self, id: int) -> dict[str, Any]:
+        server = self.parts[id]
         servers = server if isinstance(server, list) else [server]
-        return {"payloads": [request.hex() for served in servers for request in served.reader.wait(0, 0)]}
+        return {"payloads": [request.hex() for served in servers for request in served.reader.record.wait(0, 0)]}
 
-    def act(self, action: str, type: str, reply: str) -> dict[str, Any]:  # noqa: A002
+    def act(self, action: str, type: str, reply: str) -> dict[str, Any]:
         services = {"send_goal": f"{type}_SendGoal", "get_result": f"{type}_GetResult"}
         services["cancel_goal"] = "action_msgs/CancelGoal"
         prefix = f"{action}/_action/"
         servers = [Server(self, prefix + name, part, bytes.fromhex(reply)) for name, part in services.items()]
         Writer(self, f"rt{prefix}feedback", dds_type(f"{type}_FeedbackMessage", "msg"), RELIABLE)
         status = Writer(self, f"rt{prefix}status", dds_type("action_msgs/GoalStatusArray", "msg"), LATCHED)
-        self._add(status)
-        return self._add(servers)
+        self.add(status)
+        return self.add(servers)
 
-    def call(self, service: str, type: str, request: str) -> dict[str, Any]:  # noqa: A002
+    def call(self, service: str, type: str, request: str) -> dict[str, Any]:
         client = Client(self, service, type)
         client.call(bytes.fromhex(request))
-        return self._add(client)
+        return self.add(client)
 
-    def result(self, id: int, seconds: float) -> dict[str, Any]:  # noqa: A002
-        return {"reply": self._ends[id].reply(seconds).hex()}
-
-
-def execute(peer: Peer, command: Mapping[str, Any]) -> dict[str, Any]:
-    """Execute one command."""
-    params = dict(command)
-    try:
-        return {"ok": True, **getattr(peer, params.pop("do"))(**params)}
-    except Exception as err:
-        return {"ok": False, "error": f"{type(err).__name__}: {err}"}
+    def result(self, id: int, seconds: float) -> dict[str, Any]:
+        return {"reply": self.parts[id].reply(seconds).hex()}
 
 
 def main() -> None:
     """Execute the commands from standard input until it ends."""
-    peer = Peer(int(os.environ["ROS_DOMAIN_ID"]))
-    for line in sys.stdin:
-        command = json.loads(line)
-        if command["do"] == "exit":
-            break
-        print(json.dumps(execute(peer, command)), flush=True)
+    answers = only_answers()
+    serve(Peer(int(os.environ["ROS_DOMAIN_ID"])), answers)
 
 
 if __name__ == "__main__":

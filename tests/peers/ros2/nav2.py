@@ -22,13 +22,14 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
+import pathlib
 import signal
+import sys
 import threading
 import time
 from typing import Any
 
 import rclpy
-from calls import on_executor  # run as a file, it imports from its own folder
 from geometry_msgs.msg import PoseStamped
 from nav2_msgs.action import FollowPath, NavigateToPose
 from nav_msgs.msg import Path
@@ -36,7 +37,11 @@ from rclpy.action import ActionClient, ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
-from transforms import Transforms
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[3]))
+
+from tests.peers.ros2.calls import on_executor
+from tests.peers.ros2.transforms import Transforms
 
 PERIOD = 0.1
 PLAN_SECONDS = 1.0

@@ -7,13 +7,18 @@ parameters -> reasons ("" if it was set); ``list_of`` node -> names; ``nodes`` -
 
 from __future__ import annotations
 
+import sys
 import threading
+from pathlib import Path
 from typing import Any
 
-from peer import Peer, main
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+
+from tests.peers.ros2.peer import Peer, main
 
 
 class ParameterPeer(Peer):
@@ -21,9 +26,8 @@ class ParameterPeer(Peer):
 
     def __init__(self, node: Any) -> None:
         super().__init__(node)
-        self._node = node
         self._refused: set[str] = set()
-        self._clients: dict[str, Any] = {}
+        self._parameter_clients: dict[str, Any] = {}
         node.add_on_set_parameters_callback(self._on_set)
 
     def _on_set(self, parameters: Any) -> Any:
@@ -32,46 +36,46 @@ class ParameterPeer(Peer):
             successful=not wrong, reason=f"{', '.join(wrong)} cannot be changed" if wrong else ""
         )
 
-    def declare(self, params: dict[str, Any]) -> dict[str, Any]:
-        for name, value in params["parameters"].items():
-            self._node.declare_parameter(name, value)
-        for name, kind in params.get("unset", {}).items():
-            self._node.declare_parameter(name, Parameter.Type[kind])
+    def declare(self, parameters: dict[str, Any], unset: dict[str, str] | None = None) -> dict[str, Any]:
+        for name, value in parameters.items():
+            self.node.declare_parameter(name, value)
+        for name, kind in (unset or {}).items():
+            self.node.declare_parameter(name, Parameter.Type[kind])
         return {}
 
-    def refuse(self, params: dict[str, Any]) -> dict[str, Any]:
-        self._refused = set(params["names"])
+    def refuse(self, names: list[str]) -> dict[str, Any]:
+        self._refused = set(names)
         return {}
 
-    def own(self, params: dict[str, Any]) -> dict[str, Any]:
-        value = self._node.get_parameter_or(params["name"]).value
+    def own(self, name: str) -> dict[str, Any]:
+        value = self.node.get_parameter_or(name).value
         return {"value": list(value) if hasattr(value, "typecode") else value}
 
-    def change(self, params: dict[str, Any]) -> dict[str, Any]:
-        (result,) = self._node.set_parameters([Parameter(params["name"], value=params["value"])])
+    def change(self, name: str, value: Any) -> dict[str, Any]:
+        (result,) = self.node.set_parameters([Parameter(name, value=value)])
         return {"successful": result.successful}
 
-    def get_of(self, params: dict[str, Any]) -> dict[str, Any]:
-        got = self._wait(self._client(params["node"]).get_parameters(params["names"]))
+    def get_of(self, node: str, names: list[str]) -> dict[str, Any]:
+        got = self._wait(self._client(node).get_parameters(names))
         values = [parameter_value_to_python(value) for value in got.values]
         return {"values": [list(entry) if hasattr(entry, "typecode") else entry for entry in values]}
 
-    def set_of(self, params: dict[str, Any]) -> dict[str, Any]:
-        wanted = [Parameter(name, value=value) for name, value in params["parameters"].items()]
-        done = self._wait(self._client(params["node"]).set_parameters(wanted))
+    def set_of(self, node: str, parameters: dict[str, Any]) -> dict[str, Any]:
+        wanted = [Parameter(name, value=value) for name, value in parameters.items()]
+        done = self._wait(self._client(node).set_parameters(wanted))
         return {"reasons": ["" if result.successful else result.reason or "refused" for result in done.results]}
 
-    def list_of(self, params: dict[str, Any]) -> dict[str, Any]:
-        return {"names": list(self._wait(self._client(params["node"]).list_parameters()).result.names)}
+    def list_of(self, node: str) -> dict[str, Any]:
+        return {"names": list(self._wait(self._client(node).list_parameters()).result.names)}
 
-    def nodes(self, _params: dict[str, Any]) -> dict[str, Any]:
-        return {"names": [f"{space.rstrip('/')}/{name}" for name, space in self._node.get_node_names_and_namespaces()]}
+    def nodes(self) -> dict[str, Any]:
+        return {"names": [f"{space.rstrip('/')}/{name}" for name, space in self.node.get_node_names_and_namespaces()]}
 
     def _client(self, node: str) -> Any:
-        if node not in self._clients:
-            self._clients[node] = AsyncParameterClient(self._node, node)
-        assert self._clients[node].wait_for_services(30.0), f"{node} has no parameter services"
-        return self._clients[node]
+        if node not in self._parameter_clients:
+            self._parameter_clients[node] = AsyncParameterClient(self.node, node)
+        assert self._parameter_clients[node].wait_for_services(30.0), f"{node} has no parameter services"
+        return self._parameter_clients[node]
 
     def _wait(self, future: Any) -> Any:
         done = threading.Event()

@@ -1,26 +1,29 @@
 """A real rclpy program that a test controls by JSON lines; see `tests.peers.peer`. It does not use Midspan."""
+# ruff: noqa: A002  # parameters are named as in the commands
 
 from __future__ import annotations
 
 import contextlib
 import importlib
-import itertools
-import json
-import os
 import signal
 import sys
 import threading
-import time
 from array import array
 from collections.abc import Callable
-from typing import Any, TextIO
+from pathlib import Path
+from typing import Any
 
 import rclpy
 import rclpy.utilities
-from calls import Calls  # from the same folder: this file runs as a script
+from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+
+from tests.peers.commands import Commands, Record, only_answers, serve
+from tests.peers.ros2.calls import Acting, Calling, Goal, Serving, depths, type_class
 
 
 def message_class(name: str) -> Any:
@@ -59,156 +62,94 @@ def converted(kind: str, value: Any) -> Any:
     return fill(message_class(kind)(), value) if "/" in kind else value
 
 
-class Endpoint:
-    """A publisher, or a subscription with what it received."""
+class Publisher:
+    """A publisher of messages of one type."""
 
-    def __init__(self, handle: Any, type_: Any) -> None:
-        self.handle, self.type = handle, type_
-        self.messages: list[Any] = []
-        self.times: list[float] = []
-        self.arrived = threading.Condition()
+    def __init__(self, node: Any, topic: str, type_: Any, profile: Any) -> None:
+        self._node, self.type = node, type_
+        self.handle = node.create_publisher(type_, topic, profile)
 
-    def receive(self, message: Any) -> None:
-        with self.arrived:
-            self.messages.append(message)
-            self.times.append(time.monotonic())
-            self.arrived.notify_all()
+    def drop(self) -> None:
+        self._node.destroy_publisher(self.handle)
 
 
-class Counting:
-    """Publishes numbers, one per message, on a thread."""
+class Subscription(Record):
+    """A subscription that stores all messages."""
 
-    def __init__(self, endpoint: Endpoint, first: int, count: int, rate: float) -> None:
-        self.endpoint, self.sent, self.stopping = endpoint, 0, False
-        self.thread = threading.Thread(target=self.run, args=(first, count, rate), daemon=True)
-        self.thread.start()
+    def __init__(self, node: Any, topic: str, type_: Any, profile: Any) -> None:
+        super().__init__(to_plain)
+        self._node = node
+        self._handle = node.create_subscription(type_, topic, self.add, profile)
 
-    def run(self, first: int, count: int, rate: float) -> None:
-        due = time.monotonic()
-        while self.sent < count and not self.stopping:
-            self.endpoint.handle.publish(fill(self.endpoint.type(), {"data": str(first + self.sent)}))
-            self.sent += 1
-            due += 1.0 / rate
-            time.sleep(max(0.0, due - time.monotonic()))
+    def drop(self) -> None:
+        self._node.destroy_subscription(self._handle)
 
 
-class Peer:
+class Peer(Commands):
     """The node, and the commands that use it."""
 
     def __init__(self, node: Any) -> None:
+        super().__init__()
         self.node = node
-        self.countings: dict[int, Counting] = {}
-        self.endpoints: dict[int, Any] = {}
-        self.calls = Calls(node, qos, fill, to_plain)
+        self._clients: dict[tuple[str, str], Any] = {}
+        self._action_clients: dict[tuple[str, str], Any] = {}
 
-    def advertise(self, params: dict[str, Any]) -> dict[str, Any]:
-        type_ = message_class(params["type"])
-        return self._add(Endpoint(self.node.create_publisher(type_, params["topic"], qos(params)), type_))
+    def profile(self, params: dict[str, Any]) -> Any:
+        """Return the QoS profile for a command."""
+        return qos(params)
 
-    def subscribe(self, params: dict[str, Any]) -> dict[str, Any]:
-        type_ = message_class(params["type"])
-        endpoint = Endpoint(None, type_)
-        endpoint.handle = self.node.create_subscription(type_, params["topic"], endpoint.receive, qos(params))
-        return self._add(endpoint)
+    def advertise(self, topic: str, type: str, **params: Any) -> dict[str, Any]:
+        return self.add(Publisher(self.node, topic, message_class(type), self.profile(params)))
 
-    def _add(self, endpoint: Any) -> dict[str, Any]:
-        number = max(self.endpoints, default=0) + 1
-        self.endpoints[number] = endpoint
-        return {"id": number}
+    def subscribe(self, topic: str, type: str, **params: Any) -> dict[str, Any]:
+        return self.add(Subscription(self.node, topic, message_class(type), self.profile(params)))
 
-    def publish(self, params: dict[str, Any]) -> dict[str, Any]:
-        endpoint = self.endpoints[params["id"]]
-        message = fill(endpoint.type(), params["message"])
-        for _ in range(params.get("times", 1)):
-            endpoint.handle.publish(message)
+    def publish(self, id: int, message: dict[str, Any], times: int = 1) -> dict[str, Any]:
+        publisher = self.parts[id]
+        filled = fill(publisher.type(), message)
+        for _ in range(times):
+            publisher.handle.publish(filled)
         return {}
 
-    def publish_raw(self, params: dict[str, Any]) -> dict[str, Any]:
+    def publish_raw(self, id: int, hex: str, zeros: int = 0) -> dict[str, Any]:
         """Publish bytes instead of a message: ``hex``, then ``zeros`` zero bytes."""
-        self.endpoints[params["id"]].handle.publish(bytes.fromhex(params["hex"]) + bytes(params.get("zeros", 0)))
+        self.parts[id].handle.publish(bytes.fromhex(hex) + bytes(zeros))
         return {}
 
-    def wait(self, params: dict[str, Any]) -> dict[str, Any]:
-        endpoint = self.endpoints[params["id"]]
-        with endpoint.arrived:
-            endpoint.arrived.wait_for(lambda: len(endpoint.messages) >= params["count"], params["seconds"])
-            return {"messages": [to_plain(m) for m in endpoint.messages[params["since"] :]]}
+    def serve(self, **params: Any) -> dict[str, Any]:
+        return self.add(Serving(self.node, params, qos(params), fill, to_plain))
 
-    def count(self, params: dict[str, Any]) -> dict[str, Any]:
-        endpoint = self.endpoints[params["id"]]
-        self.countings[params["id"]] = Counting(endpoint, params["first"], params["count"], params["rate"])
+    def call(
+        self, service: str, type: str, request: Any = None, requests: Any = None, seconds: float = 40.0, **params: Any
+    ) -> dict[str, Any]:
+        kind = type_class(type, "srv")
+        client = self._clients.get((service, type))
+        if client is None:
+            client = self.node.create_client(kind, service, qos_profile=qos(params))
+            self._clients[service, type] = client
+        assert client.wait_for_service(seconds), f"no server of {service}"
+        filled = [fill(kind.Request(), fields) for fields in requests or [request or {}]]
+        return self.add(Calling(client, filled, to_plain))
+
+    def act(self, **params: Any) -> dict[str, Any]:
+        return self.add(Acting(self.node, params, qos(params), fill, to_plain))
+
+    def send_goal(
+        self, action: str, type: str, goal: Any = None, seconds: float = 40.0, **params: Any
+    ) -> dict[str, Any]:
+        kind = type_class(type, "action")
+        client = self._action_clients.get((action, type))
+        if client is None:
+            parts = depths(qos(params), "goal_service", "result_service", "cancel_service", "feedback_sub")
+            client = self._action_clients[action, type] = ActionClient(self.node, kind, action, **parts)
+        assert client.wait_for_server(seconds), f"no server of {action}"
+        return self.add(Goal(self.node, client, fill(kind.Goal(), goal or {}), to_plain))
+
+    def ask_result(self, id: int) -> dict[str, Any]:
+        self.parts[id].ask()
         return {}
 
-    def counted(self, params: dict[str, Any]) -> dict[str, Any]:
-        counting = self.countings.pop(params["id"])
-        counting.stopping = params.get("now", False)
-        counting.thread.join()
-        return {"sent": counting.sent}
-
-    def tally(self, params: dict[str, Any]) -> dict[str, Any]:
-        endpoint = self.endpoints[params["id"]]
-        with endpoint.arrived:
-            numbers = [int(m.data) for m in endpoint.messages]
-        return {"received": len(numbers), "distinct": len(set(numbers)), **self.silence(params)}
-
-    def silence(self, params: dict[str, Any]) -> dict[str, Any]:
-        endpoint, since = self.endpoints[params["id"]], params.get("since", 0.0)
-        with endpoint.arrived:
-            times = list(endpoint.times)
-        later = [since, *(t for t in times if t >= since)]
-        silence = max((after - before for before, after in itertools.pairwise(later)), default=0.0)
-        return {"last": times[-1] if times else 0.0, "silence": silence}
-
-    def serve(self, params: dict[str, Any]) -> dict[str, Any]:
-        return self._add(self.calls.serve(params))
-
-    def requests(self, params: dict[str, Any]) -> dict[str, Any]:
-        return {"requests": self.endpoints[params["id"]].wait(params.get("count", 1), params.get("seconds", 40.0))}
-
-    def release(self, params: dict[str, Any]) -> dict[str, Any]:
-        self.endpoints[params["id"]].release()
-        return {}
-
-    def call(self, params: dict[str, Any]) -> dict[str, Any]:
-        return self._add(self.calls.call(params))
-
-    def result(self, params: dict[str, Any]) -> dict[str, Any]:
-        outcome: dict[str, Any] = self.endpoints[params["id"]].result(params.get("seconds", 40.0))
-        return outcome
-
-    def act(self, params: dict[str, Any]) -> dict[str, Any]:
-        return self._add(self.calls.act(params))
-
-    def goals(self, params: dict[str, Any]) -> dict[str, Any]:
-        return {"goals": self.endpoints[params["id"]].wait(params.get("count", 1), params.get("seconds", 40.0))}
-
-    def send_goal(self, params: dict[str, Any]) -> dict[str, Any]:
-        return self._add(self.calls.send_goal(params))
-
-    def cancel(self, params: dict[str, Any]) -> dict[str, Any]:
-        self.endpoints[params["id"]].cancel()
-        return {}
-
-    def ask_result(self, params: dict[str, Any]) -> dict[str, Any]:
-        self.endpoints[params["id"]].ask()
-        return {}
-
-    def goal(self, params: dict[str, Any]) -> dict[str, Any]:
-        return dict(self.endpoints[params["id"]].wait(params.get("until") or {}, params.get("seconds", 40.0)))
-
-    def drop(self, params: dict[str, Any]) -> dict[str, Any]:
-        endpoint = self.endpoints.pop(params["id"])
-        if not isinstance(endpoint, Endpoint):
-            endpoint.drop()
-            return {}
-        handle = endpoint.handle
-        if isinstance(handle, rclpy.publisher.Publisher):
-            self.node.destroy_publisher(handle)
-        else:
-            self.node.destroy_subscription(handle)
-        return {}
-
-    def graph(self, _params: dict[str, Any]) -> dict[str, Any]:
+    def graph(self) -> dict[str, Any]:
         topics = dict(self.node.get_topic_names_and_types())
         return {
             "topics": topics,
@@ -227,43 +168,18 @@ def qos(params: dict[str, Any]) -> Any:
     return profile
 
 
-class EndedError(Exception):
-    """Raised by SIGTERM, so that the shared memory is released."""
-
-
-def end(_number: int, _frame: Any) -> None:
-    """Handle SIGTERM."""
-    raise EndedError
-
-
-def execute(peer: Peer, answers: TextIO) -> None:
-    """Execute commands until ``exit`` or the end of the input."""
-    for line in sys.stdin:
-        params = json.loads(line)
-        if params["do"] == "exit":
-            break
-        try:
-            answer = {"ok": True, **getattr(peer, params["do"])(params)}
-        except EndedError:
-            raise
-        except Exception as err:
-            answer = {"ok": False, "error": f"{type(err).__name__}: {err}"}
-        answers.write(json.dumps(answer) + "\n")
-
-
 def main(make: Callable[[Any], Peer] = Peer) -> None:
     """Execute the commands from standard input until it ends."""
-    answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # Fast DDS's own output, such as on port locks, must not mix with the answers
+    answers = only_answers()  # Fast DDS writes to standard output, such as on port locks
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node: Any = rclpy.create_node(sys.argv[1] if len(sys.argv) > 1 else "peer")
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     spinner = threading.Thread(target=executor.spin, daemon=True)
     spinner.start()
-    with contextlib.suppress(EndedError):
-        signal.signal(signal.SIGTERM, end)
-        execute(make(node), answers)
+    with contextlib.suppress(SystemExit):  # the shared memory is released
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+        serve(make(node), answers)
     executor.shutdown(1.0)
     spinner.join(2)
     node.destroy_node()

@@ -8,7 +8,8 @@ from __future__ import annotations
 import threading
 from typing import Any
 
-from tests.peers.hub.actions import waited
+from tests.peers.commands import Commands
+from tests.peers.hub.actions import PolledGoal
 from tests.peers.zenoh.actions import ABORTED, CANCELED, EXECUTING, SUCCEEDED, ActionClient, ActionServer
 from tests.peers.zenoh.programs import Ros2ddsBridge
 from tests.peers.zenoh.services import Calling
@@ -43,9 +44,9 @@ class Acting:
         if self._server.get_result.requests(1, self._seconds):
             self._server.end(status, "laser")
 
-    def goals(self) -> list[dict[str, Any]]:
-        """Return the received goals."""
-        return [request["goal"] for request in self._server.send_goal.requests()]
+    def wait(self, count: int, seconds: float) -> list[dict[str, Any]]:
+        """Return the received goals, after ``count`` have arrived or the time is over."""
+        return [request["goal"] for request in self._server.send_goal.requests(count, seconds)]
 
     def release(self) -> None:
         """End the held goal."""
@@ -58,7 +59,7 @@ class Acting:
             self._thread.join(self._seconds)
 
 
-class Sent:
+class Sent(PolledGoal):
     """A goal, with its received states, feedback and result."""
 
     def __init__(self, bridge: Ros2ddsBridge, number: int, params: dict[str, Any]) -> None:
@@ -99,7 +100,7 @@ class Sent:
         self._client.close()
 
 
-class Ros2ddsActions:
+class Ros2ddsActions(Commands):
     """The nodes.
 
     Args:
@@ -108,26 +109,16 @@ class Ros2ddsActions:
     """
 
     def __init__(self, bridge: Ros2ddsBridge, seconds: float) -> None:
+        super().__init__()
         self._bridge, self._seconds = bridge, seconds
-        self._ends: list[Any] = []
 
-    def ask(self, do: str, **params: Any) -> dict[str, Any]:
-        """Execute a command."""
-        if do in ("act", "send_goal"):
-            params = {"seconds": self._seconds, **params}
-            self._ends.append(
-                Acting(self._bridge, params) if do == "act" else Sent(self._bridge, len(self._ends) + 1, params)
-            )
-            return {"id": len(self._ends) - 1}
-        end = self._ends[params["id"]]
-        if do == "goals":
-            return {"goals": end.goals()}
-        if do == "goal":
-            return waited(end.state, params["until"], params["seconds"])
-        getattr(end, do)()
-        return {}
+    def act(self, **params: Any) -> dict[str, Any]:
+        return self.add(Acting(self._bridge, {"seconds": self._seconds, **params}))
+
+    def send_goal(self, **params: Any) -> dict[str, Any]:
+        return self.add(Sent(self._bridge, len(self.parts) + 1, {"seconds": self._seconds, **params}))
 
     def stop(self) -> None:
         """Leave the network."""
-        for end in self._ends:
-            end.close()
+        for part in self.parts.values():
+            part.close()

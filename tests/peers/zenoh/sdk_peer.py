@@ -4,12 +4,14 @@ Arguments: router port, ROS domain. Types are those of rosbags' Jazzy store; the
 explicitly, otherwise the SDK would fetch them from the network. ``topic_info`` topic -> the SDK's view of a topic.
 Services are those of ``SERVICES``, with the SDK's own hashes; ``serve`` -> id and hash.
 """
+# ruff: noqa: A002  # parameters are named as in the commands
 
 from __future__ import annotations
 
 import json
 import sys
 import threading
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,10 @@ from zenoh_ros2_sdk import (
     get_topic_names_and_types,
 )
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile, QosReliability
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+
+from tests.peers.commands import Calling, Commands, Record, only_answers, serve
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 SERVICES = {"std_srvs/SetBool": ("bool data", "bool success\nstring message")}
@@ -67,163 +73,133 @@ def plain(value: Any) -> Any:
     return [plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
-class Serving:
+class Publisher:
+    """A publisher of messages by their fields."""
+
+    def __init__(self, topic: str, options: dict[str, Any]) -> None:
+        self._endpoint = ROS2Publisher(topic, node_name="sdk_talker", **options)
+
+    def publish(self, message: dict[str, Any]) -> None:
+        self._endpoint.publish(**fields_of(self._endpoint.msg_type, message, self._endpoint.session_mgr.store))
+
+    def drop(self) -> None:
+        self._endpoint.close()
+
+
+class Subscription(Record):
+    """A subscription that stores all messages."""
+
+    def __init__(self, topic: str, options: dict[str, Any]) -> None:
+        super().__init__()
+        self._endpoint = ROS2Subscriber(
+            topic, callback=lambda message: self.add(plain(message)), node_name="sdk_listener", **options
+        )
+
+    def drop(self) -> None:
+        self._endpoint.close()
+
+
+class Serving(Record):
     """A server with one answer to all requests."""
 
-    def __init__(self, params: dict[str, Any], options: dict[str, Any]) -> None:
-        self._reply, self._error = params.get("reply") or {}, params.get("error", "")
-        self._requests: list[Any] = []
-        self._came = threading.Condition()
-        self.released = threading.Event()
-        if not params.get("held"):
-            self.released.set()
-        self.endpoint = ROS2ServiceServer(params["service"], callback=self._asked, **options)
+    def __init__(self, service: str, reply: dict[str, Any], error: str, held: bool, options: dict[str, Any]) -> None:
+        super().__init__()
+        self._reply, self._error = reply, error
+        self._released = threading.Event()
+        if not held:
+            self._released.set()
+        self.endpoint = ROS2ServiceServer(service, callback=self._on_request, node_name="sdk_server", **options)
 
-    def _asked(self, request: Any) -> Any:
-        with self._came:
-            self._requests.append(plain(request))
-            self._came.notify_all()
-        self.released.wait()
+    def _on_request(self, request: Any) -> Any:
+        self.add(plain(request))
+        self._released.wait()
         if self._error:
             raise RuntimeError(self._error)
         return self.endpoint.response_msg_class(**self._reply)
 
-    def requests(self, count: int, seconds: float) -> list[Any]:
-        with self._came:
-            self._came.wait_for(lambda: len(self._requests) >= count, seconds)
-            return list(self._requests)
+    def release(self) -> None:
+        self._released.set()
 
-    def close(self) -> None:
-        self.released.set()
+    def drop(self) -> None:
+        self._released.set()
         self.endpoint.close()
 
 
-class Calling:
-    """A service call on a thread."""
+class ClientCall(Calling):
+    """A call by a client of its own."""
 
     def __init__(self, client: ROS2ServiceClient, request: dict[str, Any]) -> None:
         self._client, self._request = client, request
-        self._reply: Any = None
-        self._error = ""
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+        super().__init__(self._reply_fields)
 
-    def _run(self) -> None:
-        try:
-            reply = self._client.call(**self._request)
-            if reply is None:
-                self._error = "no reply by the SDK"  # it writes the reason to its log
-            else:
-                self._reply = plain(reply)
-        except Exception as err:
-            self._error = f"{type(err).__name__}: {err}"
+    def _reply_fields(self) -> Any:
+        reply = self._client.call(**self._request)
+        assert reply is not None, "no reply by the SDK"  # it writes the reason to its log
+        return plain(reply)
 
-    def result(self, seconds: float) -> dict[str, Any]:
-        self._thread.join(seconds)
-        return {"done": not self._thread.is_alive(), "reply": self._reply, "error": self._error}
-
-    def close(self) -> None:
+    def drop(self) -> None:
         self._client.close()
 
 
-class ZenohPeer:
+class ZenohPeer(Commands):
     """Executes the commands."""
 
     def __init__(self, port: int, domain: int) -> None:
+        super().__init__()
         self._where: dict[str, Any] = {"router_port": port, "domain_id": domain}
-        self._endpoints: dict[int, Any] = {}
-        self._messages: dict[int, list[Any]] = {}
-        self._came = threading.Condition()
 
-    def _options(self, params: dict[str, Any]) -> dict[str, Any]:
-        name = full_name(params["type"])
+    def _options(
+        self, type: str, best_effort: bool = False, latched: bool = False, depth: int = 10, hash: str = "", **_: Any
+    ) -> dict[str, Any]:
+        name = full_name(type)
         qos = QosProfile(
-            reliability=QosReliability.BEST_EFFORT if params.get("best_effort") else QosReliability.RELIABLE,
-            durability=QosDurability.TRANSIENT_LOCAL if params.get("latched") else QosDurability.VOLATILE,
-            history_depth=params.get("depth", 10),
+            reliability=QosReliability.BEST_EFFORT if best_effort else QosReliability.RELIABLE,
+            durability=QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+            history_depth=depth,
         )
         definition = STORE.generate_msgdef(name, ros_version=2)[0]
-        type_hash = params.get("hash") or STORE.hash_rihs01(name)
+        type_hash = hash or STORE.hash_rihs01(name)
         return {"msg_type": name, "msg_definition": definition, "type_hash": type_hash, "qos": qos, **self._where}
 
-    def advertise(self, params: dict[str, Any]) -> dict[str, Any]:
-        number = len(self._messages)
-        self._messages[number] = []
-        self._endpoints[number] = ROS2Publisher(params["topic"], node_name="sdk_talker", **self._options(params))
-        return {"id": number}
+    def advertise(self, topic: str, **options: Any) -> dict[str, Any]:
+        return self.add(Publisher(topic, self._options(**options)))
 
-    def publish(self, params: dict[str, Any]) -> dict[str, Any]:
-        publisher = self._endpoints[params["id"]]
-        publisher.publish(**fields_of(publisher.msg_type, params["message"], publisher.session_mgr.store))
+    def publish(self, id: int, message: dict[str, Any], times: int = 1) -> dict[str, Any]:
+        for _ in range(times):
+            self.parts[id].publish(message)
         return {}
 
-    def subscribe(self, params: dict[str, Any]) -> dict[str, Any]:
-        number = len(self._messages)
-        self._messages[number] = []
+    def subscribe(self, topic: str, **options: Any) -> dict[str, Any]:
+        return self.add(Subscription(topic, self._options(**options)))
 
-        def on_message(message: Any) -> None:
-            with self._came:
-                self._messages[number].append(plain(message))
-                self._came.notify_all()
+    def _service(self, type: str) -> dict[str, Any]:
+        request, response = SERVICES[type]
+        definitions = {"request_definition": request, "response_definition": response}
+        return {"srv_type": type.replace("/", "/srv/"), **definitions, **self._where}
 
-        subscriber = ROS2Subscriber(
-            params["topic"], callback=on_message, node_name="sdk_listener", **self._options(params)
-        )
-        self._endpoints[number] = subscriber
-        return {"id": number}
+    def serve(
+        self,
+        service: str,
+        type: str,
+        reply: dict[str, Any] | None = None,
+        error: str = "",
+        held: bool = False,
+        **_: Any,
+    ) -> dict[str, Any]:
+        serving = Serving(service, reply or {}, error, held, self._service(type))
+        return {**self.add(serving), "hash": serving.endpoint.type_hash}
 
-    def wait(self, params: dict[str, Any]) -> dict[str, Any]:
-        messages = self._messages[params["id"]]
-        with self._came:
-            self._came.wait_for(lambda: len(messages) >= params["count"], params["seconds"])
-            return {"messages": list(messages[params["since"] :])}
+    def call(
+        self, service: str, type: str, request: dict[str, Any] | None = None, timeout: float = 20.0, **_: Any
+    ) -> dict[str, Any]:
+        client = ROS2ServiceClient(service, node_name="sdk_client", timeout=timeout, **self._service(type))
+        return self.add(ClientCall(client, request or {}))
 
-    def drop(self, params: dict[str, Any]) -> dict[str, Any]:
-        self._endpoints.pop(params["id"]).close()
-        return {}
-
-    def _service(self, params: dict[str, Any]) -> dict[str, Any]:
-        package, _, name = params["type"].partition("/")
-        request, response = SERVICES[params["type"]]
-        return {
-            "srv_type": f"{package}/srv/{name}",
-            "request_definition": request,
-            "response_definition": response,
-            **self._where,
-        }
-
-    def _add(self, endpoint: Any) -> int:
-        number = len(self._messages)
-        self._messages[number] = []
-        self._endpoints[number] = endpoint
-        return number
-
-    def serve(self, params: dict[str, Any]) -> dict[str, Any]:
-        serving = Serving(params, {"node_name": "sdk_server", **self._service(params)})
-        return {"id": self._add(serving), "hash": serving.endpoint.type_hash}
-
-    def requests(self, params: dict[str, Any]) -> dict[str, Any]:
-        return {"requests": self._endpoints[params["id"]].requests(params.get("count", 1), params.get("seconds", 40.0))}
-
-    def release(self, params: dict[str, Any]) -> dict[str, Any]:
-        self._endpoints[params["id"]].released.set()
-        return {}
-
-    def call(self, params: dict[str, Any]) -> dict[str, Any]:
-        client = ROS2ServiceClient(
-            params["service"], node_name="sdk_client", timeout=params.get("timeout", 20.0), **self._service(params)
-        )
-        return {"id": self._add(Calling(client, params.get("request") or {}))}
-
-    def result(self, params: dict[str, Any]) -> dict[str, Any]:
-        result: dict[str, Any] = self._endpoints[params["id"]].result(params.get("seconds", 40.0))
-        return result
-
-    def topic_info(self, params: dict[str, Any]) -> dict[str, Any]:
-        info = get_topic_info(params["topic"], verbose=True, **self._where)
+    def topic_info(self, topic: str) -> dict[str, Any]:
+        info = get_topic_info(topic, verbose=True, **self._where)
         return {"info": None if info is None else json.loads(json.dumps(info, default=vars))}
 
-    def graph(self, _params: dict[str, Any]) -> dict[str, Any]:
+    def graph(self) -> dict[str, Any]:
         topics = dict(get_topic_names_and_types(**self._where))
         infos = {topic: get_topic_info(topic, verbose=True, **self._where) for topic in topics}
         return {
@@ -233,28 +209,19 @@ class ZenohPeer:
         }
 
     def close(self) -> None:
-        for endpoint in self._endpoints.values():
-            endpoint.close()
+        for number in list(self.parts):
+            self.drop(number)
         ZenohSession.get_instance(router_port=self._where["router_port"]).close()
 
 
 def main() -> None:
-    """Read commands until the input ends or ``exit``."""
+    """Execute the commands from standard input until it ends."""
+    answers = only_answers()
     peer = ZenohPeer(int(sys.argv[1]), int(sys.argv[2]))
     try:
-        for line in sys.stdin:
-            command = json.loads(line)
-            name = command.pop("do")
-            if name == "exit":
-                break
-            try:
-                answer = {"ok": True, **getattr(peer, name)(command)}
-            except Exception as err:
-                answer = {"ok": False, "error": f"{type(err).__name__}: {err}"}
-            print(json.dumps(answer), flush=True)
+        serve(peer, answers)
     finally:
         peer.close()
-    print(json.dumps({"ok": True}), flush=True)
 
 
 if __name__ == "__main__":
