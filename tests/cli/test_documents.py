@@ -72,11 +72,8 @@ PEERS = {"release": "3.12", "peers": [{"port": "/old/*", "release": "3.9"}]}
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    place = Place(tmp_path)
-    try:
+    with Place(tmp_path) as place:
         yield place
-    finally:
-        place.close()
 
 
 @pytest.fixture

@@ -8,36 +8,25 @@ from typing import Any
 
 import pytest
 
-from bridge.config.model import Config
 from bridge.foxglove.worker import Live
 from bridge.hub.endpoints.publisher import HubPublisher
-from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos, Reliability
-from bridge.messages.registry import Registry
-from tests.contract.hubside import HubSide, ros2_name
+from tests.contract.hubside import ros2_name
 from tests.peers.browser.foxglove_app import App
-from tests.peers.hub.quick import QuickHub
+from tests.peers.hub.rig import HubRig
 from tests.support.status_documents import check_document
 
 
-class Desk:
+class Desk(HubRig):
     """A server, and a program on its hub (``far``)."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self.hubs = QuickHub()
-        self.far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
+        super().__init__(folder)
         self.live = self.open()
 
     def open(self, **sections: Any) -> Live:
-        config = Config.model_validate({
-            "name": "here",
-            "state": self._folder,
-            "hub": {"listen": self.hubs.endpoint},
-            **sections,
-            "foxglove": {"enabled": True, "listen": "127.0.0.1:0", **sections.get("foxglove", {})},
-        })  # fmt: skip
-        live = Live(config)
+        foxglove = {"enabled": True, "listen": "127.0.0.1:0", **sections.pop("foxglove", {})}
+        live = Live(self.config(**sections, foxglove=foxglove))
         live.start()
         return live
 
@@ -55,21 +44,19 @@ class Desk:
     def app(self, **options: Any) -> App:
         return App(self.live.front.port, **options)
 
-    def status(self) -> dict[str, Any]:
+    def status(self, worker: str = "foxglove") -> dict[str, Any]:
         """Return the server's status document."""
-        (answer,) = self.far.hub.ask("status", {}, worker="foxglove")
-        assert isinstance(answer.value, dict)
-        check_document(answer.value, "foxglove")
-        return answer.value
+        status = super().status(worker)
+        assert status is not None
+        check_document(status, "foxglove")
+        return status
 
     def close(self) -> None:
         self.live.close()
-        self.far.hub.close()
-        self.hubs.stop_router()
+        super().close()
 
 
 @pytest.fixture
 def desk(tmp_path: Path) -> Iterator[Desk]:
-    desk_ = Desk(tmp_path)
-    yield desk_
-    desk_.close()
+    with Desk(tmp_path) as desk_:
+        yield desk_

@@ -10,14 +10,10 @@ from typing import Any
 import pytest
 import yaml
 
-from bridge.clock import SYSTEM
-from bridge.hub.session import Hub
-from bridge.messages.registry import Registry
-from bridge.modules.host import ModuleNode
-from bridge.modules.loop import EventLoop
 from bridge.tf.buffer import TransformBuffer
 from bridge.transform_server.buffer_server import ACTION, FRAMES, BufferServer
 from tests.peers.daemon.deployment import Deployment
+from tests.peers.hub.node import HubNode
 from tests.peers.peer import Peer
 from tests.peers.ros1.network import ROS1_PYTHON
 from tests.support.wait import until
@@ -33,21 +29,15 @@ SUCCEEDED = 4
 @pytest.fixture
 def buffer(running: Deployment) -> Iterator[TransformBuffer]:
     """A module's buffer: map to base moves at 1 m/s for 10 s, base to laser is fixed."""
-    loop = EventLoop("tf")
-    loop.start()
-    hub = Hub.open(running.settings("transform_server"))
-    node = ModuleNode(hub, Registry(), loop, SYSTEM)
     transform_buffer = TransformBuffer()
     for n in range(101):
         transform_buffer.set_transform(
             "map", "base", START + n * S // 10, (n / 10, 0, 0), (0.0, 0.0, 0.0, 1.0), "wheels"
         )
     transform_buffer.set_transform("base", "laser", 0, (0, 2, 0), (0.0, 0.0, 0.6, 0.8), "urdf", static=True)
-    loop.call(lambda: BufferServer(node, transform_buffer))
-    yield transform_buffer
-    node.close()
-    loop.close()
-    hub.close()
+    with HubNode(running.settings("transform_server")) as program:
+        program.on(lambda: BufferServer(program.node, transform_buffer))
+        yield transform_buffer
 
 
 class Ros1:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,14 +10,10 @@ from typing import Any
 import pytest
 
 from bridge.client.actions import ActionClient, SentGoal
-from bridge.clock import SYSTEM
-from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED
 from bridge.messages.actions import STATUSES, GoalState, names
-from bridge.messages.registry import Registry
-from bridge.modules.host import ModuleNode
-from bridge.modules.loop import EventLoop
 from tests.peers.daemon.deployment import Deployment
+from tests.peers.hub.node import HubNode
 from tests.peers.peer import Peer
 from tests.peers.ros1.network import ROS1_PYTHON
 from tests.support.process import Process
@@ -30,20 +25,17 @@ SECONDS = 40.0
 FAR = {"header": {"frame_id": "map"}, "pose": {"position": {"x": 800.0}, "orientation": {"w": 1.0}}}
 
 
-class HubProgram:
+class HubProgram(HubNode):
     """A program on the hub that receives the planner's status and sends goals."""
 
     def __init__(self, place: Deployment) -> None:
-        self.loop, self.hub = EventLoop("program"), Hub.open(place.settings("program", "p"))
-        node = ModuleNode(self.hub, Registry(), self.loop, SYSTEM)
+        super().__init__(place.settings("program", "p"))
         self.lists: list[dict[bytes, GoalState]] = []
         self.moving: list[float] = []
         self.ended: list[tuple[GoalState, Any, str]] = []
-        self.client = ActionClient(node, ACTION, TYPE)
-        node.subscription(names(ACTION).status, STATUSES, self._listed, LATCHED)
-        node.subscription("/cmd_vel", TWIST, lambda message: self.moving.append(message["linear"]["x"]))
-        self._node = node
-        self.loop.start()
+        self.client = ActionClient(self.node, ACTION, TYPE)
+        self.node.subscription(names(ACTION).status, STATUSES, self._listed, LATCHED)
+        self.node.subscription("/cmd_vel", TWIST, lambda message: self.moving.append(message["linear"]["x"]))
 
     def _listed(self, message: dict[str, Any]) -> None:
         self.lists.append({
@@ -51,20 +43,8 @@ class HubProgram:
             for entry in message["status_list"]
         })  # fmt: skip
 
-    def do(self, work: Any) -> Any:
-        """Run ``work`` on the loop of the client; return its value."""
-        done, values = threading.Event(), []
-
-        def run() -> None:
-            values.append(work())
-            done.set()
-
-        self.loop.post(run)
-        assert done.wait(SECONDS)
-        return values[0]
-
     def send(self) -> SentGoal:
-        return self.do(lambda: self.client.send({"pose": FAR}, lambda g, r, why: self.ended.append((g.status, r, why))))
+        return self.on(lambda: self.client.send({"pose": FAR}, lambda g, r, why: self.ended.append((g.status, r, why))))
 
     def active(self) -> list[bytes]:
         """Return the unfinished goals of the newest list."""
@@ -81,11 +61,6 @@ class HubProgram:
     def there(self) -> bool:
         graph = self.hub.graph
         return any(graph.servers(name) for name in names(ACTION)[:3]) or bool(graph.publishers(names(ACTION).status))
-
-    def stop(self) -> None:
-        self._node.close()
-        self.loop.close()
-        self.hub.close()
 
 
 @pytest.fixture
@@ -126,7 +101,7 @@ def test_the_goal_of_a_ros_1_client_continues_and_is_canceled(
     until(lambda: running.worker("ros1")["network"] == running.master.call("getParam", "/run_id"), "joined", SECONDS)
     program.drives_on(goal)
     assert all(state is GoalState.EXECUTING for listed in program.lists[1:] for state in listed.values())
-    program.do(lambda: program.client.cancel(goal))
+    program.on(lambda: program.client.cancel(goal))
     assert peer.ask("goal", id=sent, until={"ends": 1})["status"] == 5, "PREEMPTED, as reported by its client"
     until(lambda: program.lists[-1][goal] is GoalState.CANCELED, "the list reports it", SECONDS)
     until(lambda: program.moving[-1] == 0.0, "it stands", SECONDS)
@@ -140,7 +115,7 @@ def test_the_goal_of_a_hub_client_continues_and_a_killed_planner_is_lost(
     until(lambda: program.active() == [sent.id], "the goal is listed", SECONDS)
     without_a_master(running)
     program.drives_on(sent.id)
-    program.do(sent.cancel)
+    program.on(sent.cancel)
     until(lambda: program.ended, "it ends", SECONDS)
     assert program.ended.pop()[0] is GoalState.CANCELED
     sent = program.send()

@@ -20,7 +20,8 @@ from bridge.stores.kinds import LOCATION
 from bridge.stores.store import Write
 from bridge.stores.wire import prefix
 from tests.peers.daemon.deployment import MIDSPAN
-from tests.peers.navigation.gateway import ClientGoal, Planner, Program, pose
+from tests.peers.hub.node import HubNode
+from tests.peers.navigation.gateway import ClientGoal, Planner, pose
 from tests.peers.yarp.programs import Names
 from tests.support.forks import DAEMON
 from tests.support.ports import free_port
@@ -98,7 +99,7 @@ def test_goals_and_changes_of_the_store_are_counted(tmp_path: Path, names: Names
     with ExitStack() as stack:
         stack.enter_context(daemon.process)
         daemon.until("midspan_goals_total", "outcome", reached=0, failed=0, canceled=0, replaced=0, refused=0)
-        mine, client = Planner(daemon.settings("mine"), "mine"), Program(daemon.settings("client"))
+        mine, client = Planner(daemon.settings("mine"), "mine"), HubNode(daemon.settings("client"))
         stack.callback(mine.close)
         stack.callback(client.close)
         daemon.until("midspan_module_state", "state", running=1)

@@ -10,20 +10,17 @@ import pytest
 
 from bridge.client.actions import CANCEL_AGAIN, ActionClient
 from bridge.client.services import ServiceClient
-from bridge.clock import SYSTEM, RunClock, SystemClock
+from bridge.clock import RunClock, SystemClock
 from bridge.hub.endpoints.calls import CallError
-from bridge.hub.session import Hub
 from bridge.messages.actions import GoalState
 from bridge.messages.errors import ConversionError
-from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
 from bridge.modules.host import ModuleNode
-from bridge.modules.loop import EventLoop
+from tests.peers.hub.node import HubNode
 from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until
 
 BOOL, LOOKUP = "std_srvs/srv/SetBool", "tf2_msgs/action/LookupTransform"
-REGISTRY = Registry()
 
 
 class Two:
@@ -31,21 +28,15 @@ class Two:
 
     def __init__(self) -> None:
         self.hubs = QuickHub()
-        self.nodes: list[ModuleNode] = []
-        for name in ("server", "client"):
-            loop = EventLoop(name)
-            loop.start()
-            self.nodes.append(ModuleNode(Hub.open(self.hubs.settings(name)), REGISTRY, loop, SYSTEM))
-        self.server, self.client = self.nodes
+        self._programs = [HubNode(self.hubs.settings(name)) for name in ("server", "client")]
+        self.server, self.client = (program.node for program in self._programs)
 
     def on(self, node: ModuleNode, action: Callable[[], Any]) -> Any:
         return node.loop.call(action)
 
     def close(self) -> None:
-        for node in self.nodes:
-            node.close()
-            node.loop.close()
-            node.hub.close()
+        for program in self._programs:
+            program.close()
         self.hubs.stop_router()
 
 

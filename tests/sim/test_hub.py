@@ -12,13 +12,10 @@ import pytest
 
 from bridge.config.model import Config
 from bridge.config.sections.yarp import TopicPort, YarpSection
-from bridge.hub.session import Hub
-from bridge.messages.registry import Registry
 from sim import messages
 from sim.depth import DepthCamera
 from sim.simulator import SimWorker
-from tests.contract.hubside import HubSide
-from tests.peers.hub.quick import QuickHub
+from tests.peers.hub.rig import HubRig
 from tests.support.ports import free_port
 from tests.support.status_documents import check_document
 from tests.support.wait import until
@@ -26,23 +23,17 @@ from tests.support.wait import until
 WHEELS = ["mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint"]
 
 
-class Place:
+class Place(HubRig):
     """A hub, the simulator's worker, and a client on another hub session."""
 
     def __init__(self, folder: Path) -> None:
-        self.hubs = QuickHub()
-        self.folder, self.port = folder, free_port()
-        self.worker = SimWorker()
-        self.far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
+        super().__init__(folder)
+        self.port = free_port()
+        self.worker = self.keep(SimWorker())
 
     def config(self, **sim: Any) -> Config:
-        return Config.model_validate({
-            "name": "here",
-            "state": self.folder,
-            "hub": {"listen": self.hubs.endpoint},
-            "yarp": {"address": f"127.0.0.1:{self.port}", "namespace": "/root", "ip": "127.0.0.1"},
-            "sim": {"plan": "apartment", **sim},
-        })  # fmt: skip
+        yarp = {"address": f"127.0.0.1:{self.port}", "namespace": "/root", "ip": "127.0.0.1"}
+        return super().config(yarp=yarp, sim={"plan": "apartment", **sim})
 
     def call(self, service: str, kind: str, **request: Any) -> dict[str, Any]:
         result = self.far.call(service, kind, **request).result()
@@ -56,28 +47,17 @@ class Place:
     def step(self, seconds: float, *wait_for: str, patience: float = 20.0) -> dict[str, Any]:
         return self.call("/sim/step", "midspan_msgs/Step", seconds=seconds, wait_for=list(wait_for), patience=patience)
 
-    def status(self) -> dict[str, Any]:
-        def answer() -> dict[str, Any] | None:
-            answers = self.far.hub.ask("status", {}, worker="sim")
-            return next((a.value for a in answers if isinstance(a.value, dict)), None)
-
-        status: dict[str, Any] = until(answer, "the simulator's status")
+    def answer(self, worker: str = "sim") -> dict[str, Any]:
+        """Wait for the simulator's status document, and check it."""
+        status = super().answer(worker)
         check_document(status, "sim")
         return status
-
-    def close(self) -> None:
-        self.worker.stop()
-        self.far.hub.close()
-        self.hubs.stop_router()
 
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    rig = Place(tmp_path)
-    try:
+    with Place(tmp_path) as rig:
         yield rig
-    finally:
-        rig.close()
 
 
 def test_steps_wait_for_the_acknowledgements_of_participants(place: Place) -> None:
@@ -105,7 +85,7 @@ def test_steps_wait_for_the_acknowledgements_of_participants(place: Place) -> No
         """Step 0.1 s with a command; the first commands may be lost before the subscription is connected."""
         far.publish(velocity, {"linear": {"x": 0.2}})
         place.step(0.1)
-        return float(-place.status()["truth"][1] + 8.2)
+        return float(-place.answer("sim")["truth"][1] + 8.2)
 
     until(lambda: go() > 0.05, "the robot drives", 30)
     last = {topic: far.wait(end, 1)[-1] for topic, end in subscriptions.items() if topic != "/battery_state"}
@@ -140,7 +120,7 @@ def test_steps_wait_for_the_acknowledgements_of_participants(place: Place) -> No
         last_stamp = far.wait(subscriptions[topic], 1)[-1]["header"]["stamp"]
         assert (last_stamp["sec"], last_stamp["nanosec"]) < (before["sec"], before["nanosec"]), topic
     assert place.call("/sim/reset", "std_srvs/Trigger")["success"]
-    assert place.status()["truth"][:2] == [3.0, 8.2]
+    assert place.answer("sim")["truth"][:2] == [3.0, 8.2]
 
 
 def test_services_change_a_simulation_in_real_time(place: Place) -> None:
@@ -159,16 +139,19 @@ def test_services_change_a_simulation_in_real_time(place: Place) -> None:
 
     def drive() -> float:
         far.publish(wheels, {"name": WHEELS[::-1], "velocity": [1.0, 0.5]})
-        return float(place.status()["truth"][2])
+        return float(place.answer("sim")["truth"][2])
 
-    start = place.status()["truth"][2]
+    start = place.answer("sim")["truth"][2]
     until(lambda: drive() > start + 0.05, "the robot turns to the left", 30)
     wrong = {"name": ["wheel"], "velocity": [1.0]}
-    until(lambda: (far.publish(wheels, wrong), place.status()["refused_commands"])[1], "an invalid command is rejected")
+    until(
+        lambda: (far.publish(wheels, wrong), place.answer("sim")["refused_commands"])[1],
+        "an invalid command is rejected",
+    )
     assert place.call("/sim/emergency_stop", "std_srvs/SetBool", data=True)["success"]
-    assert place.status()["emergency_stop"]
+    assert place.answer("sim")["emergency_stop"]
     assert place.named("close", "kitchen_door")["success"]
-    assert not place.status()["doors"]["kitchen_door"]
+    assert not place.answer("sim")["doors"]["kitchen_door"]
     assert place.named("open", "kitchen_door")["success"]
     assert "doors: kitchen_door" in place.named("open", "gate")["message"]
     spawned = {"name": "chest", "pose": {"x": 1.5, "y": 3.0}, "size": [0.4, 0.4, 0.4], "mass": 2.0}
@@ -181,20 +164,20 @@ def test_services_change_a_simulation_in_real_time(place: Place) -> None:
     assert "people: anna" in place.call("/sim/walk", "midspan_msgs/Walk", name="bob", path=path)["message"]
     assert "links: none" in place.named("ride", "lift")["message"]
     assert place.named("fail", "encoders_silent")["success"]
-    assert place.status()["faults"] == ["encoders_silent"]
+    assert place.answer("sim")["faults"] == ["encoders_silent"]
     assert "laser_silent" in place.named("fail", "camera")["message"]
     assert place.named("mend", "encoders_silent")["success"]
     to = {"x": 1.6, "y": 2.4, "theta": math.pi / 2}
     assert place.call("/sim/teleport", "midspan_msgs/Teleport", pose=to)["success"]
-    assert place.status()["truth"][1] == pytest.approx(2.4, abs=0.05)
+    assert place.answer("sim")["truth"][1] == pytest.approx(2.4, abs=0.05)
     assert not place.call("/sim/teleport", "midspan_msgs/Teleport", pose={"x": 0.0, "y": 0.0})["success"]
     assert place.call("/sim/pause", "std_srvs/SetBool", data=True)["success"]
-    paused = place.status()["time"]
-    assert place.status()["time"] == paused
+    paused = place.answer("sim")["time"]
+    assert place.answer("sim")["time"] == paused
     assert place.step(0.5)["success"]
-    assert place.status()["time"] == pytest.approx(paused + 0.5)
+    assert place.answer("sim")["time"] == pytest.approx(paused + 0.5)
     assert place.call("/sim/pause", "std_srvs/SetBool", data=False)["success"]
-    until(lambda: place.status()["time"] > paused + 0.6, "the simulation continues")
+    until(lambda: place.answer("sim")["time"] > paused + 0.6, "the simulation continues")
 
 
 def test_an_invalid_plan_is_reported_and_corrected_by_a_reload(place: Place) -> None:
@@ -204,19 +187,19 @@ def test_an_invalid_plan_is_reported_and_corrected_by_a_reload(place: Place) -> 
     assert "castle" in health.text
     assert place.worker.reload(place.config(plan="hall", speed="max"))
     assert place.worker.health().state == "running"
-    until(lambda: place.status()["time"] > 1, "it runs faster than real time")
+    until(lambda: place.answer("sim")["time"] > 1, "it runs faster than real time")
 
 
 def test_a_reload_of_the_yarp_release_does_not_restart_the_simulation(place: Place) -> None:
     """A restart would move the robot back to its start, and close all connections."""
     config = place.config(speed="max")
     place.worker.start(config)
-    until(lambda: place.status()["time"] > 1, "it runs")
+    until(lambda: place.answer("sim")["time"] > 1, "it runs")
     for changed in ({"release": "3.9"}, {"topics": [TopicPort.model_validate({"topic": "/scan", "as": "natural"})]}):
-        before = place.status()
+        before = place.answer("sim")
         config = config.model_copy(update={"yarp": config.yarp.model_copy(update=changed)})
         assert place.worker.reload(config)
-        after = place.status()
+        after = place.answer("sim")
         assert after["zid"] == before["zid"]
         assert after["time"] >= before["time"]
     assert not place.worker.reload(config.model_copy(update={"yarp": YarpSection(namespace="/other")}))

@@ -43,7 +43,7 @@ def test_runs_with_a_module_on_the_hub_are_identical(tmp_path: Path) -> None:
         truth = place.far.subscribe("/ground_truth", "nav_msgs/Odometry", depth=1000)
         place.worker.start(config)
         modules.start(config)
-        until(lambda: (place.step(0.02), place.status()["truth"][0] > 0.01)[1], "the driver drives", 30)
+        until(lambda: (place.step(0.02), place.answer("sim")["truth"][0] > 0.01)[1], "the driver drives", 30)
 
         def truths() -> list[dict[str, Any]]:
             return place.far.wait(truth, 1)

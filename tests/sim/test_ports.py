@@ -33,7 +33,7 @@ def test_yarp_clients_receive_laser_odometry_depth_and_battery(tmp_path: Path) -
                 place.config(plan="hall", start=(0.5, 0.0, 0.0), yarp="/cer", laser=section, camera=camera)
             )
             until(lambda: connections.exists(names, "/cer/battery/rpc:i"), "the last port is registered")
-            until(lambda: "waiting" not in str(place.status()["ports"]), "all are open")
+            until(lambda: "waiting" not in str(place.answer("sim")["ports"]), "all are open")
             streams(place, names)
             settings(names)
             batteries(names)

@@ -100,11 +100,8 @@ def test_errors_of_reading_the_clocks_do_not_change_stamps(clock: Clocks) -> Non
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    rig = Place(tmp_path)
-    try:
+    with Place(tmp_path) as rig:
         yield rig
-    finally:
-        rig.close()
 
 
 TOPICS = {
@@ -186,10 +183,10 @@ def test_a_step_in_real_time_lasts_its_duration(place: Place) -> None:
     place.worker.start(place.config(plan="hall"))
     until(lambda: far.wait(joints, 1, 0.2), "joint states arrive", 20)
     assert place.call("/sim/pause", "std_srvs/SetBool", data=True)["success"]
-    paused = place.status()["time"]
+    paused = place.answer("sim")["time"]
     until(lambda: stamp_ns({"header": place.step(0.3)}) < time.time_ns(), "a step ends with a stamp in the past")
-    assert place.status()["time"] == pytest.approx(paused + 0.3)
+    assert place.answer("sim")["time"] == pytest.approx(paused + 0.3)
     assert place.call("/sim/pause", "std_srvs/SetBool", data=False)["success"]
-    until(lambda: place.status()["time"] > paused + 0.5, "the simulation continues")
+    until(lambda: place.answer("sim")["time"] > paused + 0.5, "the simulation continues")
     stamps_ns = [stamp_ns(message) for message in far.wait(joints, 1)]
     assert min(after - before for before, after in itertools.pairwise(stamps_ns)) >= TICK_NS - 1000

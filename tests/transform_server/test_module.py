@@ -79,11 +79,8 @@ class ServedPlace(Place):
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[ServedPlace]:
-    opened = ServedPlace(tmp_path)
-    try:
+    with ServedPlace(tmp_path) as opened:
         yield opened
-    finally:
-        opened.close()
 
 
 def test_a_client_and_the_hub_receive_each_others_frames(place: ServedPlace) -> None:

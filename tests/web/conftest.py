@@ -8,35 +8,22 @@ from typing import Any
 
 import pytest
 
-from bridge.config.model import Config
-from bridge.hub.session import Hub
-from bridge.messages.registry import Registry
 from bridge.stores.store import Store
 from bridge.web.worker import Console
-from tests.contract.hubside import HubSide
-from tests.peers.hub.quick import QuickHub
+from tests.peers.hub.rig import HubRig
 from tests.stores.parts import Shared
 
 
-class Desk:
+class Desk(HubRig):
     """A console, and a program on its hub (``far``)."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self.hubs = QuickHub()
-        self.far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
+        super().__init__(folder)
         self.console = self.open()
 
     def open(self, **sections: Any) -> Console:
-        config = Config.model_validate({
-            "name": "here",
-            "state": self._folder,
-            "hub": {"listen": self.hubs.endpoint},
-            "navigation": {"planner": "nav2"},
-            **sections,
-            "web": {"enabled": True, "listen": "127.0.0.1:0", **sections.get("web", {})},
-        })  # fmt: skip
-        console = Console(config)
+        web = {"enabled": True, "listen": "127.0.0.1:0", **sections.pop("web", {})}
+        console = Console(self.config(**{"navigation": {"planner": "nav2"}, **sections, "web": web}))
         console.start()
         return console
 
@@ -51,15 +38,13 @@ class Desk:
 
     def close(self) -> None:
         self.console.close()
-        self.far.hub.close()
-        self.hubs.stop_router()
+        super().close()
 
 
 @pytest.fixture
 def desk(tmp_path: Path) -> Iterator[Desk]:
-    desk_ = Desk(tmp_path)
-    yield desk_
-    desk_.close()
+    with Desk(tmp_path) as desk_:
+        yield desk_
 
 
 @pytest.fixture

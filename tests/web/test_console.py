@@ -19,7 +19,7 @@ from bridge.web.verbs import verbs
 from bridge.web.verbs.hold import HOLD_SECONDS
 from navigation.messages import NAVIGATE
 from tests.peers.browser.page import TestPage
-from tests.peers.navigation.gateway import Program
+from tests.peers.hub.node import HubNode
 from tests.support.wait import until
 from tests.web.conftest import Desk
 
@@ -471,7 +471,7 @@ def test_a_goal_without_a_reply_is_canceled(desk: Desk, monkeypatch: pytest.Monk
         gateway.close()
 
 
-class LateGateway(Program):
+class LateGateway(HubNode):
     """Accepts a goal only when allowed."""
 
     def __init__(self, settings: Any) -> None:

@@ -14,14 +14,15 @@ from navigation.gateway.telemetry import PATH
 from navigation.messages import NAVIGATE
 from navigation.status import NO_GOAL, STATUS, PlannerStatus, State, status_message
 from tests.peers.browser.page import TestPage
-from tests.peers.navigation.gateway import Program, pose
+from tests.peers.hub.node import HubNode
+from tests.peers.navigation.gateway import pose
 from tests.web.conftest import Desk
 
 GOAL, OTHER = bytes([1] * 16), bytes([2] * 16)
 STRAIGHT, DETOUR = [0.0, 0.0, 4.0, 0.0], [0.0, 0.0, 0.0, 3.0, 4.0, 0.0]
 
 
-class Planner(Program):
+class Planner(HubNode):
     """The gateway's status, and a planner's path and feedback."""
 
     def __init__(self, settings: Any) -> None:

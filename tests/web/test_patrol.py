@@ -15,14 +15,15 @@ from bridge.web.verbs import patrol
 from navigation.messages import NAVIGATE
 from navigation.status import NO_GOAL, STATUS, PlannerStatus, State, status_message
 from tests.peers.browser.page import TestPage
-from tests.peers.navigation.gateway import Program, pose
+from tests.peers.hub.node import HubNode
+from tests.peers.navigation.gateway import pose
 from tests.support.wait import until
 from tests.web.conftest import Desk
 
 PLACES = {"a": 1.0, "b": 2.0, "c": 3.0}
 
 
-class FakeGateway(Program):
+class FakeGateway(HubNode):
     """Accepts one goal at a time, and publishes its status."""
 
     def __init__(self, settings: Any) -> None:
@@ -182,7 +183,7 @@ def test_another_clients_goal_ends_the_patrol(desk: Desk, page: TestPage, gatewa
     if where == "at a place":
         gateway.reach()
         state(page, "waits")
-    other = Program(desk.hubs.settings("other"))
+    other = HubNode(desk.hubs.settings("other"))
     try:
         client = other.on(lambda: other.node.action_client(ACTION, NAVIGATE))
         until(lambda: client.ready, "the gateway is discovered", 20)

@@ -10,11 +10,8 @@ from typing import Any
 import pytest
 
 from bridge.config.model import Config
-from bridge.hub.session import Hub
-from bridge.messages.registry import Registry
-from tests.contract.hubside import HubSide
 from tests.contract.yarpside import YarpBridge
-from tests.peers.hub.quick import QuickHub
+from tests.peers.hub.rig import HubRig
 from tests.peers.yarp.programs import Definitions, Names, YarpProgram
 from tests.support.wait import until
 from yarp_compat.naming import connections
@@ -80,33 +77,22 @@ def _connected(names: Names, source: str, target: str) -> bool:
     return True
 
 
-class Place:
+class Place(HubRig):
     """The networks of one test, and the programs on them."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.hubs = QuickHub()
+        super().__init__(folder)
         self.names = Names()
-        self._open: list[Any] = []
-        self._far: HubSide | None = None
 
     def config(self, name: str = "here", *, yarp: dict[str, Any] | None = None, **sections: Any) -> Config:
         """Return a configuration for this YARP network."""
         section = {"nameserver": "site", "address": self.names.endpoint, "poll": 0.1, **(yarp or {})}
-        hub = {"listen": self.hubs.endpoint}
-        return Config.model_validate({"name": name, "state": self.folder, "hub": hub, "yarp": section, **sections})
+        return super().config(name=name, yarp=section, **sections)
 
     def bridge(self, *topics: dict[str, Any], name: str = "here", **sections: Any) -> YarpBridge:
         """Start an adapter with these topic rules."""
         yarp = {"topics": list(topics), **sections.pop("yarp", {})}
         return self.keep(YarpBridge(self.config(name, yarp=yarp, **sections)))
-
-    @property
-    def far(self) -> HubSide:
-        """A native program on the hub."""
-        if self._far is None:
-            self._far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
-        return self._far
 
     def port(self, name: str, profile: Profile = Profile.YARP3) -> YarpPort:
         """Open a port of a YARP program."""
@@ -116,24 +102,12 @@ class Place:
         """Start a YARP program with ports named ``/topic@/node``."""
         return self.keep(YarpProgram(self.names, node, DEFINITIONS))
 
-    def keep(self, thing: Any) -> Any:
-        """Stop an object at the end of the test."""
-        self._open.append(thing)
-        return thing
-
     def close(self) -> None:
-        for thing in reversed(self._open):
-            thing.stop()
-        if self._far is not None:
-            self._far.hub.close()
+        super().close()
         self.names.stop()
-        self.hubs.stop_router()
 
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    place = Place(tmp_path)
-    try:
+    with Place(tmp_path) as place:
         yield place
-    finally:
-        place.close()

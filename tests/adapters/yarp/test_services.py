@@ -10,14 +10,10 @@ from typing import Any
 import pytest
 
 from bridge.adapters.yarp.services import ServedPort
-from bridge.clock import SYSTEM
 from bridge.hub.endpoints.calls import Abandon, CallError, Done
-from bridge.hub.session import Hub
-from bridge.messages.registry import Registry
-from bridge.modules.host import ModuleNode
-from bridge.modules.loop import EventLoop
 from bridge.routing.edge import MadeBy
 from tests.adapters.yarp.conftest import Place
+from tests.peers.hub.node import HubNode
 from tests.peers.yarp.native_client import NativeClient
 from tests.support.wait import until
 from yarp_compat.ports.message import PortMessage
@@ -30,13 +26,11 @@ from yarp_compat.wire.values import Vocab
 BOOL, PLAN, EMPTY = "std_srvs/srv/SetBool", "nav_msgs/srv/GetPlan", "std_srvs/srv/Empty"
 
 
-class Robot:
+class Robot(HubNode):
     """A node on the hub."""
 
     def __init__(self, place: Place) -> None:
-        self.loop = EventLoop("robot")
-        self.node = ModuleNode(Hub.open(place.hubs.settings("robot")), Registry(), self.loop, SYSTEM)
-        self.loop.start()
+        super().__init__(place.hubs.settings("robot"))
         self.held: list[Any] = []
 
     def switch(self, request: dict[str, Any], answer: Any) -> None:
@@ -50,11 +44,6 @@ class Robot:
         until(lambda: client.ready, "the server is available", 20)
         client.call(request, replies.append)
         return replies
-
-    def stop(self) -> None:
-        self.node.close()
-        self.loop.close()
-        self.node.hub.close()
 
 
 @pytest.fixture

@@ -39,14 +39,14 @@ def test_a_client_waits_for_its_router(
         health = joined.health()
         assert health.state == "waiting"
         assert health.text.startswith(f"waiting for the zenoh router at {place.router.endpoint}: ")
-        assert health.text in place.status(joined.name)["warnings"]
+        assert health.text in place.answer(joined.name)["warnings"]
         place.router.start()
         until(lambda: joined.health().state == "running", "it joins")
         topic = "/json/both" if dialect == "json" else "/both"
         program = {"ros2dds": place.ros2dds, "ros1": place.ros1, "json": place.json}[dialect]()
         out, received = program.advertise(topic, STRING), place.far.subscribe("/both", STRING)
         assert cross(program, out, place.far, received, {"data": "hi"}) == {"data": "hi"}
-        assert not [w for w in place.status(joined.name)["warnings"] if "waiting" in w]
+        assert not [w for w in place.answer(joined.name)["warnings"] if "waiting" in w]
         assert sum("waiting for the zenoh router" in record.message for record in caplog.records) <= 1
         place.router.stop()
         until(lambda: joined.health().state == "waiting", "the router has left")

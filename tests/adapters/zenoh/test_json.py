@@ -79,7 +79,7 @@ def test_keys_in_each_direction(place: Place) -> None:
         return [line["decision"] for line in place.explain(SIDE, "/robot/says") if line["direction"] == "out"]
 
     assert until(decided, "the decision", every=0.1) == ["own"]
-    assert place.status(SIDE)["refused"] == []
+    assert place.answer(SIDE)["refused"] == []
 
 
 def test_a_late_reader_gets_the_newest_message(place: Place) -> None:
@@ -151,7 +151,7 @@ def test_a_key_cannot_carry_cdr_and_json(place: Place) -> None:
 
     assert "JSON" in until(why, "the decision", every=0.1)[0]
     bridge.advertise("/talk", STRING)
-    until(lambda: [w for w in place.status("zenoh_ros2dds")["warnings"] if "JSON" in w], "a warning", every=0.1)
+    until(lambda: [w for w in place.answer("zenoh_ros2dds")["warnings"] if "JSON" in w], "a warning", every=0.1)
 
 
 def test_services_by_a_get(place: Place) -> None:

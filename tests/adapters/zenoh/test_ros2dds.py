@@ -241,7 +241,7 @@ def test_keys_without_announcement_are_ignored(place: Place) -> None:
     place.far.publish(out, {"data": "on the hub"})
     place.until_route(SIDE, "/chatter", "out")
     assert bridge.bridges[0].health().state == "running"
-    status = place.status(SIDE)
+    status = place.answer(SIDE)
     assert [r["direction"] for r in status["routes"] if r["topic"] == "/chatter"] == ["out"]
     assert not [w for w in status["warnings"] if "ignored" in w]
     assert place.explain(SIDE, "/0/chatter") == []
@@ -253,7 +253,7 @@ def test_a_token_that_claims_a_key_of_the_hub(place: Place) -> None:
     place.bridge({"dialect": "ros2dds"})
     key = f"0§chatter§std_msgs::msg::dds_::String_§{HASH}"
     claim = bridge.session.liveliness().declare_token(f"@/{bridge.zid}/@ros2_lv/MP/{key}/std_msgs§msg§String/:::")
-    until(lambda: [w for w in place.status(SIDE)["warnings"] if "ignored" in w], "a warning", every=0.1)
+    until(lambda: [w for w in place.answer(SIDE)["warnings"] if "ignored" in w], "a warning", every=0.1)
     assert not place.far.publishers("/chatter")
     claim.undeclare()
 

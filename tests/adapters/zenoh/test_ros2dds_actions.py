@@ -49,7 +49,7 @@ def test_from_the_hub_to_a_server_behind_a_bridge(place: Place) -> None:
     server.end(SUCCEEDED, "laser")
     status, result = sent.ended()
     assert (status, result["transform"]["child_frame_id"]) == (GoalState.SUCCEEDED, "laser")
-    names = {row["topic"].rpartition("/")[2]: row["kind"] for row in place.status(SIDE)["routes"]}
+    names = {row["topic"].rpartition("/")[2]: row["kind"] for row in place.answer(SIDE)["routes"]}
     assert names == {
         "send_goal": "service", "cancel_goal": "service", "get_result": "service", "feedback": "topic",
         "status": "topic",

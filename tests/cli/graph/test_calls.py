@@ -10,29 +10,24 @@ from typing import Any
 
 import pytest
 
-from bridge.clock import SYSTEM
-from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
-from bridge.modules.host import ModuleNode
-from bridge.modules.loop import EventLoop
 from tests.cli.conftest import Midspan, Outcome
 from tests.peers.daemon.workers import FakeWorker
 from tests.peers.hub.network import HubNetwork
+from tests.peers.hub.node import HubNode
 from tests.support.wait import until
 
 BOOL, LOOKUP = "std_srvs/srv/SetBool", "tf2_msgs/action/LookupTransform"
 
 
-class Robot:
+class Robot(HubNode):
     """A node with a service and an action."""
 
     def __init__(self, network: HubNetwork, registry: Registry) -> None:
-        self.loop = EventLoop("robot")
-        self.node = ModuleNode(Hub.open(network.settings("robot")), registry, self.loop, SYSTEM)
+        super().__init__(network.settings("robot"), registry)
         self.goals: list[Goal] = []
         self.obeys = True
-        self.loop.start()
         self.node.server("/lamp", BOOL, self.switch)
         self.node.action_server("/lookup", LOOKUP, self.accept, self.cancel)
 
@@ -53,17 +48,11 @@ class Robot:
             self.loop.post(goal.canceled)
         return True
 
-    def close(self) -> None:
-        self.node.close()
-        self.loop.close()
-        self.node.hub.close()
-
 
 @pytest.fixture
 def robot(network: HubNetwork, registry: Registry) -> Iterator[Robot]:
-    fake_robot = Robot(network, registry)
-    yield fake_robot
-    fake_robot.close()
+    with Robot(network, registry) as fake_robot:
+        yield fake_robot
 
 
 @pytest.fixture

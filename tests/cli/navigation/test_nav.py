@@ -31,7 +31,8 @@ from navigation.status import State
 from tests.cli.conftest import Midspan, Outcome
 from tests.peers.daemon.workers import FakeWorker, config_file
 from tests.peers.hub.network import HubNetwork
-from tests.peers.navigation.gateway import ClientGoal, Planner, Program, Rig, pose
+from tests.peers.hub.node import HubNode
+from tests.peers.navigation.gateway import ClientGoal, Planner, Rig, pose
 from tests.support.wait import until
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
 from yarp_compat.dev.mapgrid import MapGrid2D
@@ -412,7 +413,7 @@ def test_stop_reaches_the_planner_without_a_gateway(network: HubNetwork, tmp_pat
     outcome = midspan("nav", "stop")
     assert outcome.code == 1
     assert "Nor is the planner move_base on the hub: the robot may still be moving" in outcome.err
-    planner, client = Planner(network.settings("planner"), "move_base"), Program(network.settings("client"))
+    planner, client = Planner(network.settings("planner"), "move_base"), HubNode(network.settings("client"))
     try:
         client_goal = ClientGoal(client, pose(5.0), "/planner/move_base/navigate_to_pose")
         goal = planner.until(1)

@@ -14,8 +14,9 @@ from navigation.gateway import gateway as gateway_module
 from navigation.gateway.machine import DriveState
 from navigation.status import Fault, State
 from tests.peers.hub.calls import Calling
+from tests.peers.hub.node import HubNode
 from tests.peers.navigation.driving import MAY_MOVE, SPEED, Scene, scene
-from tests.peers.navigation.gateway import Program, Rig
+from tests.peers.navigation.gateway import Rig
 from tests.support.wait import until
 
 PLANNER = "nav2"
@@ -39,7 +40,7 @@ def robot(rig: Rig) -> Iterator[Scene]:
 # -- other actions that move the base ----------------------------------------------------------------------------------
 
 
-class Controller(Program):
+class Controller(HubNode):
     """A server of another action that moves the base: controller_server or behavior_server.
 
     Attributes:
@@ -52,7 +53,7 @@ class Controller(Program):
         self.canceled = threading.Event()
         self.on(lambda: self.node.action_server(action, TYPES[action], self._accept, self._cancel))
         self.client = self.on(lambda: self.node.action_client(action, TYPES[action]))
-        self._own = Program(rig.hubs.settings("bt_navigator"))
+        self._own = HubNode(rig.hubs.settings("bt_navigator"))
         client = self._own.on(lambda: self._own.node.action_client(action, TYPES[action]))
         until(lambda: client.ready, f"{action} is served")
         self._own.on(lambda: client.send({}, lambda *_end: None))

@@ -20,7 +20,8 @@ from bridge.modules.host import Host
 from navigation.gateway import execution, goal_list, stop
 from navigation.gateway.module import GatewayModule
 from navigation.status import Fault, State
-from tests.peers.navigation.gateway import LATCHED, REGISTRY, ClientGoal, Planner, Rig, pose
+from tests.peers.hub.node import REGISTRY
+from tests.peers.navigation.gateway import LATCHED, ClientGoal, Planner, Rig, pose
 from tests.peers.navigation.odometry import Odometry
 from tests.support.faults import FaultProxy
 from tests.support.wait import until

@@ -11,7 +11,8 @@ import pytest
 from bridge.config.model import Config
 from bridge.modules.worker import ModulesWorker
 from tests.peers.hub.machines import Machines, make_keys
-from tests.peers.navigation.gateway import ClientGoal, Planner, Program, pose
+from tests.peers.hub.node import HubNode
+from tests.peers.navigation.gateway import ClientGoal, Planner, pose
 from tests.support.wait import until
 
 
@@ -31,8 +32,8 @@ class Robot:
         gateway = module.gateway
         until(lambda: gateway.link.reachable, "the planner is reachable", 20)
 
-    def operator(self, name: str) -> Program:
-        return Program(self.machines.settings(name))
+    def operator(self, name: str) -> HubNode:
+        return HubNode(self.machines.settings(name))
 
     def close(self) -> None:
         self.planner.close()

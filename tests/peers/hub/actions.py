@@ -6,13 +6,11 @@ import contextlib
 import threading
 from typing import Any
 
-from bridge.clock import SYSTEM
-from bridge.hub.session import Hub, HubSettings
-from bridge.messages.registry import Registry
+from bridge.hub.session import HubSettings
 from bridge.modules.action_server import Goal
 from bridge.modules.host import ModuleNode
-from bridge.modules.loop import EventLoop
 from tests.peers.commands import Commands, Record
+from tests.peers.hub.node import HubNode
 from tests.support.wait import until as wait_until
 
 
@@ -118,22 +116,17 @@ class HubActions(Commands):
 
     def __init__(self, settings: HubSettings) -> None:
         super().__init__()
-        self._loop = EventLoop("module")
-        self._hub = Hub.open(settings)
-        self._node = ModuleNode(self._hub, Registry(), self._loop, SYSTEM)
-        self._loop.start()
+        self._program = HubNode(settings)
 
     def act(self, **params: Any) -> dict[str, Any]:
-        return self.add(Acting(self._node, params))
+        return self.add(Acting(self._program.node, params))
 
     def send_goal(self, **params: Any) -> dict[str, Any]:
-        return self.add(Sent(self._node, params))
+        return self.add(Sent(self._program.node, params))
 
     def stop(self) -> None:
         """Leave the hub."""
-        self._node.close()
-        self._loop.close()
-        self._hub.close()
+        self._program.close()
 
 
 def full(name: str) -> str:

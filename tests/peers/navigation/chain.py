@@ -20,16 +20,14 @@ from typing import Any, Self
 
 import yaml
 
-from bridge.clock import SYSTEM
 from bridge.hub.endpoints.calls import CallError
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.session import HubSettings
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.actions import GoalState
-from bridge.messages.registry import Registry
-from bridge.modules.host import ModuleNode
-from bridge.modules.loop import EventLoop
 from sim import export
 from sim.plan import load_plan
+from tests.peers.hub.node import HubNode
+from tests.peers.navigation.gateway import pose
 from tests.support.forks import DAEMON
 from tests.support.missing import COMPILER, DART, need
 from tests.support.ports import free_port
@@ -74,23 +72,17 @@ class SentGoal:
     sent: Any = None
 
 
-class Client:
+class Client(HubNode):
     """A program on the hub that sends goals and calls services."""
 
     def __init__(self, settings: HubSettings) -> None:
-        self._loop = EventLoop("client")
-        self.hub = Hub.open(settings)
-        self.node = ModuleNode(self.hub, Registry(), self._loop, SYSTEM)
-        self._loop.start()
+        super().__init__(settings)
         self._action = self.node.action_client("/navigate_to_pose", NAVIGATE)
         self._services: dict[str, Any] = {}
 
     def goto(self, x: float, y: float, degrees: float, *, seconds: float = 30.0) -> SentGoal:
         """Send a goal once the action is available."""
         until(lambda: self._action.ready, "the gateway serves the action", seconds)
-        half = math.radians(degrees) / 2
-        turn = {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)}
-        pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}
         sent_goal = SentGoal()
 
         def ended(sent: Any, result: Mapping[str, Any] | None, reason: str) -> None:
@@ -100,21 +92,21 @@ class Client:
             sent_goal.status = sent.status
 
         def send() -> None:
-            goal = {"pose": {"header": {"frame_id": "map"}, "pose": pose}}
+            goal = {"pose": pose(x, y, math.radians(degrees))}
             sent_goal.sent = self._action.send(goal, ended, sent_goal.feedback.append)
 
-        self._loop.call(send)
+        self.loop.call(send)
         return sent_goal
 
     def cancel(self, sent_goal: SentGoal) -> None:
         """Cancel a goal."""
-        self._loop.call(sent_goal.sent.cancel)
+        self.loop.call(sent_goal.sent.cancel)
 
     def call(self, name: str, kind: str, /, *, patience: float = 20.0, **request: Any) -> dict[str, Any]:
         """Call a service."""
         client = self._services.get(name)
         if client is None:
-            client = self._services[name] = self._loop.call(lambda: self.node.client(name, kind))
+            client = self._services[name] = self.loop.call(lambda: self.node.client(name, kind))
         until(lambda: client.ready, f"{name} is served", 40)
         done, replies = threading.Event(), []
 
@@ -122,17 +114,11 @@ class Client:
             replies.append(reply)
             done.set()
 
-        self._loop.call(lambda: client.call(request, replied))
+        self.loop.call(lambda: client.call(request, replied))
         assert done.wait(patience), f"no reply from {name}"
         reply = replies[0]
         assert not isinstance(reply, CallError), f"{name}: {reply}"
         return reply
-
-    def stop(self) -> None:
-        """Leave the hub."""
-        self.node.close()
-        self._loop.close()
-        self.hub.close()
 
 
 class Chain:

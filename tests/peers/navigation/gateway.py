@@ -9,21 +9,17 @@ from typing import Any
 
 from bridge.client.actions import SentGoal
 from bridge.clock import SYSTEM
-from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos
-from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
-from bridge.modules.host import ModuleNode
-from bridge.modules.loop import EventLoop
 from navigation.messages import NAVIGATE
 from navigation.status import STATUS, PlannerStatus, State, status_message
 from tests.peers.hub.modules import Place
+from tests.peers.hub.node import HubNode
 from tests.support.wait import until
 from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
 
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-REGISTRY = Registry()
 SECONDS = 20.0
 
 
@@ -32,24 +28,7 @@ def pose(x: float, y: float = 0.0, yaw: float = 0.0, frame: str = "map") -> dict
     return {"header": {"frame_id": frame}, "pose": {"position": {"x": x, "y": y}, "orientation": orientation}}
 
 
-class Program:
-    """A program with a node on the hub."""
-
-    def __init__(self, settings: Any) -> None:
-        self.loop = EventLoop(settings.node)
-        self.node = ModuleNode(Hub.open(settings), REGISTRY, self.loop, SYSTEM)
-        self.loop.start()
-
-    def on(self, action: Callable[[], Any]) -> Any:
-        return self.loop.call(action, 20.0)
-
-    def close(self) -> None:
-        self.node.close()
-        self.loop.close()
-        self.node.hub.close()
-
-
-class Planner(Program):
+class Planner(HubNode):
     """A planner that executes one goal at a time; the test ends each goal.
 
     Attributes:
@@ -105,7 +84,7 @@ class ClientGoal:
     """A goal of an action client, with its feedback and result."""
 
     def __init__(
-        self, program: Program, message: dict[str, Any], action: str = "/navigate_to_pose", tree: str = ""
+        self, program: HubNode, message: dict[str, Any], action: str = "/navigate_to_pose", tree: str = ""
     ) -> None:
         self.feedback: list[dict[str, Any]] = []
         self.ended = False
@@ -137,7 +116,7 @@ class Rig(Place):
         self.yarp.open()
         self.section = {"planner": "robot_goto", "patience": 60.0, **navigation}
         self.worker.start(self.configured())
-        self.client = Program(self.hubs.settings("client"))
+        self.client = HubNode(self.hubs.settings("client"))
         self.planners: dict[str, Planner] = {}
         self.statuses: list[dict[str, Any]] = []
         self.client.node.subscription("/navigation/status", STATUS, self.statuses.append, LATCHED)

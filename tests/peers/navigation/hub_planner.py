@@ -8,13 +8,14 @@ from typing import Any
 
 from bridge.modules.action_server import Goal
 from navigation.messages import NAVIGATE
-from tests.peers.navigation.gateway import Program, pose
+from tests.peers.hub.node import HubNode
+from tests.peers.navigation.gateway import pose
 
 SPEED, PATIENCE, UNREACHABLE = 2.0, 0.5, 900.0
 """m/s; seconds until an unreachable goal is aborted; x in meters from which goals are unreachable."""
 
 
-class HubPlanner(Program):
+class HubPlanner(HubNode):
     """A planner on the hub that drives like the other stand-ins."""
 
     def __init__(self, settings: Any, name: str) -> None:
@@ -56,7 +57,3 @@ class HubPlanner(Program):
         if abs(left) <= 0.1 * SPEED:
             self._goal = None
             goal.succeed()
-
-    def stop(self) -> None:
-        """Leave the hub."""
-        self.close()

@@ -15,7 +15,7 @@ from bridge.messages.actions import STATUSES, GoalState, names
 from bridge.modules.endpoints import Subscription
 from navigation.status import STATUS
 from tests.peers.daemon.deployment import Deployment
-from tests.peers.navigation.gateway import Program
+from tests.peers.hub.node import HubNode
 from tests.peers.navigation.mix_clients import (
     COMMAND,
     ROS1,
@@ -101,7 +101,7 @@ class Mix:
         self.listed: dict[bytes, GoalState] = {}
         self.statuses: list[tuple[float, dict[str, Any]]] = []
         deployment.start(**self._sections(planner))
-        self._hub = Program(deployment.settings("mix"))
+        self._hub = HubNode(deployment.settings("mix"))
         deployment.keep(Closing(self._hub))
         self._hub.node.subscription("/navigation/status", STATUS, self._on_status, LATCHED)
         self.clients = self._clients()

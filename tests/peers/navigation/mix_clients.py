@@ -11,7 +11,8 @@ from typing import Any, Protocol
 from bridge.client.actions import SentGoal
 from tests.contract.hubside import HubSide
 from tests.peers.daemon.deployment import Deployment
-from tests.peers.navigation.gateway import ClientGoal, Program, pose
+from tests.peers.hub.node import HubNode
+from tests.peers.navigation.gateway import ClientGoal, pose
 from tests.peers.peer import Peer
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs
 from yarp_compat.dev.locations import Map2DLocation
@@ -187,7 +188,7 @@ class _TimedGoal(ClientGoal):
 class ZenohClient:
     """A program on the hub."""
 
-    def __init__(self, program: Program, far: HubSide) -> None:
+    def __init__(self, program: HubNode, far: HubSide) -> None:
         self._program, self._far = program, far
         self._goal: _TimedGoal | None = None
 

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from bridge.client.actions import SentGoal
-from bridge.clock import SYSTEM
 from bridge.hub.session import Hub
 from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
-from bridge.modules.host import Host, ModuleNode
-from bridge.modules.loop import EventLoop
+from bridge.modules.host import Host
 from tests.peers.hub.modules import Place
+from tests.peers.hub.node import HubNode
+from tests.peers.navigation.gateway import pose
 from tests.support.wait import until
 from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
@@ -23,7 +22,7 @@ from yarp_compat.naming.server import NameServer
 ACTION, STATUS = "nav2_msgs/action/NavigateToPose", "midspan_msgs/NavigationStatus"
 
 
-class Program:
+class Program(HubNode):
     """A node with its own thread, and a client of a planner.
 
     Args:
@@ -33,9 +32,7 @@ class Program:
     """
 
     def __init__(self, hub: Hub, registry: Registry, planner: str) -> None:
-        self.loop = EventLoop("robot")
-        self.loop.start()
-        self.node = ModuleNode(hub, registry, self.loop, SYSTEM)
+        super().__init__(hub, registry)
         self._action = f"{planner}/navigate_to_pose"
         self.connect()
 
@@ -49,14 +46,11 @@ class Program:
 
     def send(self, x: float, y: float, yaw: float = 0.0, text: str = "", frame: str = "map") -> Sent:
         until(lambda: self.client.ready, "the planner is available", 30)
-        turn = {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
-        pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}
-        return Sent(self, {"pose": {"header": {"frame_id": frame}, "pose": pose}, "behavior_tree": text})
+        return Sent(self, {"pose": pose(x, y, yaw, frame), "behavior_tree": text})
 
     def close(self) -> None:
         self._timer.close()
-        self.node.close()
-        self.loop.close()
+        super().close()
 
 
 class Sent:

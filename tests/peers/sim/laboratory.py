@@ -5,17 +5,15 @@ from __future__ import annotations
 import math
 import time
 
-from bridge.clock import SYSTEM
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
-from bridge.modules.host import ModuleNode
-from bridge.modules.loop import EventLoop
 from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE, Stamped, write
 from navigation.pose import Pose
 from sim import export, messages
 from sim.section import LaserSection, SimSection
 from sim.simulation import Simulation
+from tests.peers.hub.node import HubNode
 from yarp_compat.dev.mapgrid import MapGrid2D
 
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
@@ -23,7 +21,7 @@ _PERIOD = 0.05
 _UNIT = (0.0, 0.0, 0.0, 1.0)
 
 
-class Robot:
+class Robot(HubNode):
     """A standing robot that publishes its scans, and odometry with an origin away from the map's.
 
     Attributes:
@@ -38,15 +36,13 @@ class Robot:
         self.silent: set[str] = set()
         self.localized: Pose | None = None
         self.odometry = Pose(7.0, -3.0, 2.0)
-        self._loop = EventLoop("robot")
-        self._loop.start()
-        self.node = ModuleNode(hub, registry, self._loop, SYSTEM)
+        super().__init__(hub, registry)
         self._tf = self.node.publisher(TF, TF_TYPE, Qos(depth=10))
         static = self.node.publisher(TF_STATIC, TF_TYPE, LATCHED, priority="state")
         # the laser is mounted upside down and turned by half a circle
         static.publish_cdr(write([Stamped("base_link", "laser", 0, (0.0, 0.0, 0.2), (0.0, 1.0, 0.0, 0.0))]))
         self._scan = self.node.publisher("/scan", "sensor_msgs/msg/LaserScan", Qos(depth=1))
-        self._timer = self._loop.every(_PERIOD, self._publish)
+        self._timer = self.loop.every(_PERIOD, self._publish)
 
     @property
     def pose(self) -> Pose:
@@ -73,8 +69,8 @@ class Robot:
             self._scan.publish(scan)
 
     def close(self) -> None:
-        self._loop.close()
-        self.node.close()
+        self._timer.close()
+        super().close()
 
 
 def stamped(parent: str, child: str, pose: Pose, stamp: int) -> Stamped:

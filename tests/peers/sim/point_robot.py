@@ -8,11 +8,9 @@ from typing import Any
 import numpy as np
 
 from bridge.clock import SYSTEM
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.session import HubSettings
 from bridge.hub.wire.qos import Durability, Qos
-from bridge.messages.registry import Registry
-from bridge.modules.host import ModuleNode
-from bridge.modules.loop import EventLoop
+from tests.peers.hub.node import HubNode
 
 PERIOD = 0.02
 TIMEOUT = 0.3
@@ -20,7 +18,7 @@ _KEPT = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 BEAMS = 90
 
 
-class PointRobot:
+class PointRobot(HubNode):
     """Starts at (0, 0) of the map, facing along x; publishes a free map.
 
     Args:
@@ -31,16 +29,15 @@ class PointRobot:
     def __init__(self, settings: HubSettings, size: tuple[float, float]) -> None:
         self.x = self.y = self.theta = 0.0
         self._speed, self._turn, self._silent = 0.0, 0.0, 0.0
-        self._loop = EventLoop(settings.node)
-        self._node = node = ModuleNode(Hub.open(settings), Registry(), self._loop, SYSTEM)
-        self._loop.start()
+        super().__init__(settings)
+        node = self.node
         self._tf = node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=10))
         self._scan = node.publisher("/scan", "sensor_msgs/msg/LaserScan", Qos(depth=5))
         self._map = node.publisher("/map", "nav_msgs/msg/OccupancyGrid", _KEPT)
         self._map.publish(_free(size))
         node.subscription("/cmd_vel", "geometry_msgs/msg/Twist", self._on_velocity, Qos(depth=1))
         self._count = 0
-        self._loop.every(PERIOD, self._step)
+        self.loop.every(PERIOD, self._step)
 
     def _on_velocity(self, message: dict[str, Any]) -> None:
         self._speed, self._turn, self._silent = message["linear"]["x"], message["angular"]["z"], 0.0
@@ -66,12 +63,6 @@ class PointRobot:
                 "angle_min": -math.pi, "angle_max": math.pi - step, "angle_increment": step,
                 "range_min": 0.05, "range_max": 10.0, "ranges": np.full(BEAMS, np.inf, np.float32),
             })  # fmt: skip
-
-    def stop(self) -> None:
-        """Leave the hub."""
-        self._node.close()
-        self._loop.close()
-        self._node.hub.close()
 
 
 def _frame(stamp: dict[str, int], parent: str, child: str, at: dict[str, Any]) -> dict[str, Any]:
