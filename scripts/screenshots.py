@@ -84,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         robot = WebRobot(Path(place))
         try:
             robot.ready()
-            with browser(Path(place)) as chrome, TestPage(robot.port) as page:
+            with browser(Path(place)) as chrome, TestPage(robot.web) as page:
                 if folder is None:
                     wanted = [(DOCS / f"{name}.png", *settings) for name, settings in IN_DOCS.items()]
                 else:

@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from tests.peers.daemon.deployment import MIDSPAN
+from tests.peers.daemon.midspan import MIDSPAN
 from tests.peers.navigation.chain import Chain
 from tests.support.netns import Cable, Machine
 from tests.support.process import Process

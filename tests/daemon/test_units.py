@@ -176,7 +176,7 @@ def test_the_command_line_finds_the_state_of_a_service(
     monkeypatch.setattr(units, "STATE", tmp_path / "state")
     config = load(service.file)
     assert daemon_state(config).life is Life.UNKNOWN
-    service.start()
+    service.run()
     state = until(lambda: (state := daemon_state(config)).life is Life.RUNNING and state, "the daemon is running", 40)
     assert service.daemon is not None
     assert state.pid == service.daemon.pid
@@ -200,8 +200,8 @@ def test_two_daemons_share_the_state_folder_and_the_hub(tmp_path: Path) -> None:
                 hub={"listen": f"tcp/127.0.0.1:{robots[0].port}"},
             )  # fmt: skip
             robot.env["STATE_DIRECTORY"] = str(tmp_path / "state")
-            robot.process("worker", "router", "--control")
-            robot.process("run", "--adopt", "router")
+            robot.midspan("worker", "router", "--control")
+            robot.midspan("run", "--adopt", "router")
         until(lambda: both(robots[0]), "both daemons are on the hub with their stores", 60)
     finally:
         for robot in robots:
@@ -216,7 +216,7 @@ def folders(root: Path) -> list[str]:
 
 def both(robot: RobotDaemon) -> bool:
     """Return whether the status has both daemons, each with its store."""
-    lines = robot("status").stdout.splitlines()
+    lines = robot.command("status").stdout.splitlines()
     return {"one", "two"} <= set(lines) and sum("store    running" in line for line in lines) == 2
 
 

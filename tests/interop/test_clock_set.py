@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.peers.daemon.midspan import MIDSPAN
 from tests.peers.navigation.chain import Chain
 from tests.support.process import Process
 from tests.support.shifted_clock import ShiftedClock
@@ -26,12 +26,9 @@ class ShiftedChain(Chain):
         super().__init__(folder, **options)
         self.clock = ShiftedClock(folder, 3600)
 
-    def start(self) -> None:
-        self.write()
-        command = [sys.executable, "-m", "bridge.cli.main", "run", "--config", self.file]
-        self.daemon = Process(command, self.clock.environment)
-        self.client = self.join("client")
-        self.listen(self.client, self.client)
+    def run(self) -> None:
+        """Start the daemon, which is not forked: the clock is loaded when a process starts."""
+        self.daemon = Process([*MIDSPAN, "run", "--config", self.file], self.clock.environment)
 
     def until_it_drives(self, meters: float, seconds: float) -> None:
         """Wait until the robot has moved this far from its current pose."""

@@ -23,7 +23,7 @@ from bridge.daemon.query import Phase, ask_daemon
 from bridge.doctor.checks import CHECKS
 from tests.cli.conftest import Midspan
 from tests.docs.test_documents import configurations
-from tests.peers.daemon.deployment import MIDSPAN
+from tests.peers.daemon.midspan import MIDSPAN
 from tests.peers.ros1.network import ROS1_PYTHON, RosMaster, needs_ros1
 from tests.peers.ros2.network import SHORT_LEASE, ros2_domain, ros2_environment, ros2_python
 from tests.support.ports import free_port

@@ -11,7 +11,8 @@ import pytest
 import yaml
 
 from tests.interop.test_topics import cross
-from tests.peers.daemon.deployment import MIDSPAN, Deployment
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.daemon.midspan import MIDSPAN
 from tests.peers.peer import Peer
 from tests.peers.ros2.network import ROS2_PEER, new_domain, ros2_environment, ros2_python
 from tests.support.ports import free_port

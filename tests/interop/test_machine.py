@@ -18,7 +18,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.peers.daemon.deployment import MIDSPAN, Deployment
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.daemon.midspan import MIDSPAN
 from tests.peers.peer import Peer
 from tests.support.process import Process
 from tests.support.wait import until

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.peers.daemon.deployment import MIDSPAN
+from tests.peers.daemon.midspan import MIDSPAN
 from tests.peers.peer import Peer
 from tests.peers.ros1.network import ROS1_PEER, ROS1_PYTHON, ros1_environment
 from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python

@@ -13,7 +13,8 @@ import pytest
 from bridge.bags.play.services import PAUSE, STEP
 from tests.bags.playing import NS, START, Said, stamp, transform, write_bag
 from tests.contract.side import CUSTOM_FOLDER
-from tests.peers.daemon.deployment import MIDSPAN, Deployment
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.daemon.midspan import MIDSPAN
 from tests.peers.yarp.programs import Definitions, Names, YarpProgram
 from tests.support.process import Process
 from tests.support.wait import until

@@ -19,7 +19,8 @@ from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
 from tests.bags.stock import member, rosbag, rosbags
 from tests.contract.side import CUSTOM_FOLDER
-from tests.peers.daemon.deployment import MIDSPAN, Deployment
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.daemon.midspan import MIDSPAN
 from tests.peers.hub.actions import HubActions
 from tests.peers.hub.recorded_robot import Contents, read
 from tests.peers.yarp.programs import Definitions, Names, YarpProgram

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from bridge.hub.security.certificates import Authority
-from tests.peers.daemon.several import MIDSPAN
+from tests.peers.daemon.midspan import MIDSPAN
 from tests.support.forks import DAEMON
 from tests.support.ports import free_port
 from tests.support.process import Process

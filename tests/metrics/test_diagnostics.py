@@ -30,7 +30,8 @@ from bridge.worker import Health, Worker
 from tests.adapters.yarp.conftest import YarpPort
 from tests.contract.hubside import HubSide
 from tests.metrics.documents import route, side, snapshot
-from tests.peers.daemon.deployment import MIDSPAN, Deployment
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.daemon.midspan import MIDSPAN
 from tests.peers.hub.quick import QuickHub
 from tests.peers.yarp.programs import Names
 from tests.support.forks import DAEMON

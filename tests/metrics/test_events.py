@@ -19,7 +19,7 @@ from bridge.stores.client import StoreClient
 from bridge.stores.kinds import LOCATION
 from bridge.stores.store import Write
 from bridge.stores.wire import prefix
-from tests.peers.daemon.deployment import MIDSPAN
+from tests.peers.daemon.midspan import MIDSPAN
 from tests.peers.hub.node import HubNode
 from tests.peers.navigation.gateway import ClientGoal, Planner, pose
 from tests.peers.yarp.programs import Names

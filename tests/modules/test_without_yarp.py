@@ -86,12 +86,12 @@ def test_the_daemon_s_ready_line_does_not_mention_yarp(tmp_path: Path) -> None:
     robot = RobotDaemon(tmp_path)
     assert OFF["yarp"] == {"enabled": False}
     try:
-        robot.start()
+        robot.run()
         robot.until_phase("modules", "running")
         assert robot.daemon is not None
         output = robot.daemon.output
         line = until(lambda: re.search(r"ready: .*", output()), "the daemon is ready", 40)
-        status = robot("status")
+        status = robot.command("status")
         for text in (line[0], status.stdout, str(robot.worker("modules")["text"])):
             assert "YARP" not in text
             assert "yarp" not in text

@@ -161,7 +161,7 @@ def operator(chrome: Chrome, robot: WebRobot) -> Iterator[Operator]:
     person.open("drive")
     person.choose("Send")
     yield person
-    with TestPage(robot.port) as page:
+    with TestPage(robot.web) as page:
         page.call("stop")
     assert person.errors() == []
 
@@ -169,7 +169,7 @@ def operator(chrome: Chrome, robot: WebRobot) -> Iterator[Operator]:
 @pytest.fixture
 def watch(robot: WebRobot) -> Iterator[TestPage]:
     """Return another page that watches the robot."""
-    with TestPage(robot.port) as page:
+    with TestPage(robot.web) as page:
         page.watch("robot", "driving", "places", "topic:/cmd_vel", "topic:/odom")
         page.value("robot")
         yield page
@@ -376,7 +376,7 @@ def test_a_saved_place_is_visible_to_all(operator: Operator, watch: TestPage, ro
     name.send_keys("here be tea", Keys.ENTER)
     saved = watch.value("places", lambda value: "here be tea" in value["locations"])["locations"]["here be tea"]
     assert distance(saved, FREE) < 0.1
-    assert "here be tea" in robot.command("location", "list")
+    assert "here be tea" in robot.command("location", "list").stdout
     with robot.yarp_maps() as yarp:
         place = yarp.locations["here be tea"]
         assert math.dist((place.x, place.y), FREE) < 0.1, "YARP clients see it"
@@ -397,7 +397,7 @@ def test_a_drawn_area_is_visible_to_all(operator: Operator, watch: TestPage, rob
     corners = watch.value("places", lambda value: "tea corner" in value["areas"])["areas"]["tea corner"]["points"]
     middle = (sum(x for x, _ in corners) / 4, sum(y for _, y in corners) / 4)
     assert math.dist(middle, FREE) < 0.1
-    assert "tea corner" in robot.command("location", "list", "--kind", "area")
+    assert "tea corner" in robot.command("location", "list", "--kind", "area").stdout
     operator.button("Done").click()
     operator.open("places")
     operator.button("Rename tea corner").click()
@@ -459,9 +459,9 @@ def test_a_goal_is_set_with_the_keyboard(operator: Operator, watch: TestPage) ->
 
 def keep_out_cells(robot: WebRobot) -> int:
     """Return the number of keep-out cells of the current map."""
-    shown: dict[str, int] = next(row for row in json.loads(robot.command("map", "list", "--json")) if row["current"])[
-        "flags"
-    ]
+    shown: dict[str, int] = next(
+        row for row in json.loads(robot.command("map", "list", "--json").stdout) if row["current"]
+    )["flags"]
     return shown.get("keep_out", 0)
 
 
@@ -776,4 +776,4 @@ def test_the_page_reconnects_after_a_restart_of_the_daemon(operator: Operator, r
     until(lambda: operator.line() != "Connected", "the page shows the lost connection")
     until(lambda: operator.line() == "Connected", "the page reconnects automatically", 60)
     robot.ready()
-    assert robot.command("web") == robot.address
+    assert robot.command("web").stdout.strip() == robot.address

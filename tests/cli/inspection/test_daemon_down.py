@@ -49,7 +49,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
 def dead(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[RobotDaemon, str]]:
     """A daemon that was killed with SIGKILL while its router lives, and what is to be reported of it."""
     robot = RobotDaemon(tmp_path_factory.mktemp("dead"))
-    robot.start()
+    robot.run()
     robot.until_phase("modules", "running")
     router = robot.kill()
     yield robot, DOWN.format(router=router)
@@ -58,12 +58,12 @@ def dead(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[RobotDaemon
 
 def test_status_reports_a_dead_daemon(dead: tuple[RobotDaemon, str]) -> None:
     robot, down = dead
-    done = robot("status")
+    done = robot.command("status")
     assert done.returncode == 1
     assert f"daemon   not running {down}" in " ".join(done.stdout.splitlines())
     assert "router   running" in done.stdout
     assert done.stderr.startswith(f"midspan: {down}\nstart the daemon: 'midspan run'")
-    done = robot("status", "--json")
+    done = robot.command("status", "--json")
     documents = {document["worker"]: document for document in json.loads(done.stdout)}
     assert done.returncode == 1
     assert documents.keys() == {"daemon", "router"}
@@ -72,7 +72,7 @@ def test_status_reports_a_dead_daemon(dead: tuple[RobotDaemon, str]) -> None:
 
 def test_doctor_reports_a_dead_daemon_with_the_cure(dead: tuple[RobotDaemon, str]) -> None:
     robot, down = dead
-    done = robot("doctor", "--only", "daemon", "--json")
+    done = robot.command("doctor", "--only", "daemon", "--json")
     assert done.returncode == 1
     first, *others = json.loads(done.stdout)
     assert (first["result"], first["seen"]) == ("fail", down)
@@ -83,7 +83,7 @@ def test_doctor_reports_a_dead_daemon_with_the_cure(dead: tuple[RobotDaemon, str
 @pytest.mark.parametrize("words", [*NEED_THE_GATEWAY, *NEED_THE_STORE, ["record", "--daemon", "trigger"]], ids=" ".join)
 def test_verbs_that_need_a_worker_fail_with_the_cause(dead: tuple[RobotDaemon, str], words: list[str]) -> None:
     robot, down = dead
-    done = robot(*words)
+    done = robot.command(*words)
     assert done.returncode == 1
     assert done.stderr.count(down) >= 1, done
     assert "name a planner" not in done.stderr
@@ -95,7 +95,7 @@ def test_verbs_that_need_a_worker_fail_with_the_cause(dead: tuple[RobotDaemon, s
 @pytest.mark.parametrize("words", [*NEED_NOTHING, ["halt", "--seconds", "0.1"], ["nav", "stop"]], ids=" ".join)
 def test_other_verbs_mention_the_dead_daemon(dead: tuple[RobotDaemon, str], words: list[str]) -> None:
     robot, down = dead
-    assert down in robot(*words).stderr
+    assert down in robot.command(*words).stderr
 
 
 @pytest.mark.thorough
@@ -106,7 +106,7 @@ def test_the_daemon_of_another_user(dead: tuple[RobotDaemon, str], tmp_path: Pat
     file.write_text(json.dumps({**json.loads(robot.file.read_text()), "state": str(tmp_path / "none")}))
     before, robot.file = robot.file, file
     try:
-        done = robot("status")
+        done = robot.command("status")
     finally:
         robot.file = before
     assert (done.returncode, done.stderr.startswith(f"midspan: {down}\n")) == (1, True), done
@@ -116,10 +116,12 @@ def test_the_daemon_of_another_user(dead: tuple[RobotDaemon, str], tmp_path: Pat
 def test_standalone_router_needs_no_daemon(tmp_path: Path) -> None:
     robot = RobotDaemon(tmp_path)
     try:
-        robot.process("worker", "router")
-        done = until(lambda: (done := robot("status")).returncode == 0 and done, "the router answers", 40)
+        robot.midspan("worker", "router")
+        done = until(lambda: (done := robot.command("status")).returncode == 0 and done, "the router answers", 40)
         assert "not running" not in done.stdout + done.stderr
-        assert "no gateway runs on this hub: no daemon robot runs on this machine" in robot("nav", "status").stderr
+        assert (
+            "no gateway runs on this hub: no daemon robot runs on this machine" in robot.command("nav", "status").stderr
+        )
     finally:
         robot.close()
 
@@ -128,12 +130,12 @@ def test_a_daemon_that_runs_again_is_not_reported(start: Start) -> None:
     robot = start()
     robot.until_phase("modules", "running")
     robot.kill()
-    assert robot("status").returncode == 1
-    robot.start()
+    assert robot.command("status").returncode == 1
+    robot.run()
     robot.until_phase("modules", "running")
-    done = robot("status")
+    done = robot.command("status")
     assert (done.returncode, done.stderr) == (0, "")
-    done = robot("nav", "status")
+    done = robot.command("nav", "status")
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -145,7 +147,7 @@ def test_a_daemon_that_hangs(start: Start) -> None:
     os.kill(robot.daemon.pid, signal.SIGSTOP)
     hangs = f"the daemon robot (process {robot.daemon.pid}) does not answer"
     for command in (["status"], ["doctor", "--only", "daemon"], ["nav", "status"], ["map", "list"]):
-        done = robot(*command)
+        done = robot.command(*command)
         assert (done.returncode, hangs in done.stdout + done.stderr) == (1, True), done
 
 
@@ -154,17 +156,17 @@ def test_a_worker_that_crashes_again_and_again(start: Start) -> None:
     robot.until_phase("modules", "restarting", 3)
     crashes = r"the worker 'modules' of robot is (restarting|starting|queued): .*restarted \d+ times"
     for command in (*NEED_THE_GATEWAY[:4], *NEED_THE_STORE[:2]):
-        done = robot(*command)
+        done = robot.command(*command)
         assert done.returncode == 1
         assert re.search(crashes, done.stderr), (command, done.stderr)
         assert "ended with exit code 7" in done.stderr
         assert "name a planner" not in done.stderr
-    assert "'modules'" in robot("topic", "list").stderr
-    done = robot("status")
+    assert "'modules'" in robot.command("topic", "list").stderr
+    done = robot.command("status")
     assert done.returncode == 0
     assert "modules" in done.stdout
     assert "last end: ended with exit code 7" in done.stdout
-    findings = json.loads(robot("doctor", "--only", "daemon", "--json").stdout)
+    findings = json.loads(robot.command("doctor", "--only", "daemon", "--json").stdout)
     (loop,) = [finding for finding in findings if "robot/modules" in finding["seen"]]
     assert loop["result"] == "fail"
     assert "robot/modules crashes again and again" in loop["seen"]
@@ -175,14 +177,14 @@ def test_starting_worker(start: Start) -> None:
     robot = start("hang")
     robot.until_phase("modules", "starting")
     for command in (["nav", "status"], ["goto", "kitchen"], ["map", "list"]):
-        done = robot(*command)
+        done = robot.command(*command)
         assert (done.returncode, "the worker 'modules' of robot is starting" in done.stderr) == (1, True), done
 
 
 def test_no_planner_is_configured(start: Start) -> None:
     robot = start(navigation={})
     robot.until_phase("modules", "running")
-    done = robot("nav", "status")
+    done = robot.command("nav", "status")
     assert done.returncode == 1
     assert "no gateway is configured: name a planner in the section 'navigation'" in done.stderr
 
@@ -193,11 +195,11 @@ def test_a_router_that_cannot_work(start: Start) -> None:
         robot = start("run", hub={"listen": f"tcp/127.0.0.1:{other.getsockname()[1]}"})
         robot.until_phase("router", "cannot work")
         for command in (["nav", "status"], ["topic", "list"]):
-            done = robot(*command)
+            done = robot.command(*command)
             assert done.returncode == 1
             assert "the worker 'router' of robot cannot work: tcp/127.0.0.1" in done.stderr
             assert "Is the daemon running?" not in done.stderr
-        done = robot("status")
+        done = robot.command("status")
         assert "cannot work" in done.stdout
 
 
@@ -209,7 +211,7 @@ def test_without_router_and_daemon(dead: tuple[RobotDaemon, str], tmp_path: Path
     )
     before, robot.file = robot.file, file
     try:
-        done = robot("topic", "list")
+        done = robot.command("topic", "list")
     finally:
         robot.file = before
     assert done.returncode == 1
@@ -223,7 +225,7 @@ def test_a_configuration_that_the_daemon_has_not_loaded(start: Start) -> None:
     robot.until_phase("router", "running")
     robot.configure()
     for command in (["nav", "status"], ["map", "list"]):
-        done = robot(*command)
+        done = robot.command(*command)
         assert (done.returncode, "it has not loaded this configuration" in done.stderr) == (1, True), done
 
 
@@ -240,15 +242,15 @@ def test_status_while_another_program_holds_the_port(tmp_path: Path, words: list
         place = f"tcp/127.0.0.1:{other.getsockname()[1]}"
         robot = RobotDaemon(tmp_path, hub={"listen": place}, navigation={}, modules={})
         try:
-            robot.process(*words)
+            robot.midspan(*words)
             robot.until_phase("router", "restarting" if "--adopt" in words else "cannot work")
-            done = robot("status")
+            done = robot.command("status")
             assert done.returncode == 1, done
             assert "router   restarting" in done.stdout or "router   cannot work" in done.stdout
             assert "held by a program" in done.stderr or f"Another program holds {place}" in done.stderr
             other_state(robot, tmp_path)
             for verb in (["status"], ["topic", "list"], ["top", "--once"]):
-                done = robot(*verb)
+                done = robot.command(*verb)
                 assert done.returncode == 1
                 assert (
                     f"Another program holds {place}: it is not a zenoh router. Stop it, set hub.listen" in done.stderr
@@ -267,14 +269,14 @@ def test_status_beside_a_router_of_another_project(tmp_path: Path) -> None:
     robot = RobotDaemon(tmp_path, hub={"listen": place}, navigation={}, modules={})
     with zenoh.open(config):
         try:
-            robot.start()
+            robot.run()
             robot.until_phase("router", "running")
-            done = robot("status")
+            done = robot.command("status")
             assert (done.returncode, done.stderr) == (0, "")
             assert "router   running  standby: a zenoh router that is not Midspan's" in " ".join(
                 done.stdout.splitlines()
             )
-            done = robot("top", "--once")
+            done = robot.command("top", "--once")
             assert done.returncode == 1
             assert "Is the daemon running" not in done.stderr
             assert "The daemon robot is running" in done.stderr
@@ -286,10 +288,10 @@ def test_status_of_a_daemon_without_a_router(tmp_path: Path) -> None:
     """`hub.router: false`: the configured router is elsewhere, and down."""
     robot = RobotDaemon(tmp_path, navigation={}, hub={"listen": f"tcp/127.0.0.1:{free_port()}", "router": False})
     try:
-        robot.start()
+        robot.run()
         robot.until_phase("modules", "running")
         for command in (["status"], ["topic", "list"]):
-            done = robot(*command)
+            done = robot.command(*command)
             assert done.returncode == 1, done
             assert ("modules  running" in done.stdout) == (command == ["status"])
             assert "the daemon robot is running" in done.stderr
@@ -308,18 +310,18 @@ def test_a_router_that_accepts_no_connection(tmp_path: Path) -> None:
     """The kernel completes connections to its port, but they get no answer: no other program is to blame."""
     robot = RobotDaemon(tmp_path, navigation={}, modules={})
     try:
-        robot.start()
+        robot.run()
         router = robot.until_phase("router", "running")["pid"]
         exhaust(router)
         cause = UNRESPONSIVE.format(router=router, port=robot.port)
         for command in (["status"], ["topic", "list"]):
-            done = robot(*command)
+            done = robot.command(*command)
             assert done.returncode == 1
             assert cause in done.stderr
             assert "midspan doctor" in done.stderr
             assert "Another program" not in done.stderr
             assert ("router   running" in done.stdout) == (command == ["status"])
-        done = robot("doctor", "--only", "router-port", "--only", "descriptors")
+        done = robot.command("doctor", "--only", "router-port", "--only", "descriptors")
         assert done.returncode == 1
         assert f"FAIL  router-port: {cause}" in done.stdout
         assert re.search(r"FAIL  descriptors: robot/router has \d+ files open of \d+ allowed", done.stdout)
@@ -332,18 +334,18 @@ def test_a_daemon_that_is_suspended_with_its_router(tmp_path: Path) -> None:
     """As Ctrl-Z in its terminal does."""
     robot = RobotDaemon(tmp_path, navigation={}, modules={})
     try:
-        robot.start()
+        robot.run()
         router = robot.until_phase("router", "running")["pid"]
         assert robot.daemon is not None
         for pid in (robot.daemon.pid, router):
             os.kill(pid, signal.SIGSTOP)
-        done = robot("status")
+        done = robot.command("status")
         assert done.returncode == 1
         assert f"the daemon robot (process {robot.daemon.pid}) does not answer" in done.stderr
         assert "Another program" not in done.stderr
         robot.daemon.popen.kill()
         robot.daemon.popen.wait(20)
-        done = robot("status")
+        done = robot.command("status")
         assert done.returncode == 1
         assert DOWN.format(router=router) in done.stderr
         assert UNRESPONSIVE.format(router=router, port=robot.port) in done.stderr

@@ -4,50 +4,41 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import yaml
-
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.session import Hub
 from bridge.interfaces.builder import build
 from bridge.interfaces.cache import environment
 from bridge.interfaces.folders import read_folders
 from bridge.messages.registry import Registry
 from tests.contract.rmwside import RmwSide
 from tests.contract.side import CUSTOM_FOLDER, CUSTOM_TYPES, PEER_FOLDERS
+from tests.peers.daemon.midspan import MidspanDaemon
 from tests.peers.daemon.routers import end_router
 from tests.peers.hub.network import SDK_PROGRAM
 from tests.peers.peer import Peer, stop_all
 from tests.peers.ros1.network import RosMaster
 from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
-from tests.support.forks import DAEMON
 from tests.support.lane import LANE
 from tests.support.missing import COMPILER, ROS2, need
-from tests.support.ports import free_port
-from tests.support.process import Process
 from tests.support.status_documents import DOCUMENTS, check_document
 from tests.support.wait import until
 
-MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]
 ANSWER_SECONDS = 5.0
 """Timeout (s) for a worker's answer on a busy machine; a worker that has exited is not waited for."""
 
 
-class Deployment:
+class Deployment(MidspanDaemon):
     """Everything on one machine, started by `midspan run` like a user would."""
 
     def __init__(self, folder: Path) -> None:
         for reason in (ROS2, COMPILER):
             need(reason)
-        self.folder = folder
+        super().__init__(folder, "interop")
         self.master = RosMaster()
-        self.port = free_port()
-        self.file = folder / "midspan.yaml"
-        self.daemon: Process | None = None
         self._sides = ["ros1", "ros2"]
         self._open: list[Any] = []
         self._own = 0
@@ -59,9 +50,7 @@ class Deployment:
     def configure(self, **sections: Any) -> None:
         """Write the configuration file."""
         config = {
-            "name": "interop",
-            "state": str(self.folder / "state"),
-            "hub": {"listen": f"tcp/127.0.0.1:{self.port}", "lane": LANE},
+            "hub": {"listen": self.endpoint, "lane": LANE},
             "ros1": {"master": self.master.uri, "poll": 0.1},
             "ros2": {"domain": ros2_domain()},
             "types": {"folders": [str(CUSTOM_FOLDER)]},
@@ -70,7 +59,7 @@ class Deployment:
         self._sides = ["ros1", "ros2"]
         if config.get("yarp", {}).get("enabled", False) or "nameserver" in config.get("yarp", {}):
             self._sides.append("yarp")
-        self.file.write_text(yaml.safe_dump(config))
+        super().configure(**config)
 
     def start(self, **sections: Any) -> None:
         """Start roscore and the daemon; return when the workers of ROS, and of YARP if it is used, have joined."""
@@ -80,7 +69,7 @@ class Deployment:
 
     def run(self) -> None:
         """Start the daemon; return when all its workers have joined."""
-        self.daemon = Process([*MIDSPAN, "run", "--config", self.file], imports=DAEMON)
+        super().run()
         until(self.joined, f"the workers of {self._sides} have joined", 40, every=0.05)
         self._own = len(self._open)
 
@@ -88,12 +77,6 @@ class Deployment:
         assert self.daemon is not None
         assert self.daemon.popen.poll() is None, self.daemon.output()
         return all(self.worker(side).get("state") == "running" for side in self._sides)
-
-    def command(self, *args: str, seconds: float = 20) -> subprocess.CompletedProcess[str]:
-        """Run one ``midspan`` command."""
-        return subprocess.run(
-            [*MIDSPAN, *args, "--config", str(self.file)], capture_output=True, text=True, timeout=seconds, check=False
-        )
 
     def status(self) -> list[dict[str, Any]]:
         """Return the status of each worker."""
@@ -140,7 +123,7 @@ class Deployment:
     def zenoh(self) -> RmwSide:
         """Start an rmw_zenoh node, whose services run on a Midspan session."""
         hub = Hub.open(self.settings(self._name("zenoh"), "far"))
-        side = RmwSide(hub, self._registry, f"tcp/127.0.0.1:{self.port}")
+        side = RmwSide(hub, self._registry, self.endpoint)
         self._open.append(_Closer(side))
         return side
 
@@ -155,11 +138,6 @@ class Deployment:
         """Stop something with the deployment."""
         self._open.append(thing)
         return thing
-
-    def settings(self, node: str, worker: str = "") -> HubSettings:
-        """Return settings for a session in the test's process, without the shared memory of workers that it kills."""
-        router = f"tcp/127.0.0.1:{self.port}"
-        return HubSettings(router=router, node=node, daemon="far", worker=worker or node, shared_memory=False)
 
     def _name(self, side: str) -> str:
         self._names += 1
@@ -184,12 +162,6 @@ class Deployment:
         programs = self._open[self._own :]
         del self._open[self._own :]
         stop_all(programs)
-
-    def stop_daemon(self) -> int:
-        """Stop the daemon by SIGTERM, and return its exit code."""
-        assert self.daemon is not None
-        daemon, self.daemon = self.daemon, None
-        return daemon.stop()
 
     def __enter__(self) -> Self:
         return self

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +11,15 @@ import psutil
 
 from bridge.config.load import load
 from bridge.daemon.query import ask_daemon
+from tests.peers.daemon.midspan import MidspanDaemon
 from tests.peers.daemon.routers import end_router
-from tests.support.forks import DAEMON
-from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
 
 OFF = {side: {"enabled": False} for side in ("ros1", "ros2", "yarp", "zenoh")}
-MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]
 
 
-class RobotDaemon:
+class RobotDaemon(MidspanDaemon):
     """The daemon ``robot``; ``stand_in`` is the class of a stand-in for its worker ``modules``.
 
     Attributes:
@@ -32,34 +27,21 @@ class RobotDaemon:
     """
 
     def __init__(self, folder: Path, stand_in: str = "", **sections: Any) -> None:
-        self.folder, self.file, self.port = folder, folder / "midspan.yaml", free_port()
-        self.env = {**os.environ, "FAKE_FOLDER": str(folder), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
+        env = {**os.environ, "FAKE_FOLDER": str(folder), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
         if stand_in:
-            self.env["MIDSPAN_WORKERS"] = f"modules={stand_in}"
+            env["MIDSPAN_WORKERS"] = f"modules={stand_in}"
+        super().__init__(folder, "robot", env)
         self.configure(**sections)
         self._processes: list[Process] = []
-        self.daemon: Process | None = None
 
     def configure(self, **sections: Any) -> None:
         """Write the configuration file."""
-        config = {
-            "name": "robot",
-            "state": str(self.folder / "state"),
-            "hub": {"listen": f"tcp/127.0.0.1:{self.port}"},
-            "navigation": {"planner": "robot_goto"},
-            "modules": {"map2d_server": {"enabled": True}},
-            **OFF,
-            **sections,
-        }
-        self.file.write_text(json.dumps(config))
+        modules = {"map2d_server": {"enabled": True}}
+        super().configure(**{"navigation": {"planner": "robot_goto"}, "modules": modules, **OFF, **sections})
 
-    def start(self) -> None:
-        """Start the daemon."""
-        self.daemon = self.process("run")
-
-    def process(self, *words: str) -> Process:
+    def midspan(self, *words: str) -> Process:
         """Start a command that is stopped after the test."""
-        process = Process([*MIDSPAN, *words, "--config", str(self.file)], self.env, imports=DAEMON)
+        process = super().midspan(*words)
         self._processes.append(process)
         return process
 
@@ -87,11 +69,6 @@ class RobotDaemon:
         self.daemon.popen.wait(20)
         until(lambda: not modules or not psutil.pid_exists(modules), "the other workers have exited", 20)
         return int(router)
-
-    def __call__(self, *words: str) -> subprocess.CompletedProcess[str]:
-        """Run a command, and return its output and exit code."""
-        command = [*MIDSPAN, *words, "--config", str(self.file)]
-        return subprocess.run(command, env=self.env, capture_output=True, text=True, timeout=60, check=False)
 
     def close(self) -> None:
         """Stop all processes, including a router that has outlived its daemon."""

@@ -17,7 +17,8 @@ import psutil
 import yaml
 
 from bridge.hub.session import Hub, HubSettings
-from tests.peers.daemon.deployment import ANSWER_SECONDS, MIDSPAN
+from tests.peers.daemon.deployment import ANSWER_SECONDS
+from tests.peers.daemon.midspan import MIDSPAN
 from tests.peers.peer import Peer
 from tests.peers.ros1.network import RosMaster
 from tests.peers.ros2.network import ROS2_PEER, new_domain, ros2_environment, ros2_python

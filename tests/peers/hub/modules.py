@@ -35,11 +35,11 @@ class Place(HubRig):
         return super().config(**{"yarp": self.yarp_section(), **sections, "modules": modules})
 
     def hears(self, said: str, heard: int, text: str) -> None:
-        """Publish on ``/heard`` until the reply arrives."""
+        """Publish on ``/heard`` until a subscription receives the reply."""
         out = self.far.advertise("/heard", STRING)
 
         def once() -> bool:
             self.far.publish(out, {"data": said})
             return text in {m["data"] for m in self.far.wait(heard, 1, 0.2)}
 
-        until(once, f"{text} is heard")
+        until(once, f"{text} arrives")

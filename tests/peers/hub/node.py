@@ -18,7 +18,7 @@ class HubNode:
     """A node on the hub with its own thread.
 
     Args:
-        hub: settings for a session of its own, or a session that it shares.
+        hub: settings of a session that it opens and closes, or an open session.
         registry: of message types.
     """
 

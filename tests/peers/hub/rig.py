@@ -1,4 +1,4 @@
-"""A hub with a router in the test's process, a program on it, and what a test starts beside them."""
+"""A hub with a router in the test's process, a native program on it, and objects that are stopped with it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.support.wait import until
 
 
 class HubRig:
-    """A hub, and what is on it.
+    """A hub, and the sessions and workers on it.
 
     Args:
         folder: for the state of daemons.

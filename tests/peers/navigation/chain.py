@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import os
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -18,20 +17,17 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import yaml
-
 from bridge.hub.endpoints.calls import CallError
 from bridge.hub.session import HubSettings
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.actions import GoalState
 from sim import export
 from sim.plan import load_plan
+from tests.peers.daemon.midspan import MidspanDaemon
 from tests.peers.hub.node import HubNode
 from tests.peers.navigation.gateway import pose
-from tests.support.forks import DAEMON
 from tests.support.missing import COMPILER, DART, need
 from tests.support.ports import free_port
-from tests.support.process import Process
 from tests.support.wait import until
 
 MODULES = ("base_control", "map2d_server", "localization_server", "robot_goto", "robot_path_planner")
@@ -121,7 +117,7 @@ class Client(HubNode):
         return reply
 
 
-class Chain:
+class Chain(MidspanDaemon):
     """The deployment, and a client that records its status.
 
     Args:
@@ -136,8 +132,7 @@ class Chain:
     ) -> None:
         for reason in (DART, COMPILER):
             need(reason)
-        self.folder, self.port = folder, free_port()
-        self.file, self.log = folder / "midspan.yaml", folder / "log"
+        super().__init__(folder, "chain")
         self.plan = load_plan((sim or {}).get("plan", "apartment"), 0.05)
         floor = self.plan.floors[self.plan.first]
         self.places = floor.places
@@ -150,9 +145,7 @@ class Chain:
             modules[name] = {**modules.get(name, {}), **more}
         self.names = free_port()
         self.config: dict[str, Any] = {
-            "name": "chain",
-            "state": str(folder / "state"),
-            "hub": {"listen": f"tcp/127.0.0.1:{self.port}"},
+            "hub": {"listen": self.endpoint},
             "ros1": {"enabled": False},
             "ros2": {"enabled": False},
             "yarp": {
@@ -171,7 +164,6 @@ class Chain:
             **sections,
             "modules": modules,
         }
-        self.daemon: Process | None = None
         self._clients: list[Client] = []
         self.truth: Truth | None = None
         self.statuses: list[tuple[float, str, str]] = []
@@ -179,8 +171,7 @@ class Chain:
     def start(self) -> None:
         """Start the daemon, and a client that records its status."""
         self.write()
-        command = [sys.executable, "-m", "bridge.cli.main", "run", "--config", self.file]
-        self.daemon = Process(command, imports=DAEMON)
+        self.run()
         self.client = self.join("client")
         self.listen(self.client, self.client)
 
@@ -195,12 +186,12 @@ class Chain:
 
     def write(self) -> None:
         """Write the configuration."""
-        self.file.write_text(yaml.safe_dump(self.config))
+        self.configure(**self.config)
 
     def join(self, name: str, router: str = "") -> Client:
         """Return a client on the hub once it runs; with a router's endpoint, only through that router."""
         zenoh = {"mode": "client"} if router else None
-        router = router or f"tcp/127.0.0.1:{self.port}"
+        router = router or self.endpoint
         settings = HubSettings(router=router, zenoh=zenoh, node=name, daemon="far", worker=name, shared_memory=False)
         client: Client = until(lambda: _opened(settings), "the hub runs", 40, every=0.2)
         self._clients.append(client)

@@ -126,7 +126,7 @@ class Serving(Record):
 
 
 class ClientCall(Calling):
-    """A call by a client of its own."""
+    """A call by a separate client."""
 
     def __init__(self, client: ROS2ServiceClient, request: dict[str, Any]) -> None:
         self._client, self._request = client, request
