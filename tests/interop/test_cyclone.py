@@ -17,7 +17,7 @@ from bridge.messages.registry import Registry
 from tests.adapters.ros2.conftest import string, text
 from tests.peers.daemon.deployment import Deployment
 from tests.peers.hub.actions import HubActions
-from tests.peers.hub.raw_calls import SET_BOOL, Ends, Service
+from tests.peers.hub.calls import SET_BOOL, Ends, Service
 from tests.peers.ros2.cyclone import CyclonePeer
 from tests.support.ports import free_port
 from tests.support.wait import until

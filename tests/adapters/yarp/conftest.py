@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import pytest
 
 from bridge.config.model import Config
 from tests.contract.yarpside import YarpBridge
+from tests.peers.commands import Record
 from tests.peers.hub.rig import HubRig
 from tests.peers.yarp.programs import Definitions, Names, YarpProgram
 from tests.support.wait import until
@@ -25,28 +25,20 @@ from yarp_compat.wire.profile import Profile
 DEFINITIONS = Definitions(())
 
 
-class YarpPort:
-    """A port of a YARP program without ROS."""
+class YarpPort(Record):
+    """A port of a YARP program without ROS, and the received messages."""
 
     def __init__(
         self, names: Names, name: str, profile: Profile = Profile.YARP3, naming: NameClient | None = None
     ) -> None:
+        super().__init__()
         self.name, self.names, self.profile = name, names, profile
-        self._messages: list[PortMessage] = []
-        self._changed = threading.Condition()
-        self.core = PortCore(name, naming=naming or names.client, on_message=self._on_message, profile=profile)
+        self.core = PortCore(name, naming=naming or names.client, on_message=self.add, profile=profile)
         self.core.open()
-
-    def _on_message(self, message: PortMessage) -> None:
-        with self._changed:
-            self._messages.append(message)
-            self._changed.notify_all()
 
     def messages(self, count: int = 1, seconds: float = 10.0) -> list[PortMessage]:
         """Wait for ``count`` messages, at most ``seconds``, and return all received ones."""
-        with self._changed:
-            self._changed.wait_for(lambda: len(self._messages) >= count, seconds)
-            return list(self._messages)
+        return self.wait(count, seconds)
 
     def bottles(self, count: int = 1, seconds: float = 10.0) -> list[Any]:
         """Return the values of the received Bottles, like `messages`."""

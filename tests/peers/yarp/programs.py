@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from bridge.messages.registry import Registry
+from tests.peers.commands import Record
 from tests.support.ports import free_port
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import KEEPER, NameClient
@@ -65,10 +65,9 @@ class YarpProgram:
         self._naming, self._node, self._definitions = names.client, node, definitions
         self._ports: dict[int, PortCore] = {}
         self._types: dict[int, type[Message]] = {}
-        self._received: dict[int, list[dict[str, Any]]] = {}
+        self._received: dict[int, Record] = {}
         self._last: dict[int, list[Any]] = {}
         self._ids = itertools.count(1)
-        self._changed = threading.Condition()
 
     def advertise(self, topic: str, type_: str, *, latched: bool = False, **_: Any) -> int:
         number = next(self._ids)
@@ -81,7 +80,7 @@ class YarpProgram:
 
     def subscribe(self, topic: str, type_: str, **_: Any) -> int:
         number = next(self._ids)
-        self._received[number] = []
+        self._received[number] = Record()
         self._open(number, topic, SUBSCRIBER, type_)
         return number
 
@@ -120,9 +119,7 @@ class YarpProgram:
 
     def _on_message(self, number: int, message: PortMessage) -> None:
         decoded = self._types[number].from_bytes(bytes(message.payload))
-        with self._changed:
-            self._received[number].append(as_fields(decoded))
-            self._changed.notify_all()
+        self._received[number].add(as_fields(decoded))
 
     def publish(self, endpoint: int, message: dict[str, Any], times: int = 1) -> None:
         yarp_message = self._types[endpoint]()
@@ -133,9 +130,7 @@ class YarpProgram:
             self._ports[endpoint].write(yarp_message.to_wire, strict=True)
 
     def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[dict[str, Any]]:
-        with self._changed:
-            self._changed.wait_for(lambda: len(self._received[endpoint]) >= count, seconds)
-            return list(self._received[endpoint])
+        return self._received[endpoint].wait(count, seconds)
 
     def drop(self, endpoint: int) -> None:
         self._ports.pop(endpoint).close()

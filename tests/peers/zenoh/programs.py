@@ -20,6 +20,7 @@ from typing import Any
 import zenoh
 from zenoh import ext
 
+from tests.peers.commands import Record
 from tests.peers.zenoh.services import MD5, TYPES, Calling, Serving, Wire
 from tests.support.ports import free_port
 from tests.support.rosbags_messages import Messages
@@ -78,11 +79,10 @@ class Program:
         self._ids = itertools.count(1)
         self._things: dict[int, tuple[str, str, list[Any]]] = {}
         self._puts: dict[int, Callable[[bytes], None]] = {}
-        self.heard: dict[int, list[Any]] = {}
+        self.heard: dict[int, Record] = {}
         self.servings: dict[int, Serving] = {}
         self._callings: dict[int, Calling] = {}
         self.watch: zenoh.Subscriber | None = None
-        self._changed = threading.Condition()
 
     def encode(self, type_: str, message: dict[str, Any]) -> bytes:
         raise NotImplementedError
@@ -98,13 +98,11 @@ class Program:
         return number
 
     def on_message(self, number: int, type_: str, data: bytes) -> None:
-        with self._changed:
-            self.heard[number].append(self.decode(type_, data))
-            self._changed.notify_all()
+        self.heard[number].add(self.decode(type_, data))
 
     def listener(self, topic: str, type_: str) -> tuple[int, Callable[[zenoh.Sample], None]]:
         number = self.add(topic, type_, [])
-        self.heard[number] = []
+        self.heard[number] = Record()
         return number, lambda sample: self.on_message(number, type_, sample.payload.to_bytes())
 
     def publish(self, endpoint: int, message: dict[str, Any]) -> None:
@@ -120,9 +118,7 @@ class Program:
         until(lambda: publisher.matching_status.matching, "a subscription exists")
 
     def wait(self, endpoint: int, count: int, seconds: float = 40.0) -> list[Any]:
-        with self._changed:
-            self._changed.wait_for(lambda: len(self.heard[endpoint]) >= count, seconds)
-            return list(self.heard[endpoint])
+        return self.heard[endpoint].wait(count, seconds)
 
     def drop(self, endpoint: int) -> None:
         for part in self._things.pop(endpoint)[2]:

@@ -17,8 +17,8 @@ from bridge.adapters.ros1.graph.state import Registration
 from bridge.adapters.ros1.handshake import decode, encode
 from bridge.adapters.ros1.peer_pool import PeerPool
 from bridge.adapters.ros1.services.caller import MAX_CALLS, Ros1Caller
-from bridge.hub.endpoints.calls import CallError
 from bridge.messages.transcode.conversion import SideType
+from tests.peers.hub.calls import Ends
 from tests.peers.ros1.servers import tcp_server, until_closed
 from tests.support.descriptors import no_descriptors
 from tests.support.ports import free_port
@@ -66,29 +66,6 @@ def echo(sock: socket.socket, _header: Any) -> None:
         sock.sendall(framed(request_of(sock)[::-1]))
 
 
-class Ends:
-    """Records the results of calls."""
-
-    def __init__(self) -> None:
-        self.all: list[bytes | CallError] = []
-        self._ready = threading.Condition()
-
-    def __call__(self, result: bytes | CallError) -> None:
-        with self._ready:
-            self.all.append(result)
-            self._ready.notify_all()
-
-    def wait(self, count: int = 1) -> list[bytes | CallError]:
-        with self._ready:
-            assert self._ready.wait_for(lambda: len(self.all) >= count, 40), f"{len(self.all)} of {count}"
-            return list(self.all)
-
-    def error(self) -> str:
-        (end,) = self.wait()
-        assert isinstance(end, CallError), end
-        return str(end)
-
-
 class Bench:
     """A caller and its surroundings."""
 
@@ -111,7 +88,7 @@ class Bench:
 
     def call(self, request: bytes = b"abc") -> Ends:
         ends = Ends()
-        self.caller.call(request, ends)
+        self.caller.call(request, ends.done)
         return ends
 
     def warm(self) -> None:
@@ -166,7 +143,7 @@ def test_a_slow_call_does_not_delay_others(bench):
         slow = [bench.call(b"slow") for _ in range(30)]
         for _ in range(20):
             assert bench.call(b"quick").wait() == [b"quick"]
-        assert not any(ends.all for ends in slow)
+        assert not any(ends.items for ends in slow)
         go_on.set()
         assert all(ends.wait() == [b"slow"] for ends in slow)
         assert len(server.connections) < 60, "connections are reused"
@@ -328,14 +305,14 @@ def test_closing_the_connection_abandons_a_call(bench):
     with tcp_server(Server(serve)) as address:
         bench.toward(address)
         ends = Ends()
-        abandon = bench.caller.call(b"long", ends)
+        abandon = bench.caller.call(b"long", ends.done)
         assert arrived.wait(20)
         abandon()
         until(lambda: removed == [b""], "the server notices that the client has left")
         answer.set()
         abandon()
         assert bench.call(b"next").wait() == [b"late"]
-        assert ends.all == [], "the result is dropped"
+        assert ends.items == [], "the result is dropped"
         assert bench.caller.load.calls == 0
 
 
@@ -350,21 +327,21 @@ def test_a_client_that_leaves_before_the_connection_is_open(bench):
     with tcp_server(late) as address:
         bench.toward(address)
         ends = Ends()
-        bench.caller.call(b"first", ends)()
+        bench.caller.call(b"first", ends.done)()
         go_on.set()
         bench.warm()
         assert "closed the connection" in bench.call(b"second").error()
-        assert (requests, ends.all) == ([b"second"], [])
+        assert (requests, ends.items) == ([b"second"], [])
 
 
 def test_too_many_calls(bench):
     with tcp_server(Server(lambda sock, _: until_closed(sock))) as address:
         bench.toward(address)
-        under_way = [bench.caller.call(b"", ends := Ends()) for _ in range(MAX_CALLS)]
+        under_way = [bench.caller.call(b"", (ends := Ends()).done) for _ in range(MAX_CALLS)]
         assert "busy: 1000 calls" in bench.call().error()
         for abandon in under_way:
             abandon()
-        assert not ends.all
+        assert not ends.items
         until(lambda: bench.caller.load.connections == 0 or bench.caller.load.idle, "their connections are closed")
 
 

@@ -15,7 +15,7 @@ from bridge.hub.endpoints.calls import CallError, UnsentCallError
 from bridge.hub.wire.qos import Qos
 from bridge.routing.edge import Kind
 from tests.adapters.ros2.conftest import RunningEdge, string, text
-from tests.peers.hub.raw_calls import SET_BOOL, Asked, Ends, Service, answering
+from tests.peers.hub.calls import SET_BOOL, Asked, Ends, Service, answering
 from tests.peers.peer import Peer
 from tests.peers.ros2.cyclone import CyclonePeer
 from tests.support.wait import until
@@ -140,11 +140,11 @@ def test_cyclone_server_that_joins_later(
     calling = threading.Thread(target=call)
     calling.start()
     server = native.serve("/c/joins", TYPE, set_bool.response(**YES))
-    until(lambda: any(isinstance(end, UnsentCallError) for end in ends.all), "calls are refused")
+    until(lambda: any(isinstance(end, UnsentCallError) for end in ends.items), "calls are refused")
     stop.set()
     calling.join()
     assert only_own(native, server, cyclone(), "/c/joins", set_bool)
-    replies = [set_bool.answer(end) for end in ends.all if not isinstance(end, CallError)]
+    replies = [set_bool.answer(end) for end in ends.items if not isinstance(end, CallError)]
     assert replies == [YES] * len(replies)
 
 
@@ -164,7 +164,7 @@ def test_killed_server_replaced_by_one_on_cyclone_dds(
     calling.start()
     fast.signal(signal.SIGKILL)
     server = native.serve("/c/replaced", TYPE, set_bool.response(**YES))
-    until(lambda: any(isinstance(end, UnsentCallError) for end in ends.all), "calls are refused")
+    until(lambda: any(isinstance(end, UnsentCallError) for end in ends.items), "calls are refused")
     stop.set()
     calling.join()
     assert only_own(native, server, cyclone(), "/c/replaced", set_bool)

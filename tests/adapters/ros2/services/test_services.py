@@ -17,7 +17,7 @@ from bridge.messages.registry import Registry
 from bridge.routing.edge import Kind, MadeBy
 from tests.adapters.ros2.conftest import RunningEdge
 from tests.adapters.ros2.graph.test_graph import marked_profile
-from tests.peers.hub.raw_calls import ECHO, SET_BOOL, Asked, Ends, Service, answering
+from tests.peers.hub.calls import ECHO, SET_BOOL, Asked, Ends, Service, answering
 from tests.peers.peer import Peer
 from tests.support.wait import until
 
@@ -103,7 +103,7 @@ def test_a_slow_call_does_not_delay_others(edge: RunningEdge, peer: Peers, set_b
     edge.edge.caller("/s/quick", set_bool.type).call(set_bool.request(), quick.done)
     quick.replies()
     native.ask("requests", id=held, count=30, seconds=30)
-    assert not slow.all
+    assert not slow.items
     native.ask("release", id=held)
     slow.replies(30)
 
@@ -164,7 +164,7 @@ def test_an_abandoned_call_delivers_no_result(edge: RunningEdge, peer: Peers, se
     abandon()
     native.ask("release", id=held)
     other.replies()
-    assert not ends.all
+    assert not ends.items
 
 
 def test_closing_a_caller_ends_its_calls(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
@@ -260,7 +260,7 @@ def test_calls_are_abandoned_when_their_client_leaves(edge: RunningEdge, peer: P
     killed.signal(signal.SIGKILL)
     killed.popen.wait()
     until(lambda: requests.abandoned == 2, "the call of the killed client is abandoned", 18)
-    for _, done in requests.requests:
+    for _, done in requests.items:
         done(set_bool.response())
 
 
