@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Iterator
@@ -104,12 +105,8 @@ class Side:
 
 @pytest.fixture
 def side(tmp_path: Path) -> Iterator[Side]:
-    with QuickHub() as hubs:
-        new_side = Side(hubs, tmp_path)
-        try:
-            yield new_side
-        finally:
-            new_side.close()
+    with QuickHub() as hubs, contextlib.closing(Side(hubs, tmp_path)) as new_side:
+        yield new_side
 
 
 def test_the_worker_forwards_the_end_of_a_gateway_goal_before_it_stops(

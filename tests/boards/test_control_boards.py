@@ -53,16 +53,12 @@ def served(robot: Robot) -> ControlBoardServer:
 
 @pytest.fixture
 def robot(tmp_path: Path) -> Iterator[Robot]:
-    robot = Robot(tmp_path)
-    try:
-        with NameServer(port=robot.port, gc_seconds=0), served(robot) as robot.server:
-            robot.worker.start(robot.config(modules={"control_boards": {"enabled": True, "boards": [BOARD]}}))
-            robot.state()
-            until(lambda: robot.far.hub.graph.subscriptions("/arm/command"), "the command topic has a subscriber")
-            yield robot
-            robot.worker.stop()
-    finally:
-        robot.close()
+    with Robot(tmp_path) as robot, NameServer(port=robot.port, gc_seconds=0), served(robot) as robot.server:
+        robot.worker.start(robot.config(modules={"control_boards": {"enabled": True, "boards": [BOARD]}}))
+        robot.state()
+        until(lambda: robot.far.hub.graph.subscriptions("/arm/command"), "the command topic has a subscriber")
+        yield robot
+        robot.worker.stop()
 
 
 def test_the_state_has_names_and_radians(robot: Robot) -> None:

@@ -6,6 +6,7 @@ and Nav2 with a YARP client.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -88,11 +89,8 @@ class Site:
 
 @pytest.fixture
 def site(deployment: Deployment, request: pytest.FixtureRequest) -> Iterator[Site]:
-    site = Site(deployment, request.param)
-    try:
+    with contextlib.closing(Site(deployment, request.param)) as site:
         yield site
-    finally:
-        site.close()
 
 
 def until_the_map_is_known(client: Navigation2DClient) -> None:

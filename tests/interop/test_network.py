@@ -5,6 +5,7 @@ They run ``configs/robot.yaml`` and ``configs/operator.yaml``, with certificates
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -112,12 +113,9 @@ class Pair:
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pair]:
     need_namespaces()
-    pair = Pair(tmp_path_factory.mktemp("network"))
-    try:
+    with contextlib.closing(Pair(tmp_path_factory.mktemp("network"))) as pair:
         pair.start()
         yield pair
-    finally:
-        pair.close()
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -212,8 +213,7 @@ def test_a_hanging_worker_is_reported_and_delays_nothing(watched: ScrapedDeploym
 @pytest.mark.thorough
 @needs(PROMETHEUS)
 def test_a_real_prometheus_scrapes_it(watched: ScrapedDeployment, tmp_path: Path) -> None:
-    prometheus = Prometheus(tmp_path, watched.address)
-    try:
+    with contextlib.closing(Prometheus(tmp_path, watched.address)) as prometheus:
         until(lambda: prometheus.query('up{job="midspan"} == 1'), "it scrapes", 9, every=0.2)
         routes = until(lambda: prometheus.query('midspan_route_messages_total{topic="/chat"}'), "routes", 20, every=0.2)
         assert {route["metric"]["side"] for route in routes} == {"ros1", "ros2"}
@@ -224,6 +224,4 @@ def test_a_real_prometheus_scrapes_it(watched: ScrapedDeployment, tmp_path: Path
         assert not prometheus.query(restart_alert)
         os.kill(watched.pid_of("modules"), signal.SIGKILL)
         until(lambda: prometheus.query(restart_alert), "the alert fires", 40, every=0.2)
-    finally:
-        prometheus.close()
     until(lambda: "midspan_goals_total" in watched.get("/metrics")[1], "the modules are back", 40, every=0.2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -42,11 +43,8 @@ class Two:
 
 @pytest.fixture
 def two() -> Iterator[Two]:
-    nodes = Two()
-    try:
+    with contextlib.closing(Two()) as nodes:
         yield nodes
-    finally:
-        nodes.close()
 
 
 def ask(two: Two, client: Any, request: dict[str, Any]) -> list[Any]:

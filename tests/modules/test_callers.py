@@ -86,8 +86,7 @@ def _kept(config: Config) -> list[str]:
 def test_a_native_client_is_served_again_when_the_module_is_back(
     config: Config, names: NameClient, modules: Modules
 ) -> None:
-    client = NativeClient("/native/rpc", names)
-    try:
+    with contextlib.closing(NativeClient("/native/rpc", names)) as client:
         until(lambda: client.connect("/echo/rpc"), "the port is there")
         until(lambda: _kept(config), "its caller is kept")
         for _ in range(2):
@@ -96,8 +95,6 @@ def test_a_native_client_is_served_again_when_the_module_is_back(
             assert client.call(HELLO) is None  # at once, and no success
             modules.start()
             until(lambda: client.call(HELLO) == SAID, "it is served again")
-    finally:
-        client.close()
     until(lambda: not _kept(config), "a client that leaves is no longer stored")
 
 
@@ -151,8 +148,7 @@ def test_successor_of_a_dead_client_name_is_not_connected(config: Config, names:
 
 
 def test_ports_that_are_closed_in_good_order_know_their_callers_again(config: Config, names: NameClient) -> None:
-    client = NativeClient("/native/rpc", names)
-    try:
+    with contextlib.closing(NativeClient("/native/rpc", names)) as client:
         for _ in range(2):
             ports = _open(config)
             until(lambda: client.call(HELLO) == SAID or not _kept(config), "it is asked back")
@@ -162,8 +158,6 @@ def test_ports_that_are_closed_in_good_order_know_their_callers_again(config: Co
             ports.close()
             assert client.call(HELLO) is None
             assert _kept(config) == ["/native/rpc"]
-    finally:
-        client.close()
 
 
 def test_invalid_file_is_ignored(config: Config, names: NameClient) -> None:

@@ -101,28 +101,24 @@ def test_duty_cycles_expire(simulation: Simulation, board: WheelBoard) -> None:
 
 
 def test_a_script_moves_the_wheels_until_a_halt(tmp_path: Path) -> None:
-    place = Place(tmp_path)
-    try:
-        with NameServer(port=place.port, gc_seconds=0):
-            names = NameClient(Address("127.0.0.1", place.port), namespace="/root")
-            place.worker.start(place.config(plan="hall", start=(0.0, 0.0, 0.0), yarp="/cer", speed="max"))
-            until(lambda: connections.exists(names, "/cer/mobile_base/state:o"), "the board's ports are open")
-            with network_of(names):
-                driver = yarp.PolyDriver(
-                    yarp.Property("(device remote_controlboard) (remote /cer/mobile_base) (local /script)")
-                )
-                assert driver.isValid()
-                encoders, position = driver.viewIEncoders(), driver.viewIPositionControl()
-                assert driver.viewIAxisInfo().getAxisName(0) == "mobile_base_l_wheel_joint"
-                assert driver.viewIControlMode().setControlModes(yarp.IVector(2, yarp.VOCAB_CM_POSITION))
-                assert encoders.resetEncoders()
-                assert position.positionMove(yarp.DVector([90.0, 90.0]))
-                until(position.checkMotionDone, "the wheels reach the target")
-                until(lambda: abs(encoders.getEncoder(1) - 90.0) < 1.0, "the encoders report the target")
-                assert position.positionMove(yarp.DVector([1e6, 1e6]))
-                assert [answer.value for answer in place.far.hub.ask("halt", {}, worker="sim")] == [{"halted": True}]
-                assert position.isMotionDone()
-                driver.close()
-            place.worker.stop()
-    finally:
-        place.close()
+    with Place(tmp_path) as place, NameServer(port=place.port, gc_seconds=0):
+        names = NameClient(Address("127.0.0.1", place.port), namespace="/root")
+        place.worker.start(place.config(plan="hall", start=(0.0, 0.0, 0.0), yarp="/cer", speed="max"))
+        until(lambda: connections.exists(names, "/cer/mobile_base/state:o"), "the board's ports are open")
+        with network_of(names):
+            driver = yarp.PolyDriver(
+                yarp.Property("(device remote_controlboard) (remote /cer/mobile_base) (local /script)")
+            )
+            assert driver.isValid()
+            encoders, position = driver.viewIEncoders(), driver.viewIPositionControl()
+            assert driver.viewIAxisInfo().getAxisName(0) == "mobile_base_l_wheel_joint"
+            assert driver.viewIControlMode().setControlModes(yarp.IVector(2, yarp.VOCAB_CM_POSITION))
+            assert encoders.resetEncoders()
+            assert position.positionMove(yarp.DVector([90.0, 90.0]))
+            until(position.checkMotionDone, "the wheels reach the target")
+            until(lambda: abs(encoders.getEncoder(1) - 90.0) < 1.0, "the encoders report the target")
+            assert position.positionMove(yarp.DVector([1e6, 1e6]))
+            assert [answer.value for answer in place.far.hub.ask("halt", {}, worker="sim")] == [{"halted": True}]
+            assert position.isMotionDone()
+            driver.close()
+        place.worker.stop()

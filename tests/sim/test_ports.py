@@ -23,25 +23,19 @@ from yarp_compat.wire.values import Vocab
 
 
 def test_yarp_clients_receive_laser_odometry_depth_and_battery(tmp_path: Path) -> None:
-    place = Place(tmp_path)
-    try:
-        with NameServer(port=place.port, gc_seconds=0):
-            names = NameClient(Address("127.0.0.1", place.port), namespace="/root")
-            section = {"beams": 8, "farthest": 15.0}
-            camera = {"rate": 5.0, "width": 24, "height": 16, "noise": 0.0, "pitch": 0.0}
-            place.worker.start(
-                place.config(plan="hall", start=(0.5, 0.0, 0.0), yarp="/cer", laser=section, camera=camera)
-            )
-            until(lambda: connections.exists(names, "/cer/battery/rpc:i"), "the last port is registered")
-            until(lambda: "waiting" not in str(place.answer("sim")["ports"]), "all are open")
-            streams(place, names)
-            settings(names)
-            batteries(names)
-            with network_of(names):
-                devices()
-            place.worker.stop()
-    finally:
-        place.close()
+    with Place(tmp_path) as place, NameServer(port=place.port, gc_seconds=0):
+        names = NameClient(Address("127.0.0.1", place.port), namespace="/root")
+        section = {"beams": 8, "farthest": 15.0}
+        camera = {"rate": 5.0, "width": 24, "height": 16, "noise": 0.0, "pitch": 0.0}
+        place.worker.start(place.config(plan="hall", start=(0.5, 0.0, 0.0), yarp="/cer", laser=section, camera=camera))
+        until(lambda: connections.exists(names, "/cer/battery/rpc:i"), "the last port is registered")
+        until(lambda: "waiting" not in str(place.answer("sim")["ports"]), "all are open")
+        streams(place, names)
+        settings(names)
+        batteries(names)
+        with network_of(names):
+            devices()
+        place.worker.stop()
 
 
 def streams(place: Place, names: NameClient) -> None:

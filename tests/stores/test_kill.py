@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import random
 import signal
 import sys
@@ -49,11 +50,8 @@ def write(file: Path, first: int, kill_at: int) -> int:
 
 def check(file: Path, acknowledged: int) -> None:
     """Check that every name has its last acknowledged value, or the one being written."""
-    replica = Replica(file, "reader")
-    try:
+    with contextlib.closing(Replica(file, "reader")) as replica:
         stored = {name: value.x for name, value in Store(replica).all(LOCATION).items()}
-    finally:
-        replica.close()
     wanted = {f"l{number % 400}": float(number) for number in range(acknowledged + 1)}
     under_way = {f"l{(acknowledged + 1) % 400}": float(acknowledged + 1)}
     assert stored in (wanted, wanted | under_way)

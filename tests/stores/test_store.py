@@ -294,10 +294,7 @@ def test_a_closed_store_raises(store: Store) -> None:
 
 def test_acknowledged_changes_are_synced_to_the_disk(tmp_path: Path) -> None:
     file = tmp_path / "s.sqlite"
-    table = EntryTable(file)
-    try:
+    with contextlib.closing(EntryTable(file)) as table:
         assert table._base.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL
-    finally:
-        table.close()
     with contextlib.closing(sqlite3.connect(file)) as base:
         assert base.execute("PRAGMA journal_mode").fetchone() == ("wal",)

@@ -63,12 +63,9 @@ HANG = f"const end = Date.now() + {1000 * HANGING}; setTimeout(() => {{ while (D
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebRobot]:
     for reason in (BROWSER, DART):
         need(reason)
-    robot_ = WebRobot(tmp_path_factory.mktemp("web"))
-    try:
+    with contextlib.closing(WebRobot(tmp_path_factory.mktemp("web"))) as robot_:
         robot_.ready()
         yield robot_
-    finally:
-        robot_.close()
 
 
 @pytest.fixture(scope="module")

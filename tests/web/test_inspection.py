@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 from collections.abc import Iterator
@@ -106,13 +107,10 @@ def test_the_log_of_a_restarted_daemon_starts_again(desk: Desk, daemon: Daemon, 
         daemon.close()
         page.until(lambda: page.values["log"]["value"] is None, "there is no daemon")
         assert "the daemon does not respond" in page.values["log"]["why"]
-        again = Daemon(tmp_path, file)
-        try:
+        with contextlib.closing(Daemon(tmp_path, file)) as again:
             again.log_line("anew")
             page.value("log", lambda value: value and value["last"] == 1)
             assert [line["text"] for line in page.call("log")["value"]["lines"]] == ["anew"]
-        finally:
-            again.close()
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import pytest
@@ -215,8 +216,7 @@ def test_a_plain_program_on_a_configured_key(place: Place) -> None:
     place.bridge({"dialect": "ros2dds", "keys": [{"topic": "/robot1/goal", "type": "std_msgs/msg/String"}]})
     subscription = place.far.subscribe("/robot1/goal", STRING)
     place.far.until_published("/robot1/goal")
-    session = open_session(place.router.endpoint, "client", timestamping={"enabled": False})
-    try:
+    with contextlib.closing(open_session(place.router.endpoint, "client", timestamping={"enabled": False})) as session:
 
         def published() -> list[Any]:
             session.put("robot1/goal", HI)
@@ -229,8 +229,6 @@ def test_a_plain_program_on_a_configured_key(place: Place) -> None:
             "malformed messages are counted",
             every=0.1,
         )
-    finally:
-        session.close()
 
 
 def test_keys_without_announcement_are_ignored(place: Place) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -114,16 +115,13 @@ def test_the_daemon_of_another_user(dead: tuple[RobotDaemon, str], tmp_path: Pat
 
 @pytest.mark.thorough
 def test_standalone_router_needs_no_daemon(tmp_path: Path) -> None:
-    robot = RobotDaemon(tmp_path)
-    try:
+    with contextlib.closing(RobotDaemon(tmp_path)) as robot:
         robot.midspan("worker", "router")
         done = until(lambda: (done := robot.command("status")).returncode == 0 and done, "the router answers", 40)
         assert "not running" not in done.stdout + done.stderr
         assert (
             "no gateway runs on this hub: no daemon robot runs on this machine" in robot.command("nav", "status").stderr
         )
-    finally:
-        robot.close()
 
 
 def test_a_daemon_that_runs_again_is_not_reported(start: Start) -> None:
@@ -240,8 +238,7 @@ def other_state(robot: RobotDaemon, folder: Path) -> None:
 def test_status_while_another_program_holds_the_port(tmp_path: Path, words: list[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         place = f"tcp/127.0.0.1:{other.getsockname()[1]}"
-        robot = RobotDaemon(tmp_path, hub={"listen": place}, navigation={}, modules={})
-        try:
+        with contextlib.closing(RobotDaemon(tmp_path, hub={"listen": place}, navigation={}, modules={})) as robot:
             robot.midspan(*words)
             robot.until_phase("router", "restarting" if "--adopt" in words else "cannot work")
             done = robot.command("status")
@@ -256,8 +253,6 @@ def test_status_while_another_program_holds_the_port(tmp_path: Path, words: list
                     f"Another program holds {place}: it is not a zenoh router. Stop it, set hub.listen" in done.stderr
                 )
                 assert "Is the daemon running?" not in done.stderr
-        finally:
-            robot.close()
 
 
 def test_status_beside_a_router_of_another_project(tmp_path: Path) -> None:
@@ -286,8 +281,9 @@ def test_status_beside_a_router_of_another_project(tmp_path: Path) -> None:
 
 def test_status_of_a_daemon_without_a_router(tmp_path: Path) -> None:
     """`hub.router: false`: the configured router is elsewhere, and down."""
-    robot = RobotDaemon(tmp_path, navigation={}, hub={"listen": f"tcp/127.0.0.1:{free_port()}", "router": False})
-    try:
+    with contextlib.closing(
+        RobotDaemon(tmp_path, navigation={}, hub={"listen": f"tcp/127.0.0.1:{free_port()}", "router": False})
+    ) as robot:
         robot.run()
         robot.until_phase("modules", "running")
         for command in (["status"], ["topic", "list"]):
@@ -296,8 +292,6 @@ def test_status_of_a_daemon_without_a_router(tmp_path: Path) -> None:
             assert ("modules  running" in done.stdout) == (command == ["status"])
             assert "the daemon robot is running" in done.stderr
             assert "Is the daemon running?" not in done.stderr
-    finally:
-        robot.close()
 
 
 def exhaust(pid: int) -> None:
@@ -308,8 +302,7 @@ def exhaust(pid: int) -> None:
 
 def test_a_router_that_accepts_no_connection(tmp_path: Path) -> None:
     """The kernel completes connections to its port, but they get no answer: no other program is to blame."""
-    robot = RobotDaemon(tmp_path, navigation={}, modules={})
-    try:
+    with contextlib.closing(RobotDaemon(tmp_path, navigation={}, modules={})) as robot:
         robot.run()
         router = robot.until_phase("router", "running")["pid"]
         exhaust(router)
@@ -326,14 +319,11 @@ def test_a_router_that_accepts_no_connection(tmp_path: Path) -> None:
         assert f"FAIL  router-port: {cause}" in done.stdout
         assert re.search(r"FAIL  descriptors: robot/router has \d+ files open of \d+ allowed", done.stdout)
         assert "stop that program" not in done.stdout
-    finally:
-        robot.close()
 
 
 def test_a_daemon_that_is_suspended_with_its_router(tmp_path: Path) -> None:
     """As Ctrl-Z in its terminal does."""
-    robot = RobotDaemon(tmp_path, navigation={}, modules={})
-    try:
+    with contextlib.closing(RobotDaemon(tmp_path, navigation={}, modules={})) as robot:
         robot.run()
         router = robot.until_phase("router", "running")["pid"]
         assert robot.daemon is not None
@@ -350,5 +340,3 @@ def test_a_daemon_that_is_suspended_with_its_router(tmp_path: Path) -> None:
         assert DOWN.format(router=router) in done.stderr
         assert UNRESPONSIVE.format(router=router, port=robot.port) in done.stderr
         assert "Another program" not in done.stderr
-    finally:
-        robot.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 from collections.abc import Iterator
 from pathlib import Path
@@ -51,12 +52,9 @@ def nav2(rig: Rig) -> RmwActionServer:
 @pytest.fixture
 def other(rig: Rig) -> Iterator[RmwActionServer]:
     """The same, started while the gateway runs."""
-    started = nav2(rig)
-    try:
+    with contextlib.closing(nav2(rig)) as started:
         until(lambda: rig.module.status()["served_by"] == NODE, "the gateway finds it")
         yield started
-    finally:
-        started.close()
 
 
 def parts(rig: Rig, worker: ModulesWorker | None = None) -> set[str]:
@@ -117,8 +115,7 @@ def test_a_node_that_was_there_before_the_gateway_keeps_the_name(rig: Rig) -> No
 def test_an_active_goal_of_the_gateway_continues_to_its_end(rig: Rig) -> None:
     client_goal = ClientGoal(rig.client, pose(1.0))
     goal = rig.planner.until(1)
-    other = nav2(rig)
-    try:
+    with contextlib.closing(nav2(rig)):
         until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
         assert parts(rig) == set(PARTS) - {PARTS.send_goal}, "its client needs the others"
         rig.planner.on(lambda: goal.feedback({"distance_remaining": 0.5}))
@@ -127,30 +124,24 @@ def test_an_active_goal_of_the_gateway_continues_to_its_end(rig: Rig) -> None:
         rig.planner.reach(goal)
         assert client_goal.end() == ("SUCCEEDED", "")
         until(lambda: not parts(rig), "now the others are withdrawn")
-    finally:
-        other.close()
 
 
 def test_an_active_goal_of_the_gateway_can_be_canceled(rig: Rig) -> None:
     client_goal = ClientGoal(rig.client, pose(1.0))
     goal = rig.planner.until(1)
-    other = nav2(rig)
-    try:
+    with contextlib.closing(nav2(rig)):
         until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
         client_goal.cancel()
         until(lambda: not goal.active, "the planner ends it")
         assert client_goal.end()[0] == "CANCELED"
         until(lambda: not parts(rig), "all parts are withdrawn")
-    finally:
-        other.close()
 
 
 def test_goals_at_both_servers_have_their_own_results(rig: Rig) -> None:
     """While the gateway finishes its goal, two servers have parts of one action."""
     held = ClientGoal(rig.client, pose(1.0))
     goal = rig.planner.until(1)
-    other = nav2(rig)
-    try:
+    with contextlib.closing(nav2(rig)):
         until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
         for number, status in enumerate((GoalState.SUCCEEDED, GoalState.CANCELED), 1):
             client_goal = ClientGoal(rig.client, pose(2.0))
@@ -164,8 +155,6 @@ def test_goals_at_both_servers_have_their_own_results(rig: Rig) -> None:
         assert not held.ended
         rig.planner.reach(goal)
         assert held.end() == ("SUCCEEDED", "")
-    finally:
-        other.close()
 
 
 def test_an_active_goal_of_the_gateway_outlives_a_node_that_leaves_soon(rig: Rig) -> None:
@@ -235,11 +224,8 @@ def test_two_gateways_on_one_hub_both_serve_the_name(rig: Rig, tmp_path: Path) -
             running.host.loop.call(entry._action.poll)
         assert parts(rig) == parts(rig, worker) == set(PARTS)
         assert [running.module.status()["served_by"] for running in gateways] == ["", ""]
-        other = nav2(rig)
-        try:
+        with contextlib.closing(nav2(rig)):
             until(lambda: not parts(rig) and not parts(rig, worker), "both step aside for a planner")
-        finally:
-            other.close()
         until(lambda: parts(rig) == parts(rig, worker) == set(PARTS), "both are back")
     finally:
         worker.stop()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -226,8 +227,7 @@ def test_without_odometry_a_stop_needs_the_end_of_the_controllers_goal_and_zero_
     rig = robot.rig
     robot.base.silent = True
     until(lambda: not rig.gateway.motion.known, "odometry is missing")
-    commander = Commander(rig)
-    try:
+    with contextlib.closing(Commander(rig)) as commander:
         stop = robot.begin("stop")
         assert controller.canceled.wait(20)
         controller.end()
@@ -237,8 +237,6 @@ def test_without_odometry_a_stop_needs_the_end_of_the_controllers_goal_and_zero_
         assert not answered(stop)
         commander.speed = 0.0
         assert confirmed(stop)
-    finally:
-        commander.close()
 
 
 class Commander:

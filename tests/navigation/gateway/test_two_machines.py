@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -43,11 +44,8 @@ class Robot:
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
-    robot = Robot(tmp_path_factory.mktemp("robot"))
-    try:
+    with contextlib.closing(Robot(tmp_path_factory.mktemp("robot"))) as robot:
         yield robot
-    finally:
-        robot.close()
 
 
 def test_the_operators_goal_and_its_feedback_and_its_end_cross(robot: Robot) -> None:

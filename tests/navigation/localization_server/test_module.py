@@ -460,8 +460,7 @@ def test_the_pose_of_another_yarp_server_is_served(place: Place, robot: Robot, t
     with NameServer(port=place.port, gc_seconds=0), Place(tmp_path / "second") as second:
         until(lambda: place.names.query("/other/odometry:o"), "the other's ports are registered", 20)
         second.port = place.port
-        follower = Robot(second.far.hub, second.far.registry)
-        try:
+        with Robot(second.far.hub, second.far.registry) as follower:
             started(second, follower, source="server", server="/other")
             until(reports(second, "not_yet_localized"), "it reports the other's status", 20)
             publish_start = start_publisher(second, robot.pose)
@@ -505,5 +504,3 @@ def test_the_pose_of_another_yarp_server_is_served(place: Place, robot: Robot, t
                 return False
 
             until(refused, "a start is refused", 20, every=0.1)
-        finally:
-            follower.close()

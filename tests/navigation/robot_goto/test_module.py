@@ -144,11 +144,8 @@ class Goto(Served):
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Goto]:
-    goto = Goto(tmp_path_factory.mktemp("goto"))
-    try:
+    with Goto(tmp_path_factory.mktemp("goto")) as goto:
         yield goto
-    finally:
-        goto.close()
 
 
 def pose_of(module: PlannerModule) -> Pose | None:
@@ -405,8 +402,7 @@ def seen(*heights: float) -> dict[str, Any]:
 
 def test_clouds_and_layers_on_the_hub(tmp_path: Path) -> None:
     sources = [{"topic": "/points", "type": "cloud", "timeout": 1.5}, {"topic": "/layer", "timeout": 0.5}]
-    place = Goto(tmp_path, obstacles=sources, floor=-0.2, enable_obstacles_avoidance=False)
-    try:
+    with Goto(tmp_path, obstacles=sources, floor=-0.2, enable_obstacles_avoidance=False) as place:
         robot, driver = place.robot, place.module.driver
         layer = place.far.advertise("/layer", "nav_msgs/OccupancyGrid", latched=True)
         sent = robot.send(-2.0, 0.0)
@@ -444,5 +440,3 @@ def test_clouds_and_layers_on_the_hub(tmp_path: Path) -> None:
         until(lambda: "has no publisher" in place.module.health().text, "the layer's publisher is gone", 30)
         until(lambda: "the layer /layer is silent" in driver.status.reason, "the robot does not drive", 30)
         ahead.cancel()
-    finally:
-        place.close()

@@ -131,11 +131,8 @@ class Planning(Served):
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Planning]:
-    planning = Planning(tmp_path_factory.mktemp("planner"))
-    try:
+    with Planning(tmp_path_factory.mktemp("planner")) as planning:
         yield planning
-    finally:
-        planning.close()
 
 
 @pytest.fixture
@@ -477,8 +474,7 @@ def test_the_map_is_received_from_a_topic_and_completed_by_the_laser(tmp_path: P
 
 
 def test_the_planner_waits_for_a_hub_layer_and_plans_around_it(tmp_path: Path) -> None:
-    place = Planning(tmp_path, obstacles=[{"topic": "/layer", "timeout": 0.5}])
-    try:
+    with Planning(tmp_path, obstacles=[{"topic": "/layer", "timeout": 0.5}]) as place:
         end = place.far.advertise("/layer", "nav_msgs/OccupancyGrid", latched=True)
         sent = place.robot.send(4.0, 1.0)
         status = lambda: place.module.planner.status.reason  # noqa: E731
@@ -494,8 +490,6 @@ def test_the_planner_waits_for_a_hub_layer_and_plans_around_it(tmp_path: Path) -
         assert sent.end()[0] is GoalState.SUCCEEDED
         assert max(y for _, y, _ in place.robot.asked) > 1.7
         assert place.module.health().state == "running"  # a latched layer may be silent while nothing changes
-    finally:
-        place.close()
 
 
 def test_a_layer_that_falls_silent_stops_the_robot_until_it_resumes(tmp_path: Path) -> None:

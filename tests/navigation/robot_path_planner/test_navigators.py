@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 from collections.abc import Iterator
@@ -84,11 +85,8 @@ class Network:
 
 @pytest.fixture
 def network() -> Iterator[Network]:
-    network = Network()
-    try:
+    with contextlib.closing(Network()) as network:
         yield network
-    finally:
-        network.close()
 
 
 def test_goals_are_sent_and_their_ends_are_received(network: Network) -> None:

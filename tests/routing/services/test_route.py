@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
@@ -80,12 +81,8 @@ class Place:
 
 @pytest.fixture
 def place() -> Iterator[Place]:
-    with QuickHub() as hubs:
-        place = Place(hubs)
-        try:
-            yield place
-        finally:
-            place.close()
+    with QuickHub() as hubs, contextlib.closing(Place(hubs)) as place:
+        yield place
 
 
 def ask(client: HubClient, **request: Any) -> Calling:
