@@ -14,6 +14,7 @@ from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion, SideType
 from bridge.routing.edge import Endpoint, Kind
+from tests.peers.listener import Listener
 from tests.peers.peer import Peer
 from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.wait import until
@@ -46,27 +47,14 @@ class Inbox:
         self.messages.append((payload, source, time_ns))
 
 
-class RunningEdge:
+class RunningEdge(Listener):
     """A started edge with its registry, and helpers for tests."""
 
     def __init__(self, registry: Registry, state: Path) -> None:
+        super().__init__()
         self.registry = registry
-        self.changes = 0
-        self.failures: list[str] = []
         self.edge = Ros2Edge(Config.model_validate({"ros2": {"domain": ros2_domain()}}), registry, state)
         self.edge.start(self)
-
-    def graph_changed(self) -> None:
-        self.changes += 1
-
-    def presence_changed(self) -> None:
-        """Ignore it."""
-
-    def message_refused(self, topic: str, reason: str, why: str) -> None:
-        """Ignore it."""
-
-    def edge_failed(self, reason: str) -> None:
-        self.failures.append(reason)
 
     def type(self, name: str) -> SideType:
         return self.registry.ros2(name)

@@ -24,26 +24,7 @@ from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import SideType
 from tests.peers.commands import Commands, Record, only_answers, serve
-
-
-class Listener:
-    """Counts the edge's notifications."""
-
-    def __init__(self) -> None:
-        self.changes = 0
-        self.failures: list[str] = []
-
-    def graph_changed(self) -> None:
-        self.changes += 1
-
-    def presence_changed(self) -> None:
-        """Ignore it."""
-
-    def message_refused(self, topic: str, reason: str, why: str) -> None:
-        """Ignore it."""
-
-    def edge_failed(self, reason: str) -> None:
-        self.failures.append(reason)
+from tests.peers.listener import Listener
 
 
 class Inbox(Record):

@@ -15,6 +15,7 @@ from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
 from tests.adapters.ros2.conftest import string, text
 from tests.peers.commands import Commands, Record, only_answers, serve
+from tests.peers.listener import Listener
 
 TYPE = "std_msgs/msg/String"
 
@@ -26,20 +27,8 @@ class Program(Commands):
         super().__init__()
         self.registry = Registry()
         self.edge = Ros2Edge(config, self.registry, state)
-        self.failed: list[str] = []
-        self.edge.start(self)
-
-    def graph_changed(self) -> None:
-        """Ignore it: the commands read the graph."""
-
-    def presence_changed(self) -> None:
-        """Ignore it."""
-
-    def message_refused(self, topic: str, reason: str, why: str) -> None:
-        """Ignore it."""
-
-    def edge_failed(self, reason: str) -> None:
-        self.failed.append(reason)
+        self.listener = Listener()
+        self.edge.start(self.listener)
 
     def qos(self, latched: bool) -> Qos:
         return Qos(durability=Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE)
@@ -67,7 +56,7 @@ class Program(Commands):
 
     def status(self) -> dict[str, Any]:
         return {
-            "failed": self.failed,
+            "failed": self.listener.failures,
             "network": self.edge.network(),
             "endpoints": [f"{e.kind.value} {e.topic} {e.made_by.value}" for e in self.edge.endpoints()],
         }

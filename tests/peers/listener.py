@@ -1,0 +1,25 @@
+"""What an adapter reports, for adapters without an engine."""
+
+from __future__ import annotations
+
+
+class Listener:
+    """Counts changes of the graph, and records failures."""
+
+    def __init__(self) -> None:
+        self.changes = 0
+        self.failures: list[str] = []
+
+    def graph_changed(self) -> None:
+        """Count it."""
+        self.changes += 1
+
+    def presence_changed(self) -> None:
+        """Ignore it."""
+
+    def message_refused(self, topic: str, reason: str, why: str) -> None:
+        """Ignore it."""
+
+    def edge_failed(self, reason: str) -> None:
+        """Record the reason."""
+        self.failures.append(reason)
