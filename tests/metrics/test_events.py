@@ -11,48 +11,39 @@ from typing import Any
 
 import psutil
 import pytest
-import yaml
 from prometheus_client.parser import text_string_to_metric_families as parse
 
-from bridge.hub.session import HubSettings
 from bridge.stores.client import StoreClient
 from bridge.stores.kinds import LOCATION
 from bridge.stores.store import Write
 from bridge.stores.wire import prefix
-from tests.peers.daemon.midspan import MIDSPAN
+from tests.peers.daemon.midspan import MidspanDaemon
 from tests.peers.hub.node import HubNode
 from tests.peers.navigation.gateway import ClientGoal, Planner, pose
 from tests.peers.yarp.programs import Names
-from tests.support.forks import DAEMON
 from tests.support.ports import free_port
-from tests.support.process import Process
 from tests.support.wait import until
 from yarp_compat.dev.locations import Map2DLocation
 
 OFF = {"enabled": False}
 
 
-class MeteredDaemon:
+class MeteredDaemon(MidspanDaemon):
     """A daemon ``name`` with YARP and metrics only; its hub joins that of ``join``."""
 
     def __init__(
         self, folder: Path, name: str, names: Names, join: MeteredDaemon | None = None, **sections: Any
     ) -> None:
-        self.hub, self._metrics = free_port(), free_port()
-        links = {"connect": {"endpoints": [f"tcp/127.0.0.1:{join.hub}"]}} if join else {}
-        config = {
-            "name": name, "state": str(folder / name),
-            "hub": {"listen": f"tcp/127.0.0.1:{self.hub}", "router_zenoh": links},
-            "ros1": OFF, "ros2": OFF, "yarp": {"nameserver": "site", "address": names.endpoint, "poll": 0.1},
-            "metrics": {"enabled": True, "listen": f"127.0.0.1:{self._metrics}"}, **sections,
-        }  # fmt: skip
-        file = folder / f"{name}.yaml"
-        file.write_text(yaml.safe_dump(config))
-        self.process = Process([*MIDSPAN, "run", "--config", file], imports=DAEMON)
-
-    def settings(self, node: str) -> HubSettings:
-        router = f"tcp/127.0.0.1:{self.hub}"
-        return HubSettings(router=router, node=node, daemon="far", worker=node, shared_memory=False)
+        (folder / name).mkdir()
+        super().__init__(folder / name, name)
+        self._metrics = free_port()
+        links = {"connect": {"endpoints": [join.endpoint]}} if join else {}
+        self.configure(
+            state=str(self.folder), hub={"listen": self.endpoint, "router_zenoh": links}, ros1=OFF, ros2=OFF,
+            yarp={"nameserver": "site", "address": names.endpoint, "poll": 0.1},
+            metrics={"enabled": True, "listen": f"127.0.0.1:{self._metrics}"}, **sections,
+        )  # fmt: skip
+        self.process = self.midspan("run")
 
     def values(self, family: str, label: str) -> dict[str, float]:
         """Return a family's values by one of its labels; empty if it is not reported or the daemon does not answer."""
