@@ -38,7 +38,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
     def begin(order: str = "", **sections: Any) -> RobotDaemon:
         (tmp_path / "modules.do").write_text(order)
         daemons.append(RobotDaemon(tmp_path, STAND_IN if order else "", **sections))
-        daemons[0].start()
+        daemons[0].run()
         return daemons[0]
 
     yield begin

@@ -23,7 +23,7 @@ class HubNode:
     """
 
     def __init__(self, hub: Hub | HubSettings, registry: Registry = REGISTRY) -> None:
-        self._own = isinstance(hub, HubSettings)
+        self._owns_session = isinstance(hub, HubSettings)
         self.hub = Hub.open(hub) if isinstance(hub, HubSettings) else hub
         self.loop = EventLoop(hub.node if isinstance(hub, HubSettings) else "node")
         self.node = ModuleNode(self.hub, registry, self.loop, SYSTEM)
@@ -37,7 +37,7 @@ class HubNode:
         """Leave the hub."""
         self.node.close()
         self.loop.close()
-        if self._own:
+        if self._owns_session:
             self.hub.close()
 
     def stop(self) -> None:

@@ -39,7 +39,7 @@ def main():
         tcp_nodelay=True,
     )
     while not rospy.is_shutdown():
-        frames.publish([transform(*frame) for frame in body.frames(*body.step(), options.odometry)])
+        frames.publish([transform(*frame) for frame in body.frames(*body.step(), odometry=options.odometry)])
         try:
             rospy.sleep(PERIOD)
         except rospy.ROSInterruptException:

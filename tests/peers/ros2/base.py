@@ -36,7 +36,7 @@ class Base(Node):
         self.body.command(twist.linear.x, twist.linear.y, twist.angular.z)
 
     def step(self) -> None:
-        frames = self.body.frames(*self.body.step(), self.odometry)
+        frames = self.body.frames(*self.body.step(), odometry=self.odometry)
         self.frames.publish(TFMessage(transforms=[self.transform(*frame) for frame in frames]))
 
     def transform(self, parent: str, child: str, x: float, y: float, yaw: float) -> TransformStamped:

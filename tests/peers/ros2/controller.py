@@ -18,10 +18,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
+import pathlib
 import sys
 import threading
 import time
-from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -32,7 +32,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[3]))
 
 from tests.peers.ros2.transforms import Pose, Transforms
 
