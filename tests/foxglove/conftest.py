@@ -15,6 +15,7 @@ from tests.contract.hubside import ros2_name
 from tests.peers.browser.foxglove_app import App
 from tests.peers.hub.rig import HubRig
 from tests.support.status_documents import check_document
+from tests.support.wait import until
 
 
 class Desk(HubRig):
@@ -46,8 +47,7 @@ class Desk(HubRig):
 
     def status(self, worker: str = "foxglove") -> dict[str, Any]:
         """Return the server's status document."""
-        status = super().status(worker)
-        assert status is not None
+        status: dict[str, Any] = until(lambda: HubRig.status(self, worker), "the server reports its status")
         check_document(status, "foxglove")
         return status
 

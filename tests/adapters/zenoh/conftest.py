@@ -32,7 +32,7 @@ class Place(HubRig):
 
     def config(self, *dialects: dict[str, Any], **sections: Any) -> Config:
         """Return a configuration with these dialects on the separate network."""
-        return super().config(zenoh={"router": self.router.endpoint, "dialects": list(dialects)}, **sections)
+        return super().config(**{"zenoh": {"router": self.router.endpoint, "dialects": list(dialects)}, **sections})
 
     def bridge(self, *dialects: dict[str, Any], **sections: Any) -> ZenohBridge:
         """Start the adapter with these dialects."""

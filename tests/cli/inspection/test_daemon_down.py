@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 import zenoh
 
 from tests.peers.daemon.robot_daemon import RobotDaemon
@@ -104,7 +105,7 @@ def test_the_daemon_of_another_user(dead: tuple[RobotDaemon, str], tmp_path: Pat
     """Its state folder cannot be read: that the router lost its daemon shows in the process table."""
     robot, down = dead
     file = tmp_path / "other.yaml"
-    file.write_text(json.dumps({**json.loads(robot.file.read_text()), "state": str(tmp_path / "none")}))
+    file.write_text(json.dumps({**yaml.safe_load(robot.file.read_text()), "state": str(tmp_path / "none")}))
     before, robot.file = robot.file, file
     try:
         done = robot.command("status")
@@ -205,7 +206,7 @@ def test_without_router_and_daemon(dead: tuple[RobotDaemon, str], tmp_path: Path
     robot = dead[0]
     file = tmp_path / "other.yaml"
     file.write_text(
-        json.dumps({**json.loads(robot.file.read_text()), "hub": {"listen": f"tcp/127.0.0.1:{free_port()}"}})
+        json.dumps({**yaml.safe_load(robot.file.read_text()), "hub": {"listen": f"tcp/127.0.0.1:{free_port()}"}})
     )
     before, robot.file = robot.file, file
     try:
@@ -230,7 +231,7 @@ def test_a_configuration_that_the_daemon_has_not_loaded(start: Start) -> None:
 def other_state(robot: RobotDaemon, folder: Path) -> None:
     """Let the commands read a configuration with another state folder, as those of another user do."""
     file = folder / "other.yaml"
-    file.write_text(json.dumps({**json.loads(robot.file.read_text()), "state": str(folder / "none")}))
+    file.write_text(json.dumps({**yaml.safe_load(robot.file.read_text()), "state": str(folder / "none")}))
     robot.file = file
 
 

@@ -35,7 +35,7 @@ class Place(HubRig):
         return super().config(**{"yarp": self.yarp_section(), **sections, "modules": modules})
 
     def hears(self, said: str, heard: int, text: str) -> None:
-        """Publish on ``/heard`` until a subscription receives the reply."""
+        """Publish to the module until a subscription receives its reply."""
         out = self.far.advertise("/heard", STRING)
 
         def once() -> bool:

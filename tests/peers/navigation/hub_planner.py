@@ -1,4 +1,4 @@
-"""A planner on the hub in place of Midspan's own; its robot is a point, which the stand-in moves."""
+"""A planner on the hub that replaces those of Midspan; its robot is a point, which the stand-in moves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Actions of nodes behind a bridge like zenoh-bridge-ros2dds, with the commands of `tests.peers.peer`.
+"""Actions of nodes of a bridge like zenoh-bridge-ros2dds, with the commands of `tests.peers.peer`.
 
 Their only action is ``tf2_msgs/LookupTransform``, whose feedback has no fields.
 """
