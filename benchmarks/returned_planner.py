@@ -168,8 +168,9 @@ class Bench(Processes):
         return 100.0 * (after.user + after.system - before.user - before.system) / took
 
     def _worker(self) -> int:
-        workers = (ask_daemon(self.place.config) or {"workers": []})["workers"]
-        return next((int(w["pid"]) for w in workers if w["worker"] == self.side.key and w["phase"] == "running"), 0)
+        status = ask_daemon(self.place.config)
+        running = [] if status is None else [w for w in status.workers if w.phase == "running"]
+        return next((worker.pid for worker in running if worker.worker == self.side.key), 0)
 
     def close(self) -> None:
         """Stop all processes, and close the hub session."""

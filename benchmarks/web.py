@@ -253,8 +253,9 @@ def measure(seconds: float) -> list[Row]:
         robot.start()
 
         def worker() -> int:
-            workers = (ask_daemon(deployment.place.config) or {"workers": []})["workers"]
-            return int(next(status["pid"] for status in workers if status["worker"] == "web"))
+            status = ask_daemon(deployment.place.config)
+            assert status is not None
+            return next(report.pid for report in status.workers if report.worker == "web")
 
         rows = in_chromium(address, robot, worker, seconds)
         for side in ("ros2", "zenoh"):

@@ -10,7 +10,7 @@ for missing ones, and omit values of the wrong type, which they list in ``error`
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, InstanceOf, ValidationError
@@ -324,6 +324,11 @@ class DaemonStatus(Part):
 def refused_routes(document: StatusDocument) -> list[RefusedRoute]:
     """Return what a worker refused; a module's key ``refused`` has another meaning."""
     return document.refused if isinstance(document, WorkerStatus) else []
+
+
+def routers_of(documents: Iterable[StatusDocument]) -> list[RouterStatus]:
+    """Return the documents of routers."""
+    return [document for document in documents if isinstance(document, RouterStatus)]
 
 
 def read_status(value: object, daemon: str, worker: str, error: str = "") -> StatusDocument:

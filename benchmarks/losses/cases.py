@@ -171,8 +171,8 @@ def _after(field: Field, watch: Watch, returned: float, replaced: tuple[str, int
 
 
 def _replaced(field: Field, worker: str, pid: int) -> bool:
-    entry = next((w for w in field.document()["workers"] if w["worker"] == worker), None)
-    return entry is not None and entry["pid"] not in (0, pid)
+    report = next((w for w in field.document().workers if w.worker == worker), None)
+    return report is not None and report.pid not in (0, pid)
 
 
 def _of_workers(what: str, limit: float, happen: Callable[[Field, str], Outcome]) -> list[Loss]:

@@ -14,6 +14,7 @@ import psutil
 from benchmarks.processes import Processes
 from bridge.concurrency import GOOD_LIFE
 from bridge.daemon.query import ask_daemon
+from bridge.status import DaemonStatus
 
 WORKERS = ("router", "ros1", "ros2")
 ANCHORS = ("ros1", "ros2", "hub")
@@ -111,13 +112,13 @@ class Field(Processes):
 
     # -- the daemon ----------------------------------------------------------------------------------------------------
 
-    def document(self) -> dict[str, Any]:
-        """Return the daemon's status document."""
-        return ask_daemon(self.place.config) or {"workers": [], "uptime": 0.0, "pid": 0}
+    def document(self) -> DaemonStatus:
+        """Return the daemon's status, empty if it does not answer."""
+        return ask_daemon(self.place.config) or DaemonStatus()
 
     def worker(self, name: str) -> psutil.Process:
         """Return a worker's process."""
-        pid = next((w["pid"] for w in self.document()["workers"] if w["worker"] == name), 0)
+        pid = next((w.pid for w in self.document().workers if w.worker == name), 0)
         if not pid:
             msg = f"unknown worker {name}"
             raise RuntimeError(msg)
@@ -126,17 +127,17 @@ class Field(Processes):
     def until_old(self, name: str) -> None:
         """If patient, wait until a worker has run so long that its restart will not be delayed."""
         born = self.worker(name).create_time()
-        restarted = any(w["worker"] == name and w["restarts"] for w in self.document()["workers"])
+        restarted = any(w.worker == name and w.restarts for w in self.document().workers)
         if restarted and self._patient:
             time.sleep(max(0.0, born + GOOD_LIFE + 1 - time.time()))
 
     def kill_daemon(self) -> None:
         """Send SIGKILL to the daemon, but not to its workers."""
-        os.kill(int(self.document()["pid"]), signal.SIGKILL)
+        os.kill(self.document().pid, signal.SIGKILL)
         self.stop("daemon")
 
     def _joined(self) -> bool:
-        running = {w["worker"] for w in self.document()["workers"] if w["phase"] == "running"}
+        running = {w.worker for w in self.document().workers if w.phase == "running"}
         return running >= set(WORKERS)
 
     # -- killing -------------------------------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ def _kill_workers(field: Field) -> None:
         field.worker(name).kill()
 
     def replaced() -> bool:
-        now = {w["worker"]: w["pid"] for w in field.document()["workers"]}
+        now = {w.worker: w.pid for w in field.document().workers}
         return all(now.get(name) not in (None, 0, pid) for name, pid in pids.items())
 
     field.until(replaced, "they are restarted")

@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from bridge.cli.output import CliError
 from bridge.client.errors import ClientError, UnreachableHubError
@@ -20,6 +19,7 @@ from bridge.config.model import Config
 from bridge.daemon import units
 from bridge.doctor.daemon_state import DaemonState, Life, daemon_state, describe, unresponsive_router
 from bridge.state_file import named
+from bridge.status import StatusDocument, WorkerReport
 from bridge.stores.entry import StoreError
 
 
@@ -29,7 +29,7 @@ class CliClient(Client):
 
     file: Path | None = None
 
-    def daemon(self, documents: Iterable[Mapping[str, Any]] = ()) -> DaemonState:
+    def daemon(self, documents: Iterable[StatusDocument] = ()) -> DaemonState:
         """Return the state of this machine's daemon, unknown on another hub; the documents are those of the hub."""
         return daemon_state(self.config, documents, self.file) if self.here else DaemonState(self.config.name)
 
@@ -113,8 +113,9 @@ def _report(state: DaemonState) -> str:
     """Return how the router of a running daemon gets on; "" if the daemon does not run."""
     if state.life is not Life.RUNNING:
         return ""
-    (router,) = [worker for worker in state.workers if worker["worker"] == "router"] or [{"phase": "missing"}]
-    how = ": ".join(filter(None, (router["phase"], describe(router))))
+    reports = (report for report in state.workers if report.worker == "router")
+    router = next(reports, WorkerReport(phase="missing"))
+    how = ": ".join(filter(None, (router.phase, describe(router))))
     return f"the daemon {state.name} is running (process {state.pid}); its worker 'router' is {how}"
 
 

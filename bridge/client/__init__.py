@@ -10,7 +10,7 @@ A program outside of the daemon, on any machine that reaches the hub::
 
     with connect(load()) as client:
         for document in ask_status(client):
-            print(document["worker"], document["state"])
+            print(document.worker, document.state)
         lamp = ServiceCaller(client, Types(client), "/lamp")
         print(lamp.ask({"data": True}))
 

@@ -8,13 +8,13 @@ from typing import Any, Literal
 
 from bridge.client.errors import ClientError
 from bridge.client.session import Client
-from bridge.client.status import route_list
 from bridge.client.types import ros2_spelling
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.graph import HubEndpoint, origin_side
 from bridge.hub.graph.tokens import TAPS, EndpointKind
 from bridge.messages.actions import split
 from bridge.routing.limits import qos_text
+from bridge.status import StatusDocument
 from bridge.text import arrow, clean, near, side_name
 
 Kind = Literal["topic", "service", "action"]
@@ -172,10 +172,9 @@ def _on_hub(client: Client, *kinds: EndpointKind) -> Iterator[HubEndpoint]:
             yield endpoint
 
 
-def known_names(client: Client, documents: Iterable[Any], decisions: Iterable[Decision]) -> set[str]:
+def known_names(client: Client, documents: Iterable[StatusDocument], decisions: Iterable[Decision]) -> set[str]:
     """Return the names of known topics, for hints."""
-    routes = (route for document in documents for route in route_list(document))
-    return {*_topics(client, decisions), *(str(route.get("topic")) for route in routes)}
+    return {*_topics(client, decisions), *(route.topic for document in documents for route in document.routes)}
 
 
 def find(views: Mapping[str, GraphView], name: str, kind: Kind) -> GraphView:

@@ -12,6 +12,7 @@ from bridge.client.services import ServiceCaller
 from bridge.client.session import Client
 from bridge.client.types import Types
 from bridge.config.sections.navigation import OURS
+from bridge.status import StatusDocument, read_status
 from bridge.text import clean
 from navigation.constraints import Constraints
 from navigation.nav2_errors import reason_text
@@ -55,11 +56,11 @@ class Navigation:
         return [] if message is None else list(message["poses"])
 
 
-def gateway_document(client: Client) -> dict[str, Any]:
+def gateway_document(client: Client) -> StatusDocument:
     """Return the gateway's status document; raises `ClientError` if no gateway answers."""
     for answer in client.ask("status", worker="gateway", timeout=ANSWER_SECONDS):
         if isinstance(answer.value, dict):
-            return answer.value
+            return read_status(answer.value, answer.daemon, answer.worker)
     raise ClientError("no gateway answers")
 
 

@@ -19,6 +19,7 @@ from bridge import state_file
 from bridge.config.model import Config
 from bridge.daemon.worker_states import Phase as Phase
 from bridge.state_file import state_folder
+from bridge.status import DaemonStatus, read_daemon_status
 
 if TYPE_CHECKING:
     from yarp_compat.selector_loop import SelectorLoop
@@ -79,18 +80,10 @@ class QueryServer:
             self._path.unlink(missing_ok=True)
 
 
-def ask_daemon(config: Config, seconds: float = 1.0) -> dict[str, Any] | None:
-    """Return the state of this configuration's daemon, None if it is not running (or its folder is another user's).
-
-    Returns:
-        ``daemon``, ``pid``, ``uptime`` (seconds), ``config`` (file or null), ``refused`` (why the last reload was
-        refused, or ""), ``status`` (one line), ``workers``: a list of ``worker``, ``phase``
-        (`bridge.daemon.query.Phase`), ``text`` (current step or state), ``since`` (seconds in this phase), ``still``
-        (seconds without progress or computation of a starting or running worker), ``beat`` (seconds since the last
-        heartbeat of its process, null before the first), ``pid``, ``restarts``, ``ended`` (how its last process exited
-        by itself).
-    """
-    return ask_socket(config, state_file.daemon_socket, b"", seconds)
+def ask_daemon(config: Config, seconds: float = 1.0) -> DaemonStatus | None:
+    """Return the state of this configuration's daemon, None if it is not running (or its folder is another user's)."""
+    document = ask_socket(config, state_file.daemon_socket, b"", seconds)
+    return None if document is None else read_daemon_status(document)
 
 
 def ask_socket(config: Config, path: Callable[[Config], Path], request: bytes, seconds: float) -> dict[str, Any] | None:

@@ -169,11 +169,9 @@ class Parts:
         status = ask_daemon(self._config) if "daemon" in self._children else None
         if status is not None:
             self._workers = [
-                PartState(
-                    clean(worker["worker"]), worker["phase"], clean(worker["text"]), worker["pid"], worker["restarts"]
-                )
-                for worker in status["workers"]
-                if worker["phase"] != Phase.OFF.value
+                PartState(clean(worker.worker), worker.phase, clean(worker.text), worker.pid, worker.restarts)
+                for worker in status.workers
+                if worker.phase != Phase.OFF.value
             ]
         for part in self.all:
             progress.note(part.name, f"{part.phase} {part.text}")

@@ -8,18 +8,18 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from bridge.client.status import Document, dicts, route_list
 from bridge.doctor.causes import cause, same_for
-from bridge.text import arrow, clean, duration, is_number, milliseconds, plural, rate
+from bridge.status import PeerStatus, PortStatus, RouteStatus, StatusDocument
+from bridge.text import arrow, clean, duration, milliseconds, plural, rate
 
 
-def routes_table(documents: Iterable[Document], *, errors: bool = True) -> Table:
+def routes_table(documents: Iterable[StatusDocument], *, errors: bool = True) -> Table:
     """Return a table of all routes of these workers by topic, with the last errors if asked for."""
     rows = sorted(
-        ((document, route) for document in documents for route in route_list(document)),
-        key=lambda row: (str(row[1].get("hub_topic", "")), str(row[1].get("direction")), str(row[0].get("side"))),
+        ((document, route) for document in documents for route in document.routes),
+        key=lambda row: (row[1].hub_topic, row[1].direction, str(row[0].side)),
     )
-    several = len({str(document.get("daemon")) for document, _ in rows}) > 1
+    several = len({document.daemon for document, _ in rows}) > 1
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for name in (*(["daemon"] if several else []), "direction", "topic", "type", "class", "way"):
         table.add_column(name, no_wrap=name not in ("topic", "type"), overflow="fold")
@@ -31,75 +31,69 @@ def routes_table(documents: Iterable[Document], *, errors: bool = True) -> Table
     last = _errors(route for _, route in rows) if errors else {}
     for document, route in rows:
         cells = _cells(document, route)
-        table.add_row(*([Text(clean(document.get("daemon", "")))] if several else []), *cells)
+        table.add_row(*([Text(clean(document.daemon))] if several else []), *cells)
         if error := last.get(id(route)):
             blank = [Text("")] * (2 if several else 1)
             table.add_row(*blank, Text(f"  {clean(error)}", style="red"))
     return table
 
 
-def _errors(routes: Iterable[Document]) -> dict[int, str]:
+def _errors(routes: Iterable[RouteStatus]) -> dict[int, str]:
     """The last error of each route; what several have in common stands under the first of them, with their topics."""
-    groups: dict[str, list[Document]] = {}
+    groups: dict[str, list[RouteStatus]] = {}
     for route in routes:
-        if route.get("error"):
-            groups.setdefault(cause(str(route["error"])), []).append(route)
+        if route.error:
+            groups.setdefault(cause(route.error), []).append(route)
     errors = {}
     for first, *others in groups.values():
-        topics = list(
-            dict.fromkeys(str(route.get("topic")) for route in others if route.get("topic") != first.get("topic"))
-        )
-        errors[id(first)] = str(first["error"]) + same_for(topics)
+        topics = list(dict.fromkeys(route.topic for route in others if route.topic != first.topic))
+        errors[id(first)] = first.error + same_for(topics)
     return errors
 
 
-def topic_text(route: Document) -> str:
+def topic_text(route: RouteStatus) -> str:
     """Return the topic's name, or both names if a rule or a side's spelling changes it."""
-    side, hub = clean(route.get("topic", "")), clean(route.get("hub_topic", ""))
+    side, hub = clean(route.topic), clean(route.hub_topic)
     if side == hub or not hub:
         return side
-    return f"{side} -> {hub}" if route.get("direction") == "in" else f"{hub} -> {side}"
+    return f"{side} -> {hub}" if route.direction == "in" else f"{hub} -> {side}"
 
 
-def way_text(route: Document) -> str:
+def way_text(route: RouteStatus) -> str:
     """``by the lane``, or ``over zenoh, as ...``; "" if nothing crosses the hub."""
-    transport, reason = route.get("way"), clean(route.get("why", ""))
-    if transport == "lane":
+    if route.way == "lane":
         return "by the lane"
-    because = f", as {reason}" if reason else ""
-    return {"zenoh": f"over zenoh{because}", "both": f"by the lane and over zenoh{because}"}.get(str(transport), "")
+    because = f", as {clean(route.why)}" if route.why else ""
+    return {"zenoh": f"over zenoh{because}", "both": f"by the lane and over zenoh{because}"}.get(route.way or "", "")
 
 
-def drops_text(route: Document) -> str:
+def drops_text(route: RouteStatus) -> str:
     """Return the drops by reason, ``-`` without any."""
-    drops = route.get("drops")
-    counts = drops.items() if isinstance(drops, dict) else ()
-    return ", ".join(f"{clean(reason)} {count}" for reason, count in counts if count) or "-"
+    return ", ".join(f"{clean(reason)} {count}" for reason, count in route.drops.items() if count) or "-"
 
 
-def _call_text(route: Document) -> str:
+def _call_text(route: RouteStatus) -> str:
     """Calls of a service that have no reply, or none yet."""
-    counts = {name: route.get(name) for name in ("pending", "errors", "abandoned")}
-    return ", ".join(f"{name} {count}" for name, count in counts.items() if is_number(count) and count)
+    counts = {"pending": route.pending, "errors": route.errors, "abandoned": route.abandoned}
+    return ", ".join(f"{name} {count}" for name, count in counts.items() if count)
 
 
-def _cells(document: Document, route: Document) -> Sequence[Text]:
-    latency = route.get("latency_ms")
-    late = latency if isinstance(latency, dict) else {}
+def _cells(document: StatusDocument, route: RouteStatus) -> Sequence[Text]:
+    late = route.latency_ms
     drops = ", ".join(text for text in (_call_text(route), drops_text(route)) if text not in ("", "-")) or "-"
-    state = clean(route.get("state", ""))
+    state = clean(route.state)
     return [
-        Text(arrow(document.get("side"), route.get("direction"))),
+        Text(arrow(document.side, route.direction)),
         Text(topic_text(route), style="bold"),
-        Text(clean(route.get("type", "")), style="cyan"),
-        Text(clean(route.get("priority") or ("action" if route.get("action") else route.get("kind", "")))),
-        Text(clean(route.get("way") or "-")),
-        Text(rate(route.get("rate"))),
+        Text(clean(route.type), style="cyan"),
+        Text(clean(route.priority or ("action" if route.action else route.kind))),
+        Text(clean(route.way or "-")),
+        Text(rate(route.rate)),
         Text(milliseconds(late.get("p50"))),
         Text(milliseconds(late.get("p99"))),
-        Text(str(route.get("messages", "-"))),
+        Text("-" if route.messages is None else str(route.messages)),
         Text(drops, style="" if drops == "-" else "yellow"),
-        Text(duration(route.get("age"))),
+        Text(duration(route.age)),
         Text(state, style="green" if state == "active" else "dim"),
     ]
 
@@ -109,56 +103,55 @@ _DOES = {"out": "writes it", "in": "reads it"}
 _BYTES = {"yarp3": "YARP 3's bytes", "yarp4": "YARP 4's bytes"}
 
 
-def content_text(port: Document) -> str:
+def content_text(port: PortStatus) -> str:
     """``sensor_msgs/msg/LaserScan as YARP's own type, YARP 3's bytes``; "" if that is unknown."""
     parts = []
-    if port.get("type") and port.get("carries"):
-        parts.append(f"{port['type']} as {_form(port['carries'])}")
-    if port.get("replies"):
-        parts.append(f"answered by {_form(port['replies'])}")
-    if port.get("profile"):
+    if port.type and port.carries:
+        parts.append(f"{port.type} as {_form(port.carries)}")
+    if port.replies:
+        parts.append(f"answered by {_form(port.replies)}")
+    if port.profile:
         parts.append(_bytes(port))
     return clean(", ".join(parts))
 
 
-def _form(carries: object) -> str:
-    return _FORMS.get(str(carries), f"a Bottle of the {carries}")
+def _form(carries: str) -> str:
+    return _FORMS.get(carries, f"a Bottle of the {carries}")
 
 
-def port_lines(port: Document) -> list[str]:
+def port_lines(port: PortStatus) -> list[str]:
     """Sentences on one port, a line for each of its peers."""
-    does = _DOES.get(str(port.get("direction")), "answers calls")
-    content, peers = content_text(port), dicts(port.get("peers"))
+    does = _DOES.get(port.direction, "answers calls")
+    content, peers = content_text(port), port.peers
     connected = plural(len(peers), "port") + " connected" if peers else "no connection"
-    lines = [f"YARP port {clean(port.get('port', '?'))} {does}: {content + '; ' if content else ''}{connected}."]
+    lines = [f"YARP port {clean(port.port or '?')} {does}: {content + '; ' if content else ''}{connected}."]
     for peer in peers:
-        details = [f"{_bytes(peer)} ({peer.get('profile_why')})"] if peer.get("profile") else []
-        if peer.get("generation"):
-            details.append(f"its calls are answered as YARP {peer['generation']} does ({peer.get('generation_why')})")
+        details = [f"{_bytes(peer)} ({peer.profile_why})"] if peer.profile else []
+        if peer.generation:
+            details.append(f"its calls are answered as YARP {peer.generation} does ({peer.generation_why})")
         lines.append(clean(f"    {_peer(peer)}: {'; '.join(details)}"))
-        if peer.get("generation_cure"):
-            lines.append(clean(f"        cure: {peer['generation_cure']}"))
+        if peer.generation_cure:
+            lines.append(clean(f"        cure: {peer.generation_cure}"))
     return lines
 
 
-def connected_lines(ports: Iterable[Document]) -> list[str]:
+def connected_lines(ports: Iterable[PortStatus]) -> list[str]:
     """Return a line for each port with a connection, and one for the others."""
     lines, idle = [], 0
     for port in ports:
-        peers = dicts(port.get("peers"))
-        idle += not peers
-        if peers:
-            mark = "->" if port.get("direction") == "out" else "<-"
-            names = ", ".join(map(_peer, peers))
-            lines.append(clean(f"{port.get('port')}: {content_text(port)} {mark} {names}"))
+        idle += not port.peers
+        if port.peers:
+            mark = "->" if port.direction == "out" else "<-"
+            names = ", ".join(map(_peer, port.peers))
+            lines.append(clean(f"{port.port}: {content_text(port)} {mark} {names}"))
     if idle:
         lines.append(f"{plural(idle, 'port')} without a connection")
     return lines
 
 
-def _peer(peer: Document) -> str:
-    return f"{peer.get('port')} over {peer.get('carrier')}"
+def _peer(peer: PeerStatus) -> str:
+    return f"{peer.port} over {peer.carrier}"
 
 
-def _bytes(port: Document) -> str:
-    return _BYTES.get(str(port.get("profile")), "bytes of an unknown YARP")
+def _bytes(port: PortStatus | PeerStatus) -> str:
+    return _BYTES.get(port.profile, "bytes of an unknown YARP")

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from threading import Lock
-from typing import Any
 
 import psutil
 
@@ -20,6 +19,7 @@ from bridge.adapters.ros1_peers import Ros1Error, XmlRpcClient
 from bridge.config.model import Config
 from bridge.doctor.daemon_state import DaemonState
 from bridge.hub.graph import HubEndpoint
+from bridge.status import StatusDocument, WorkerStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +45,6 @@ def measure(ask: Callable[[], int | None], times: int = 5) -> Offset | None:
     return best
 
 
-Document = Mapping[str, Any]
-
 _MASTER_SECONDS = 2.0
 
 
@@ -55,13 +53,14 @@ class HubSnapshot:
     """A snapshot of the hub, with each worker's clock by ``daemon/worker``; ``error`` is why no router answered."""
 
     error: str = ""
-    documents: Sequence[Document] = ()
+    documents: Sequence[StatusDocument] = ()
     endpoints: Sequence[HubEndpoint] = ()
     clocks: Mapping[str, Offset] = field(default_factory=dict)
 
-    def of_side(self, side: str, daemon: str | None = None) -> list[Document]:
+    def of_side(self, side: str, daemon: str | None = None) -> list[WorkerStatus]:
         """The documents of one side's workers."""
-        return [d for d in self.documents if d.get("side") == side and daemon in (None, d.get("daemon"))]
+        workers = [document for document in self.documents if isinstance(document, WorkerStatus)]
+        return [worker for worker in workers if worker.side == side and daemon in (None, worker.daemon)]
 
 
 @dataclass
@@ -93,13 +92,12 @@ class CheckContext:
     def _query_master(self) -> MasterState | Ros1Error:
         return read_master(self.master)
 
-    def process(self, document: Document) -> psutil.Process | None:
+    def process(self, document: StatusDocument) -> psutil.Process | None:
         """Return the process of a worker of this daemon, None if it is on another machine or hidden."""
-        pid = document.get("pid")
-        if document.get("daemon") != self.config.name or not isinstance(pid, int) or pid <= 0:
+        if document.daemon != self.config.name or document.pid <= 0:
             return None
         try:
-            process = psutil.Process(pid)
+            process = psutil.Process(document.pid)
             arguments = process.cmdline()[:4]  # interpreter, its flags, program
         except psutil.Error:
             return None

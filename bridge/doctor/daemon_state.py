@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import Any
 
 import psutil
 
@@ -24,9 +23,8 @@ from bridge.daemon.query import Phase, ask_daemon
 from bridge.daemon.workers import worker_kinds
 from bridge.hub.zenoh_config import connect_endpoint
 from bridge.state_file import state_folder
+from bridge.status import DaemonStatus, StatusDocument, WorkerReport
 from bridge.text import duration
-
-Document = Mapping[str, Any]
 
 ABSENT = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED, Phase.FAILED)}
 """Phases of a worker that is switched on and does not run."""
@@ -64,7 +62,7 @@ class DaemonState:
     life: Life = Life.UNKNOWN
     pid: int = 0
     router: int = 0
-    document: Document = field(default_factory=dict)
+    document: DaemonStatus = field(default_factory=DaemonStatus)
     unit: str = "midspan"
 
     @property
@@ -75,42 +73,45 @@ class DaemonState:
             return f"the daemon {self.name} is not running{left}"
         if self.life is Life.SILENT:
             return f"the daemon {self.name} (process {self.pid}) does not answer: it starts, is stopped, or hangs"
+        if self.document.error:
+            return f"the daemon {self.name} (process {self.pid}): {self.document.error}"
         return ""
 
     @property
     def cure(self) -> str:
         """What helps against `trouble`."""
         silent = f"wait, or end process {self.pid} and start the daemon again: 'midspan run'"
-        return {Life.DOWN: units.start_hint(self.unit), Life.SILENT: silent}.get(self.life, "")
+        mixed = "use the commands of its release, or restart it with this one" if self.document.error else ""
+        return {Life.DOWN: units.start_hint(self.unit), Life.SILENT: silent}.get(self.life, mixed)
 
     @property
-    def workers(self) -> list[Document]:
+    def workers(self) -> list[WorkerReport]:
         """The workers as the daemon reports them."""
-        return list(self.document.get("workers", ()))
+        return self.document.workers
 
     def why_missing(self, worker: str, config: Config) -> str:
         """Return why a worker does not serve; "" if it runs or if that is unknown."""
-        if self.trouble or self.life is Life.UNKNOWN:
+        if self.life is not Life.RUNNING:
             return self.trouble
-        for document in self.workers:
-            if document["worker"] == worker:
-                return _why(self.name, document) or _not_loaded(self.document, document, config)
+        for report in self.workers:
+            if report.worker == worker:
+                return _why(self.name, report) or _not_loaded(self.document, report, config)
         return ""
 
     def absences(self) -> list[str]:
         """Return a line for each worker that is switched on and does not run."""
-        return [_why(self.name, document) for document in self.workers if document["phase"] in ABSENT]
+        return [_why(self.name, report) for report in self.workers if report.phase in ABSENT]
 
 
-def daemon_state(config: Config, documents: Iterable[Document] = (), file: Path | None = None) -> DaemonState:
+def daemon_state(config: Config, documents: Iterable[StatusDocument] = (), file: Path | None = None) -> DaemonState:
     """Find out whether a configuration's daemon runs, given its file and the status documents on its hub."""
     unit, down = units.unit_of(file), None
     places = _places(config)
     for place in places:
         document = ask_daemon(place)
         if document is not None:
-            unit = units.unit_of(document.get("config") or file)
-            return DaemonState(config.name, Life.RUNNING, int(document.get("pid", 0)), document=document, unit=unit)
+            unit = units.unit_of(document.config or file)
+            return DaemonState(config.name, Life.RUNNING, document.pid, document=document, unit=unit)
     for place in places:
         lock = state_file.daemon_lock(place)
         pid = _holder(lock)
@@ -120,7 +121,7 @@ def daemon_state(config: Config, documents: Iterable[Document] = (), file: Path 
             down = DaemonState(config.name, Life.DOWN, pid, router=_outliving(place), unit=unit)
     if down is not None:
         return down
-    orphan = _orphan([document for document in documents if document.get("daemon") == config.name], config)
+    orphan = _orphan([document for document in documents if document.daemon == config.name], config)
     return DaemonState(config.name, Life.DOWN if orphan else Life.UNKNOWN, router=orphan, unit=unit)
 
 
@@ -147,13 +148,9 @@ def unresponsive_router(config: Config) -> str:
     return f"the router of {config.name} (process {holder.pid}) listens at {place}, but accepts no connection"
 
 
-def describe(document: Document) -> str:
+def describe(report: WorkerReport) -> str:
     """Return how a worker gets on by the daemon's report, with its crashes."""
-    text, restarts, ended = (
-        str(document.get("text", "")),
-        int(document.get("restarts", 0)),
-        str(document.get("ended", "")),
-    )
+    text, restarts, ended = report.text, report.restarts, report.ended
     if not restarts:
         return text
     times = "once" if restarts == 1 else f"{restarts} times"
@@ -161,16 +158,16 @@ def describe(document: Document) -> str:
     return crashes if text in ("", ended) else f"{text} {crashes}"
 
 
-def loops(document: Document) -> bool:
+def loops(report: WorkerReport) -> bool:
     """Whether a worker crashes again and again, by the daemon's report: also while it comes up or has just done so."""
-    settled = document.get("phase") == Phase.UP.value and float(document.get("since", 0.0)) > _SETTLED_SECONDS
-    return int(document.get("restarts", 0)) >= _LOOPS and not settled
+    settled = report.phase == Phase.UP.value and (report.since or 0.0) > _SETTLED_SECONDS
+    return report.restarts >= _LOOPS and not settled
 
 
-def _why(daemon: str, document: Document) -> str:
+def _why(daemon: str, report: WorkerReport) -> str:
     """Why a worker does not serve, by the daemon's report; "" if it does, or if it is switched off."""
-    phase, beat = document["phase"], document.get("beat")
-    name, text = f"the worker '{document['worker']}' of {daemon}", describe(document)
+    phase, beat = report.phase, report.beat
+    name, text = f"the worker '{report.worker}' of {daemon}", describe(report)
     if phase == Phase.UP.value:
         if beat is not None and beat > _SILENT_SECONDS:
             return f"{name} hangs: its last heartbeat was {beat:.0f} s ago"
@@ -180,14 +177,14 @@ def _why(daemon: str, document: Document) -> str:
     return f"{name} is {phase}: {text}" if phase != Phase.FAILED.value else f"{name} {phase}: {text}"
 
 
-def _not_loaded(daemon: Document, document: Document, config: Config) -> str:
+def _not_loaded(daemon: DaemonStatus, report: WorkerReport, config: Config) -> str:
     """Why a worker is off that this configuration switches on: the daemon runs another configuration."""
-    kind = worker_kinds().get(str(document["worker"]))
-    if document["phase"] != Phase.OFF.value or kind is None or not kind.enabled(config):
+    kind = worker_kinds().get(report.worker)
+    if report.phase != Phase.OFF.value or kind is None or not kind.enabled(config):
         return ""
-    file, unit = daemon.get("config") or "its defaults", units.unit_of(daemon.get("config"))
+    file, unit = daemon.config or "its defaults", units.unit_of(daemon.config)
     return (
-        f"the daemon {daemon.get('daemon')} runs without the worker '{document['worker']}': it has not loaded this"
+        f"the daemon {daemon.daemon} runs without the worker '{report.worker}': it has not loaded this"
         f" configuration (it runs {file}; reload it: 'systemctl reload {unit}', or SIGHUP)"
     )
 
@@ -234,16 +231,16 @@ def _outliving(config: Config) -> int:
     return pid if pid and _lives(pid) else 0
 
 
-def _orphan(documents: list[Document], config: Config) -> int:
+def _orphan(documents: list[StatusDocument], config: Config) -> int:
     """The router of a daemon of another user, if it is the only worker left and its daemon is gone; else 0.
 
     A router that was started without a daemon ('midspan worker router') has none to miss.
     """
-    if [document.get("worker") for document in documents] != ["router"]:
+    if [document.worker for document in documents] != ["router"]:
         return 0
     others = [kind for name, kind in worker_kinds().items() if name != "router" and kind.enabled(config) is not False]
-    pid = documents[0].get("pid")
-    if not others or not isinstance(pid, int) or pid in (0, os.getpid()):
+    pid = documents[0].pid
+    if not others or pid in (0, os.getpid()):
         return 0
     try:
         process = psutil.Process(pid)
@@ -255,29 +252,36 @@ def _orphan(documents: list[Document], config: Config) -> int:
     return pid if supervised and left else 0
 
 
-def absent(report: Document, phases: Container[str] = ABSENT, *, looping: bool = False) -> list[Document]:
+def absent(report: DaemonStatus, phases: Container[str] = ABSENT, *, looping: bool = False) -> list[StatusDocument]:
     """Return the workers in one of these phases, from a daemon's own report; also those that crash again and again."""
     return [
-        {
-            "daemon": report["daemon"],
-            "worker": worker["worker"],
-            "state": worker["phase"],
-            "text": " ".join(filter(None, (describe(worker), f"({duration(worker.get('since'))})"))),
-            "pid": worker["pid"],
-            "restarts": worker["restarts"],
-            **({"loops": True} if loops(worker) else {}),
-        }
-        for worker in report.get("workers", ())
-        if worker["phase"] in phases or (looping and loops(worker))
+        _absent(report.daemon, worker)
+        for worker in report.workers
+        if worker.phase in phases or (looping and loops(worker))
     ]
 
 
-def with_silent(documents: Sequence[Document], silent: Sequence[Document]) -> list[Document]:
+def _absent(daemon: str, report: WorkerReport) -> StatusDocument:
+    document = StatusDocument(
+        daemon=daemon,
+        worker=report.worker,
+        state=report.phase,
+        text=" ".join(filter(None, (describe(report), f"({duration(report.since)})"))),
+        pid=report.pid,
+        restarts=report.restarts,
+    )
+    return document.model_copy(update={"loops": True}) if loops(report) else document
+
+
+def with_silent(documents: Sequence[StatusDocument], silent: Sequence[StatusDocument]) -> list[StatusDocument]:
     """Add the workers that do not answer; a crash loop of one that answers is known to its daemon only."""
-    reported = {(document["daemon"], document["worker"]): document for document in silent}
-    answering: list[Document] = []
+    reported = {(document.daemon, document.worker): document for document in silent}
+    answering: list[StatusDocument] = []
     for document in documents:
-        other = reported.pop((document.get("daemon"), document.get("worker")), {})
-        more = {key: other[key] for key in ("loops", "restarts", "text") if other.get("loops")}
-        answering.append({**document, **more})
+        other = reported.pop((document.daemon, document.worker), None)
+        if other is not None and other.loops:
+            update = {"loops": True, "restarts": other.restarts, "text": other.text}
+            answering.append(document.model_copy(update=update))
+        else:
+            answering.append(document)
     return [*answering, *reported.values()]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from bridge.config.sections.navigation import OURS, NavigationSection, Planner
 from bridge.hub.graph import HubEndpoint
@@ -12,6 +11,7 @@ from bridge.hub.graph.owners import owner
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
 from bridge.messages.actions import split
 from bridge.sides import label
+from bridge.status import StatusDocument, refused_routes
 
 CURE = "install the same version of the message package on both machines, or name its folder in types.folders"
 
@@ -65,13 +65,11 @@ def nodes(endpoints: Iterable[HubEndpoint]) -> str:
     return ", ".join(sorted({owner(endpoint) for endpoint in endpoints}))
 
 
-Document = Mapping[str, Any]
-
 _CHECKS = {"ros1": "ros1-packages and ros1-master", "ros2": "ros2-packages and ros2-environment"}
 
 
 def absence(
-    section: NavigationSection, planner: str, endpoints: Iterable[HubEndpoint], documents: Sequence[Document]
+    section: NavigationSection, planner: str, endpoints: Iterable[HubEndpoint], documents: Sequence[StatusDocument]
 ) -> Note | None:
     """Return why a planner is absent; None if its action is on the hub, or if the gateway's configuration lacks it."""
     if planner not in section.choices:
@@ -89,18 +87,18 @@ def _of_module(planner: str) -> tuple[str, str]:
     )
 
 
-def _of_program(planner: Planner, documents: Sequence[Document]) -> tuple[str, str]:
+def _of_program(planner: Planner, documents: Sequence[StatusDocument]) -> tuple[str, str]:
     side = planner.side
     where = "the hub" if side == "zenoh" else label(side)
-    workers = [document for document in documents if document.get("side") == side]
+    workers = [document for document in documents if document.side == side]
     if side in _CHECKS and not workers:
         return f"no worker of the {where} side answers", f"see the checks {_CHECKS[side]}, and 'midspan status'"
-    if side in _CHECKS and all(document.get("state") == "waiting" for document in workers):
+    if side in _CHECKS and all(document.state == "waiting" for document in workers):
         return f"its side, {where}, is unavailable", f"see the checks {_CHECKS[side]}"
     for document in workers:
-        for entry in document.get("refused") or ():
-            if entry.get("direction") == "in" and str(entry.get("topic")).startswith(f"{planner.action}/"):
-                return f"its action {planner.action} cannot cross: {entry.get('reason')}", str(entry.get("cure", ""))
+        for route in refused_routes(document):
+            if route.direction == "in" and route.topic.startswith(f"{planner.action}/"):
+                return f"its action {planner.action} cannot cross: {route.reason}", route.cure
     return (
         f"no node serves its action {planner.action} on {where}",
         f"start {planner.name} there, or name another planner in navigation.planner",

@@ -3,20 +3,33 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from contextlib import suppress
 
 import psutil
 from prometheus_client.core import Metric
 from prometheus_client.registry import Collector
+from pydantic import Field
 
 from bridge import __version__
 from bridge.daemon.query import Phase
 from bridge.hub.security.reasons import EndpointState
 from bridge.metrics.families import Families, Family, Kind
 from bridge.metrics.routes import RouteMetrics
-from bridge.metrics.source import AT_REST, Document, Snapshot, Source
+from bridge.metrics.source import AT_REST, Snapshot, Source
 from bridge.sides import all_networks
+from bridge.status import (
+    EndpointStatus,
+    GatewayKeys,
+    Int,
+    ModuleStatus,
+    Number,
+    Part,
+    RouterStatus,
+    StatusDocument,
+    Text,
+    WorkerStatus,
+)
 
 MOST_CUSTOM = 50
 """Largest number of its own metrics that a worker may add."""
@@ -26,6 +39,25 @@ _PHASES = tuple(phase.value for phase in Phase if phase.value not in AT_REST)
 _STATES = ("running", "waiting", "standby")
 _ENDPOINT_STATES = frozenset(EndpointState)
 _MODULE_STATES = ("running", "waiting", "standby", "stopped")
+
+
+class StoreContent(Part):
+    """The store's values by kind, and its sharing; ``limits`` are on ``keys`` and ``bytes``."""
+
+    keys: dict[Text, Int] = Field(default={})
+    bytes: Int | None = None
+    limits: dict[Text, Int] = Field(default={})
+    deleted: Int | None = None
+    conflicts: Int | None = None
+    refused: Int | None = None
+    changed: Number | None = None
+    others: list[Text] | None = None
+
+
+class StoreKeys(Part):
+    """The store's own keys, with `Part.other`."""
+
+    store: StoreContent = StoreContent()
 
 
 class MidspanCollector(Collector):
@@ -55,13 +87,13 @@ class MidspanCollector(Collector):
         _workers(families, snapshot)
         sides = all_networks()
         for document in snapshot.documents:
-            if document.get("module") is True:
+            if isinstance(document, ModuleStatus):
                 _module(families, document)
-            elif document.get("side") in sides:
+            elif isinstance(document, RouterStatus):
+                _router(families, document)
+            elif isinstance(document, WorkerStatus) and document.side in sides:
                 _side(families, document)
                 self._routes.add(families, document)
-            elif document["worker"] == "router":
-                _router(families, document)
             _add_custom(families, document)
         return families
 
@@ -69,32 +101,32 @@ class MidspanCollector(Collector):
 def _daemon(families: Families, snapshot: Snapshot) -> None:
     add = families.add
     add("midspan_build_info", 1, __version__, snapshot.name)
-    add("midspan_daemon_up", bool(snapshot.daemon))
+    add("midspan_daemon_up", snapshot.daemon is not None)
     add("midspan_hub_up", snapshot.hub)
     add("midspan_ask_duration_seconds", snapshot.seconds)
-    if snapshot.daemon:
-        add("midspan_daemon_uptime_seconds", snapshot.daemon.get("uptime"))
-        add("midspan_daemon_config_refused", bool(snapshot.daemon.get("refused")))
-        _process(families, "daemon", snapshot.daemon.get("pid"))
+    if snapshot.daemon is not None:
+        add("midspan_daemon_uptime_seconds", snapshot.daemon.uptime)
+        add("midspan_daemon_config_refused", bool(snapshot.daemon.refused))
+        _process(families, "daemon", snapshot.daemon.pid)
 
 
 def _workers(families: Families, snapshot: Snapshot) -> None:
     add = families.add
-    answering = {document.get("pid") for document in snapshot.documents}
-    for status in snapshot.workers:
-        worker, phase = status["worker"], status["phase"]
+    answering = {document.pid for document in snapshot.documents}
+    for report in snapshot.workers:
+        worker, phase = report.worker, report.phase
         add("midspan_worker_up", phase == Phase.UP.value, worker)
         for name in _PHASES:
             add("midspan_worker_phase", phase == name, worker, name)
-        add("midspan_worker_answering", bool(status["pid"]) and status["pid"] in answering, worker)
-        add("midspan_worker_restarts_total", status["restarts"], worker)
-        add("midspan_worker_heartbeat_age_seconds", status.get("beat"), worker)
-        _process(families, worker, status["pid"])
+        add("midspan_worker_answering", bool(report.pid) and report.pid in answering, worker)
+        add("midspan_worker_restarts_total", report.restarts, worker)
+        add("midspan_worker_heartbeat_age_seconds", report.beat, worker)
+        _process(families, worker, report.pid)
 
 
-def _process(families: Families, worker: str, pid: object) -> None:
+def _process(families: Families, worker: str, pid: int) -> None:
     """Add the operating system's metrics of a process, which are available even if it hangs."""
-    if not isinstance(pid, int) or not pid:
+    if pid <= 0:
         return
     with suppress(psutil.Error, OSError):
         process = psutil.Process(pid)
@@ -105,68 +137,62 @@ def _process(families: Families, worker: str, pid: object) -> None:
             families.add("midspan_worker_open_fds", process.num_fds(), worker)
 
 
-def _router(families: Families, document: Document) -> None:
-    families.add("midspan_router_sessions", document.get("sessions"))
-    machines = document.get("machines")
-    if isinstance(machines, list):
-        for trusted in (True, False):
-            count = sum(isinstance(entry, dict) and bool(entry.get("trusted")) is trusted for entry in machines)
-            families.add("midspan_router_machines", count, str(trusted).lower())
-    families.add("midspan_router_refused_connections_total", document.get("refused_connections"))
-    endpoints = document.get("endpoints")
-    for entry in endpoints if isinstance(endpoints, list) else ():
-        if isinstance(entry, dict) and entry.get("state") in _ENDPOINT_STATES:
-            _endpoint(families, entry)
+def _router(families: Families, router: RouterStatus) -> None:
+    families.add("midspan_router_sessions", router.sessions)
+    for trusted in (True, False):
+        count = sum(machine.trusted is trusted for machine in router.machines)
+        families.add("midspan_router_machines", count, str(trusted).lower())
+    families.add("midspan_router_refused_connections_total", router.refused_connections)
+    for endpoint in router.endpoints:
+        if endpoint.state in _ENDPOINT_STATES:
+            _endpoint(families, endpoint)
 
 
-def _endpoint(families: Families, endpoint: Document) -> None:
-    labels, state = (str(endpoint.get("way")), str(endpoint.get("endpoint"))), EndpointState(endpoint["state"])
+def _endpoint(families: Families, endpoint: EndpointStatus) -> None:
+    labels, state = (endpoint.way, endpoint.endpoint), EndpointState(endpoint.state)
     families.add("midspan_router_endpoint_up", state.good and state is not EndpointState.CONNECTING, *labels)
     for other in EndpointState:
         families.add("midspan_router_endpoint_state", other is state, *labels, other)
-    families.add("midspan_router_endpoint_since_timestamp_seconds", endpoint.get("since"), *labels)
+    families.add("midspan_router_endpoint_since_timestamp_seconds", endpoint.since, *labels)
 
 
-def _module(families: Families, document: Document) -> None:
+def _module(families: Families, module: ModuleStatus) -> None:
     add = families.add
     for state in _MODULE_STATES:
-        add("midspan_module_state", document.get("state") == state, document["worker"], state)
-    store, goals = document.get("store"), document.get("goals_ended")
-    if isinstance(store, dict) and document["worker"] == "store":
-        _store(families, store)
-    if isinstance(goals, dict):
-        for outcome, count in goals.items():
+        add("midspan_module_state", module.state == state, module.worker, state)
+    if module.worker == "store":
+        _store(families, module.other(StoreKeys).store)
+    gateway = module.other(GatewayKeys)
+    if gateway.goals_ended is not None:
+        for outcome, count in gateway.goals_ended.items():
             add("midspan_goals_total", count, outcome)
-        add("midspan_goal_active", document.get("goal") is not None)
+        add("midspan_goal_active", gateway.goal is not None)
 
 
-def _store(families: Families, store: Document) -> None:
+def _store(families: Families, store: StoreContent) -> None:
     add = families.add
-    for kind, count in _mapping(store.get("keys")).items():
+    for kind, count in store.keys.items():
         add("midspan_store_values", count, kind)
-    add("midspan_store_bytes", store.get("bytes"))
-    add("midspan_store_limit_bytes", _mapping(store.get("limits")).get("bytes"))
-    add("midspan_store_deleted", store.get("deleted"))
-    add("midspan_store_conflicts_total", store.get("conflicts"))
-    add("midspan_store_refused_total", store.get("refused"))
-    add("midspan_store_last_change_timestamp_seconds", store.get("changed"))
-    others = store.get("others")
-    add("midspan_store_replicas", len(others) if isinstance(others, list) else None)
+    add("midspan_store_bytes", store.bytes)
+    add("midspan_store_limit_bytes", store.limits.get("bytes"))
+    add("midspan_store_deleted", store.deleted)
+    add("midspan_store_conflicts_total", store.conflicts)
+    add("midspan_store_refused_total", store.refused)
+    add("midspan_store_last_change_timestamp_seconds", store.changed)
+    add("midspan_store_replicas", None if store.others is None else len(store.others))
 
 
-def _side(families: Families, document: Document) -> None:
-    add, side = families.add, document["worker"]
+def _side(families: Families, document: WorkerStatus) -> None:
+    add, side, lease = families.add, document.worker, document.lease
     for state in _STATES:
-        add("midspan_side_state", document.get("state") == state, side, state)
-    lease = _mapping(document.get("lease"))
-    add("midspan_side_lease", lease.get("active"), side)
-    add("midspan_side_lease_changes_total", lease.get("changes"), side)
-    add("midspan_side_members", lease.get("members"), side)
-    refused = document.get("refused")
-    add("midspan_side_refused", len(refused) if isinstance(refused, list) else None, side)
+        add("midspan_side_state", document.state == state, side, state)
+    add("midspan_side_lease", lease.active, side)
+    add("midspan_side_lease_changes_total", lease.changes, side)
+    add("midspan_side_members", lease.members, side)
+    add("midspan_side_refused", len(document.refused), side)
 
 
-def _add_custom(families: Families, document: Document) -> None:
+def _add_custom(families: Families, document: StatusDocument) -> None:
     """Add the metrics under the key ``metrics`` of a worker's or module's status document.
 
     ``{"metrics": {"written_bytes_total": 12, "disk_free_bytes": 3.5e9}}`` of the worker ``record`` becomes
@@ -175,17 +201,9 @@ def _add_custom(families: Families, document: Document) -> None:
     which starts at 0 with the process; any other is a gauge. Values are numbers. These metrics have no labels, and
     their names are a bounded set.
     """
-    worker = re.sub(r"[^a-z0-9_]", "_", str(document["worker"]).lower())
-    samples = [
-        (name, value)
-        for name, value in _mapping(document.get("metrics")).items()
-        if _CUSTOM_NAME.fullmatch(str(name)) and isinstance(value, int | float)
-    ]
+    worker = re.sub(r"[^a-z0-9_]", "_", document.worker.lower())
+    samples = [(name, value) for name, value in document.metrics.items() if _CUSTOM_NAME.fullmatch(name)]
     for name, value in samples[:MOST_CUSTOM]:
         title = name.removesuffix("_total").replace("_", " ")
         kind: Kind = "counter" if name.endswith("_total") else "gauge"
         families.add_custom(Family(f"midspan_{worker}_{name}", kind, f"Reported by {worker}: {title}."), float(value))
-
-
-def _mapping(value: object) -> Mapping[str, object]:
-    return value if isinstance(value, dict) else {}

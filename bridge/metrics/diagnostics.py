@@ -24,8 +24,9 @@ from bridge.messages.registry import Registry
 from bridge.messages.values import MessageWriter
 from bridge.metrics.link import HubLink
 from bridge.metrics.parts import Level, parts, worker_status
-from bridge.metrics.source import AT_REST, Document, Source
+from bridge.metrics.source import Source, enabled_workers
 from bridge.sides import all_sides
+from bridge.status import DaemonStatus
 
 _log = logging.getLogger("midspan.metrics")
 
@@ -38,12 +39,12 @@ _RETRY_SECONDS = 60.0
 """Delay after an error before the next attempt."""
 
 
-def publishing_worker(daemon_status: Document) -> str:
+def publishing_worker(daemon: DaemonStatus | None) -> str:
     """Return the worker that publishes: the first one of a fixed order that is up; "" if the daemon lists none.
 
     Workers that carry no messages come first, then the sides.
     """
-    up = {worker["worker"] for worker in daemon_status.get("workers", ()) if worker["phase"] == Phase.UP.value}
+    up = {report.worker for report in enabled_workers(daemon) if report.phase == Phase.UP.value}
     order = ("metrics", "web", "foxglove", *(side.name for side in all_sides()), "modules")
     return next((name for name in order if name in up), "")
 
@@ -65,20 +66,18 @@ class DiagnosticsPublisher:
         self._levels: dict[str, Level] = {}
         self._due = 0.0
 
-    def refresh(self, daemon_status: Document) -> None:
+    def refresh(self, daemon: DaemonStatus | None) -> None:
         """Publish if the period is over or the daemon reports a changed level of a worker; raises `HubError`."""
-        if time.monotonic() >= self._due or self._level_changed(daemon_status):
+        if time.monotonic() >= self._due or self._level_changed(daemon):
             self._due = time.monotonic() + PERIOD
-            self._publish(daemon_status)
+            self._publish(daemon)
 
-    def _level_changed(self, daemon_status: Document) -> bool:
-        statuses = [
-            worker_status(worker) for worker in daemon_status.get("workers", ()) if worker["phase"] not in AT_REST
-        ]
+    def _level_changed(self, daemon: DaemonStatus | None) -> bool:
+        statuses = [worker_status(report) for report in enabled_workers(daemon)]
         return any(self._levels.get(status.part) != status.level for status in statuses)
 
-    def _publish(self, daemon_status: Document) -> None:
-        statuses = parts(replace(self._source.snapshot(), daemon=daemon_status), self._config)
+    def _publish(self, daemon: DaemonStatus | None) -> None:
+        statuses = parts(replace(self._source.snapshot(), daemon=daemon), self._config)
         self._levels = {status.part: status.level for status in statuses}
         message = {
             "header": {"stamp": self._clock.stamp()},
@@ -96,15 +95,15 @@ def publish_while(wanted: Callable[[], bool], closing: threading.Event, config: 
     link, publisher = HubLink(config, f"{worker}_diagnostics"), None
     try:
         while wanted() and not closing.is_set():
-            daemon_status = ask_daemon(config, _DAEMON_SECONDS) or {}
-            is_publisher = publishing_worker(daemon_status) == worker
+            daemon = ask_daemon(config, _DAEMON_SECONDS)
+            is_publisher = publishing_worker(daemon) == worker
             if publisher is None and is_publisher and (hub := link.join()) is not None:
                 publisher = DiagnosticsPublisher(config, hub, Source(config, link.ask))
-            elif publisher is not None and daemon_status and not is_publisher:
+            elif publisher is not None and daemon is not None and not is_publisher:
                 link.close()
                 publisher = None
             if publisher is not None:
-                publisher.refresh(daemon_status)
+                publisher.refresh(daemon)
             closing.wait(POLL_SECONDS)
     except (HubError, MessageError) as err:
         _log.warning("no diagnostics: %s", err)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
 from enum import IntEnum
 from typing import Any, NamedTuple
 
+from pydantic import Field
+
 from bridge.config.model import Config
 from bridge.daemon.query import Phase
-from bridge.metrics.source import Document, Snapshot
+from bridge.metrics.source import Snapshot
 from bridge.sides import all_networks, all_sides
+from bridge.status import Int, ModuleStatus, Part, StatusDocument, Text, WorkerReport, WorkerStatus
 
 _LATE_BEAT = 3.0
 """Seconds without a heartbeat after which a worker's reported state is stale; the daemon kills it a little later."""
@@ -43,6 +46,22 @@ class PartStatus(NamedTuple):
         }
 
 
+class BoardStatus(Part):
+    """A control board of a YARP robot; ``trouble`` is why it is not connected."""
+
+    board: Text = ""
+    joints: list[Text] = Field(default=[])
+    trouble: Text = ""
+    states: Int | None = None
+    dropped_commands: Int | None = None
+
+
+class BoardKeys(Part):
+    """The own keys of the module of control boards, with `Part.other`."""
+
+    boards: list[BoardStatus] = Field(default=[])
+
+
 _STATES = {"running": Level.OK, "standby": Level.OK, "waiting": Level.WARN}
 _PHASES = {
     Phase.UP.value: Level.OK, Phase.PAUSED.value: Level.ERROR, Phase.FAILED.value: Level.ERROR,
@@ -51,89 +70,86 @@ _PHASES = {
 
 def parts(snapshot: Snapshot, config: Config) -> list[PartStatus]:
     """Return the status of the daemon and of each worker, side, module and board."""
-    documents = {str(document["worker"]): document for document in snapshot.documents}
-    workers = {status["worker"]: status for status in snapshot.workers}
+    documents = {document.worker: document for document in snapshot.documents}
+    workers = {report.worker: report for report in snapshot.workers}
     return [
         _daemon(snapshot),
-        *(worker_status(status, documents.get(name)) for name, status in workers.items()),
+        *(worker_status(report, documents.get(name)) for name, report in workers.items()),
         *_sides(documents, workers),
         *_modules(documents, workers, config),
     ]
 
 
-def worker_status(worker: Document, document: Document | None = None) -> PartStatus:
+def worker_status(report: WorkerReport, document: StatusDocument | None = None) -> PartStatus:
     """Return the status of a worker, from the daemon's report and the worker's own document."""
-    level, beat = _PHASES.get(worker["phase"], Level.WARN), worker.get("beat")
-    message = ": ".join(filter(None, (worker["phase"], worker["text"])))
-    if level is Level.OK and isinstance(beat, int | float) and beat > _LATE_BEAT:
+    level, beat = _PHASES.get(report.phase, Level.WARN), report.beat
+    message = ": ".join(filter(None, (report.phase, report.text)))
+    if level is Level.OK and beat is not None and beat > _LATE_BEAT:
         level, message = Level.STALE, f"no heartbeat for {beat:.0f} s"
-    values = {"phase": worker["phase"], "pid": worker["pid"], "restarts": worker["restarts"], "heartbeat age (s)": beat}
-    costs = {name: (document or {}).get(key) for name, key in (("cpu (cores)", "cpu"), ("memory (bytes)", "rss"))}
-    return PartStatus(f"worker {worker['worker']}", level, message, {**values, **costs})
+    values = {"phase": report.phase, "pid": report.pid, "restarts": report.restarts, "heartbeat age (s)": beat}
+    costs = {} if document is None else {"cpu (cores)": document.cpu, "memory (bytes)": document.rss}
+    return PartStatus(f"worker {report.worker}", level, message, {**values, **costs})
 
 
 def _daemon(snapshot: Snapshot) -> PartStatus:
     daemon = snapshot.daemon
-    if not daemon:
+    if daemon is None:
         return PartStatus("daemon", Level.STALE, "it does not respond", {})
-    refused = daemon.get("refused")
-    message = f"a reload was refused: {refused}" if refused else "running"
-    values = {"pid": daemon.get("pid"), "uptime (s)": daemon.get("uptime"), "configuration": daemon.get("config")}
-    return PartStatus("daemon", Level.WARN if refused else Level.OK, message, values)
+    message = f"a reload was refused: {daemon.refused}" if daemon.refused else daemon.error or "running"
+    values = {"pid": daemon.pid, "uptime (s)": daemon.uptime, "configuration": daemon.config}
+    return PartStatus("daemon", Level.OK if message == "running" else Level.WARN, message, values)
 
 
-def _sides(documents: dict[str, Document], workers: dict[str, Document]) -> Iterator[PartStatus]:
+def _sides(documents: Mapping[str, StatusDocument], workers: Mapping[str, WorkerReport]) -> Iterator[PartStatus]:
     networks = all_networks()
-    for name, document in documents.items():
-        if document.get("side") in networks and not document.get("module"):
-            yield _side(name, document)
+    for document in documents.values():
+        if isinstance(document, WorkerStatus) and document.side in networks:
+            yield _side(document)
     for side in all_sides():
         names = [network.name for network in side.networks] or [side.name]
         if side.name in workers and not documents.keys() & {*names, side.name}:
             yield PartStatus(f"side {side.name}", Level.STALE, "its worker does not respond", {})
 
 
-def _side(name: str, document: Document) -> PartStatus:
-    state, routes = str(document.get("state")), document.get("routes")
-    routes = [route for route in routes if isinstance(route, dict)] if isinstance(routes, list) else []
-    refused, lease = document.get("refused"), document.get("lease")
-    reason = (
-        document.get("standby") or document.get("waiting") or document.get("network") or "its network is unreachable"
-    )
-    drops = sum(sum(counts.values()) for route in routes if isinstance(counts := route.get("drops"), dict))
+def _side(document: WorkerStatus) -> PartStatus:
+    reason = document.error or document.standby or document.waiting or document.network or "its network is unreachable"
     values = {
-        "network": document.get("network"),
-        "routes": len(routes),
-        "messages a second": round(sum(route.get("rate") or 0.0 for route in routes), 1),
-        "dropped": drops,
-        "refused": len(refused) if isinstance(refused, list) else 0,
-        "lease": lease.get("active") if isinstance(lease, dict) else None,
+        "network": document.network,
+        "routes": len(document.routes),
+        "messages a second": round(sum(route.rate or 0.0 for route in document.routes), 1),
+        "dropped": sum(sum(route.drops.values()) for route in document.routes),
+        "refused": len(document.refused),
+        "lease": document.lease.active,
     }
-    return PartStatus(f"side {name}", _STATES.get(state, Level.ERROR), f"{state}: {reason}", values)
+    level = _level(document)
+    return PartStatus(f"side {document.worker}", level, f"{document.state}: {reason}", values)
 
 
-def _modules(documents: dict[str, Document], workers: dict[str, Document], config: Config) -> Iterator[PartStatus]:
-    for name, document in documents.items():
-        if document.get("module") is True:
-            state, text = str(document.get("state")), str(document.get("text", ""))
-            values = {"pid": document.get("pid"), "uptime (s)": document.get("uptime")}
-            level = _STATES.get(state, Level.ERROR)
-            yield PartStatus(f"module {name}", level, ": ".join(filter(None, (state, text))), values)
-            yield from _boards(document.get("boards"))
-    worker = workers.get("modules")
-    if worker is not None:
-        up = worker["phase"] == Phase.UP.value
+def _level(document: StatusDocument) -> Level:
+    level = _STATES.get(document.state, Level.ERROR)
+    return max(level, Level.WARN) if document.error else level
+
+
+def _modules(
+    documents: Mapping[str, StatusDocument], workers: Mapping[str, WorkerReport], config: Config
+) -> Iterator[PartStatus]:
+    for name, module in documents.items():
+        if isinstance(module, ModuleStatus):
+            message = ": ".join(filter(None, (module.state, module.error or module.text)))
+            yield PartStatus(
+                f"module {name}", _level(module), message, {"pid": module.pid, "uptime (s)": module.uptime}
+            )
+            yield from _boards(module)
+    report = workers.get("modules")
+    if report is not None:
+        up = report.phase == Phase.UP.value
         level, reason = (Level.ERROR, "not running") if up else (Level.STALE, "its worker is not running")
         for name in config.hosted.keys() - documents.keys():
             yield PartStatus(f"module {name}", level, reason, {})
 
 
-def _boards(boards: object) -> Iterable[PartStatus]:
-    for board in boards if isinstance(boards, list) else ():
-        trouble = str(board.get("trouble", ""))
-        values = {
-            "joints": len(board.get("joints", ())), "states": board.get("states"),
-            "dropped commands": board.get("dropped_commands"),
-        }  # fmt: skip
-        level = Level.WARN if trouble else Level.OK
-        yield PartStatus(f"board {board.get('board')}", level, trouble or "running", values)
+def _boards(module: ModuleStatus) -> Iterator[PartStatus]:
+    for board in module.other(BoardKeys).boards:
+        values = {"joints": len(board.joints), "states": board.states, "dropped commands": board.dropped_commands}
+        level = Level.WARN if board.trouble else Level.OK
+        yield PartStatus(f"board {board.board}", level, board.trouble or "running", values)

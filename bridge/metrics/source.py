@@ -5,18 +5,19 @@ Each daemon reports only its own parts, so that scraping several joined daemons 
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from bridge.config.model import Config
 from bridge.daemon.query import Phase, ask_daemon
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.errors import HubError
+from bridge.status import INVALID, DaemonStatus, StatusDocument, WorkerReport, read_status
 
-Document = Mapping[str, Any]
+_log = logging.getLogger("midspan.metrics")
 
 ASK_SECONDS = 1.0
 """A worker that has not answered by then is reported as not answering."""
@@ -43,21 +44,26 @@ class Snapshot:
     Attributes:
         name: the daemon's name.
             documents: of the workers and modules that answered.
-            daemon: the daemon's own document; empty if it does not answer.
+            daemon: the daemon's own document; None if it does not answer.
             hub: whether the hub could be queried.
             seconds: duration of the query.
     """
 
     name: str
-    documents: tuple[Document, ...]
-    daemon: Document
+    documents: tuple[StatusDocument, ...]
+    daemon: DaemonStatus | None
     hub: bool
     seconds: float
 
     @property
-    def workers(self) -> list[Document]:
+    def workers(self) -> list[WorkerReport]:
         """The daemon's status of each worker that is supposed to run."""
-        return [worker for worker in self.daemon.get("workers", ()) if worker["phase"] not in AT_REST]
+        return enabled_workers(self.daemon)
+
+
+def enabled_workers(daemon: DaemonStatus | None) -> list[WorkerReport]:
+    """Return the daemon's reports of the workers that are supposed to run; empty if it does not answer."""
+    return [] if daemon is None else [worker for worker in daemon.workers if worker.phase not in AT_REST]
 
 
 class Source:
@@ -68,6 +74,7 @@ class Source:
         self._lock = threading.Lock()
         self._snapshot: Snapshot | None = None
         self._until = 0.0
+        self._errors: dict[str, str] = {}
 
     def snapshot(self) -> Snapshot:
         """Return the current state, at most `FRESH_SECONDS` old."""
@@ -83,13 +90,21 @@ class Source:
             answers, hub = self._ask(), True
         except HubError:
             answers, hub = [], False
+        own = [answer for answer in answers if answer.daemon == self._config.name and not answer.error]
         documents = tuple(
-            {**answer.value, "worker": answer.worker}
-            for answer in answers
-            if isinstance(answer.value, dict) and not answer.error and answer.daemon == self._config.name
+            read_status(answer.value, answer.daemon, answer.worker) for answer in own if isinstance(answer.value, dict)
         )
-        daemon = ask_daemon(self._config, _DAEMON_SECONDS) or {}
+        self._log_errors(documents)
+        daemon = ask_daemon(self._config, _DAEMON_SECONDS)
         return Snapshot(self._config.name, documents, daemon, hub, time.monotonic() - began)
+
+    def _log_errors(self, documents: Sequence[StatusDocument]) -> None:
+        """Log which values are missing from the metrics, once."""
+        errors = {document.worker: document.error for document in documents if INVALID in document.error}
+        for worker, error in errors.items():
+            if self._errors.get(worker) != error:
+                _log.warning("%s: %s", worker, error)
+        self._errors = errors
 
 
 class Readiness:
@@ -110,12 +125,11 @@ class Readiness:
             return self._reasons
 
 
-def _reasons(daemon_status: Document | None, name: str) -> list[str]:
-    if daemon_status is None:
+def _reasons(daemon: DaemonStatus | None, name: str) -> list[str]:
+    if daemon is None:
         return [f"no daemon named '{name}' answers"]
-    ready = {*AT_REST, Phase.UP.value}
     return [
-        f"{worker['worker']}: {worker['phase']}" + (f": {worker['text']}" if worker["text"] else "")
-        for worker in daemon_status.get("workers", ())
-        if worker["phase"] not in ready
+        ": ".join(filter(None, (worker.worker, worker.phase, worker.text)))
+        for worker in enabled_workers(daemon)
+        if worker.phase != Phase.UP.value
     ]

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from bridge.cli.main import main
 from bridge.display.documents import port_lines, routes_table, way_text
+from bridge.status import PortStatus, RouteStatus, read_status
 from tests.adapters.yarp.conftest import Place
 from tests.cli.conftest import Midspan
 from tests.support.wait import until
@@ -30,7 +31,8 @@ ROW: dict[str, Any] = {
 def shown(**row: Any) -> str:
     """Return the table's last line for one route of the ROS 1 worker."""
     console = Console(width=200, file=io.StringIO(), record=True)
-    console.print(routes_table([{"daemon": "d", "side": "ros1", "routes": [{**ROW, **row}]}]))
+    document = {"side": "ros1", "routes": [{**ROW, **row}]}
+    console.print(routes_table([read_status(document, "d", "ros1")]))
     return " ".join(console.export_text().strip().splitlines()[-1].split())
 
 
@@ -58,7 +60,7 @@ def test_a_topic_shows_its_priority() -> None:
     ],
 )
 def test_the_transport_on_the_hub_is_described(way: str, why: str, text: str) -> None:
-    assert way_text({"way": way, "why": why}) == text
+    assert way_text(RouteStatus(way=way, why=why)) == text
 
 
 TWIST, SCAN, STRING = "geometry_msgs/Twist", "sensor_msgs/LaserScan", "std_msgs/String"
@@ -142,7 +144,7 @@ def test_layout_and_profile_are_described_in_words(place: Place, midspan: Midspa
 
 def test_a_service_port_shows_the_layout_of_requests_and_replies() -> None:
     served = {"port": "/lamp/rpc", "direction": "rpc", "type": "std_srvs/srv/SetBool", "profile": "yarp3", "peers": []}
-    (line,) = port_lines({**served, "carries": "fields 'set' data", "replies": "bottle"})
+    (line,) = port_lines(PortStatus(**served, carries="fields 'set' data", replies="bottle"))
     assert line.startswith(
         "YARP port /lamp/rpc answers calls: std_srvs/srv/SetBool as a Bottle of the fields 'set' data,"
     )

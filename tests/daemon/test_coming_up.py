@@ -28,7 +28,7 @@ MANY = 8
 def worker_status(daemon: Daemon, name: str) -> dict[str, Any]:
     """Return the daemon's status of a worker, empty if the daemon does not respond."""
     status = ask_daemon(Config(name="test", state=daemon.folder / "state"))
-    return {} if status is None else next(worker for worker in status["workers"] if worker["worker"] == name)
+    return {} if status is None else next(report.document() for report in status.workers if report.worker == name)
 
 
 def test_a_worker_that_computes_during_start_up_is_not_killed(daemon: Daemon) -> None:

@@ -29,9 +29,9 @@ def test_the_daemon_also_reports_workers_that_do_not_run(daemon: Daemon) -> None
     daemon.wait_ready(process)
     status = ask_daemon(config)
     assert status is not None
-    assert (status["daemon"], status["pid"], status["refused"]) == ("test", process.pid, "")
-    assert status["config"] == str(daemon.file)
-    workers = {worker["worker"]: worker for worker in status["workers"]}
+    assert (status.daemon, status.pid, status.refused) == ("test", process.pid, "")
+    assert status.config == str(daemon.file)
+    workers = {worker["worker"]: worker for worker in status.document()["workers"]}
     assert workers["router"]["phase"] == "running"
     assert workers["router"]["pid"] == daemon.wait_started("router")
     assert (workers["ros1"]["phase"], workers["ros1"]["text"]) == ("cannot work", "there is no such robot")
@@ -47,11 +47,11 @@ def test_refused_reload_and_restarts_are_reported(daemon: Daemon) -> None:
     daemon.wait_started("ros1", 2)
     daemon.configure("hubb: 1\n")
     process.signal(signal.SIGHUP)
-    until(lambda: (ask_daemon(config) or {}).get("refused"), "refused")
+    until(lambda: (status := ask_daemon(config)) is not None and status.refused, "refused")
     status = ask_daemon(config)
     assert status is not None
-    assert "unknown key 'hubb'" in status["refused"]
-    assert [w["restarts"] for w in status["workers"] if w["worker"] == "ros1"] == [1]
+    assert "unknown key 'hubb'" in status.refused
+    assert [report.restarts for report in status.workers if report.worker == "ros1"] == [1]
     process.signal(signal.SIGTERM)
     assert process.popen.wait(40) == 0
     assert not (daemon.folder / "state" / "test.daemon.sock").exists()
@@ -91,4 +91,4 @@ def test_the_daemon_reports_why_the_state_folder_is_unusable(daemon: Daemon) -> 
     daemon.expect_output(process, "the state folder is writable again")
     status = ask_daemon(config)
     assert status is not None
-    assert "state folder" not in status["status"]
+    assert "state folder" not in status.status

@@ -17,6 +17,7 @@ from bridge.demo import progress as progress_module
 from bridge.demo.processes import DemoChild
 from bridge.demo.progress import STILL_SECONDS, DemoProgress, Parts, PartState
 from bridge.demo.sandbox import Sandbox
+from bridge.status import read_daemon_status
 
 
 class Clock:
@@ -94,7 +95,7 @@ def test_processor_time_of_a_starting_process_is_progress() -> None:
 def daemon_status(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Set the daemon's status of its workers."""
     status: dict[str, Any] = {"workers": []}
-    monkeypatch.setattr(progress_module, "ask_daemon", lambda _config: status)
+    monkeypatch.setattr(progress_module, "ask_daemon", lambda _config: read_daemon_status(status))
     monkeypatch.setattr(progress_module, "_ASK_EVERY", -1.0)
     return status
 

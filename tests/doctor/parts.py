@@ -8,6 +8,7 @@ from typing import Any
 from bridge.config.model import Config
 from bridge.doctor.check import Finding, Findings, Result
 from bridge.doctor.context import CheckContext, HubSnapshot
+from bridge.status import StatusDocument, read_status
 
 
 def around(config: dict[str, Any] | None = None, environ: dict[str, str] | None = None, **more: Any) -> CheckContext:
@@ -17,7 +18,13 @@ def around(config: dict[str, Any] | None = None, environ: dict[str, str] | None 
 
 def hub(*documents: dict[str, Any], **more: Any) -> HubSnapshot:
     """A hub with these workers."""
-    return HubSnapshot(documents=[{"daemon": "robot1", "routes": [], "refused": [], **d} for d in documents], **more)
+    return HubSnapshot(documents=[document(d) for d in documents], **more)
+
+
+def document(fields: dict[str, Any]) -> StatusDocument:
+    """Return a status document with these fields."""
+    fields = {"daemon": "robot1", "worker": "w", "routes": [], "refused": [], **fields}
+    return read_status(fields, fields["daemon"], fields["worker"])
 
 
 def results(findings: Findings) -> list[Result]:

@@ -13,7 +13,7 @@ from bridge.doctor.hub_problems import absence
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import EndpointKind
 from bridge.hub.wire.qos import Qos
-from tests.doctor.parts import around, hub, only
+from tests.doctor.parts import around, document, hub, only
 
 MOVE_BASE = "/planner/move_base/navigate_to_pose"
 ROS1 = {"worker": "ros1", "side": "ros1", "state": "running", "refused": []}
@@ -39,7 +39,7 @@ def server(action: str) -> HubEndpoint:
     ],
 )
 def test_each_reason_has_its_cure(planner: str, documents: list[dict[str, Any]], why: str, cure: str) -> None:
-    finding = absence(NavigationSection(planner=planner), planner, [], documents)
+    finding = absence(NavigationSection(planner=planner), planner, [], list(map(document, documents)))
     assert finding is not None
     assert finding.text.startswith(f"the planner {planner} is not there: ")
     assert why in finding.text
@@ -48,15 +48,15 @@ def test_each_reason_has_its_cure(planner: str, documents: list[dict[str, Any]],
 
 def test_planner_whose_action_is_rejected() -> None:
     entry = {"direction": "in", "topic": "/move_base/goal", "reason": "no definition", "cure": "install it"}
-    finding = absence(NavigationSection(planner="move_base"), "move_base", [], [{**ROS1, "refused": [entry]}])
+    finding = absence(NavigationSection(planner="move_base"), "move_base", [], [document({**ROS1, "refused": [entry]})])
     assert finding is not None
     assert ("cannot cross: no definition" in finding.text, finding.cure) == (True, "install it")
 
 
 def test_running_or_unknown_planner() -> None:
     section = NavigationSection(planner="move_base")
-    assert absence(section, "move_base", [server(MOVE_BASE)], [ROS1]) is None
-    assert absence(section, "another", [], [ROS1]) is None
+    assert absence(section, "move_base", [server(MOVE_BASE)], [document(ROS1)]) is None
+    assert absence(section, "another", [], [document(ROS1)]) is None
 
 
 def test_doctor_reports_the_state_of_its_own_gateway() -> None:

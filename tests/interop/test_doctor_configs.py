@@ -100,7 +100,7 @@ class Fresh:
         status = ask_daemon(config)
         if status is None:
             return False
-        workers = {worker["worker"] for worker in status["workers"] if worker["phase"] not in NO_WORKER}
+        workers = {report.worker for report in status.workers if report.phase not in NO_WORKER}
         wanted = {f"{config.name}/{name}" for name in {*workers, *config.hosted} - {OF_MODULES}}
         answered = {f["seen"].partition(" ")[0] for f in self.doctor("daemon")}
         return all(any(node.startswith(name) for node in answered) for name in wanted)  # one zenoh node per dialect

@@ -8,6 +8,7 @@ from typing import Any
 from bridge.metrics.source import Snapshot
 from bridge.routing.counters import Counters
 from bridge.routing.services.route import CallCounters
+from bridge.status import read_daemon_status, read_status
 
 
 def route(topic: str = "/scan", **more: Any) -> dict[str, Any]:
@@ -40,4 +41,5 @@ def side(*routes: dict[str, Any], worker: str = "ros1", **more: Any) -> dict[str
 
 def snapshot(*documents: dict[str, Any], **daemon: Any) -> Snapshot:
     """Return a source's snapshot."""
-    return Snapshot("here", documents, daemon, hub=True, seconds=0.01)
+    read = tuple(read_status(document, "here", document["worker"]) for document in documents)
+    return Snapshot("here", read, read_daemon_status(daemon) if daemon else None, hub=True, seconds=0.01)

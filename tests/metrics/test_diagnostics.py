@@ -26,6 +26,8 @@ from bridge.metrics.diagnostics import publishing_worker
 from bridge.metrics.on_demand import DiagnosticsOnDemand
 from bridge.metrics.parts import Level, PartStatus, parts
 from bridge.metrics.section import MetricsSection
+from bridge.metrics.source import enabled_workers
+from bridge.status import read_daemon_status
 from bridge.worker import Health, Worker
 from tests.adapters.yarp.conftest import YarpPort
 from tests.contract.hubside import HubSide
@@ -123,7 +125,8 @@ def test_level_of_the_daemon() -> None:
     ],
 )
 def test_one_worker_publishes_in_a_fixed_order(phases: dict[str, str], turn: str) -> None:
-    assert publishing_worker({"workers": [worker_document(name, phase) for name, phase in phases.items()]}) == turn
+    daemon = {"workers": [worker_document(name, phase) for name, phase in phases.items()]}
+    assert publishing_worker(read_daemon_status(daemon)) == turn
 
 
 class Side(Worker):
@@ -159,7 +162,7 @@ class PublishingSide:
         self.hub.serve("status", self.status)
         self.far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
         self.daemon_document: dict[str, Any] = {"pid": 1, "workers": [worker_document("ros1")]}
-        monkeypatch.setattr(diagnostics, "ask_daemon", lambda *_: self.daemon_document)
+        monkeypatch.setattr(diagnostics, "ask_daemon", lambda *_: read_daemon_status(self.daemon_document))
         self.config = Config.model_validate(
             {"name": "here", "state": folder, "hub": {"listen": self.hubs.endpoint, "domain": self.hubs.domain}}
         )
@@ -259,15 +262,15 @@ def test_ros_subscribers_receive_all_parts_without_console_and_metrics(tmp_path:
                 "side ros1": 0, "worker ros2": 0, "module store": 0,
             }  # fmt: skip
             assert shown["module gateway"] == 1, "it waits for its planner"
-        assert publishing_worker(ask_daemon(load(deployment.file)) or {}) == "ros1"
+        assert publishing_worker(ask_daemon(load(deployment.file))) == "ros1"
         program, subscription = subscribers[1]
 
         def is_reported_down() -> bool:
             """Kill the worker if it runs, and return whether the other side reports it as down; it restarts quickly."""
-            for worker in (ask_daemon(load(deployment.file)) or {}).get("workers", ()):
-                if worker["worker"] == "ros1" and worker["phase"] == Phase.UP.value:
+            for report in enabled_workers(ask_daemon(load(deployment.file))):
+                if report.worker == "ros1" and report.phase == Phase.UP.value:
                     with suppress(ProcessLookupError):
-                        os.kill(worker["pid"], signal.SIGKILL)
+                        os.kill(report.pid, signal.SIGKILL)
             return levels(program, subscription).get("worker ros1", 0) != 0
 
         until(is_reported_down, "the other side reports the restart", 20, every=0.05)

@@ -65,7 +65,7 @@ class ScrapedDeployment(Deployment):
         """Return the worker's process id, as the daemon reports it."""
         daemon_status = ask_daemon(load(self.file))
         assert daemon_status is not None
-        return next(status["pid"] for status in daemon_status["workers"] if status["worker"] == worker)
+        return next(report.pid for report in daemon_status.workers if report.worker == worker)
 
     def get(self, path: str, accept: str = "text/plain") -> tuple[int, str]:
         request = urllib.request.Request(f"http://{self.address}{path}", headers={"Accept": accept})

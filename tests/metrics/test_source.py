@@ -80,7 +80,7 @@ def test_an_expired_snapshot_is_queried_again(config: Config, monkeypatch: pytes
     monkeypatch.setattr(source, "FRESH_SECONDS", 0.0)
     answers = iter([[WorkerAnswer("here", "ros1", {"n": 1})], [WorkerAnswer("here", "ros1", {"n": 2})]])
     source_ = Source(config, lambda: next(answers))
-    assert [source_.snapshot().documents[0]["n"] for _ in range(2)] == [1, 2]
+    assert [source_.snapshot().documents[0].document()["n"] for _ in range(2)] == [1, 2]
 
 
 def test_documents_of_other_daemons_are_skipped(config: Config) -> None:
@@ -88,7 +88,8 @@ def test_documents_of_other_daemons_are_skipped(config: Config) -> None:
         WorkerAnswer("here", "ros1", {"worker": "other"}), WorkerAnswer("there", "ros1", {}),
         WorkerAnswer("here", "ros2", None), WorkerAnswer("here", "yarp", {}, "it failed"),
     ]  # fmt: skip
-    assert Source(config, lambda: answers).snapshot().documents == ({"worker": "ros1"},)
+    documents = Source(config, lambda: answers).snapshot().documents
+    assert [(document.daemon, document.worker) for document in documents] == [("here", "ros1")]
 
 
 def test_the_daemon_is_reported_without_a_hub(config: Config, daemon: Daemon) -> None:
@@ -97,7 +98,8 @@ def test_the_daemon_is_reported_without_a_hub(config: Config, daemon: Daemon) ->
 
     snapshot = Source(config, ask).snapshot()
     assert not snapshot.hub
-    assert snapshot.daemon["daemon"] == "here"
+    assert snapshot.daemon is not None
+    assert snapshot.daemon.daemon == "here"
 
 
 def test_readiness_lists_workers_that_are_not_up(

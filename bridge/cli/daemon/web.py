@@ -59,15 +59,15 @@ def _address(config: Config) -> str:
 
     if not config.section(WebSection).enabled:
         raise CliError("the console is switched off: set web.enabled in the configuration")
-    workers = (ask_daemon(config) or {}).get("workers")
-    if workers is None:
+    daemon = ask_daemon(config)
+    if daemon is None:
         raise CliError(f"no daemon of the name '{config.name}' runs here; start it with 'midspan run'")
-    console = next((worker for worker in workers if worker["worker"] == "web"), None)
+    console = next((worker for worker in daemon.workers if worker.worker == "web"), None)
     if console is None:
         raise CliError("the daemon runs without a console: it has not loaded this configuration")
-    address = re.match(r"https?://[^\s,]+", console["text"])
-    if console["phase"] != Phase.UP.value or address is None:
-        raise CliError(f"the console is {console['phase']}: {console['text']}")
+    address = re.match(r"https?://[^\s,]+", console.text)
+    if console.phase != Phase.UP.value or address is None:
+        raise CliError(f"the console is {console.phase}: {console.text}")
     return address[0]
 
 

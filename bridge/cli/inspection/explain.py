@@ -15,7 +15,7 @@ from bridge.cli.inspection.refusals import refusals
 from bridge.cli.output import CliError, print_json
 from bridge.client.graph import Decision, absolute, decisions_in, endpoint_json, endpoint_text, known_names, unknown
 from bridge.client.session import ASK_SECONDS, Client
-from bridge.client.status import Document, daemon_names, port_list, route_list, texts
+from bridge.client.status import daemon_names
 from bridge.config.model import Config
 from bridge.config.sections.routing import Rule
 from bridge.display.documents import drops_text, port_lines, way_text
@@ -26,6 +26,7 @@ from bridge.hub.graph import HubEndpoint
 from bridge.hub.namesakes import DaemonNames
 from bridge.messages.actions import split
 from bridge.routing.rules import ENTRY, RuleSet
+from bridge.status import PortStatus, RouteStatus, StatusDocument, read_status
 from bridge.text import arrow, clean, duration, plural, rate, side_name
 
 _VERDICTS = {
@@ -56,10 +57,10 @@ class Explanation:
     """Decisions on one topic with their routes' status, and its endpoints, notes and YARP ports."""
 
     topic: str
-    decisions: Sequence[tuple[Decision, Document | None]]
+    decisions: Sequence[tuple[Decision, RouteStatus | None]]
     endpoints: Sequence[HubEndpoint]
     notes: Sequence[Note]
-    ports: Sequence[Document] = ()
+    ports: Sequence[PortStatus] = ()
 
 
 def run(args: argparse.Namespace) -> int:
@@ -81,8 +82,7 @@ def explain(client: Client, topic: str) -> Explanation:
     names = {topic} | {d.hub_topic for d in decisions if d.decision == "bridged"}
     endpoints = [e for e in client.hub.graph.endpoints() if not e.own and names & {e.topic, split(e.topic)[0]}]
     endpoints.sort(key=lambda e: (e.topic, e.kind))
-    ports = [port for document in documents for port in port_list(document)]
-    ports = [port for port in ports if names & {port.get("topic"), port.get("port")}]
+    ports = [port for document in documents for port in document.ports if names & {port.topic, port.port}]
     missing_planner = planner_note(client.config, topic, client.hub.graph.endpoints(), documents)
     planner = [] if missing_planner is None else [missing_planner]
     silent = _silent(client, documents)
@@ -101,7 +101,7 @@ def explain(client: Client, topic: str) -> Explanation:
     return Explanation(topic, paired, endpoints, [*planner, *notes, *namesakes], ports)
 
 
-def _asked(client: Client) -> tuple[list[WorkerAnswer], list[Document], list[Note]]:
+def _asked(client: Client) -> tuple[list[WorkerAnswer], list[StatusDocument], list[Note]]:
     """Return the sides' answers to ``explain``, all status documents, and notes on daemons with one name.
 
     A worker that hangs delays both answers.
@@ -111,8 +111,8 @@ def _asked(client: Client) -> tuple[list[WorkerAnswer], list[Document], list[Not
         status = pool.submit(client.ask, "status")
         client.settle()
         names = daemon_names(client, status.result())
-        documents: list[Document] = [
-            {**answer.value, "daemon": answer.daemon, "worker": answer.worker}
+        documents = [
+            read_status(answer.value, answer.daemon, answer.worker)
             for answer in names.apply(status.result())
             if isinstance(answer.value, dict)
         ]
@@ -142,9 +142,9 @@ def _decisions(everything: Sequence[Decision], topic: str) -> list[Decision]:
     return decisions
 
 
-def _silent(client: Client, documents: Sequence[Document]) -> list[Note]:
+def _silent(client: Client, documents: Sequence[StatusDocument]) -> list[Note]:
     """Return notes on the workers that are on the hub and did not answer, so that their decisions are missing."""
-    answered = {document.get("zid") for document in documents}
+    answered = {document.zid for document in documents}
     late = f"did not answer within {ASK_SECONDS:g} s, so what it knows is missing"
     return [
         Note(f"{side_name(origin.side)} (daemon {clean(origin.daemon)}) {late}", "see `midspan status`")
@@ -154,14 +154,14 @@ def _silent(client: Client, documents: Sequence[Document]) -> list[Note]:
     ]
 
 
-def _route(decision: Decision, documents: Sequence[Document]) -> Document | None:
+def _route(decision: Decision, documents: Sequence[StatusDocument]) -> RouteStatus | None:
     if decision.decision != "bridged":
         return None
     for document in documents:
-        if (document.get("daemon"), document.get("worker")) == (decision.daemon, decision.worker):
-            for route in route_list(document):
-                same = (route.get("direction"), route.get("topic")) == (decision.direction, decision.topic)
-                if same and decision.type in (route.get("type"), route.get("side_type")):
+        if (document.daemon, document.worker) == (decision.daemon, decision.worker):
+            for route in document.routes:
+                same = (route.direction, route.topic) == (decision.direction, decision.topic)
+                if same and decision.type in (route.type, route.side_type):
                     return route
     return None
 
@@ -184,18 +184,18 @@ def _hub_notes(topic: str, endpoints: Sequence[HubEndpoint]) -> list[Note]:
     return notes
 
 
-def _warnings(names: set[str], documents: Sequence[Document]) -> list[Note]:
+def _warnings(names: set[str], documents: Sequence[StatusDocument]) -> list[Note]:
     """Return the workers' warnings that begin with the topic's name: QoS mismatches, types without a definition."""
     return [
-        Note(f"{side_name(document.get('side'))}: {warning}")
+        Note(f"{side_name(document.side)}: {warning}")
         for document in documents
-        for warning in texts(document.get("warnings"))
+        for warning in document.warnings
         if warning.partition(": ")[0] in names
     ]
 
 
 def _worker_notes(
-    decisions: Sequence[Decision], documents: Sequence[Document], sides: Collection[tuple[str, str]]
+    decisions: Sequence[Decision], documents: Sequence[StatusDocument], sides: Collection[tuple[str, str]]
 ) -> list[Note]:
     """Return notes on the sides that decided nothing; ``sides``: daemon and worker of each that decides on topics."""
     if not documents:
@@ -203,13 +203,13 @@ def _worker_notes(
     notes: list[Note] = []
     decided = {(d.daemon, d.worker) for d in decisions}
     for document in documents:
-        who = (str(document["daemon"]), str(document["worker"]))
+        who = (document.daemon, document.worker)
         if who not in sides:
             continue  # a module, the router, the console: they decide on no topic
-        name = f"{side_name(document.get('side') or who[1])} (daemon {clean(who[0])})"
-        if document.get("state") == "waiting":
+        name = f"{side_name(document.side or who[1])} (daemon {clean(who[0])})"
+        if document.state == "waiting":
             notes.append(Note(f"{name} is unavailable: nothing crosses to or from it now"))
-        elif document.get("state") == "standby":
+        elif document.state == "standby":
             notes.append(Note(f"{name} is on standby: another daemon is active on that network"))
         elif who not in decided:
             notes.append(Note(f"{name} has decided nothing of it: it is not published there, and nothing leads there"))
@@ -247,7 +247,7 @@ def _hub_lines(explanation: Explanation) -> list[str]:
     return lines
 
 
-def _decision_lines(decision: Decision, route: Document | None, whose: str) -> list[str]:
+def _decision_lines(decision: Decision, route: RouteStatus | None, whose: str) -> list[str]:
     verdict = _VERDICTS.get(decision.decision, decision.decision)
     name = decision.topic if decision.direction == "in" else decision.hub_topic
     lands = decision.hub_topic if decision.direction == "in" else decision.topic
@@ -259,42 +259,45 @@ def _decision_lines(decision: Decision, route: Document | None, whose: str) -> l
         lines.append(f"    cure: {clean(decision.cure)}")
     if route is not None:
         lines.append(f"    {_flow(route)}")
-        if route.get("error"):
-            lines.append(f"    last error: {clean(route['error'])}")
+        if route.error:
+            lines.append(f"    last error: {clean(route.error)}")
     return lines
 
 
-def _flow(route: Document) -> str:
-    if route.get("kind") == "service":
+def _flow(route: RouteStatus) -> str:
+    if route.kind == "service":
         return _calls(route)
     way = f"; {way_text(route)}" if way_text(route) else ""
-    if not route.get("messages"):
+    if not route.messages:
         return f"no message has come yet; drops: {drops_text(route)}{way}"
-    speed = rate(route.get("rate"))
+    speed = rate(route.rate)
     speed = "none in the last second" if speed == "-" else f"{speed} msg/s"
     return (
-        f"{plural(route['messages'], 'message')}, {speed}, the last one {duration(route.get('age'))} ago;"
-        f" drops: {drops_text(route)}; {clean(route.get('qos', ''))}{way}"
+        f"{plural(route.messages, 'message')}, {speed}, the last one {duration(route.age)} ago;"
+        f" drops: {drops_text(route)}; {clean(route.qos)}{way}"
     )
 
 
 def _as_json(explanation: Explanation) -> dict[str, Any]:
     return {
         "topic": explanation.topic,
-        "decisions": [{**decision.as_dict(), "route": route} for decision, route in explanation.decisions],
+        "decisions": [
+            {**decision.as_dict(), "route": route.document() if route is not None else None}
+            for decision, route in explanation.decisions
+        ],
         "hub": [endpoint_json(endpoint) for endpoint in explanation.endpoints],
-        "ports": list(explanation.ports),
+        "ports": [port.document() for port in explanation.ports],
         "notes": [dataclasses.asdict(note) for note in explanation.notes],
     }
 
 
-def _calls(route: Document) -> str:
-    if not route.get("messages"):
+def _calls(route: RouteStatus) -> str:
+    if not route.messages:
         return "no call yet"
-    under_way = f", {route['pending']} under way" if route.get("pending") else ""
+    under_way = f", {route.pending} under way" if route.pending else ""
     return (
-        f"{plural(route['messages'], 'call')}, the last one {duration(route.get('age'))} ago: {route.get('replies', 0)}"
-        f" replies, {route.get('errors', 0)} errors, {route.get('abandoned', 0)} given up by their clients{under_way}"
+        f"{plural(route.messages, 'call')}, the last one {duration(route.age)} ago: {route.replies or 0}"
+        f" replies, {route.errors or 0} errors, {route.abandoned or 0} given up by their clients{under_way}"
     )
 
 
@@ -302,7 +305,7 @@ _EVERYTHING = (None, "**", "/**")
 
 
 def planner_note(
-    config: Config, name: str, endpoints: Iterable[HubEndpoint], documents: Sequence[Document]
+    config: Config, name: str, endpoints: Iterable[HubEndpoint], documents: Sequence[StatusDocument]
 ) -> Note | None:
     """Return why the chosen planner is missing, if a name is its action on its side or on the hub."""
     section = config.navigation

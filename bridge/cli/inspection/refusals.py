@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import zenoh
 
 from bridge.client.session import Client
-from bridge.client.status import Document, dicts, route_list, texts
 from bridge.config.rules import commands
 from bridge.config.sections.routing import RoutingSection
 from bridge.doctor import hub_problems
@@ -23,6 +22,7 @@ from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import EndpointKind
 from bridge.hub.security.access import QUESTIONS, harmless_keys
 from bridge.hub.wire.keys import topic_key
+from bridge.status import MachineStatus, RouterStatus, StatusDocument, read_status, routers_of
 from bridge.text import clean, plural
 
 _QUESTIONS = [zenoh.KeyExpr(key) for key in QUESTIONS]
@@ -59,16 +59,15 @@ class Refusal:
         return f"if that is not intended, {name} in hub.open.trusted of {self.daemon} and reload"
 
 
-def refusals(client: Client, documents: Iterable[Document]) -> list[Refusal]:
+def refusals(client: Client, documents: Sequence[StatusDocument]) -> list[Refusal]:
     """Return what routers refuse now, by the workers' status documents and the hub's graph, which has settled."""
-    documents = list(documents)
     graph = client.hub.graph
     refused: list[Refusal] = []
-    for router in documents:
-        distrusted = [machine for machine in dicts(router.get("machines")) if not machine.get("trusted")]
+    for router in routers_of(documents):
+        distrusted = [machine for machine in router.machines if not machine.trusted]
         if not distrusted:
             continue
-        harmless = _harmless(router.get("commands"))
+        harmless = _harmless(router.commands)
         zids = {endpoint.zid for endpoint in graph.endpoints()}
         for machine in distrusted:
             theirs = _sessions(router, machine, documents, zids)
@@ -87,39 +86,42 @@ def warn_of_refusals(client: Client, published: Iterable[tuple[str, str, str]]) 
     Return whether a machine refuses any of it.
     """
     answers = client.ask("status", worker="router")
-    routers = [answer.value for answer in answers if isinstance(answer.value, dict)]
+    routers = routers_of(read_status(a.value, a.daemon, a.worker, a.error) for a in answers)
     topics, refused, own = list(published), list[Refusal](), client.hub.zid
     for router in routers:
-        harmless = _harmless(router.get("commands"))
-        for machine in dicts(router.get("machines")):
-            if machine.get("trusted") or own not in _sessions(router, machine, routers, {own}):
+        harmless = _harmless(router.commands)
+        for machine in router.machines:
+            if machine.trusted or own not in _sessions(router, machine, routers, {own}):
                 continue
-            daemon, name = str(router.get("daemon")), str(machine.get("name") or "")
             for topic, type_name, type_hash in topics:
                 if not _is_among(harmless, topic_key(client.hub.domain, topic, type_name, type_hash)):
-                    refused.append(Refusal(daemon, name, topic, type_name, "this command", None, is_service=False))
+                    names = router.daemon, machine.name, topic, type_name
+                    refused.append(Refusal(*names, "this command", None, is_service=False))
     for refusal in refused:
         print(f"midspan: warning: {clean(refusal.text)}; {clean(refusal.cure)}", file=sys.stderr)
     return bool(refused)
 
 
 def _refusal(
-    router: Document, machine: Document, endpoints: Sequence[HubEndpoint], documents: Iterable[Document]
+    router: RouterStatus,
+    machine: MachineStatus,
+    endpoints: Sequence[HubEndpoint],
+    documents: Iterable[StatusDocument],
 ) -> Refusal:
     first = endpoints[0]
     is_service = first.kind is EndpointKind.CLIENT
-    direction, figure = ("out", "calls") if is_service else ("in", "messages")
+    direction = "out" if is_service else "in"
     zids = {endpoint.zid for endpoint in endpoints}
     counted = [
-        int(route.get(figure) or 0)
+        (route.calls if is_service else route.messages) or 0
         for document in documents
-        if document.get("zid") in zids
-        for route in route_list(document)
-        if (route.get("direction"), route.get("hub_topic")) == (direction, first.topic)
+        if document.zid in zids
+        for route in document.routes
+        if (route.direction, route.hub_topic) == (direction, first.topic)
     ]
     return Refusal(
-        str(router.get("daemon")),
-        str(machine.get("name") or ""),
+        router.daemon,
+        machine.name,
         first.topic,
         first.type_name,
         hub_problems.nodes(endpoints),
@@ -128,7 +130,9 @@ def _refusal(
     )
 
 
-def _sessions(router: Document, machine: Document, documents: Sequence[Document], known: Collection[str]) -> set[str]:
+def _sessions(
+    router: RouterStatus, machine: MachineStatus, documents: Sequence[StatusDocument], known: Collection[str]
+) -> set[str]:
     """Return the sessions that reach a router by its link with a machine, from those ``known`` and from the documents.
 
     These are the machine's own, and those of the routers that are connected to it, also if it is a router without a
@@ -136,13 +140,13 @@ def _sessions(router: Document, machine: Document, documents: Sequence[Document]
     """
     links: dict[str, set[str]] = defaultdict(set)
     members: dict[str, set[str]] = {}
-    for document in documents:
-        if door := str(document.get("door") or ""):
-            members[door] = set(texts(document.get("members")))
-            for other in dicts(document.get("machines")):
-                links[door].add(str(other.get("zid")))
-                links[str(other.get("zid"))].add(door)
-    start, here = str(machine.get("zid")), str(router.get("door") or "")
+    for other_router in routers_of(documents):
+        if door := other_router.door:
+            members[door] = set(other_router.members)
+            for other in other_router.machines:
+                links[door].add(other.zid)
+                links[other.zid].add(door)
+    start, here = machine.zid, router.door
     reached, waiting = links[here] | {here}, [start]  # another machine of the router has its own link
     sessions = {start}
     while waiting:
@@ -151,9 +155,8 @@ def _sessions(router: Document, machine: Document, documents: Sequence[Document]
         waiting += links[place] - reached
         reached |= links[place]
     own = members.get(here, set())
-    if len(links[here]) == 1 and len(own) >= int(router.get("sessions") or 1):  # the list is complete
-        daemon = router.get("daemon")
-        own |= {str(document.get("zid")) for document in documents if document.get("daemon") == daemon}
+    if len(links[here]) == 1 and len(own) >= (router.sessions or 1):  # the list is complete
+        own |= {document.zid for document in documents if document.daemon == router.daemon}
         sessions |= set(known) - own
     return sessions
 
@@ -165,11 +168,10 @@ def _by_topic(endpoints: Iterable[HubEndpoint]) -> Iterable[list[HubEndpoint]]:
     return [groups[key] for key in sorted(groups)]
 
 
-def _harmless(commanding: object) -> list[zenoh.KeyExpr]:
+def _harmless(commanding: Mapping[str, Sequence[str]]) -> list[zenoh.KeyExpr]:
     """Return the keys on which every machine may publish, by the commands of the router's document."""
     usual = commands(RoutingSection())
-    named = commanding.items() if isinstance(commanding, Mapping) else ()
-    table = usual | {str(name): frozenset(map(str, parts)) for name, parts in named if isinstance(parts, list)}
+    table = usual | {name: frozenset(parts) for name, parts in commanding.items()}
     try:
         return [zenoh.KeyExpr(key) for key in harmless_keys(table)]
     except (HubWireError, zenoh.ZError):  # invalid types or names

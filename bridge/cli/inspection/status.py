@@ -8,6 +8,7 @@ import dataclasses
 import sys
 import time
 from collections.abc import Container, Sequence
+from typing import Any
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -18,12 +19,13 @@ from bridge.cli.client import CliClient, client_config, config_file, of_this_mac
 from bridge.cli.inspection.refusals import Refusal, refusals
 from bridge.cli.output import CliError, print_json
 from bridge.client.errors import ClientError
-from bridge.client.status import Document, ask_status, dicts, port_list, route_list, texts
+from bridge.client.status import ask_status
 from bridge.daemon.query import Phase
 from bridge.display.documents import connected_lines, routes_table
 from bridge.doctor.causes import cause, grouped, one_line, shared
 from bridge.doctor.daemon_state import ABSENT, DaemonState, Life, absent, daemon_state, with_silent
-from bridge.text import arrow, clean, duration, is_number, make_console, plural, side_name, size
+from bridge.status import EndpointStatus, MachineStatus, RouterStatus, StatusDocument, WorkerStatus, refused_routes
+from bridge.text import arrow, clean, duration, make_console, plural, side_name, size
 
 _STYLES = {"running": "green", "waiting": "yellow", "standby": "cyan", "starting": "yellow", "queued": "yellow"}
 DAEMON = "daemon"
@@ -44,7 +46,7 @@ def register_status(parser: argparse.ArgumentParser) -> None:
 
 def run_status(args: argparse.Namespace) -> int:
     """Show the status once; a running daemon's workers also if the hub cannot be joined."""
-    documents, refused = list[Document](), list[Refusal]()
+    documents, refused = list[StatusDocument](), list[Refusal]()
     state = daemon_state(client_config(args), file=config_file(args)) if of_this_machine(args) else DaemonState("")
     silent = absent(state.document, looping=True)
     unreachable: ClientError | None = None
@@ -63,9 +65,9 @@ def run_status(args: argparse.Namespace) -> int:
     if state.life is Life.UNKNOWN and of_this_machine(args):
         state = daemon_state(client_config(args), documents, config_file(args))
     documents = [*with_silent(documents, silent), *of_daemon(state)]
-    documents.sort(key=lambda document: (str(document["daemon"]), document["worker"] != DAEMON))
+    documents.sort(key=lambda document: (document.daemon, document.worker != DAEMON))
     if args.json:
-        print_json([_with_refusals(document, refused) for document in documents])
+        print_json([{**document.document(), **_refused_commands(document, refused)} for document in documents])
     else:
         show(make_console(), documents, refused)
     if state.trouble:
@@ -75,7 +77,7 @@ def run_status(args: argparse.Namespace) -> int:
     return 0
 
 
-def _ask_status(client: CliClient) -> list[Document]:
+def _ask_status(client: CliClient) -> list[StatusDocument]:
     try:
         return ask_status(client)
     except ClientError as err:
@@ -86,20 +88,20 @@ def _ask_status(client: CliClient) -> list[Document]:
         raise CliError(f"{str(err).partition(chr(10))[0]}\n{hint}") from None
 
 
-def of_daemon(state: DaemonState) -> list[Document]:
+def of_daemon(state: DaemonState) -> list[StatusDocument]:
     """Return an entry for a daemon that does not run or does not answer, in the form of a worker's document."""
     if not state.trouble:
         return []
     text = f"{state.trouble}: {state.cure}"
-    return [{"daemon": state.name, "worker": DAEMON, "state": state.life.value, "text": text, "pid": state.pid}]
+    return [StatusDocument(daemon=state.name, worker=DAEMON, state=state.life.value, text=text, pid=state.pid)]
 
 
-def show(console: Console, documents: Sequence[Document], refused: Sequence[Refusal] = ()) -> None:
+def show(console: Console, documents: Sequence[StatusDocument], refused: Sequence[Refusal] = ()) -> None:
     """Print a block for each daemon with its workers, then the routes."""
-    for daemon in dict.fromkeys(str(document.get("daemon")) for document in documents):
+    for daemon in dict.fromkeys(document.daemon for document in documents):
         console.print(Text(clean(daemon), style="bold"))
-        workers = [document for document in documents if str(document.get("daemon")) == daemon]
-        common = shared({str(document.get("worker")): texts(document.get("warnings")) for document in workers})
+        workers = [document for document in documents if document.daemon == daemon]
+        common = shared({document.worker: document.warnings for document in workers})
         for document in workers:
             _show_worker(console, document, common)
             for refusal in _refusals_of(document, refused):
@@ -108,109 +110,100 @@ def show(console: Console, documents: Sequence[Document], refused: Sequence[Refu
         for warning, names in common.values():
             console.print(Text(f"  warning of {clean(', '.join(names))}: {clean(warning)}", "yellow"))
     console.print()
-    if any(route_list(document) for document in documents):
+    if any(document.routes for document in documents):
         console.print(routes_table(documents))
     else:
         console.print("no routes: nothing is published that would cross; 'midspan topic list -v' shows what there is")
 
 
-def _refusals_of(document: Document, refused: Sequence[Refusal]) -> list[Refusal]:
+def _refusals_of(document: StatusDocument, refused: Sequence[Refusal]) -> list[Refusal]:
     """Return the refusals of a router's external listener."""
-    return [r for r in refused if document.get("side") == "router" and document.get("daemon") == r.daemon]
+    return [r for r in refused if isinstance(document, RouterStatus) and document.daemon == r.daemon]
 
 
-def _with_refusals(document: Document, refused: Sequence[Refusal]) -> Document:
-    found = [dataclasses.asdict(refusal) for refusal in _refusals_of(document, refused)]
-    return {**document, "refused_commands": found} if found else document
+def _refused_commands(document: StatusDocument, refused: Sequence[Refusal]) -> dict[str, Any]:
+    of_router = [dataclasses.asdict(refusal) for refusal in _refusals_of(document, refused)]
+    return {"refused_commands": of_router} if of_router else {}
 
 
-def _show_worker(console: Console, document: Document, elsewhere: Container[str]) -> None:
+def _show_worker(console: Console, document: StatusDocument, elsewhere: Container[str]) -> None:
     """Print a worker, without the warnings whose causes are in ``elsewhere``."""
-    state = clean(document.get("state", "?"))
-    line = Text(f"  {clean(document.get('worker', '?')):<8} ")
+    state = clean(document.state or "?")
+    line = Text(f"  {clean(document.worker or '?'):<8} ")
     line.append(f"{state:<8}", style=_STYLES.get(state, "red"))
     line.append(f" {_figures(document)}")
     console.print(line)
-    if document.get("error"):
-        console.print(Text(f"           {clean(document['error'])}", style="red"))
+    if document.error:
+        console.print(Text(f"           {clean(document.error)}", style="red"))
     for text, cure in _refused(document):
         console.print(Text(f"           {clean(text)}", "yellow"))
         if cure:
             console.print(Text(f"             cure: {clean(cure)}"))
-    for endpoint in dicts(document.get("endpoints")):
-        for line in _endpoint(endpoint):
-            console.print(line)
-    for machine in dicts(document.get("machines")):
-        console.print(_machine(machine))
-    for connected in connected_lines(port_list(document)):
+    if isinstance(document, RouterStatus):
+        for endpoint in document.endpoints:
+            for line in _endpoint(endpoint):
+                console.print(line)
+        for machine in document.machines:
+            console.print(_machine(machine))
+    for connected in connected_lines(document.ports):
         console.print(Text(f"           {connected}"))
-    lane = document.get("lane")
-    if isinstance(lane, dict) and lane.get("why"):
-        console.print(Text(f"           no lane from it, small messages go over zenoh: {clean(lane['why'])}", "yellow"))
-    for warning in grouped(text for text in texts(document.get("warnings")) if cause(text) not in elsewhere):
+    if isinstance(document, WorkerStatus) and (why := document.lane.why):
+        console.print(Text(f"           no lane from it, small messages go over zenoh: {clean(why)}", "yellow"))
+    for warning in grouped(text for text in document.warnings if cause(text) not in elsewhere):
         console.print(Text(f"           warning: {clean(warning)}", "yellow"))
 
 
-def _refused(document: Document) -> list[tuple[str, str]]:
+def _refused(document: StatusDocument) -> list[tuple[str, str]]:
     """What a worker refused, as one line for each cause and cure."""
     groups: dict[tuple[str, str], list[tuple[str, str]]] = {}
-    for entry in dicts(document.get("refused")):
-        way = arrow(document.get("side"), entry.get("direction"))
-        topic, type_name, reason, cure = (str(entry.get(key, "")) for key in ("topic", "type", "reason", "cure"))
-        text = f"refused {way} {topic} ({type_name}): {reason}"
-        groups.setdefault((cause(text), cause(cure)), []).append((text, cure))
+    for route in refused_routes(document):
+        text = f"refused {arrow(document.side, route.direction)} {route.topic} ({route.type}): {route.reason}"
+        groups.setdefault((cause(text), cause(route.cure)), []).append((text, route.cure))
     return [(one_line([text for text, _ in group]), group[0][1]) for group in groups.values()]
 
 
-def _endpoint(endpoint: Document) -> list[Text]:
+def _endpoint(endpoint: EndpointStatus) -> list[Text]:
     """Return the lines of one endpoint of hub.open: its state, and the cure if other machines cannot join by it."""
-    way, place, state = (clean(endpoint.get(key, "?")) for key in ("way", "endpoint", "state"))
-    since = endpoint.get("since")
-    age = f" for {duration(max(time.time() - since, 0.0))}" if is_number(since) else ""
-    machine = f" to {clean(endpoint['machine'])}" if state == "connected" and endpoint.get("machine") else ""
-    reason = f": {clean(endpoint['reason'])}" if endpoint.get("reason") else ""
+    way, place, state = (clean(text or "?") for text in (endpoint.way, endpoint.endpoint, endpoint.state))
+    age = "" if endpoint.since is None else f" for {duration(max(time.time() - endpoint.since, 0.0))}"
+    machine = f" to {clean(endpoint.machine)}" if state == "connected" and endpoint.machine else ""
+    reason = f": {clean(endpoint.reason)}" if endpoint.reason else ""
     good = state in ("connected", "connecting", "listening")
     lines = [Text(f"           hub.open.{way} {place} {state}{machine}{age}{reason}", "" if good else "yellow")]
-    if endpoint.get("cure"):
-        lines.append(Text(f"             cure: {clean(endpoint['cure'])}"))
+    if endpoint.cure:
+        lines.append(Text(f"             cure: {clean(endpoint.cure)}"))
     return lines
 
 
-def _machine(machine: Document) -> Text:
-    name, address = clean(machine.get("name") or "a machine without a certificate"), clean(machine.get("address", "?"))
-    if machine.get("trusted"):
+def _machine(machine: MachineStatus) -> Text:
+    name, address = clean(machine.name or "a machine without a certificate"), clean(machine.address or "?")
+    if machine.trusted:
         return Text(f"           {name} at {address}")
     return Text(f"           {name} may not command (hub.open.trusted), at {address}", "yellow")
 
 
-def _figures(document: Document) -> str:
+def _figures(document: StatusDocument) -> str:
     parts: list[str] = []
-    if document.get("network"):
-        parts.append(f"{side_name(document.get('side'))} network {clean(document['network'])}")
-    elif document.get("state") == "waiting" and document.get("side"):  # a module waits for something else
-        parts.append(f"{side_name(document.get('side'))} is unavailable")
-    if document.get("text"):
-        parts.append(clean(document["text"]))
-    if document.get("listen"):
-        parts.append(f"listens at {clean(document['listen'])}, {_sessions(document)}")
-    routes = route_list(document)
-    if routes:
-        rate = sum(r["rate"] for r in routes if is_number(r.get("rate")))
-        parts.append(f"{plural(len(routes), 'route')}, {rate:.0f} msg/s")
-    if is_number(document.get("uptime")):
-        parts.append(f"up {duration(document['uptime'])}")
-    if is_number(document.get("cpu")):
-        parts.append(f"cpu {document['cpu'] * 100:.0f} %")
-    if document.get("rss"):
-        parts.append(size(document["rss"]))
-    if document.get("pid"):
-        parts.append(f"pid {clean(document['pid'])}")
+    if isinstance(document, WorkerStatus) and document.network:
+        parts.append(f"{side_name(document.side)} network {clean(document.network)}")
+    elif document.state == "waiting" and document.side:  # a module waits for something else
+        parts.append(f"{side_name(document.side)} is unavailable")
+    if document.text:
+        parts.append(clean(document.text))
+    if isinstance(document, RouterStatus) and document.listen:
+        parts.append(f"listens at {clean(document.listen)}, {plural(document.sessions or 0, 'session')}")
+    if document.routes:
+        rate = sum(route.rate or 0.0 for route in document.routes)
+        parts.append(f"{plural(len(document.routes), 'route')}, {rate:.0f} msg/s")
+    if document.uptime is not None:
+        parts.append(f"up {duration(document.uptime)}")
+    if document.cpu is not None:
+        parts.append(f"cpu {document.cpu * 100:.0f} %")
+    if document.rss:
+        parts.append(size(document.rss))
+    if document.pid:
+        parts.append(f"pid {document.pid}")
     return ", ".join(parts)
-
-
-def _sessions(document: Document) -> str:
-    count = document.get("sessions")
-    return plural(count if isinstance(count, int) else 0, "session")
 
 
 _INTERVAL = 1.0
@@ -250,7 +243,7 @@ def _plain(client: CliClient, interval: float, *, as_json: bool) -> None:
     while True:
         documents = _ask_status(client)
         if as_json:
-            print_json(documents, lines=True)
+            print_json([document.document() for document in documents], lines=True)
         else:
             console.print(_view(documents))
         if not interval:
@@ -271,16 +264,15 @@ def _live(client: CliClient, interval: float) -> None:
             time.sleep(interval)
 
 
-def _view(documents: Sequence[Document]) -> RenderableType:
+def _view(documents: Sequence[StatusDocument]) -> RenderableType:
     head = Text()
     for number, document in enumerate(documents):
         head.append("   " if number else "")
-        head.append(f"{clean(document.get('daemon', ''))}/{clean(document.get('worker', ''))} ", style="bold")
-        state = clean(document.get("state", "?"))
+        head.append(f"{clean(document.daemon)}/{clean(document.worker)} ", style="bold")
+        state = clean(document.state or "?")
         head.append(state, style="green" if state == "running" else "yellow")
-        routes = route_list(document)
-        if routes:
-            head.append(f" {plural(len(routes), 'route')}")
-        if refused := texts(document.get("refused")):
+        if document.routes:
+            head.append(f" {plural(len(document.routes), 'route')}")
+        if refused := refused_routes(document):
             head.append(f", {len(refused)} refused", style="yellow")
     return Group(head, routes_table(documents, errors=False))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from bridge.cli.client import CliClient
@@ -11,6 +12,8 @@ from bridge.client.navigation import STATUS_TOPIC, Navigation, gateway_document
 from bridge.client.services import ServiceCaller
 from bridge.client.types import Types
 from bridge.doctor.hub_problems import Note, absence
+from bridge.hub.control import WorkerAnswer
+from bridge.status import GatewayKeys, StatusDocument, read_status
 
 NO_GATEWAY = "no gateway is configured: name a planner in the section 'navigation' of the configuration"
 _LATE = (
@@ -20,12 +23,16 @@ _LATE = (
 _WORKER = "modules"
 
 
-def gateway_status(client: CliClient) -> dict[str, Any]:
+def gateway_status(client: CliClient) -> StatusDocument:
     """Return the gateway's status document; raises `CliError` without a gateway, or if it does not answer."""
     try:
         return gateway_document(client)
     except ClientError:
         raise CliError(no_answer(client)) from None
+
+
+def _documents(answers: Iterable[WorkerAnswer]) -> list[StatusDocument]:
+    return [read_status(a.value, a.daemon, a.worker) for a in answers if isinstance(a.value, dict)]
 
 
 def check_daemon(client: CliClient) -> None:
@@ -39,7 +46,7 @@ def check_daemon(client: CliClient) -> None:
 
 def no_answer(client: CliClient) -> str:
     """Return why no gateway answers: the daemon is down, none is configured, its worker does not run, or it is late."""
-    documents = [answer.value for answer in client.ask("status") if isinstance(answer.value, dict)]
+    documents = _documents(client.ask("status"))
     state = client.daemon(documents)
     if state.trouble:
         return state.trouble
@@ -49,25 +56,25 @@ def no_answer(client: CliClient) -> str:
         return _LATE if published else NO_GATEWAY
     if missing := state.why_missing(_WORKER, client.config):
         return f"the gateway does not run: {missing}"
-    report = next((str(worker["text"]) for worker in state.workers if worker["worker"] == _WORKER), None)
+    report = next((worker.text for worker in state.workers if worker.worker == _WORKER), None)
     if published or report is not None:
         return f"{_LATE} ({report})" if report and "gateway" in report else _LATE
-    daemons = ", ".join(sorted({str(document.get("daemon")) for document in documents})) or "none"
+    daemons = ", ".join(sorted({document.daemon for document in documents})) or "none"
     return f"no gateway runs on this hub: no daemon {client.config.name} runs on this machine; on the hub: {daemons}"
 
 
-def planner_away(client: CliClient, gateway: dict[str, Any]) -> Note | None:
+def planner_away(client: CliClient, gateway: StatusDocument) -> Note | None:
     """Return why the planner is absent that a gateway waits for, by its status document; None if it waits for none."""
-    if gateway.get("state") != "waiting":
+    if gateway.state != "waiting":
         return None
-    planner = str(gateway.get("planner"))
-    if gateway.get("daemon") == client.config.name:  # another daemon's planners are in another configuration
-        documents = [answer.value for answer in client.ask("status") if isinstance(answer.value, dict)]
+    planner = gateway.other(GatewayKeys).planner
+    if gateway.daemon == client.config.name:  # another daemon's planners are in another configuration
+        documents = _documents(client.ask("status"))
         client.settle()
         note = absence(client.config.navigation, planner, client.hub.graph.endpoints(), documents)
         if note is not None:
             return note
-    return Note(str(gateway.get("text") or f"the planner {planner} is unreachable"), "")
+    return Note(gateway.text or f"the planner {planner} is unreachable", "")
 
 
 def published_status(client: CliClient, types: Types) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from bridge.client.halt import GoalCancellation, ZeroVelocities, actions
 from bridge.client.navigation import ANSWER_SECONDS, Navigation, place_of, place_text, state_text
 from bridge.client.types import Types
 from bridge.config.sections.navigation import ACTION
+from bridge.status import GatewayKeys
 from bridge.text import clean, plural
 
 _ZERO_SECONDS, _PERIOD = 1.0, 0.05
@@ -94,13 +95,14 @@ def _stop_itself(client: CliClient, types: Types, why: str) -> int:
 
 
 def _status(client: CliClient, types: Types, args: argparse.Namespace) -> int:
-    status, gateway = published_status(client, types), gateway_status(client)
-    away = planner_away(client, gateway)
+    status, document = published_status(client, types), gateway_status(client)
+    away, gateway = planner_away(client, document), document.other(GatewayKeys)
     goal = status["goal"] if status["goal"]["header"]["frame_id"] else None
     if args.json:
         place = None if goal is None else dict(zip(("frame", "x", "y", "theta_deg"), place_of(goal), strict=True))
         shown = {
-            key: gateway.get(key) for key in ("planner", "pending", "goals", "client", "goals_of_others", "served_by")
+            key: getattr(gateway, key)
+            for key in ("planner", "pending", "goals", "client", "goals_of_others", "served_by")
         }
         waits = {"waits": "" if away is None else away.text, "cure": "" if away is None else away.cure}
         print_json(
@@ -115,22 +117,19 @@ def _status(client: CliClient, types: Types, args: argparse.Namespace) -> int:
         )
         return 0
     print(clean(state_text(status)))
-    if goal is not None and gateway.get("goals"):
-        client_name = gateway.get("client")
-        print(f"goal     {clean(place_text(goal))}" + (f", of {clean(client_name)}" if client_name else ""))
-        more = int(gateway["goals"]) - 1
-        if more > 0:
-            print(f"         and {plural(more, 'more place')} after it")
-    print(f"planner  {clean(gateway.get('planner', '?'))}")
+    if goal is not None and gateway.goals:
+        print(f"goal     {clean(place_text(goal))}" + (f", of {clean(gateway.client)}" if gateway.client else ""))
+        if gateway.goals > 1:
+            print(f"         and {plural(gateway.goals - 1, 'more place')} after it")
+    print(f"planner  {clean(gateway.planner or '?')}")
     if away is not None:
         print(f"         {clean(away.text)}" + (f"\n         cure: {clean(away.cure)}" if away.cure else ""))
-    if gateway.get("pending"):
-        print(f"         {clean(gateway['pending'])} once the robot stands")
-    others = gateway.get("goals_of_others")
-    if others:
-        print(f"         it has {plural(int(others), 'goal')} from clients that bypass the gateway")
-    if gateway.get("served_by"):
-        print(f"action   {ACTION} is served by {clean(gateway['served_by'])}, not by the gateway")
+    if gateway.pending:
+        print(f"         {clean(gateway.pending)} once the robot stands")
+    if gateway.goals_of_others:
+        print(f"         it has {plural(gateway.goals_of_others, 'goal')} from clients that bypass the gateway")
+    if gateway.served_by:
+        print(f"action   {ACTION} is served by {clean(gateway.served_by)}, not by the gateway")
     return 0
 
 
@@ -149,7 +148,7 @@ def _path(client: CliClient, types: Types, args: argparse.Namespace) -> int:
 
 def _waypoints(client: CliClient, types: Types) -> list[dict[str, Any]]:
     """Return the path of the planner in use as ``PoseStamped``; raises `CliError` without a gateway."""
-    return Navigation(client, types).path(str(gateway_status(client).get("planner", "")))
+    return Navigation(client, types).path(gateway_status(client).other(GatewayKeys).planner)
 
 
 def _draw(client: CliClient, told: dict[str, Any], way: list[dict[str, Any]], args: argparse.Namespace) -> int:

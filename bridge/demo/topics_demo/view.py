@@ -16,10 +16,11 @@ from rich.text import Text
 from bridge.client.errors import ClientError
 from bridge.client.graph import ask_decisions
 from bridge.client.session import Client, connect
-from bridge.client.status import Document, ask_status, route_list
+from bridge.client.status import ask_status
 from bridge.demo.sandbox import Sandbox
 from bridge.demo.topics_demo.checks import CrossingCheck
 from bridge.display.documents import routes_table
+from bridge.status import StatusDocument
 from bridge.text import clean, make_console
 
 _LIVE_EVERY, _PLAIN_EVERY = 0.5, 2.0
@@ -35,7 +36,7 @@ class TopicsView:
         self._live: Live | None = None
         self._stack = contextlib.ExitStack()
         self._client: Client | None = None
-        self._documents: Sequence[Document] = ()
+        self._documents: Sequence[StatusDocument] = ()
         self._refreshed = self._began = time.monotonic()
         self._doing = ""
         self._reasons: dict[str, list[str]] = {}
@@ -110,9 +111,7 @@ class TopicsView:
     def routes(self) -> list[dict[str, Any]]:
         """Return every route as its worker reported it last."""
         return [
-            {"worker": document.get("worker"), **route}
-            for document in self._documents
-            for route in route_list(document)
+            {"worker": document.worker, **route.document()} for document in self._documents for route in document.routes
         ]
 
     def _picture(self) -> RenderableType:
@@ -132,14 +131,13 @@ def _reasons(client: Client, topic: str) -> list[str]:
     return lines
 
 
-def _one_line(documents: Sequence[Document]) -> str:
+def _one_line(documents: Sequence[StatusDocument]) -> str:
     parts = []
     for document in documents:
-        routes = route_list(document)
-        if routes:
-            rate = sum(float(route.get("rate") or 0) for route in routes)
-            drops = sum(sum((route.get("drops") or {}).values()) for route in routes)
-            parts.append(f"{document.get('worker')}: {len(routes)} routes, {rate:.0f} msg/s, {drops} dropped")
+        if routes := document.routes:
+            rate = sum(route.rate or 0.0 for route in routes)
+            drops = sum(sum(route.drops.values()) for route in routes)
+            parts.append(f"{document.worker}: {len(routes)} routes, {rate:.0f} msg/s, {drops} dropped")
         else:
-            parts.append(f"{document.get('worker')}: {document.get('state')}")
+            parts.append(f"{document.worker}: {document.state}")
     return " | ".join(parts)

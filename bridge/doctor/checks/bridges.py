@@ -20,6 +20,7 @@ from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
 from bridge.doctor.checks.ros1 import why_not
 from bridge.doctor.context import CheckContext
 from bridge.state_file import state_folder
+from bridge.status import WorkerStatus
 
 FOREIGN = re.compile(r"(ros1?|ros_1|dynamic|static|parameter|simple)_bridge(_.*)?|ros1_to_ros2.*|.*zenoh_bridge.*")
 """Last parts of other bridges' node names: ros1_bridge names its nodes ``ros_bridge`` on both sides."""
@@ -38,8 +39,8 @@ def check(context: CheckContext) -> Findings:
 def _on_hub(context: CheckContext) -> list[Finding]:
     daemons: dict[tuple[str, str], set[str]] = defaultdict(set)
     for document in context.hub.documents:
-        if document.get("network") and document.get("state") != "standby":
-            daemons[str(document.get("side")), str(document["network"])].add(str(document.get("daemon")))
+        if isinstance(document, WorkerStatus) and document.network and document.state != "standby":
+            daemons[str(document.side), document.network].add(document.daemon)
     return [
         fail(
             f"the daemons {' and '.join(sorted(names))} are both active on the {side} network {network}",
@@ -72,7 +73,7 @@ def _on_ros1(context: CheckContext) -> list[Finding]:
 
 
 def _is_ours(context: CheckContext, entry: NodeEntry) -> bool:
-    running = {(d.get("daemon"), d.get("pid")) for d in context.hub.of_side("ros1")}
+    running = {(worker.daemon, worker.pid) for worker in context.hub.of_side("ros1")}
     if entry.daemon == context.config.name and (entry.daemon, entry.pid) in running:
         return True
     return entry.owner == Ledger(state_folder(context.config, context.environ)).owner
@@ -90,7 +91,7 @@ def _on_ros2(context: CheckContext) -> list[Finding]:
 def of_dds(context: CheckContext, view: DdsView) -> list[Finding]:
     """Return the findings on a ROS 2 network."""
     findings = _foreign("ROS 2", view.nodes)
-    ours = {str(d.get("network")) for d in context.hub.of_side("ros2", context.config.name)}
+    ours = {str(worker.network) for worker in context.hub.of_side("ros2", context.config.name)}
     others = view.midspans - ours
     if others:
         mine = "besides this daemon's " if view.midspans & ours else ""

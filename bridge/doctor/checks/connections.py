@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 from bridge.concurrency import WorkerPool
 from bridge.doctor.check import Finding, Findings, Result, fail, ok, warn
@@ -16,6 +14,7 @@ from bridge.hub.security.door import door_tree, has_tls
 from bridge.hub.security.handshake import HostPort, Identity, attempt
 from bridge.hub.security.reasons import EndpointState, Reason
 from bridge.hub.zenoh_config import connect_endpoint, make_config
+from bridge.status import EndpointStatus, RouterStatus
 
 _AT_ONCE = 8
 """Endpoints that are tested at the same time."""
@@ -49,7 +48,7 @@ def look_at_connections(context: CheckContext) -> Findings:
     return [*findings, *(test.result() for test in tests)]
 
 
-def _tested(way: str, endpoint: str, identity: Identity | None, reported: Mapping[str, Any] | None) -> Finding:
+def _tested(way: str, endpoint: str, identity: Identity | None, reported: EndpointStatus | None) -> Finding:
     """Test one endpoint; the router's report covers the rest, such as refused machines."""
     name = f"hub.open.{way} {endpoint}"
     place = HostPort.of(connect_endpoint(endpoint))
@@ -65,7 +64,7 @@ def _tested(way: str, endpoint: str, identity: Identity | None, reported: Mappin
     if reported is not None and not _good(reported):
         return _of_router(reported)
     tls = f"TLS with {result.machine or 'the other machine'} succeeds" if place.protocol == "tls" else "it answers"
-    state = "" if reported is None else f", and the router reports {reported.get('state')}"
+    state = "" if reported is None else f", and the router reports {reported.state}"
     return ok(f"{name}: {tls}{state}")
 
 
@@ -74,23 +73,19 @@ def _finding(seen: str, reason: Reason) -> Finding:
     return fail(seen, reason.cure) if reason.state is EndpointState.REFUSED else warn(seen, reason.cure)
 
 
-def _reported(context: CheckContext) -> dict[tuple[str, str], Mapping[str, Any]]:
+def _reported(context: CheckContext) -> dict[tuple[str, str], EndpointStatus]:
     """Return the endpoints in the status document of this daemon's router."""
     documents = context.hub.of_side("router", context.config.name)
-    endpoints = [endpoint for document in documents for endpoint in _dicts(document.get("endpoints"))]
-    return {(str(endpoint.get("way")), str(endpoint.get("endpoint"))): endpoint for endpoint in endpoints}
+    routers = [document for document in documents if isinstance(document, RouterStatus)]
+    return {(endpoint.way, endpoint.endpoint): endpoint for router in routers for endpoint in router.endpoints}
 
 
-def _dicts(value: object) -> Sequence[Mapping[str, Any]]:
-    return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []
+def _good(endpoint: EndpointStatus) -> bool:
+    return endpoint.state in [state for state in EndpointState if state.good]
 
 
-def _good(one: Mapping[str, Any]) -> bool:
-    return one.get("state") in [state for state in EndpointState if state.good]
-
-
-def _of_router(one: Mapping[str, Any]) -> Finding:
-    seen = f"hub.open.{one.get('way')} {one.get('endpoint')}: {one.get('state')}"
-    if _good(one):
+def _of_router(endpoint: EndpointStatus) -> Finding:
+    seen = f"hub.open.{endpoint.way} {endpoint.endpoint}: {endpoint.state}"
+    if _good(endpoint):
         return ok(f"{seen}, by the router's report")
-    return warn(f"{seen}: {one.get('reason')}", str(one.get("cure", "")))
+    return warn(f"{seen}: {endpoint.reason}", endpoint.cure)

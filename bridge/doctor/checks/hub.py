@@ -17,7 +17,7 @@ from bridge.daemon.query import Phase
 from bridge.daemon.units import STATE, start_hint, units_in_use
 from bridge.doctor.causes import cause, grouped, shared
 from bridge.doctor.check import Finding, Findings, early_cure, fail, ok, skip, warn
-from bridge.doctor.context import CheckContext, Document
+from bridge.doctor.context import CheckContext
 from bridge.doctor.daemon_state import unresponsive_router
 from bridge.doctor.hub_problems import absence
 from bridge.hub.errors import HubConfigError, HubError
@@ -26,6 +26,7 @@ from bridge.hub.security.certificates import Certificate, CertificateError, read
 from bridge.hub.security.door import has_tls, key_files
 from bridge.hub.security.key_files import KeyFiles
 from bridge.state_file import named
+from bridge.status import GatewayKeys, ModuleStatus, RouterStatus, StatusDocument
 
 _HUB = "hub.listen"
 _COMES = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED)}
@@ -102,9 +103,9 @@ def look_at_workers(context: CheckContext) -> Findings:
         seen = f"a router answers at {listen}, but no worker does in domain {domain}"
         return [*missing, warn(seen, "start the daemon: midspan run; if it runs, compare hub.domain")]
     findings = list(missing)
-    for daemon in dict.fromkeys(str(document.get("daemon")) for document in hub.documents):
-        workers = [document for document in hub.documents if str(document.get("daemon")) == daemon]
-        common = shared({str(document.get("worker")): warnings_of(document) for document in workers})
+    for daemon in dict.fromkeys(document.daemon for document in hub.documents):
+        workers = [document for document in hub.documents if document.daemon == daemon]
+        common = shared({document.worker: document.warnings for document in workers})
         findings += _alone(context, daemon, workers)
         findings += [_worker(context, document, common) for document in workers]
         for text, names in common.values():
@@ -112,29 +113,23 @@ def look_at_workers(context: CheckContext) -> Findings:
     return findings
 
 
-def _alone(context: CheckContext, daemon: str, workers: Sequence[Document]) -> list[Finding]:
+def _alone(context: CheckContext, daemon: str, workers: Sequence[StatusDocument]) -> list[Finding]:
     """A warning if only the router of another machine's daemon answers; a router outlives its daemon."""
-    if daemon == context.config.name or [document.get("worker") for document in workers] != ["router"]:
+    if daemon == context.config.name or [document.worker for document in workers] != ["router"]:
         return []
     seen = f"only the router of {daemon} answers: the daemon is down, or runs nothing else"
     return [warn(seen, f"on its machine: 'midspan status'; {start_hint('midspan')}")]
 
 
-def warnings_of(document: Document) -> list[str]:
-    """Return the warnings of a worker's status document."""
-    warnings = document.get("warnings")
-    return [str(text) for text in warnings] if isinstance(warnings, list) else []
-
-
-def _worker(context: CheckContext, document: Document, elsewhere: Container[str] = ()) -> Finding:
+def _worker(context: CheckContext, document: StatusDocument, elsewhere: Container[str] = ()) -> Finding:
     """The state of a worker, without the warnings whose causes are in ``elsewhere``."""
-    name = f"{document.get('daemon')}/{document.get('worker')}"
-    state, log = document.get("state"), f"see its log: journalctl -u {context.daemon.unit}"
-    if document.get("error"):
-        return fail(f"{name} does not answer: {document['error']}", log)
-    if document.get("loops"):
-        return fail(f"{name} crashes again and again, now it is {state}: {document.get('text')}", log)
-    warnings = [text for text in warnings_of(document) if cause(text) not in elsewhere]
+    name = f"{document.daemon}/{document.worker}"
+    state, log = document.state, f"see its log: journalctl -u {context.daemon.unit}"
+    if document.error:
+        return fail(f"{name} {'does not answer' if state == 'failed' else f'is {state}'}: {document.error}", log)
+    if document.loops:
+        return fail(f"{name} crashes again and again, now it is {state}: {document.text}", log)
+    warnings = [text for text in document.warnings if cause(text) not in elsewhere]
     if warnings:
         return warn(f"{name} is {state}, and warns: {'; '.join(grouped(warnings))}")
     if state == "waiting":
@@ -142,23 +137,24 @@ def _worker(context: CheckContext, document: Document, elsewhere: Container[str]
     if state in ("running", "standby"):
         return ok(f"{name} is {state}")
     if state == Phase.FAILED.value:
-        return fail(f"{name} {state}: {document.get('text')}", log)
+        return fail(f"{name} {state}: {document.text}", log)
     if state in _COMES:
-        crashed = state == Phase.PAUSED.value or document.get("restarts")
-        return warn(f"{name} is {state}: {document.get('text')}", log if crashed else "wait")
+        crashed = state == Phase.PAUSED.value or document.restarts
+        return warn(f"{name} is {state}: {document.text}", log if crashed else "wait")
     return skip(f"{name} reports {state}")
 
 
-def _waiting(context: CheckContext, document: Document, name: str) -> Finding:
+def _waiting(context: CheckContext, document: StatusDocument, name: str) -> Finding:
     """A side waits for its network; a module reports what it waits for."""
-    if not document.get("module"):
+    if not isinstance(document, ModuleStatus):
         return warn(f"{name} waits: its network is unavailable", "see the checks of that side")
     hub = context.hub
-    if document.get("worker") == "gateway" and document.get("daemon") == context.config.name:
-        away = absence(context.config.navigation, str(document.get("planner")), hub.endpoints, hub.documents)
+    if document.worker == "gateway" and document.daemon == context.config.name:
+        planner = document.other(GatewayKeys).planner
+        away = absence(context.config.navigation, planner, hub.endpoints, hub.documents)
         if away is not None:
             return warn(f"{name} waits: {away.text}", away.cure)
-    return warn(f"{name} waits: {document.get('text')}")
+    return warn(f"{name} waits: {document.text}")
 
 
 def look_at_port(context: CheckContext) -> Findings:
@@ -231,12 +227,13 @@ def _distrust(name: str, context: CheckContext) -> list[Finding]:
     """The daemons that take no commands from this machine."""
     return [
         warn(
-            f"{document.get('daemon')} takes no commands, goals and service calls from this machine",
+            f"{document.daemon} takes no commands, goals and service calls from this machine",
             f"if that is not intended, name {name!r} in hub.open.trusted there",
         )
         for document in context.hub.documents
-        for machine in document.get("machines") or ()
-        if machine.get("name") == name and not machine.get("trusted")
+        if isinstance(document, RouterStatus)
+        for machine in document.machines
+        if machine.name == name and not machine.trusted
     ]
 
 

@@ -17,6 +17,7 @@ from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext
 from bridge.hub.graph.tokens import EndpointKind
 from bridge.resources import FULL, RAISE, folder_trouble
+from bridge.status import StatusDocument
 
 WANTED = 4096
 """A descriptor for each connection; a thousand topics with several each, and room for the rest."""
@@ -32,11 +33,14 @@ def look_at_descriptors(context: CheckContext) -> Findings:
     findings: list[Finding] = []
     if hard != resource.RLIM_INFINITY and hard < WANTED:
         findings.append(warn(f"at most {hard} files may be open at once; 1,000 topics want {WANTED}", RAISE))
-    workers = [{"daemon": context.daemon.name, **worker} for worker in context.daemon.workers]
+    workers = [
+        StatusDocument(daemon=context.daemon.name, worker=worker.worker, pid=worker.pid)
+        for worker in context.daemon.document.workers
+    ]
     for document in context.hub.documents or workers:  # without descriptors the router lets no program join
         process = context.process(document)
         if process is not None:
-            findings += _worker(f"{document.get('daemon')}/{document.get('worker')}", process)
+            findings += _worker(f"{document.daemon}/{document.worker}", process)
     return findings or ok(f"{'no limit' if hard == resource.RLIM_INFINITY else hard}")
 
 

@@ -76,11 +76,11 @@ def look_at_environment(context: CheckContext) -> Findings:
 
 def _against_worker(context: CheckContext, shell: str) -> list[Finding]:
     """Check that this shell's programs would join the running daemon's network."""
-    mine = next((d for d in context.hub.of_side("ros1", context.config.name) if d.get("network")), None)
+    mine = next((worker for worker in context.hub.of_side("ros1", context.config.name) if worker.network), None)
     if mine is None:
         return []
     network = _network(shell)
-    if network is None or network == mine["network"]:
+    if network is None or network == mine.network:
         return []
     theirs = environment_of(context.process(mine)).get("ROS_MASTER_URI", "another master")
     cure = f"export ROS_MASTER_URI={theirs}" if "://" in theirs else "start the daemon with this shell's ROS_MASTER_URI"

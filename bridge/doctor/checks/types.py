@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from bridge.adapters.ros2.environment import available
 from bridge.doctor.check import Finding, Findings, fail, merged, ok, skip, warn
-from bridge.doctor.context import CheckContext, Document
+from bridge.doctor.context import CheckContext
 from bridge.doctor.hub_problems import CURE, conflicts
 from bridge.hub.graph.tokens import EndpointKind
 from bridge.interfaces.compiler import Compiler
 from bridge.interfaces.definition import BuildError
+from bridge.status import RefusedRoute, StatusDocument, refused_routes
 
 _SHOWN = 20
 _TWICE = "already"
@@ -47,11 +48,10 @@ def look_at_compiler(context: CheckContext) -> Findings:
 def _refusals(context: CheckContext, *, differing: bool) -> list[Finding]:
     findings: list[Finding] = []
     for document in context.hub.documents:
-        refused = document.get("refused")
-        for entry in refused if isinstance(refused, list) else ():
-            reason = str(entry.get("reason", ""))
-            if any(phrase in reason for phrase in _DIFFERS) is differing and not _of_map_server(context, entry):
-                findings.append(_refusal(document, entry, reason))
+        for route in refused_routes(document):
+            differs = any(phrase in route.reason for phrase in _DIFFERS)
+            if differs is differing and not _of_map_server(context, route):
+                findings.append(_refusal(document, route))
     findings = merged(findings)
     more = len(findings) - _SHOWN
     return findings[:_SHOWN] + ([fail(f"and {more} more", "'midspan status' shows all")] if more > 0 else [])
@@ -60,10 +60,10 @@ def _refusals(context: CheckContext, *, differing: bool) -> list[Finding]:
 def _map_services(context: CheckContext) -> list[Finding]:
     """What a real map server and Map2DServer both serve."""
     services = {
-        (str(document.get("side")), str(entry.get("topic")))
+        (str(document.side), route.topic)
         for document in context.hub.documents
-        for entry in document.get("refused") or ()
-        if _of_map_server(context, entry)
+        for route in refused_routes(document)
+        if _of_map_server(context, route)
     }
     return [
         ok(f"{', '.join(name for at, name in sorted(services) if at == side)}: the map server there answers on {side},"
@@ -72,24 +72,23 @@ def _map_services(context: CheckContext) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _of_map_server(context: CheckContext, entry: Document) -> bool:
+def _of_map_server(context: CheckContext, route: RefusedRoute) -> bool:
     """Whether a service is refused since a side's own map server has it, and a Map2DServer that takes maps from sides.
 
     Then each answers on its own side, with the same map, and neither is to be renamed.
     """
-    takers = {str(d.get("zid")) for d in context.hub.documents if d.get("worker") == "map2d_server" and d.get("taken")}
-    twice = entry.get("kind") == "service" and str(entry.get("reason")).endswith(_TWICE)
+    servers = [document for document in context.hub.documents if document.worker == "map2d_server"]
+    takers = {server.zid for server in servers if (server.model_extra or {}).get("taken")}
+    twice = route.kind == "service" and route.reason.endswith(_TWICE)
     return twice and any(
-        e.kind is EndpointKind.SERVER and e.topic == entry.get("hub_topic") and e.zid in takers
-        for e in context.hub.endpoints
+        e.kind is EndpointKind.SERVER and e.topic == route.hub_topic and e.zid in takers for e in context.hub.endpoints
     )
 
 
 def _warnings(context: CheckContext) -> list[str]:
-    warnings = (document.get("warnings") for document in context.hub.documents)
-    return [str(text) for texts in warnings if isinstance(texts, list) for text in texts]
+    return [text for document in context.hub.documents for text in document.warnings]
 
 
-def _refusal(document: Document, entry: Document, reason: str) -> Finding:
-    direction = f"{document.get('side')} -> hub" if entry.get("direction") == "in" else f"hub -> {document.get('side')}"
-    return fail(f"{entry.get('topic')} ({entry.get('type')}, {direction}): {reason}", str(entry.get("cure", "")))
+def _refusal(document: StatusDocument, route: RefusedRoute) -> Finding:
+    direction = f"{document.side} -> hub" if route.direction == "in" else f"hub -> {document.side}"
+    return fail(f"{route.topic} ({route.type}, {direction}): {route.reason}", route.cure)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from bridge.adapters.yarp.environment import available
 from bridge.adapters.yarp.network import ASK_SECONDS, address_of
 from bridge.doctor.check import Check, Findings, fail, ok, skip, warn
-from bridge.doctor.context import CheckContext, Document
+from bridge.doctor.context import CheckContext
+from bridge.status import ModuleStatus, PortStatus
 from yarp_compat.naming import config as conf
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
@@ -52,35 +53,30 @@ def look_at_environment(context: CheckContext) -> Findings:
 
 def look_at_releases(context: CheckContext) -> Findings:
     """Name the release of each YARP client of our ports, and the setting for those whose release is unknown."""
-    clients = {
-        peer["port"]: (port, peer)
-        for port in _module_ports(context)
-        for peer in port.get("peers") or ()
-        if peer.get("generation")
-    }
+    clients = {peer.port: (port, peer) for port in _module_ports(context) for peer in port.peers if peer.generation}
     if not clients:
         return skip("no YARP program is connected to a module's port")
     guessed = [
         warn(
-            f"the YARP release of {name} at {port['port']} is unknown ({peer.get('generation_why')}): it gets the"
-            f" replies of {peer['generation']}, some of which clients of other releases read as failures",
-            str(peer["generation_cure"]),
+            f"the YARP release of {name} at {port.port} is unknown ({peer.generation_why}): it gets the replies of"
+            f" {peer.generation}, some of which clients of other releases read as failures",
+            peer.generation_cure,
         )
         for name, (port, peer) in clients.items()
-        if peer.get("generation_cure")
+        if peer.generation_cure
     ]
     known = [
-        f"{name}: {peer['generation']} ({peer.get('generation_why')})"
+        f"{name}: {peer.generation} ({peer.generation_why})"
         for name, (_, peer) in clients.items()
-        if not peer.get("generation_cure")
+        if not peer.generation_cure
     ]
     more = f", and {len(known) - MOST_NAMED} more" if len(known) > MOST_NAMED else ""
     return [*guessed, *([ok("; ".join(known[:MOST_NAMED]) + more)] if known else [])]
 
 
-def _module_ports(context: CheckContext) -> list[Document]:
-    modules = (document for document in context.hub.documents if document.get("module"))
-    return [port for document in modules for port in document.get("ports") or ()]
+def _module_ports(context: CheckContext) -> list[PortStatus]:
+    modules = (document for document in context.hub.documents if isinstance(document, ModuleStatus))
+    return [port for module in modules for port in module.ports]
 
 
 def _why_not(context: CheckContext) -> str:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 from bridge.client.errors import ClientError
 from bridge.client.session import Client
-from bridge.client.status import Document, answered, dicts, route_list
+from bridge.client.status import answered
 from bridge.concurrency import SerialExecutor
 from bridge.daemon.query import Phase, ask_daemon
 from bridge.doctor.daemon_state import absent
@@ -18,6 +18,16 @@ from bridge.hub.errors import HubError
 from bridge.hub.graph.tokens import TAPS
 from bridge.modules.host import Host
 from bridge.sides import all_sides, label
+from bridge.status import (
+    DaemonStatus,
+    EndpointStatus,
+    MachineStatus,
+    RefusedRoute,
+    RouteStatus,
+    StatusDocument,
+    refused_routes,
+    routers_of,
+)
 from bridge.web.feeds.feed import Feed
 
 _log = logging.getLogger("midspan.web")
@@ -94,56 +104,53 @@ class StatusPoller:
 def ask_status(client: Client) -> dict[str, Any]:
     """Return the workers on the hub with their routes, and those that this daemon reports as not answering yet."""
     documents = answered(client, _ASK_SECONDS)
-    answering = {(str(document["daemon"]), str(document["worker"])) for document in documents}
-    daemon = ask_daemon(client.config) or {}
-    silent = [worker for worker in absent(daemon, _NOT_HERE) if (daemon["daemon"], worker["worker"]) not in answering]
-    restarts = {worker["pid"]: worker["restarts"] for worker in daemon.get("workers", ()) if worker["pid"]}
+    answering = {(document.daemon, document.worker) for document in documents}
+    daemon = ask_daemon(client.config) or DaemonStatus()
+    silent = [worker for worker in absent(daemon, _NOT_HERE) if (worker.daemon, worker.worker) not in answering]
+    routers = routers_of(documents)
     return {
-        "workers": [_worker(document, daemon, restarts) for document in (*documents, *silent)],
-        "machines": [_machine(document, entry) for document in documents for entry in dicts(document.get("machines"))],
-        "endpoints": [
-            _endpoint(document, entry) for document in documents for entry in dicts(document.get("endpoints"))
-        ],
-        "routes": [_route(document, route) for document in documents for route in route_list(document)],
-        "refused": [_refused(document, entry) for document in documents for entry in dicts(document.get("refused"))],
+        "workers": [_worker(document, daemon) for document in (*documents, *silent)],
+        "machines": [_machine(router.daemon, machine) for router in routers for machine in router.machines],
+        "endpoints": [_endpoint(router.daemon, endpoint) for router in routers for endpoint in router.endpoints],
+        "routes": [_route(document, route) for document in documents for route in document.routes],
+        "refused": [_refused(document, route) for document in documents for route in refused_routes(document)],
     }
 
 
-def _worker(document: Document, daemon: Document, restarts: Mapping[int, int]) -> dict[str, Any]:
-    shown = {key: document.get(key) for key in ("daemon", "worker", "state", "cpu", "rss", "restarts")}
-    if shown["restarts"] is None and document.get("daemon") == daemon.get("daemon"):
-        shown["restarts"] = restarts.get(document.get("pid", 0))  # only the daemon has this count
-    side = document.get("side")
+def _worker(document: StatusDocument, daemon: DaemonStatus) -> dict[str, Any]:
+    shown = {key: getattr(document, key) for key in ("daemon", "worker", "state", "cpu", "rss", "restarts")}
+    if document.restarts is None and document.daemon == daemon.daemon and document.pid:
+        reports = (report.restarts for report in daemon.workers if report.pid == document.pid)
+        shown["restarts"] = next(reports, None)  # only the daemon has this count
     return {
         **shown,
-        "side": label(side) if isinstance(side, str) and side in {side_.name for side_ in all_sides()} else None,
-        "text": document.get("error") or document.get("text") or "",
+        "side": label(document.side) if document.side in {side.name for side in all_sides()} else None,
+        "text": document.error or document.text,
     }
 
 
-def _machine(document: Document, machine: Document) -> dict[str, Any]:
-    return {"daemon": document.get("daemon"), **{key: machine.get(key) for key in ("name", "address", "trusted")}}
+def _machine(daemon: str, machine: MachineStatus) -> dict[str, Any]:
+    return {"daemon": daemon, "name": machine.name, "address": machine.address, "trusted": machine.trusted}
 
 
-def _endpoint(document: Document, endpoint: Document) -> dict[str, Any]:
-    return {"daemon": document.get("daemon"), **{key: endpoint.get(key) for key in _ENDPOINT}}
+def _endpoint(daemon: str, endpoint: EndpointStatus) -> dict[str, Any]:
+    return {"daemon": daemon, **{key: getattr(endpoint, key) for key in _ENDPOINT}}
 
 
-def _route(document: Document, route: Document) -> dict[str, Any]:
-    late, drops = route.get("latency_ms"), route.get("drops")
-    half = late.get("p50") if isinstance(late, dict) else None
+def _route(document: StatusDocument, route: RouteStatus) -> dict[str, Any]:
+    half = route.latency_ms.get("p50")
     return {
-        "daemon": document.get("daemon"),
-        "side": document.get("side"),
-        **{key: route.get(key) for key in _ROUTE},
-        "dropped": sum(drops.values()) if isinstance(drops, dict) else 0,
-        "drops": drops,
-        "latency": half / 1000.0 if isinstance(half, int | float) else None,
+        "daemon": document.daemon,
+        "side": document.side,
+        **{key: getattr(route, key) for key in _ROUTE},
+        "dropped": sum(route.drops.values()),
+        "drops": route.drops,
+        "latency": None if half is None else half / 1000.0,
     }
 
 
-def _refused(document: Document, refusal: Document) -> dict[str, Any]:
-    return {"side": document.get("side"), **{key: refusal.get(key) for key in ("topic", "type", "reason", "cure")}}
+def _refused(document: StatusDocument, route: RefusedRoute) -> dict[str, Any]:
+    return {"side": document.side, **{key: getattr(route, key) for key in ("topic", "type", "reason", "cure")}}
 
 
 def list_topics(client: Client) -> list[dict[str, Any]]:

@@ -85,8 +85,8 @@ def without_secrets(text: str, secrets: Secrets) -> str:
 
 def config_file(config: Config) -> Path | None:
     """Return the file of the daemon's configuration, None if there is none."""
-    daemon = ask_daemon(config, _DAEMON_SECONDS) or {}
-    return Path(daemon["config"]) if daemon.get("config") else find()
+    daemon = ask_daemon(config, _DAEMON_SECONDS)
+    return Path(daemon.config) if daemon is not None and daemon.config else find()
 
 
 def show_config(config: Config) -> dict[str, Any]:

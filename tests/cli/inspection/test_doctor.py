@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from bridge.doctor.checks import CHECKS
+from bridge.status import read_daemon_status
 from tests.cli.conftest import Midspan
 from tests.peers.daemon.workers import FakeWorker, config_file, status
 from tests.peers.hub.network import HubNetwork
@@ -75,7 +76,7 @@ def test_daemon_reports_a_worker_that_does_not_respond(
         {"worker": "ros1", "phase": "running", "text": "", "pid": 1, "restarts": 0, "since": 3.0},
         {"worker": "modules", "phase": "starting", "text": "importing numpy", "pid": 2, "restarts": 0, "since": 4.0},
     ]
-    daemon_status = {"daemon": "robot1", "workers": workers}
+    daemon_status = read_daemon_status({"daemon": "robot1", "workers": workers})
     monkeypatch.setattr("bridge.doctor.daemon_state.ask_daemon", lambda _config: daemon_status)
     closing.append(FakeWorker(network, "ros1", status=status("ros1", pid=0)))
     midspan = Midspan(config_file(tmp_path, network, **NO_ROS), capsys)

@@ -25,6 +25,7 @@ from bridge.client.navigation import STATUS, STATUS_TOPIC, state_text
 from bridge.client.session import connect
 from bridge.config.model import Config
 from bridge.hub.wire.qos import Durability, Qos
+from bridge.status import read_daemon_status
 from bridge.stores.kinds import AREA, LOCATION, MAP
 from navigation.nav2_errors import reason_text
 from navigation.status import State
@@ -383,7 +384,8 @@ def test_daemon_status_separates_a_late_gateway_from_a_missing_one(
         worker |= {"restarts": 4, "ended": "killed by SIGSEGV"}
     if phase == "hangs":
         worker |= {"phase": "running", "beat": 4.2}
-    report = {"daemon": "robot1", "config": "a.yaml", "workers": [worker]} if phase else None
+    document = {"daemon": "robot1", "config": "a.yaml", "workers": [worker]}
+    report = read_daemon_status(document) if phase else None
     monkeypatch.setattr("bridge.doctor.daemon_state.ask_daemon", lambda _config: report)
     monkeypatch.setattr("bridge.client.navigation.PATIENCE", 0.1)
     file = config_file(tmp_path, network, navigation={"planner": "robot_goto"}, state=str(tmp_path))
@@ -400,7 +402,7 @@ def test_slow_gateway(network: HubNetwork, closing: list[Any]) -> None:
         assert no_answer(client).startswith("no gateway is configured")
         worker = FakeWorker(network, "gateway", status=lambda _params: {"late": not late.wait(2.5)})
         closing.append(worker)
-        assert gateway_status(client)["late"]  # 2 s are too short on a busy machine
+        assert gateway_status(client).document()["late"]  # 2 s are too short on a busy machine
         worker.publish(STATUS_TOPIC, STATUS, f"RIHS01_{'1' * 64}", b"")
         until(lambda: no_answer(client).startswith("the gateway's worker runs"), "it is seen on the hub")
 

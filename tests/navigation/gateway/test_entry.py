@@ -17,6 +17,7 @@ from bridge.doctor.check import Result
 from bridge.doctor.checks.hub import look_at_workers
 from bridge.messages.actions import GoalState, names
 from bridge.modules.worker import ModulesWorker
+from bridge.status import read_status
 from navigation.status import State
 from tests.doctor.parts import around, every, hub
 from tests.peers.navigation.gateway import ClientGoal, Rig, pose
@@ -196,7 +197,7 @@ def test_status_and_doctor_name_the_node_that_serves_the_action(rig: Rig) -> Non
     assert document["served_by"] == NODE
     assert any(text.startswith(warning) for text in document["warnings"])
     printed = io.StringIO()
-    show(Console(file=printed, width=1000), [document])
+    show(Console(file=printed, width=1000), [read_status(document, "here", "gateway")])
     assert f"warning: {warning}" in printed.getvalue()
     findings = every(look_at_workers(around({"name": "here"}, hub=hub(document))))
     (matching,) = [finding for finding in findings if warning in finding.seen]
