@@ -10,8 +10,9 @@ from typing import Any, cast
 
 import pytest
 
+from bridge import state_machine
 from navigation.frames import FramesError
-from navigation.gateway import machine, motion, stop
+from navigation.gateway import motion, stop
 from navigation.gateway.machine import StopState
 from navigation.gateway.motion import SILENCE_SECONDS, STANDING_SECONDS, ZERO_SECONDS, Motion, VelocityWatch
 from navigation.gateway.stop import (
@@ -41,7 +42,7 @@ class Base:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.clock = Clock()
-        for module in (machine, motion, stop):
+        for module in (state_machine, motion, stop):
             monkeypatch.setattr(module, "time", self.clock)
         self.speed, self._x = 0.5, 0.0
         self.odometry = True
