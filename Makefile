@@ -29,13 +29,13 @@ mix: setup ## clients of all four sides over three kinds of planners (JSON=FILE 
 	@$(BIN)/python -m tests.peers.navigation.mix_table $(if $(JSON),--json '$(JSON)')
 
 test: setup ## test Midspan on this machine with the real middlewares (ARGS='tests/hub -k latched' for some tests)
-	@$(forget); $(pytest) -n 6 -m 'not thorough and not long' $(ARGS) || $(go_on); $(again)
+	@$(forget); $(pytest) -n 5 -m 'not thorough and not long' $(ARGS) || $(go_on); $(again)
 
 test-fast: setup ## tests without middlewares, for the edit loop
 	@$(pytest) -n 4 --fast -m 'not thorough and not long and not alone' $(ARGS)
 
 test-all: setup ## all tests, including fuzzing, packages and a first run in a bare clone
-	@$(forget); $(pytest) -n 6 $(ARGS) || $(go_on); $(again)
+	@$(forget); $(pytest) -n 5 $(ARGS) || $(go_on); $(again)
 
 lint: setup ## ruff (rules and format), import cycles and sizes
 	@$(BIN)/ruff check .
