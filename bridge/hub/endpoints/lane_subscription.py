@@ -7,6 +7,7 @@ it drops duplicates, and briefly holds messages that arrive too early.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,6 +27,9 @@ from bridge.hub.zenoh_compat import subscribe, undeclare
 
 _EARLY_SECONDS = 0.1
 """Seconds for which a message is held for earlier ones on the other transport."""
+
+_LEAVING_SECONDS = 5.0
+"""The same while a lane is being closed: it still delivers all earlier messages, and ends with its fence."""
 
 _CAUGHT_SECONDS = 1.0
 """Seconds after a mark, after which all earlier messages have arrived."""
@@ -200,20 +204,26 @@ class LaneSubscription(HubSubscription):
 
     def _release_due(self) -> None:
         """Deliver the messages that were held for the maximum time."""
-        self._release_since(time.monotonic() - _EARLY_SECONDS)
+        self._release_due_at(time.monotonic())
         with self._lock:
-            first = min(self._early.values(), default=None)
-        if first is not None:
-            self._lane.calls.after(first + _EARLY_SECONDS - time.monotonic(), self._release_due, once=True)
+            due = min(map(self._due, self._early), default=None)
+        if due is not None:
+            self._lane.calls.after(due - time.monotonic(), self._release_due, once=True)
 
-    def _release_since(self, before: float) -> None:
-        """Deliver the messages that have been held since a time, or longer."""
+    def _due(self, gid: bytes) -> float:
+        """Return when the messages of a publisher are held no longer."""
+        joined = self._joined.get(gid)
+        leaves = joined is not None and joined.inlet in self._leaving
+        return self._early[gid] + (_LEAVING_SECONDS if leaves else _EARLY_SECONDS)
+
+    def _release_due_at(self, now: float) -> None:
+        """Deliver the messages whose time is over."""
         with self._delivery:
             ready: list[HubSample] = []
             if self._closed:
                 return
             with self._lock:
-                for gid in [gid for gid, since in self._early.items() if since <= before]:
+                for gid in [gid for gid in self._early if self._due(gid) <= now]:
                     source = self.sources[gid]
                     ready += self._up_to(source, gid, max(source.held))
             for message in ready:
@@ -260,7 +270,7 @@ class LaneSubscription(HubSubscription):
             self._leaving.pop(inlet, None)
             for gid in [gid for gid, joined in self._joined.items() if joined.inlet is inlet]:
                 del self._joined[gid]
-        self._release_since(time.monotonic())
+        self._release_due_at(math.inf)
 
     # -- the choice ----------------------------------------------------------------------------------------------------
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from bridge.hub.lane.inlet import Inlet
 from bridge.hub.lane.wire import BOUND
 from bridge.hub.session import Hub, HubSession
 from bridge.hub.wire.keys import topic_key
@@ -103,6 +106,35 @@ def test_topic_with_growing_messages_returns_to_zenoh(reader: Hub, writer: Hub) 
         ours.put(text.encode())
     until(lambda: len(subscriber.samples) == len(texts), "all come")
     assert subscriber.texts() == texts
+    goes_by(subscriber, "zenoh", "a message was larger than 65536 bytes")
+
+
+def test_message_that_is_still_on_a_closing_lane_is_received_before_later_ones(
+    reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    subscriber, ours, gate = Subscriber(reader, "/t"), advertise(writer, "/t"), threading.Event()
+    chosen = subscription(subscriber)
+    goes_by(subscriber, "lane")
+    receive = chosen.heard
+
+    def slow(inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
+        assert payload != b"late" or gate.wait(60)
+        receive(inlet, attached, payload)
+
+    monkeypatch.setattr(chosen, "heard", slow)
+    large = "x" * (3 * BOUND)
+    for text in (large, "late"):
+        ours.put(text.encode())
+    until(lambda: ours.way()[0] == "both", "the subscription on zenoh is known")
+    ours.put(b"last")
+    try:
+        until(lambda: chosen._early or len(subscriber.samples) > 1, "the last message arrives over zenoh")
+        held = time.monotonic()
+        until(lambda: time.monotonic() > held + 0.5, "it is held for longer than other early messages")
+    finally:
+        gate.set()
+    subscriber.expect(large, "late", "last")
+    assert subscriber.texts() == [large, "late", "last"]
     goes_by(subscriber, "zenoh", "a message was larger than 65536 bytes")
 
 
