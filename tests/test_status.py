@@ -35,6 +35,7 @@ from bridge.status import (
 from bridge.web.feeds import hub as web_feed
 from tests.doctor.parts import every
 from tests.support.status_documents import DAEMON, DOCUMENTS, check_document
+from tests.support.wait import until
 from tests.web.conftest import Desk
 
 DOCUMENT_CHECKS = ("daemon", "types", "type-hash", "cyclone", "yarp-releases")
@@ -66,7 +67,7 @@ def test_a_running_console_reports_the_recorded_keys(tmp_path: Path) -> None:
     """Other tests check the other workers, with `check_document`."""
     desk = Desk(tmp_path)
     try:
-        (answer,) = desk.far.hub.ask("status", {}, worker="web")
+        (answer,) = until(lambda: desk.far.hub.ask("status", {}, worker="web"), "the console answers")
         check_document(answer.value, "web")
     finally:
         desk.close()

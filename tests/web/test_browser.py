@@ -506,7 +506,7 @@ def test_a_patrol_runs_until_it_is_ended(operator: Operator, watch: TestPage) ->
     turn = operator.chrome.find_element(By.CLASS_NAME, "turn")
     until(lambda: f"{second} (2 of 2, round 1)" in turn.text, "the page shows it")
     operator.button("End drive").click()
-    patrol = watch.value("patrol", lambda value: value["state"] == "ended")
+    patrol = watch.value("patrol", lambda value: value and value["state"] == "ended")
     assert "stopped" in patrol["why"]
     until(lambda: "Patrol ended" in operator.chrome.find_element(By.CLASS_NAME, "turn").text, "the page shows it")
     watch.until(lambda: stands(watch), "the robot stands", 30)
@@ -618,9 +618,9 @@ def test_an_ended_patrol_covers_no_place(operator: Operator, places: Callable[[i
     names = list(watch.value("places")["locations"])[:2]
     watch.watch("patrol")
     assert watch.call("patrol", places=names, wait=2)["ok"]
-    watch.value("patrol", lambda value: value["state"] == "drives")
+    watch.value("patrol", lambda value: value and value["state"] == "drives")
     assert watch.call("stop")["ok"]
-    watch.value("patrol", lambda value: value["state"] == "ended")
+    watch.value("patrol", lambda value: value and value["state"] == "ended")
     with viewport(operator.chrome, 1366, 625):
         operator.open("drive")
         operator.choose("Send")
