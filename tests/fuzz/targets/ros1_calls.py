@@ -62,7 +62,7 @@ def _frame(body: bytes, head: bytes = b"") -> bytes:
 
 def _requests() -> Subject:
     """A client's requests on a persistent connection; each is answered before the next is read."""
-    from bridge.adapters.ros1.services.server import _ClientConnection
+    from bridge.adapters.ros1.services.server import Traffic, _ClientConnection
 
     def parse(data: bytes) -> None:
         requests: list[bytes] = []
@@ -73,7 +73,9 @@ def _requests() -> Subject:
             return lambda: None
 
         loop = _Loop()
-        server = SimpleNamespace(is_open=True, call=call, name="/s", gone="", left=lambda _client: loop.over.set())
+        server = SimpleNamespace(
+            is_open=True, call=call, name="/s", gone="", traffic=Traffic(), left=lambda _client: loop.over.set()
+        )
         ours, theirs = _connection(data)
         with theirs:
             _drive(_ClientConnection(ours, server, loop, _LIMIT, persistent=True), loop)  # type: ignore[arg-type]
