@@ -125,26 +125,26 @@ class Navigator(Node):
         self.newest: Any = None
         self.gives_up = False
         self.lock = threading.Lock()
-        group = ReentrantCallbackGroup()
+        self.group = group = ReentrantCallbackGroup()
         self.following = Following() if options.servers else None
         self.transforms = Transforms(self, options.tf_tolerance, group) if options.servers else None
         self.path = self.create_publisher(Path, "plan", 1)
+        self.itself = ActionClient(self, NavigateToPose, "navigate_to_pose", callback_group=group)
+        self.create_subscription(PoseStamped, "goal_pose", self.on_pose, 1, callback_group=group)
+
+    def activate(self) -> None:
+        """Accept goals once the transforms and controller_server are there."""
+        if self.transforms is not None and self.following is not None:
+            self.transforms.wait()
+            self.following.connect()
         self.server = ActionServer(
             self,
             NavigateToPose,
             "navigate_to_pose",
             self.execute,
-            callback_group=group,
+            callback_group=self.group,
             cancel_callback=lambda _goal: CancelResponse.ACCEPT,
         )
-        self.itself = ActionClient(self, NavigateToPose, "navigate_to_pose", callback_group=group)
-        self.create_subscription(PoseStamped, "goal_pose", self.on_pose, 1, callback_group=group)
-
-    def connect(self) -> None:
-        """Wait for the transforms and for controller_server."""
-        if self.transforms is not None and self.following is not None:
-            self.transforms.wait()
-            self.following.connect()
 
     def on_pose(self, pose: PoseStamped) -> None:
         self.itself.send_goal_async(NavigateToPose.Goal(pose=pose))
@@ -235,7 +235,7 @@ def main() -> None:
     spinner = threading.Thread(target=executor.spin, daemon=True)
     with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
         spinner.start()
-        navigator.connect()
+        navigator.activate()
         print("ready", flush=True)
         while spinner.is_alive():
             spinner.join(PERIOD)  # the main thread handles signals
