@@ -20,6 +20,9 @@ def test_latched_heard_both_ways_comes_once() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as publisher:
         publisher.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
         node.open("sub", "/mode", "t", latched=True, take=lambda message, _: received.append(json.loads(message)))
+        ends = {"ab.1": ["pub", "/mode", "t", True, []], "ab.2": ["pub", "/mode", "t", False, []]}
+        hello = {"hello": "ab", "node": "/publisher", "by": "", "record": "", "ends": ends}
+        publisher.sendto(json.dumps(hello).encode(), (address, int(port)))
         for source, number in (("", 2), ("", 2), ("", 1), ("b", 1), ("", 3), ("b", 1)):
             text = f"{source}{number}"
             sent = {"from": "ab.1", "topic": "/mode", "message": text, "source": source, "number": number}
