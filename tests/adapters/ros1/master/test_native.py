@@ -193,7 +193,7 @@ def _connects(uri: str) -> bool:
     parts = urlsplit(uri)
     try:
         socket.create_connection((str(parts.hostname), int(parts.port or 0)), 5).close()
-    except ConnectionRefusedError:
+    except OSError:  # refused, or reset as the socket closes
         return False
     return True
 
