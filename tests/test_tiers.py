@@ -98,21 +98,36 @@ class Node:
         self.shutting_down = True
 
 
-def test_two_processes_start_with_long_tests_and_the_others_skip_them(tmp_path: Path) -> None:
-    names = [*(f"test_{number}.py" for number in range(8)), *(f"test_long_{number}.py" for number in range(3))]
-    for name in names:
-        (tmp_path / name).write_text("@pytest.mark.long" if "long" in name else "")
+def scheduled(folder: Path, names: list[str], processes: int) -> dict[str, list[str]]:
+    """Return the files that each process is given first."""
     config = SimpleNamespace(
-        rootpath=tmp_path, getvalue=lambda _name: ["popen"] * 6, option=SimpleNamespace(loadscopereorder=False)
+        rootpath=folder, getvalue=lambda _name: ["popen"] * processes, option=SimpleNamespace(loadscopereorder=False)
     )
     scheduler = Scheduler(config, None)  # type: ignore[arg-type]
-    nodes = [Node(f"gw{number}") for number in range(6)]
+    nodes = [Node(f"gw{number}") for number in range(processes)]
     for node in nodes:
         scheduler.add_node(node)  # type: ignore[arg-type]
     for node in nodes:
         scheduler.add_node_collection(node, [f"{name}::test" for name in names])  # type: ignore[arg-type]
     scheduler.schedule()
-    given = {node.gateway.id: [names[number] for number in node.given] for node in nodes}
+    return {node.gateway.id: [names[number] for number in node.given] for node in nodes}
+
+
+def test_long_tests_that_are_alone_start_first(tmp_path: Path) -> None:
+    names = ["test_a.py", "test_b.py", "test_long.py", "test_c.py", "test_d.py", "test_e.py"]
+    for name in names:
+        (tmp_path / name).write_text(
+            ("@pytest.mark.long\n" if "long" in name else "") + "@pytest.mark.alone\ndef test(): ..."
+        )
+    given = scheduled(tmp_path, names, 2)
+    assert "test_long.py" in {given["gw0"][0], given["gw1"][0]}
+
+
+def test_two_processes_start_with_long_tests_and_the_others_skip_them(tmp_path: Path) -> None:
+    names = [*(f"test_{number}.py" for number in range(8)), *(f"test_long_{number}.py" for number in range(3))]
+    for name in names:
+        (tmp_path / name).write_text("@pytest.mark.long" if "long" in name else "")
+    given = scheduled(tmp_path, names, 6)
     assert given["gw0"][0] == "test_0.py"
     assert given["gw2"][0] == "test_long_2.py"
     assert given["gw3"][0] == "test_long_1.py"

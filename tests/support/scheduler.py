@@ -38,11 +38,11 @@ class Scheduler(LoadFileScheduling):
 
     def _assign_work_unit(self, node: Any) -> None:
         waiting = [unit for unit in self.workqueue if not unit.endswith(_ALONE)]
+        front = node.gateway.id in (_FRONT if self.numnodes > 2 else {"gw0"})
         if not waiting:
             if len(self.assigned_work) > TOGETHER:
                 return  # others are still busy; `remove_node` checks again
-            waiting = list(self.workqueue)
-        front = node.gateway.id in (_FRONT if self.numnodes > 2 else {"gw0"})
+            waiting, front = sorted(self.workqueue, key=self._is_long), False  # the long ones first
         if not front and self.numnodes > 2 and node.gateway.id not in _LONG:
             waiting = [unit for unit in waiting if not self._is_long(unit)] or waiting
         unit = waiting[0 if front else -1]
