@@ -28,7 +28,7 @@ class MapInUse:
         self._host, self._topic, self._use = host, source or "store", use
         self.of_store = self._topic == "store"
         self.grid: MapGrid2D | None = None
-        # why there is no map, or not the newest
+        # why the map is missing, or not the newest
         self.trouble = "" if self.of_store else f"waiting for a map on {self._topic}"
         self._due = self._closed = False
         watched = {*kinds, MAP, CURRENT} if self.of_store else {*kinds}

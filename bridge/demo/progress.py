@@ -248,7 +248,7 @@ class DemoRun:
                 raise DemoError(f"{child.name} ended unexpectedly:\n{child.last_output()}")
 
     def _check(self, what: str) -> None:
-        """Raise `DemoError` if waiting is pointless: a part has failed, or there is no progress."""
+        """Raise `DemoError` if waiting is pointless: a part has failed, or nothing progresses."""
         self._fail_with_a_part()
         if self._progress.stalled:
             raise DemoError(self._parts.stall_text(what))

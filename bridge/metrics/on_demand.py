@@ -1,6 +1,6 @@
 """Lets a worker that carries messages publish on ``/diagnostics`` if no other process of the daemon does.
 
-Without subscribers there is no thread, session or topic, and the publishing code is not imported.
+Without subscribers it has neither thread, session nor topic, and does not import the publishing code.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from bridge.worker import Worker
 
 
 class DiagnosticsOnDemand:
-    """Publishes on a separate thread, which ends when there are no more subscribers."""
+    """Publishes on a separate thread, which ends with the last subscriber."""
 
     def __init__(self, worker: Worker, name: str) -> None:
         self._worker, self._name = worker, name

@@ -100,7 +100,7 @@ class ClickedPoints:
                 f"the point is in the frame {frame!r}; maps are in {self._frame!r}: set rviz's fixed frame"
             )
         if not current:
-            raise ValueError("the point is on no map: there is no current map")
+            raise ValueError("the point is on no map: no current map is set")
         x, y = float(point["x"]), float(point["y"])
         if not (np.isfinite(x) and np.isfinite(y)):
             raise ValueError("the point is not finite")

@@ -98,7 +98,7 @@ class ActionNavigator:
             self._state = State.MOVING
 
     def _on_status(self, status: dict[str, Any]) -> None:
-        """Handle the status of a planner of Midspan: unlike the action's feedback, it tells why the planner waits."""
+        """Handle the status of a planner of Midspan: with the reason for a wait, which feedback lacks."""
         if self._goal is None or bytes(status["goal_id"]) != self._goal.id or self._goal.status.ended:
             return
         try:

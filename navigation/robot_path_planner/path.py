@@ -105,11 +105,11 @@ def _tracked(previous: dict[Cell, Cell], cell: Cell) -> Cells:
 
 @dataclass(frozen=True)
 class Waypoint:
-    """A waypoint, and the constraints on the way to it."""
+    """A waypoint, and the constraints on the path to it."""
 
     pose: Pose
     constraints: Constraints
-    waits_for_obstacles: bool = False  #: an area on the way to it asks to wait for obstacles instead of replanning
+    waits_for_obstacles: bool = False  #: an area on the path to it asks to wait for obstacles instead of replanning
 
     def is_passed(self, pose: Pose) -> bool:
         """Whether a robot is near enough for the next waypoint to be sent."""
@@ -139,7 +139,7 @@ def plan_path(
     wanted: Constraints | None = None,  # the client's constraints, which override the settings
     weights: Weights | None = None,  # the map's with obstacles; by default the map's own
 ) -> PlannedPath:
-    """Plan a path on a map; raises `PlanError` if there is none, `passing` if only obstacles close it."""
+    """Plan a path on a map; raises `PlanError` without one, `passing` if only obstacles close it."""
     start_cell, goal_cell = _ends(ground, start, goal)
     cells = None
     if weights is not None and weights[goal_cell]:
@@ -175,7 +175,7 @@ def _ends(ground: Ground, start: Pose, goal: Pose) -> tuple[Cell, Cell]:
 
 
 def _path_on_map(ground: Ground, start: Pose, goal: Pose, weights: Weights) -> tuple[Cells, Cells]:
-    """Return the path on the map without obstacles; raises `PlanError` with the reason if there is none."""
+    """Return the path on the map without obstacles; raises `PlanError` with the reason without one."""
     start_cell, goal_cell = _ends(ground, start, goal)
     if not ground.fits(goal_cell):
         raise PlanError(
@@ -290,7 +290,7 @@ class DriveTask:
     recoveries: int = 0  #: other paths that were tried in total
     best: float = math.inf  #: the smallest distance to the goal so far, meters
     driven: bool = False  #: whether a local navigator has been available
-    navigator_lost_since: float | None = None  #: since when there is no local navigator
+    navigator_lost_since: float | None = None  #: since when the local navigator is missing
     pose_lost_since: float | None = None  #: since when the robot's pose is unknown
     layer_silent_since: float | None = None
     all_blocked_since: float | None = None  #: since when obstacles block every path

@@ -126,7 +126,7 @@ def _register_echo(verbs: Any) -> None:
     parser = add_verb(
         verbs, "echo", _echo, "print the pose of one frame in another",
         "Prints the pose of FRAME in REFERENCE, which maps points from FRAME to REFERENCE, at the newest time that all"
-        " frames between them have, until Ctrl-C. While there is none, it prints the reason.",
+        " frames between them have, until Ctrl-C. While it is missing, it prints the reason.",
         example="midspan tf echo map base_link", hub=False,
     )  # fmt: skip
     parser.add_argument("reference", metavar="REFERENCE", help="the reference frame, for example map")
@@ -153,7 +153,7 @@ def _echo(args: argparse.Namespace) -> int:
 
 
 def _next(args: argparse.Namespace, listener: TransformListener) -> Transform:
-    """Wait for a transform, and print why there is none; raises `CliError` after the timeout."""
+    """Wait for a transform, and print why it is missing; raises `CliError` after the timeout."""
     end = math.inf if args.timeout is None else time.monotonic() + args.timeout
     printed = ""
     while True:

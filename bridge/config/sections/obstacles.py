@@ -24,10 +24,10 @@ class ObstacleSection(Section):
         None, "Seconds without a message after which it counts as silent; empty: 0.5, of a layer 5.", gt=0, le=3600
     )
 
-    def silent(self, heard: float | None, now: float) -> str:
-        """Return why the source counts as silent, else ""; ``heard`` is the time of its last message, or None."""
-        if heard is None:
+    def silent(self, last: float | None, now: float) -> str:
+        """Return why the source counts as silent, else ""; ``last`` is the time of its last message, or None."""
+        if last is None:
             return f"the {self.type} {self.topic} has not come yet"
-        if now - heard <= (self.timeout or {"cloud": 0.5, "layer": 5.0}[self.type]):
+        if now - last <= (self.timeout or {"cloud": 0.5, "layer": 5.0}[self.type]):
             return ""
-        return f"the {self.type} {self.topic} is silent: it said nothing for {now - heard:.1f} s"
+        return f"the {self.type} {self.topic} is silent: no message for {now - last:.1f} s"

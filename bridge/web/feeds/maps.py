@@ -80,7 +80,7 @@ class StoreFollower:
             self._timer = self._view = self._digest = self._map = None
 
     def client(self) -> StoreClient:
-        """Return the store on the hub; raises `StoreError` if there is none. Blocks: not for the module's thread."""
+        """Return the store on the hub; raises `StoreError` without one. Blocks: not for the module's thread."""
         with self._lock:
             if self._client is None:
                 self._space = self._space or self._host.node.hub.keyspace(prefix(self._config.hub.domain))

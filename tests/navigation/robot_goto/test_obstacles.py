@@ -116,7 +116,7 @@ def test_a_source_is_silent_before_its_first_message_and_after_its_timeout():
     assert obstacles.silence(1.2) == "the layer /layer has not come yet"
     obstacles.layer("/layer", np.empty((0, 2)))
     assert obstacles.silence(1.5) == ""
-    assert "the cloud /points is silent: it said nothing for 0.6 s" in obstacles.silence(1.6)
+    assert "the cloud /points is silent: no message for 0.6 s" in obstacles.silence(1.6)
     obstacles.cloud("/points", 1.7, np.empty((0, 3), np.float32), EYE, HERE)
     assert "the cloud has no valid points" in obstacles.silence(1.7)
     obstacles.cloud("/points", 6.4, surface(1.0, 0.0, 0.7), EYE, HERE)

@@ -507,7 +507,7 @@ def test_a_layer_that_falls_silent_stops_the_robot_until_it_resumes(tmp_path: Pa
         robot.loop.call(timer.close)
         until(lambda: robot.goal and robot.goal.status is GoalState.CANCELED, "the navigator stops", 30)
         until(lambda: planner.status.fault is Fault.NO_LASER, "the status gives the fault", 30)
-        assert "the layer /layer is silent: it said nothing for" in planner.status.reason
+        assert "the layer /layer is silent: no message for" in planner.status.reason
         assert "layer /layer is silent" in place.module.health().text
         robot.speed = 3.0
         timer = robot.loop.every(0.05, publish)
