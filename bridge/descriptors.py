@@ -35,6 +35,7 @@ class WorkerDescriptor:
         environment: a module with ``available(config)`` and ``worker_environment(config, environ)``.
         needs: without ``environment``, the packages that must be importable; pip's ``extra`` installs them.
         outlives: the worker continues if the daemon dies, and the next daemon adopts it.
+        node: whether it is a node of the hub, and reports its status there.
         checks: ``package.module:name`` of the doctor's checks.
     """
 
@@ -50,6 +51,7 @@ class WorkerDescriptor:
     needs: tuple[str, ...] = ()
     extra: str = ""
     outlives: bool = False
+    node: bool = True
     checks: str = ""
 
 

@@ -255,13 +255,23 @@ def _orphan(documents: list[StatusDocument], config: Config) -> int:
 def absent(report: DaemonStatus, phases: Container[str] = ABSENT, *, looping: bool = False) -> list[StatusDocument]:
     """Return the workers in one of these phases, from a daemon's own report; also those that crash again and again."""
     return [
-        _absent(report.daemon, worker)
+        _reported(report.daemon, worker)
         for worker in report.workers
         if worker.phase in phases or (looping and loops(worker))
     ]
 
 
-def _absent(daemon: str, report: WorkerReport) -> StatusDocument:
+def without_node(report: DaemonStatus) -> list[StatusDocument]:
+    """Return the running workers that are not nodes of the hub, from a daemon's own report."""
+    kinds = worker_kinds()
+    return [
+        _reported(report.daemon, worker)
+        for worker in report.workers
+        if worker.phase == Phase.UP.value and worker.worker in kinds and not kinds[worker.worker].node
+    ]
+
+
+def _reported(daemon: str, report: WorkerReport) -> StatusDocument:
     document = StatusDocument(
         daemon=daemon,
         worker=report.worker,

@@ -8,6 +8,9 @@ import signal
 import xmlrpc.client
 from typing import Any
 
+from bridge.config.model import Config
+from bridge.daemon.query import ask_daemon
+from bridge.doctor.daemon_state import without_node
 from tests.peers.daemon.daemon import Daemon
 from tests.support.ports import free_port
 from tests.support.wait import until
@@ -26,6 +29,10 @@ def test_the_master_outlives_a_killed_daemon_and_a_clean_restart_keeps_its_state
     first = daemon.start()
     daemon.wait_ready(first)
     process = call("getPid")
+    report = until(lambda: ask_daemon(Config(name="test", state=daemon.folder / "state")), "the daemon answers")
+    assert [(each.worker, each.state, each.pid) for each in without_node(report)] == [
+        ("ros1_master", "running", process)
+    ]
     call("registerPublisher", "/t", "std_msgs/String", "http://127.0.0.1:1/")
     call("setParam", "/x", 5)
     first.popen.kill()

@@ -23,7 +23,7 @@ from bridge.client.status import ask_status
 from bridge.daemon.query import Phase
 from bridge.display.documents import connected_lines, routes_table
 from bridge.doctor.causes import cause, grouped, one_line, shared
-from bridge.doctor.daemon_state import ABSENT, DaemonState, Life, absent, daemon_state, with_silent
+from bridge.doctor.daemon_state import ABSENT, DaemonState, Life, absent, daemon_state, with_silent, without_node
 from bridge.status import EndpointStatus, MachineStatus, RouterStatus, StatusDocument, WorkerStatus, refused_routes
 from bridge.text import arrow, clean, duration, make_console, plural, side_name, size
 
@@ -64,7 +64,7 @@ def run_status(args: argparse.Namespace) -> int:
         unreachable = None if joined else err
     if state.life is Life.UNKNOWN and of_this_machine(args):
         state = daemon_state(client_config(args), documents, config_file(args))
-    documents = [*with_silent(documents, silent), *of_daemon(state)]
+    documents = [*with_silent(documents, silent), *without_node(state.document), *of_daemon(state)]
     documents.sort(key=lambda document: (document.daemon, document.worker != DAEMON))
     if args.json:
         print_json([{**document.document(), **_refused_commands(document, refused)} for document in documents])

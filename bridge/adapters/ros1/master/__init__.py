@@ -8,4 +8,5 @@ WORKER = WorkerDescriptor(
     switch="bridge.adapters.ros1.environment:master_enabled",
     sections=frozenset({"ros1"}),
     outlives=True,
+    node=False,
 )
