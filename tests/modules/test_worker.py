@@ -202,7 +202,7 @@ def test_a_module_that_cannot_start_affects_no_other_and_is_started_again(place:
 
 
 def test_a_worker_for_one_module(place: Place) -> None:
-    place.worker = ModulesWorker("other")
+    place.worker = place.keep(ModulesWorker("other"))
     place.worker.start(place.config(echo(), echo("other")))
     until(lambda: place.status("other"), "the module runs")
     assert place.status("echo") is None

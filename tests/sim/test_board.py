@@ -118,7 +118,8 @@ def test_a_script_moves_the_wheels_until_a_halt(tmp_path: Path) -> None:
             until(position.checkMotionDone, "the wheels reach the target")
             until(lambda: abs(encoders.getEncoder(1) - 90.0) < 1.0, "the encoders report the target")
             assert position.positionMove(yarp.DVector([1e6, 1e6]))
-            assert [answer.value for answer in place.far.hub.ask("halt", {}, worker="sim")] == [{"halted": True}]
+            (answer,) = until(lambda: place.far.hub.ask("halt", {}, worker="sim"), "the simulator answers")
+            assert answer.value == {"halted": True}
             assert position.isMotionDone()
             driver.close()
         place.worker.stop()

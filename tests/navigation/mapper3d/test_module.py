@@ -270,12 +270,12 @@ def test_the_map_survives_a_restart(tmp_path_factory: pytest.TempPathFactory, mo
         place.worker.stop()
         (file,) = place.folder.rglob("mapper3d/map.ot")
         assert Octomap.load(file).search(2.0, 0.0, 0.74) > 0
-        place.worker = type(place.worker)()
+        place.worker = place.keep(type(place.worker)())
         place.worker.start(config)
         assert place.answer("mapper3d")["blocks"] > 20
         place.worker.stop()
         file.write_bytes(b"# Octomap OcTree file\nsize 3\n")
-        place.worker = type(place.worker)()
+        place.worker = place.keep(type(place.worker)())
         place.worker.start(config)
         assert "map.ot" in place.answer("mapper3d")["trouble"]
         until(mapped, "the cloud is mapped again", 30)
@@ -295,7 +295,7 @@ def test_a_map_of_the_store_is_continued(tmp_path_factory: pytest.TempPathFactor
 
         def start(**more: Any) -> dict[str, Any]:
             place.worker.stop()
-            place.worker = type(place.worker)()
+            place.worker = place.keep(type(place.worker)())
             place.worker.start(place.config(modules={"mapper3d": settings(**more)}))
             return place.answer("mapper3d")
 
