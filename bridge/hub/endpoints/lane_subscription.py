@@ -29,7 +29,10 @@ _EARLY_SECONDS = 0.1
 """Seconds for which a message is held for earlier ones on the other transport."""
 
 _LEAVING_SECONDS = 5.0
-"""The same while a lane is being closed: it still delivers all earlier messages, and ends with its fence."""
+"""The same while a lane is being closed: it still delivers all earlier messages, and ends with its fence.
+
+Not for a subscription of depth 1, such as those of velocity commands, which must never wait: its newest message counts.
+"""
 
 _CAUGHT_SECONDS = 1.0
 """Seconds after a mark, after which all earlier messages have arrived."""
@@ -79,6 +82,7 @@ class LaneSubscription(HubSubscription):
         self._lane = lane
         self._session, self._reach = context.session, context.reach
         self._type, self._hash = type_names
+        self._newest_counts = qos.history is History.KEEP_LAST and qos.depth <= 1
         self.key = key
         self._delivery = Lock()
         self._switching = Lock()
@@ -213,7 +217,7 @@ class LaneSubscription(HubSubscription):
     def _due(self, gid: bytes) -> float:
         """Return when the messages of a publisher are held no longer."""
         joined = self._joined.get(gid)
-        leaves = joined is not None and joined.inlet in self._leaving
+        leaves = joined is not None and joined.inlet in self._leaving and not self._newest_counts
         return self._early[gid] + (_LEAVING_SECONDS if leaves else _EARLY_SECONDS)
 
     def _release_due_at(self, now: float) -> None:

@@ -109,10 +109,12 @@ def test_topic_with_growing_messages_returns_to_zenoh(reader: Hub, writer: Hub) 
     goes_by(subscriber, "zenoh", "a message was larger than 65536 bytes")
 
 
+@pytest.mark.parametrize("depth", [10, 1])
 def test_message_that_is_still_on_a_closing_lane_is_received_before_later_ones(
-    reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch
+    reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch, depth: int
 ) -> None:
-    subscriber, ours, gate = Subscriber(reader, "/t"), advertise(writer, "/t"), threading.Event()
+    """With a depth of 1, as for velocity commands, the newest message does not wait."""
+    subscriber, ours, gate = Subscriber(reader, "/t", Qos(depth=depth)), advertise(writer, "/t"), threading.Event()
     chosen = subscription(subscriber)
     goes_by(subscriber, "lane")
     receive = chosen.heard
@@ -130,6 +132,9 @@ def test_message_that_is_still_on_a_closing_lane_is_received_before_later_ones(
     try:
         until(lambda: chosen._early or len(subscriber.samples) > 1, "the last message arrives over zenoh")
         held = time.monotonic()
+        if depth == 1:
+            subscriber.expect(large, "last", seconds=3)
+            return
         until(lambda: time.monotonic() > held + 0.5, "it is held for longer than other early messages")
     finally:
         gate.set()
