@@ -80,7 +80,7 @@ class Coder:
 
     Raises:
         UnknownYetError: the type's definition has been requested.
-        NotPublishedError: there is no such type.
+        NotPublishedError: the type is unknown.
     """
 
     def __init__(self, host: Host, definitions: Definitions, channel: Advertised) -> None:

@@ -193,7 +193,7 @@ def _path_on_map(ground: Ground, start: Pose, goal: Pose, weights: Weights) -> t
 
 
 def _search(ground: Ground, weights: Weights, start_cell: Cell, goal_cell: Cell) -> tuple[Cells, Cells] | None:
-    """Return the cells of the way out of a forbidden cell, and of the path from there; None without a path."""
+    """Return the cells that lead out of a forbidden cell, and of the path from there; None without a path."""
     exit_cells = np.empty((0, 2), np.int32)
     if not weights[start_cell]:
         exit_path = escape(weights, ground.solid, start_cell)
@@ -205,7 +205,7 @@ def _search(ground: Ground, weights: Weights, start_cell: Cell, goal_cell: Cell)
 
 
 def _exit_start(ground: Ground, cells: Cells) -> Places:
-    """Return the start of a way out; the rest of it is straight enough."""
+    """Return the start of a path out; the rest of it is straight enough."""
     return ground.places(cells[:1]) if len(cells) else np.empty((0, 2))
 
 

@@ -64,7 +64,7 @@ class PathPlanner:
         self._watched = -math.inf
         self.status = PlannerStatus()
         self._layers: dict[str, Places] = {}
-        self.blind = ""  # why there are no usable scans, else ""; set by the source of the scans
+        self.blind = ""  # why scans are unusable, else ""; set by the source of the scans
         self.silent = ""  # which layer has fallen silent, else ""; set by the source of the layers
 
     @property
@@ -94,7 +94,7 @@ class PathPlanner:
 
     @property
     def _missing(self) -> str:
-        """A configured layer that has not been received yet; "" if there is none."""
+        """A configured layer that has not been received yet, or ""."""
         return next((layer.topic for layer in self.settings.obstacles if layer.topic not in self._layers), "")
 
     def remaining(self, pose: Pose) -> float:
@@ -114,7 +114,7 @@ class PathPlanner:
         if task is None or task.replan_reason:
             return
         if ground is None:
-            if task.arrived_at is None:  # at a link, the robot waits for another map, even if there is none for a while
+            if task.arrived_at is None:  # at a link, the robot waits for another map, even if it takes a while
                 task.replan_reason = "the map was removed"
         elif before is None or before.name != ground.name:
             task.replan_reason = f"the map changed to {ground.name}"
@@ -355,7 +355,7 @@ class PathPlanner:
         except PlanError as err:
             if not err.passing:
                 raise
-            task.path_blocked_since = now  # there is no other path: the local navigator waits
+            task.path_blocked_since = now  # this is the only path: the local navigator waits
             return
         longer = alternative.length - self.remaining(pose)
         if now - task.path_blocked_since < min(_PATIENCE_PER_METRE * longer, _LONGEST_PATIENCE):

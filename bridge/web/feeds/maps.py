@@ -93,7 +93,7 @@ class StoreFollower:
         return self.client, lambda: self._host.loop.post(self.refresh)
 
     def refresh(self) -> None:
-        """Poll now, unless a query is running or there are no feeds."""
+        """Poll now, unless a query is running or no feed exists."""
         if not self._asking and self._feeds:
             self._asking = True
             self._executor.submit(self._ask)
