@@ -1,8 +1,10 @@
 """Liveliness tokens: how each participant of the hub announces itself.
 
 A node's token is ``@ros2_lv/<domain>/<zid>/<node id>/<id>/NN/<enclave>/<namespace>/<node>``, an endpoint's has ``MP``,
-``MS``, ``SS`` or ``SC`` for ``NN`` and then ``/<name>/<type>/<hash>/<qos>`` (rmw_zenoh_cpp, liveliness_utils.cpp). A
-GID is the 128-bit XXH3 of the whole key, low half first.
+``MS``, ``SS`` or ``SC`` for ``NN`` and then ``/<name>/<type>/<hash>/<qos>`` (rmw_zenoh_cpp, liveliness_utils.cpp).
+Later releases append parts: since rmw_zenoh_cpp 0.10.5 (Lyrical), ``/backends:cpu:`` for a volatile endpoint whose
+type has variable-length arrays of primitives. They count for the GID, which is the 128-bit XXH3 of the whole key, low
+half first, and are ignored otherwise.
 
 Midspan's workers also announce the foreign network that they bridge, their origin:
 ``@midspan/<domain>/origin/<zid>/<side>/<network>/<daemon>``, one per session, declared before any endpoint. An endpoint
@@ -139,18 +141,25 @@ def origin_key(token: OriginToken) -> str:
 def parse_token(key: str) -> NodeToken | EndpointToken:
     """Read a token of the ROS 2 graph; raises `HubWireError`."""
     parts = _split(key, ADMIN_SPACE)
-    if len(parts) not in (_NODE_PARTS, _ENDPOINT_PARTS):
-        raise HubWireError(f"token has {len(parts)} parts instead of {_NODE_PARTS} or {_ENDPOINT_PARTS}")
+    if len(parts) < _NODE_PARTS:
+        raise HubWireError(f"token has {len(parts)} parts instead of {_NODE_PARTS} or more")
     letters = parts[5]
     namespace, node = demangle(parts[7]), demangle(parts[8])
     owner = NodeToken(_domain(parts[1]), parts[2], parts[3], _absolute(namespace), node, _absolute(demangle(parts[6])))
     if letters == _NODE:
         return owner
     kind = _KINDS.get(letters)
-    if kind is None or len(parts) != _ENDPOINT_PARTS:
+    if kind is None:
         raise HubWireError(f"token of the unknown kind {letters[:20]!r}")
+    if len(parts) < _ENDPOINT_PARTS:
+        raise HubWireError(f"{kind}'s token has {len(parts)} parts instead of {_ENDPOINT_PARTS} or more")
     topic = _absolute(demangle(parts[9]))
     return EndpointToken(owner, parts[4], kind, topic, ros_type_name(parts[10]), parts[11], decode_qos(parts[12]))
+
+
+def qos_text(key: str) -> str:
+    """Return the QoS part of an endpoint's token that `parse_token` accepts."""
+    return key.split("/", _ENDPOINT_PARTS)[_ENDPOINT_PARTS - 1]
 
 
 def parse_origin(key: str) -> OriginToken:

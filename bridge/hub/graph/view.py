@@ -25,6 +25,7 @@ from bridge.hub.graph.tokens import (
     parse_origin,
     parse_token,
     parse_wire,
+    qos_text,
 )
 from bridge.hub.wire.qos import Qos, unknown_policies
 from bridge.hub.wire.version import refusal
@@ -356,7 +357,7 @@ class HubGraph:
 
     def _warn_of_unknown(self, key: str, endpoint: HubEndpoint) -> None:
         """Report each unknown policy once, however many endpoints have it."""
-        for policy in unknown_policies(key.rpartition("/")[2]):
+        for policy in unknown_policies(qos_text(key)):
             if policy not in self._unknown and len(self._unknown) < _MAX_UNKNOWN:
                 self._unknown.add(policy)
                 _log.warning("%.200s, %s of node %.100s: %s", endpoint.topic, endpoint.kind, endpoint.node, policy)

@@ -11,6 +11,7 @@ import pytest
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import BRIDGE_ENCLAVE, EndpointKind, NodeToken, Origin, node_key
 from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Reliability
 from tests.peers.hub.endpoints import HASH, LATCHED, STREAM, TYPE, Subscriber, advertise
 from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
@@ -167,6 +168,23 @@ def test_malformed_tokens_are_left_out(network: HubNetwork, caplog: pytest.LogCa
         for token in tokens:
             token.undeclare()
         good.close()
+        until(lambda: not a.graph.endpoints(), "gone")
+
+
+def test_camera_of_a_later_release_is_seen(network: HubNetwork, caplog: pytest.LogCaptureFixture):
+    """As rmw_zenoh_cpp 0.10.5 announces it: a part follows the QoS."""
+    with Hub.open(network.settings("a")) as a, network.program() as program:
+        camera = f"@ros2_lv/{a.domain}/z/0/1/MP/%/%/camera/%image/sensor_msgs::msg::dds_::Image_/{HASH}"
+        token = program.liveliness().declare_token(f"{camera}/2::,7:,:,:,,/backends:cpu:")
+        (seen,) = until(lambda: a.graph.publishers("/image"), "the camera is seen")
+        assert (seen.type_name, seen.qos.reliability, seen.qos.depth) == (
+            "sensor_msgs/msg/Image",
+            Reliability.BEST_EFFORT,
+            7,
+        )
+        assert a.graph.refused == 0
+        assert not [r for r in caplog.records if r.name == "bridge.hub.graph.view"]
+        token.undeclare()
         until(lambda: not a.graph.endpoints(), "gone")
 
 

@@ -25,6 +25,7 @@ from bridge.hub.graph.tokens import (
     origin_key,
     parse_origin,
     parse_token,
+    qos_text,
 )
 from bridge.hub.wire.qos import Qos
 
@@ -88,12 +89,28 @@ BAD_TOKENS = [
     "@ros2_lv/0/a/0/0/XX/%/%/n",
     "@ros2_lv/0/a/0/1/MP/%/%/n",
     "@ros2_lv/0//0/0/NN/%/%/n",
-    TALKER + "/more",
+    TALKER.rpartition("/")[0],
     TALKER.replace("::,7:", "::,7"),
     TALKER.replace("std_msgs::msg", "std_msgs"),
     TALKER.replace("/MP/", "/ZZ/"),
     TALKER.replace("talker", "t" * 5000),
 ]
+
+
+@pytest.mark.parametrize("more", ["backends:cpu:", "backends:cpu:;cuda:device=0", "backends:cpu:/and/what/comes/later"])
+def test_token_of_a_later_release(more: str):
+    """rmw_zenoh_cpp 0.10.5 (Lyrical) appends ``backends:cpu:`` for volatile endpoints of Image and PointCloud2."""
+    key = f"{TALKER}/{more}"
+    assert parse_token(key) == parse_token(TALKER)
+    assert qos_text(key) == qos_text(TALKER) == "::,7:,:,:,,"
+    assert gid_of(key) != gid_of(TALKER)
+
+
+def test_token_without_a_type_hash():
+    """Humble's rmw_zenoh writes a word in place of the hash, since Humble's types have none."""
+    token = parse_token(TALKER.replace(HASH, "TypeHashNotSupported"))
+    assert isinstance(token, EndpointToken)
+    assert token.type_hash == "TypeHashNotSupported"
 
 
 @pytest.mark.parametrize("key", BAD_TOKENS)
