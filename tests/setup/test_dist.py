@@ -128,8 +128,7 @@ def test_the_metadata_of_the_distributions(files: Sequence[Path]) -> None:
             assert needed == ["numpy"]
         else:
             assert f"yarp-compat=={dist.version()}" in needed
-            extras = {"ros2", "sim", "web", "foxglove", "demo", "record", "3d"}
-            assert extras <= set(metadata.get_all("Provides-Extra", []))
+            assert set(metadata.get_all("Provides-Extra", [])) == {"ros2", "sim", "web", "foxglove", "demo"}
             wanted = set(required(metadata.get_all("Requires-Dist", []), "demo"))
             assert {"dartpy", "ros-jazzy-rclpy", "starlette", "uvicorn", "zenoh-ros2-sdk"} <= wanted
 

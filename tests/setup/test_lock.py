@@ -53,15 +53,20 @@ def lacking(requirements: Iterable[str], locked: Mapping[str, str], system: str)
     return [str(r) for r in wanted if not r.specifier.contains(locked.get(canonicalize_name(r.name), "none"))]
 
 
+def settings() -> dict[str, Any]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
 def project() -> dict[str, Any]:
-    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return settings()["project"]
 
 
 @every_system
 def test_every_requirement_is_locked(system: str) -> None:
     extras = project()["optional-dependencies"]
     plain = pins("requirements.lock", system=system)
-    assert lacking([*project()["dependencies"], *extras["sim"], *extras["dev"]], plain, system) == []
+    dev = settings()["dependency-groups"]["dev"]
+    assert lacking([*project()["dependencies"], *extras["sim"], *dev], plain, system) == []
     assert lacking(extras["ros2"], pins("requirements-ros2.lock", system=system), system) == []
 
 
@@ -74,13 +79,20 @@ def test_requirements_of_locked_packages_are_locked(system: str) -> None:
     assert [f"{n} needs {r}" for n in met for r in lacking(importlib.metadata.requires(n) or (), locked, system)] == []
 
 
-def test_the_docs_table_names_the_extras_of_users() -> None:
-    """All extras except those for developers."""
+def test_development_dependencies_are_groups_and_no_extras() -> None:
+    """PEP 735, so that the metadata that users see has only what they can use; no extra is empty."""
+    assert sorted(settings()["dependency-groups"]) == ["bench", "dev", "dist"]
+    extras = project()["optional-dependencies"]
+    assert not set(extras) & {"bench", "dev", "dist"}
+    assert [name for name, requirements in extras.items() if not requirements] == []
+
+
+def test_the_docs_table_names_all_extras() -> None:
     page = (ROOT / "docs/start/pip.md").read_text(encoding="utf-8")
     table = page.partition("\n## Extras\n")[2].partition("\n## ")[0]
     named = re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
-    assert {"ros2", "sim", "web", "record", "3d"} <= set(named)
-    assert sorted([*named, "bench", "dev", "dist"]) == sorted(project()["optional-dependencies"])
+    assert {"ros2", "sim", "web"} <= set(named)
+    assert sorted(named) == sorted(project()["optional-dependencies"])
 
 
 def installed(name: str) -> str:
