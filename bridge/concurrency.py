@@ -17,6 +17,8 @@ from concurrent.futures import Future
 from queue import SimpleQueue
 from typing import Any, Generic, TypeVar
 
+from typing_extensions import override
+
 _log = logging.getLogger(__name__)
 
 _IDLE_SECONDS = 10.0
@@ -72,6 +74,7 @@ class SerialExecutor(_OneThread):
             self._queue.put(None)
         self._join(2.0)
 
+    @override
     def _run(self) -> None:
         while (job := self._queue.get()) is not None:
             try:
@@ -208,6 +211,7 @@ class DelayedCalls(_OneThread):
             self._condition.notify()
         self._join(seconds)
 
+    @override
     def _run(self) -> None:
         while (call := self._next()) is not None:
             try:
@@ -290,6 +294,7 @@ class BoundedQueue(_OneThread, Generic[Message]):
             self._condition.notify()
         self._join(2.0)
 
+    @override
     def _run(self) -> None:
         while True:
             with self._condition:

@@ -17,6 +17,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any, Self
 
 from yarp_compat import pythonic
+from yarp_compat.overriding import override
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.pythonic import Content, OpenPort, Received
 
@@ -59,10 +60,12 @@ class _NotifyingReader(pythonic.Reader):
         super().__init__(name, **options)
         self._wake = wake
 
+    @override
     def _on_message(self, message: PortMessage) -> None:
         super()._on_message(message)
         self._wake()
 
+    @override
     def close(self) -> None:
         super().close()
         self._wake()
@@ -83,8 +86,8 @@ class Reader(_Port):
         self._arrival = asyncio.Event()
         self._port = _NotifyingReader(self._wake, name, **options)
 
+    @override
     async def open(self) -> Self:
-        """Open the port."""
         self._loop = asyncio.get_running_loop()
         return await super().open()
 
@@ -146,12 +149,14 @@ class Server(_Port):
         self._respond = respond
         self._tasks: set[asyncio.Task[None]] = set()
 
+    @override
     async def open(self) -> Self:
         """Open the port and start serving."""
         await self._reader.open()
         self._start(self._serve())
         return self
 
+    @override
     async def close(self) -> None:
         """Close the port and cancel pending replies."""
         await super().close()

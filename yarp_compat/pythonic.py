@@ -18,6 +18,7 @@ from typing import Any, Self, TypeVar
 from yarp_compat.naming.client import NameClient
 from yarp_compat.os.ports.connection import sender_profile
 from yarp_compat.os.ports.inbox import Inbox
+from yarp_compat.overriding import override
 from yarp_compat.ports.message import Payload, PortMessage
 from yarp_compat.ports.naming import Naming, PortError
 from yarp_compat.ports.port import PortCore
@@ -85,14 +86,15 @@ class OpenPort(Openable):
         """The port's name, as registered."""
         return self.core.name
 
+    @override
     def open(self) -> Self:
         """Open the port, unless it is open."""
         if not self.core.is_open:
             self.core.open()
         return self
 
+    @override
     def close(self) -> None:
-        """Close the port."""
         self.core.close()
 
     def connect(self, target: str) -> Self:
@@ -135,6 +137,7 @@ class Reader(OpenPort):
     def __len__(self) -> int:
         return len(self._inbox)
 
+    @override
     def close(self) -> None:
         """Close the port, which ends iterations."""
         self._inbox.close()
@@ -149,6 +152,7 @@ class Reader(OpenPort):
         self._due = None if self._patient else message
         return None if message is None else Received(message, self.core.profile)
 
+    @override
     def _on_message(self, message: PortMessage) -> None:
         if message.wants_reply:
             message.later()
@@ -176,6 +180,7 @@ class Client(OpenPort):
         super().__init__(name, is_input=False, rpc=True, **options)
         self.server = server
 
+    @override
     def open(self) -> Self:
         """Open the port and connect it to the server."""
         super().open()
@@ -194,6 +199,7 @@ class Server(OpenPort):
         super().__init__(name, is_output=False, rpc=True, **options)
         self._respond = respond
 
+    @override
     def _on_message(self, message: PortMessage) -> None:
         received = Received(message, self.core.profile)
         received.reply(self._respond(received.values))

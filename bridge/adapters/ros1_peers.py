@@ -17,6 +17,8 @@ from typing import Any
 from urllib.parse import urlsplit
 from xml.parsers.expat import ExpatError
 
+from typing_extensions import override
+
 from bridge import resources
 
 
@@ -85,16 +87,19 @@ class DeadlineSocket(socket.socket):
             raise TimeoutError
         self.settimeout(left)
 
+    @override
     def recv(self, *args: Any) -> bytes:
         """Receive like `socket.socket.recv`; raises `TimeoutError` at the deadline."""
         self._arm()
         return super().recv(*args)
 
+    @override
     def recv_into(self, *args: Any) -> int:
         """Receive like `socket.socket.recv_into`; raises `TimeoutError` at the deadline."""
         self._arm()
         return super().recv_into(*args)
 
+    @override
     def sendall(self, *args: Any) -> None:
         """Send like `socket.socket.sendall`; raises `TimeoutError` at the deadline."""
         self._arm()
@@ -130,6 +135,7 @@ class _Connection(http.client.HTTPConnection):
 
     deadline = 0.0
 
+    @override
     def connect(self) -> None:
         self.sock = DeadlineSocket.connected(self.host, self.port, self.deadline)
 

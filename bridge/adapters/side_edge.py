@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+from typing_extensions import override
+
 from bridge.config.model import Config
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
@@ -30,16 +32,18 @@ class SideEdge(Edge):
         self._listener: EdgeListener | None = None
         self._presence: Presence | None = None
 
+    @override
     def learn(self, type_name: str, definition: str) -> None:
-        """Learn a ROS 2 type's definition from another worker, for a later `from_hub`."""
         self._registry.learn_ros2(type_name, definition)
 
+    @override
     def announce(self, record: bytes) -> None:
         """Send a record to all Midspan workers on this network; dropped before the edge has joined it."""
         presence = self._presence
         if presence is not None:
             presence.announce(record)
 
+    @override
     def sightings(self) -> Sequence[Sighting]:
         """Return the other Midspan workers on this network; none before the edge has joined it."""
         presence = self._presence
@@ -67,19 +71,23 @@ class SideEdge(Edge):
             )
         return known
 
+    @override
     def to_hub(self, endpoint: Endpoint) -> Conversion:
         """Return a conversion that keeps the bytes and validates them, as programs on the side may send anything."""
         return self.from_hub(endpoint.type, endpoint.type_id)
 
+    @override
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
         """Return a conversion that keeps the bytes and validates them, as DDS drops malformed ones silently."""
         known = self._own_type(type_name, type_hash)
         return Conversion(known, known, self._registry.hub_check(type_name))
 
+    @override
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
         """Return the conversion of `service_from_hub`; the side does not report the hash of a service's type."""
         return self.service_from_hub(endpoint.type, "")
 
+    @override
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
         """Return a conversion that keeps the bytes and validates them, as for topics."""
         known = self._registry.service_ros2(type_name, type_hash)

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import override
+
 from bridge import resources
 from bridge.adapters.memory import keep_memory, keep_objects
 from bridge.clock import RunClock
@@ -73,6 +75,7 @@ class BridgeWorker(Worker):
         self.bridges: list[NetworkBridge] = []
         self._failure = ""
 
+    @override
     def start(self, config: Config) -> None:
         """Open the hub sessions and start joining the side's networks."""
         self.config = config
@@ -88,6 +91,7 @@ class BridgeWorker(Worker):
             self.bridges.append(NetworkBridge(name, edge, config, registry, self._failed, diagnostics=diagnostics))
         keep_objects()
 
+    @override
     def reload(self, config: Config) -> bool:
         """Apply new rules; other changes need a restart."""
         old = self.config
@@ -105,6 +109,7 @@ class BridgeWorker(Worker):
                 bridge.reload(config)
         return True
 
+    @override
     def health(self) -> Health:
         """Return the combined health of the engines: running if any of them is."""
         if self._failure:
@@ -117,10 +122,12 @@ class BridgeWorker(Worker):
         best = min(reports.values(), key=lambda health: health.state != "running")
         return Health(best.state, "; ".join(f"{name}: {health.text}" for name, health in reports.items()))
 
+    @override
     def diagnostics_wanted(self) -> bool:
         """Return whether `/diagnostics` has a subscriber; all bridges see the same hub."""
         return bool(self.bridges) and self.bridges[0].diagnostics_wanted()
 
+    @override
     def stop(self) -> None:
         """Close all endpoints and sessions, once the goals of the gateway have ended."""
         bridges, self.bridges = self.bridges, []

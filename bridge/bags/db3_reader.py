@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import quote
 
+from typing_extensions import override
+
 from bridge.bags.bag import MAX_CHUNK, MAX_TOPICS, Bag, BagError, BagMessage, BagTopic, Kind, reading
 from bridge.bags.packed import ZSTD, unpacked_message
 from bridge.bags.qos import merged_qos, parse_qos
@@ -86,10 +88,10 @@ class Db3Bag(Bag):
         rows = [tuple(map(_text, row)) for row in self._file.execute(query)]
         return {name: (encoding, text) for name, encoding, text in rows}
 
+    @override
     def messages(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[BagMessage]:
-        """See `Bag.messages`."""
         wanted = None if topics is None else set(topics)
         ids = [number for number, topic in self._topic_of.items() if wanted is None or topic in wanted]
         clauses, values = ["1"], list[int]()
@@ -131,8 +133,8 @@ class Db3Bag(Bag):
         finally:
             self._file.set_progress_handler(None, 0)
 
+    @override
     def close(self) -> None:
-        """See `Bag.close`."""
         self._file.close()
 
 

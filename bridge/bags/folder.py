@@ -10,6 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.bags.bag import Bag, BagError, BagMessage, BagTopic, reading
 from bridge.bags.packed import ENDINGS, unpacked_file
 from bridge.bags.qos import load_yaml
@@ -80,6 +82,7 @@ class FilesBag(Bag):
         self.start_ns = min((part.start_ns for part in times), default=0)
         self.end_ns = max((part.end_ns for part in times), default=0)
 
+    @override
     def messages(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[BagMessage]:
@@ -120,6 +123,7 @@ class FilesBag(Bag):
         for message in part.messages(mine, start_ns, end_ns):
             yield message._replace(topic=self._topic_of[message.topic])
 
+    @override
     def skip_damage(self, told: Callable[[BagError], None]) -> None:
         """See `Bag.skip_damage`: if a file cannot skip its damage, the rest of it is left out."""
         self._on_damage = told
@@ -128,8 +132,8 @@ class FilesBag(Bag):
         for part in self._parts:
             part.skip_damage(told)
 
+    @override
     def close(self) -> None:
-        """See `Bag.close`."""
         self._stack.close()
 
 

@@ -32,6 +32,7 @@ from mcap.records import (
     SummaryOffset,
 )
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from bridge import __version__
 from bridge.bags.bag import BagTopic
@@ -93,10 +94,10 @@ class ChunkedMcap(BagWriter):
             self._channels[channel.id] = channel
             self._record(channel)
 
+    @override
     def write(
         self, places: Sequence[int], times: Sequence[int], publish_times: Sequence[int], data: Sequence[bytes]
     ) -> None:
-        """See `BagWriter.write`."""
         heads = np.zeros(len(data), _HEAD)
         sizes = np.fromiter(map(len, data), np.uint64, len(data))
         heads["opcode"], heads["length"], heads["channel"] = Opcode.MESSAGE, sizes + _BODY, places
@@ -137,8 +138,8 @@ class ChunkedMcap(BagWriter):
             )
         )  # fmt: skip
 
+    @override
     def finish(self) -> None:
-        """Write the summary."""
         self._write_chunks()
         self._packer.shutdown()
         for metadata in self._metadata:
@@ -169,6 +170,7 @@ class ChunkedMcap(BagWriter):
         self._file.write(MAGIC)
         self._file.close()
 
+    @override
     def abandon(self) -> None:
         """Close the file without its summary."""
         self._packer.shutdown(cancel_futures=True)
@@ -223,8 +225,8 @@ class McapCopy(ChunkedMcap):
         self._source = source
         self._metadata = source.records
 
+    @override
     def add(self, topic: BagTopic, _form: TopicForm) -> int:
-        """See `BagWriter.add`."""
         number = self._source.number_of(topic)
         self.add_number(number)
         return number
@@ -242,8 +244,8 @@ class Ros2Mcap(ChunkedMcap):
         super().__init__(path, compression, PROFILE, f"midspan {__version__}")
         self._known: dict[tuple[str, str], Schema] = {}
 
+    @override
     def add(self, topic: BagTopic, form: TopicForm) -> int:
-        """See `BagWriter.add`."""
         name, (encoding, text) = form.name or topic.name, stored_definition(form.type_name, form.definition)
         new = Schema(id=len(self._known) + 1, name=form.type_name, encoding=encoding, data=text.encode())
         schema = self._known.setdefault((form.type_name, text), new)

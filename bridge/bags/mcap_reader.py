@@ -19,6 +19,7 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema, Statistics
+from typing_extensions import override
 
 from bridge.bags.bag import MAX_TOPICS, BagError, BagTopic, Kind, reading
 from bridge.bags.qos import merged_qos, parse_qos
@@ -300,6 +301,7 @@ class McapBag(SpanBag):
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._store_record(opcode, data[body:at])
 
+    @override
     def _load(self, span: FileSpan) -> Rows:
         rows = self._split(span)
         for number in np.unique(rows.numbers).tolist():

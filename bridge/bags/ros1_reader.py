@@ -15,6 +15,7 @@ from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from bridge.bags.bag import MAX_TOPICS, BagError, BagTopic, Kind, reading
 from bridge.bags.rows import Rows
@@ -158,6 +159,7 @@ class Ros1Bag(SpanBag):
     def _note(self, err: BagError) -> None:
         self.trouble = self.trouble or err
 
+    @override
     def _load(self, span: FileSpan) -> Rows:
         on_damage = self._note if span.offset == self._cut else self._on_damage or _raise
         rows = self._split(span, on_damage)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.bags.bag import MAX_CHUNK, Bag, BagError, BagMessage, BagTopic, Columns, reading
 from bridge.bags.packed import ZSTD, unpacked_message
@@ -55,6 +56,7 @@ class SpanBag(Bag):
     def _load(self, span: FileSpan) -> Rows:
         """Return the messages of a span as stored; raises anything for bad bytes."""
 
+    @override
     def columns(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[Columns]:
@@ -79,10 +81,10 @@ class SpanBag(Bag):
                 yield self._columns(block)
             waiting = rows.select(slice(due, None)).compact() if due < len(rows.table) else None
 
+    @override
     def messages(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[BagMessage]:
-        """See `Bag.messages` and `columns`."""
         for columns in self.columns(topics, start_ns, end_ns):
             yield from map(BagMessage, *columns)
 
@@ -108,12 +110,13 @@ class SpanBag(Bag):
             self._on_damage(err)
             return Rows(b"", new_table(0)[:0])
 
+    @override
     def skip_damage(self, told: Callable[[BagError], None]) -> None:
         """See `Bag.skip_damage`: a damaged piece is left out."""
         self._on_damage = told
 
+    @override
     def close(self) -> None:
-        """See `Bag.close`."""
         self._file.close()
 
     def _read(self, offset: int, length: int) -> bytes:

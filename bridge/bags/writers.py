@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.bags.bag import BagError, BagTopic, Kind
 from bridge.bags.conversion import TopicForm
 from bridge.bags.definitions import hashed_definition
@@ -62,6 +64,7 @@ class Ros1(BagWriter):
         class Frugal(Writer1):
             """Stores the number of messages of each written chunk instead of the offset of each message."""
 
+            @override
             def write_chunk(self, chunk: Any) -> None:
                 super().write_chunk(chunk)
                 chunk.connections = {number: range(len(items)) for number, items in chunk.connections.items()}
@@ -73,8 +76,8 @@ class Ros1(BagWriter):
         self._writer.open()
         self._known: dict[tuple[Any, ...], Any] = {}
 
+    @override
     def add(self, topic: BagTopic, form: TopicForm) -> Any:
-        """See `BagWriter.add`."""
         caller = topic.metadata.get("callerid") or topic.metadata.get("origin") or "/midspan"
         package, _, name = form.type_name.partition("/")
         latching = int(topic.qos.latched)
@@ -87,22 +90,22 @@ class Ros1(BagWriter):
             )  # fmt: skip
         return self._known[key]
 
+    @override
     def write(
         self, places: Sequence[Any], times: Sequence[int], _publish_times: Sequence[int], data: Sequence[bytes]
     ) -> None:
-        """See `BagWriter.write`."""
         for place, time_ns, message in zip(places, times, data, strict=True):
             if not 0 <= time_ns < _MAX_SECONDS * _NS:
                 problem = f"a message of {place.topic} has time {time_ns} ns, which no ROS 1 bag can hold"
                 raise BagError(self._path, problem)
             self._writer.write(place, time_ns, message)
 
+    @override
     def finish(self) -> None:
-        """See `BagWriter.finish`."""
         self._writer.close()
 
+    @override
     def abandon(self) -> None:
-        """See `BagWriter.abandon`."""
         self._writer.abort()
 
 
@@ -117,6 +120,7 @@ class Db3(BagWriter):
         self._topics: dict[tuple[str, str], tuple[TopicForm, dict[Qos, None]]] = {}
         self._connections: dict[tuple[str, str], Any] = {}
 
+    @override
     def add(self, topic: BagTopic, form: TopicForm) -> Any:
         """See `BagWriter.add`: a topic is one connection with the QoS of each of its publishers."""
         key = form.name or topic.name, form.type_name
@@ -125,10 +129,10 @@ class Db3(BagWriter):
         self._topics[key] = known if known.definition else form, offered
         return key
 
+    @override
     def write(
         self, places: Sequence[Any], times: Sequence[int], _publish_times: Sequence[int], data: Sequence[bytes]
     ) -> None:
-        """See `BagWriter.write`."""
         if not self._connections:
             self._connect()
         for place, time_ns, message in zip(places, times, data, strict=True):
@@ -148,14 +152,14 @@ class Db3(BagWriter):
                 offered_qos_profiles=list(map(_profile, offered)),
             )  # fmt: skip
 
+    @override
     def finish(self) -> None:
-        """See `BagWriter.finish`."""
         if not self._connections:
             self._connect()
         self._writer.close()
 
+    @override
     def abandon(self) -> None:
-        """See `BagWriter.abandon`."""
         storage = self._writer.storage
         if storage is not None:
             storage.abort()

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.boards.link import BoardLink, Joints
 from bridge.boards.section import ControlBoardSection, ControlBoardsSection
@@ -28,6 +29,7 @@ class ControlBoards(Module):
 
     name = "control_boards"
 
+    @override
     def start(self, host: Host, section: Section) -> None:
         """Connect to the boards, and create their topics."""
         assert isinstance(section, ControlBoardsSection)
@@ -45,11 +47,13 @@ class ControlBoards(Module):
             link.start()
         host.answer("halt", lambda _params: self._halt())
 
+    @override
     def health(self) -> Health:
         """Return "running" if all boards are connected."""
         trouble = next((link.trouble for link in self._links if link.trouble), "")
         return Health("waiting", trouble) if trouble else Health("running", f"{len(self._links)} boards")
 
+    @override
     def status(self) -> dict[str, Any]:
         """Return the boards with their joints, and the last refusal of each command topic."""
         return {
@@ -66,6 +70,7 @@ class ControlBoards(Module):
             "refused": dict(self.refused),
         }
 
+    @override
     def stop(self) -> None:
         """Stop the moving joints, and disconnect."""
         for link in self._links:

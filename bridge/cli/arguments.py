@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from typing_extensions import override
+
 Run = Callable[[argparse.Namespace], int]
 
 _SPAN = re.compile(r"(\d+(?:\.\d+)?)\s*(ms|s|min|m|h|)", re.IGNORECASE)
@@ -31,10 +33,12 @@ class VerbParser(argparse.ArgumentParser):
         super().__init__(*args, **kwargs)
         self._negative_number_matcher = _NEGATIVE
 
+    @override
     def parse_known_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> tuple[Any, list[str]]:
         """Parse as argparse does, with each ``--option=VALUE`` of several values as two words."""
         return super().parse_known_args(list(self._split(sys.argv[1:] if args is None else args)), namespace)
 
+    @override
     def parse_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> Any:
         """Parse as argparse does; unknown arguments are errors of the verb that they were given to."""
         arguments = list(sys.argv[1:] if args is None else args)
@@ -71,6 +75,7 @@ class VerbParser(argparse.ArgumentParser):
         hints = [_meant(argument.partition("=")[0], options) for argument in unknown if argument.startswith("--")]
         self.error(f"unrecognized arguments: {' '.join(unknown)}{next(filter(None, hints), '')}")
 
+    @override
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Refuse an unknown verb or choice, and name those that may have been meant."""
         if action.choices is None or value in action.choices:

@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
+from typing_extensions import override
+
 from bridge.client.errors import ClientError
 from bridge.hub.endpoints.calls import Abandon, CallError
 from bridge.hub.endpoints.services import HubClient
@@ -139,6 +141,7 @@ class ServiceCaller(ServiceClient):
             self.close()
             raise ClientError(f"the server of {name} does not accept calls from here")
 
+    @override
     def call(self, request: Mapping[str, Any], replied: Replied) -> Abandon:
         """Call as `ServiceClient.call` does; raises `ClientError` if the values do not fit."""
         try:

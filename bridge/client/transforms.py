@@ -7,6 +7,8 @@ import time
 from collections import deque
 from typing import Self
 
+from typing_extensions import override
+
 from bridge.client.authorities import Authorities
 from bridge.client.errors import ClientError
 from bridge.client.feed import TopicFeed
@@ -81,8 +83,8 @@ class TransformFeed(TopicFeed):
         super().__init__(listener.client, topic, side)
         self._listener, self._static = listener, static
 
-    def on_sample(self, sample: HubSample, type_name: str, type_hash: str, side: str) -> None:  # noqa: ARG002
-        """Accept a message, on a thread of zenoh."""
+    @override
+    def on_sample(self, sample: HubSample, type_name: str, type_hash: str, side: str) -> None:
         if type_name == TF_TYPE:
             self._listener.receive(sample, side, static=self._static)
 

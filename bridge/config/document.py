@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
+from typing_extensions import override
 from yaml.constructor import ConstructorError
 from yaml.events import AliasEvent
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
@@ -59,6 +60,7 @@ class Yaml12Loader(yaml.SafeLoader):
 
     yaml_implicit_resolvers = {}  # noqa: RUF012 - as the base class has it
 
+    @override
     def compose_node(self, parent: Node | None, index: int) -> Node | None:
         """Compose a node, whose anchor may be one that was used before."""
         event = self.peek_event()  # type: ignore[no-untyped-call]
@@ -67,6 +69,7 @@ class Yaml12Loader(yaml.SafeLoader):
         node: Node | None = super().compose_node(parent, index)
         return node
 
+    @override
     def construct_mapping(self, node: MappingNode, deep: bool = False) -> dict[Any, Any]:
         """Construct a map, none of whose keys may be given twice."""
         seen = set[str]()

@@ -13,6 +13,8 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from enum import Enum
 
+from typing_extensions import override
+
 from bridge.config.model import Config
 
 LEVELS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
@@ -44,6 +46,7 @@ class LineFormatter(logging.Formatter):
         self._line_style = style
         self._name = name
 
+    @override
     def format(self, record: logging.LogRecord) -> str:
         """Return the record's lines."""
         text = record.getMessage()
@@ -87,6 +90,7 @@ class RelayHandler(logging.Handler):
         """Send lines with ``sink``, which returns whether it delivered the line."""
         self._sink = sink
 
+    @override
     def flush(self) -> None:
         """Send the queued lines."""
         self.acquire()
@@ -96,6 +100,7 @@ class RelayHandler(logging.Handler):
         finally:
             self.release()
 
+    @override
     def close(self) -> None:
         """Write undelivered lines to stderr, which the daemon reads after the exit of the process."""
         self.flush()
@@ -108,6 +113,7 @@ class RelayHandler(logging.Handler):
             self.release()
         super().close()
 
+    @override
     def emit(self, record: logging.LogRecord) -> None:
         """Queue the record's lines and send them."""
         for line in self.format(record).split("\n"):

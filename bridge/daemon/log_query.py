@@ -11,6 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from typing_extensions import override
+
 from bridge import state_file
 from bridge.config.model import Config
 from bridge.daemon.query import QueryServer, ask_socket
@@ -37,6 +39,7 @@ class KeptLines(logging.Handler):
         self._bytes = 0
         self._n = 0
 
+    @override
     def emit(self, record: logging.LogRecord) -> None:
         """Store a record's lines."""
         text = record.getMessage()
@@ -76,6 +79,7 @@ class LogServer(QueryServer):
         self._clients: deque[socket.socket] = deque()
         super().__init__(loop, path, dict)
 
+    @override
     def _accepted(self, client: socket.socket) -> None:
         client.setblocking(False)
         while len(self._clients) >= _MAX_CLIENTS:
@@ -94,8 +98,8 @@ class LogServer(QueryServer):
         self._loop.unwatch(client.fileno())
         client.close()
 
+    @override
     def close(self) -> None:
-        """Stop listening and remove the socket."""
         while self._clients:
             self._close(self._clients[0])
         super().close()

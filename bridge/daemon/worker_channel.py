@@ -17,6 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Protocol
 
+from typing_extensions import override
+
 from bridge import state_file
 from bridge.config.model import Config
 from bridge.daemon import log, protocol
@@ -182,6 +184,7 @@ class PipeChannel(WorkerChannel):
         loop.on_readable(self._stdout, self._read_reports)
         loop.on_readable(self._stderr, self._read_log)
 
+    @override
     def _writer(self) -> int:
         return self._stdin
 
@@ -198,6 +201,7 @@ class PipeChannel(WorkerChannel):
             self._loop.on_readable(self._stderr, None)
         self._log_lines(self._log.feed(data) if data else self._log.end() if data == b"" else [])
 
+    @override
     def poll(self) -> None:
         """Check for the exit of the process; then kill the rest of its group, and read its last output."""
         # Not reaped yet, so that its id still names its group.
@@ -211,8 +215,8 @@ class PipeChannel(WorkerChannel):
         self.detach()
         self._listener.on_exit(Exit(code))
 
+    @override
     def detach(self) -> None:
-        """Close the pipes."""
         for file in (self._stdin, self._stdout, self._stderr):
             self._loop.unwatch(file)
         for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
@@ -275,6 +279,7 @@ class SocketChannel(WorkerChannel):
             logger.warning("cannot write %s: %s; the worker's last output will be lost", self._output, err.strerror)
             return Path(os.devnull).open("wb")
 
+    @override
     def _writer(self) -> int:
         return self._socket.fileno() if self._socket is not None else -1
 
@@ -305,11 +310,13 @@ class SocketChannel(WorkerChannel):
         for line in self._lines.feed(data):
             self._report(line)
 
+    @override
     def _on_report(self, report: protocol.Report) -> None:
         if isinstance(report, protocol.Hello):
             self.pid, self.owner = report.pid, report.owner
         super()._on_report(report)
 
+    @override
     def poll(self) -> None:
         """Check for the exit of the process; connect if not connected yet."""
         if self._process is not None:
@@ -333,6 +340,7 @@ class SocketChannel(WorkerChannel):
             self._socket.close()
             self._socket = None
 
+    @override
     def detach(self) -> None:
         """Close the connection; the worker continues."""
         self._close_start()

@@ -15,6 +15,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.demo import guard
 
 _MOST_TEXT = 1500
@@ -130,6 +132,7 @@ class DemoChild(DemoProcess):
         with self._changed:
             return event in self._events
 
+    @override
     def _on_output(self, lines: Iterable[bytes]) -> None:
         for line in lines:
             try:
@@ -154,6 +157,7 @@ class Program(DemoProcess):
         self.lines: deque[str] = deque(maxlen=_KEPT_LINES)
         super().__init__(guarded(*command), env, folder, subprocess.STDOUT)
 
+    @override
     def _on_output(self, lines: Iterable[bytes]) -> None:
         self.lines.extend(line.decode(errors="replace").rstrip() for line in lines)
 

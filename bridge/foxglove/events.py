@@ -14,6 +14,7 @@ from typing import Protocol
 
 from foxglove import Parameter
 from foxglove.websocket import ChannelView, Client, ClientChannel, ServerListener
+from typing_extensions import override
 
 from bridge.foxglove.visitors import MARK, Visitors
 
@@ -77,6 +78,7 @@ class Events(ServerListener):
 
     # -- what clients watch --------------------------------------------------------------------------------------------
 
+    @override
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
         """Record that a client watches a channel."""
         with self._lock:
@@ -84,6 +86,7 @@ class Events(ServerListener):
             self._late.add(channel.id)
             self._notify()
 
+    @override
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
         """Record that a client no longer watches a channel, or that either is closed."""
         with self._lock:
@@ -103,26 +106,29 @@ class Events(ServerListener):
 
     # -- parameters ---------------------------------------------------------------------------------------------------
 
+    @override
     def on_get_parameters(
         self,
-        client: Client,  # noqa: ARG002 - every client may read
+        client: Client,  # every client may read
         param_names: list[str],
-        request_id: str | None = None,  # noqa: ARG002 - the SDK adds it to the reply
+        request_id: str | None = None,  # the SDK adds it to the reply
     ) -> list[Parameter]:
         """Return parameters; all if the client names none."""
         return self.parameters.answer(param_names) if self.parameters else []
 
+    @override
     def on_set_parameters(
         self,
         client: Client,
         parameters: list[Parameter],
-        request_id: str | None = None,  # noqa: ARG002
+        request_id: str | None = None,
     ) -> list[Parameter]:
         """Set parameters, and return their values afterwards, which the SDK sends to all subscribers."""
         return self.parameters.change(client.id, parameters) if self.parameters else []
 
     # -- what clients publish-------------------------------------------------------------------------------------------
 
+    @override
     def on_client_advertise(self, client: Client, channel: ClientChannel) -> None:
         """Record that a client will publish; or identify it by the front's mark."""
         if channel.id == MARK:
@@ -135,6 +141,7 @@ class Events(ServerListener):
                 self._count[client.id] += 1
                 self._notify()
 
+    @override
     def on_client_unadvertise(self, client: Client, client_channel_id: int) -> None:
         """Record that a client no longer publishes, or is closed."""
         if client_channel_id == MARK:
@@ -146,6 +153,7 @@ class Events(ServerListener):
                 self._count += Counter()  # remove zero counts
                 self._notify()
 
+    @override
     def on_message_data(self, client: Client, client_channel_id: int, data: bytes) -> None:
         """Queue a client's message."""
         with self._lock:

@@ -13,6 +13,8 @@ import math
 from abc import ABC, abstractmethod
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.client.errors import ClientError
 from bridge.client.topics import Definitions
 from bridge.client.types import ros2_name
@@ -56,7 +58,7 @@ class PublishedChannel(ABC):
         self.reason = ""  # why nothing is published, "" if it is
 
     @abstractmethod
-    def send(self, message: ClientMessage) -> None:
+    def send(self, message: ClientMessage) -> None:  # nothing is published
         """Publish a message; raises `NotPublishedError`."""
 
     def close(self) -> None:  # noqa: B027 - most have nothing to release
@@ -70,7 +72,8 @@ class RefusedChannel(PublishedChannel):
         super().__init__(channel, visitor)
         self.reason, self.waits = reason, waits
 
-    def send(self, message: ClientMessage) -> None:  # noqa: ARG002 - nothing is published
+    @override
+    def send(self, message: ClientMessage) -> None:  # nothing is published
         """Count the message as dropped."""
         self.counters.dropped("unknown" if self.waits else "held")
 
@@ -136,7 +139,8 @@ class ClientTopic(PublishedChannel):
         except HubError as err:
             raise NotPublishedError(str(err)) from None
 
-    def send(self, message: ClientMessage) -> None:
+    @override
+    def send(self, message: ClientMessage) -> None:  # nothing is published
         """Check the message, and publish it unchanged."""
         try:
             cdr = self._coder.cdr(message.data)
@@ -146,8 +150,8 @@ class ClientTopic(PublishedChannel):
             raise NotPublishedError(str(err)) from None
         self.counters.crossed(len(cdr))
 
+    @override
     def close(self) -> None:
-        """Close the publisher."""
         self._end.close()
 
 
@@ -160,7 +164,8 @@ class ClientVelocity(PublishedChannel):
         self._driving, self._coder = driving, coder
         self._refusal = ""
 
-    def send(self, message: ClientMessage) -> None:
+    @override
+    def send(self, message: ClientMessage) -> None:  # nothing is published
         """Drive at the message's velocity for a moment."""
         try:
             twist = self._coder.fields(self._coder.cdr(message.data))
@@ -185,6 +190,7 @@ class ClientVelocity(PublishedChannel):
         """Store why it may not drive."""
         self._refusal = reason
 
+    @override
     def close(self) -> None:
         """Command zero velocity if it drives."""
         self._driving.release(self)

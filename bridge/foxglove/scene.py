@@ -27,6 +27,7 @@ from foxglove.messages import (
     Timestamp,
     Vector3,
 )
+from typing_extensions import override
 
 from bridge.config.model import Config
 from bridge.foxglove.server import FoxgloveServer
@@ -82,19 +83,20 @@ class Scene(Feed):
         if channels & late:
             self._publish(channels & late)
 
+    @override
     def open(self) -> None:
-        """Start to follow the store."""
         from bridge.web.feeds.maps import StoreFollower  # it makes pictures, too: who needs no scene does without
 
         self._store = self._store or StoreFollower(self._host, self._config)
         self._store.begin(self, self._on_view)
 
+    @override
     def close(self) -> None:
-        """Stop following the store."""
         if self._store is not None:
             self._store.end(self)
         self._view = None
 
+    @override
     def put(self, value: Any, reason: str = "") -> None:
         """Clear the shown content if the store cannot be read."""
         self.error = reason

@@ -10,6 +10,7 @@ from threading import BoundedSemaphore
 from typing import Any, NamedTuple
 
 import foxglove
+from typing_extensions import override
 
 from bridge.client.errors import ClientError
 from bridge.client.services import WAIT_SECONDS, ServiceClient
@@ -52,9 +53,11 @@ class ServiceKey(NamedTuple):
 class _CdrCodec(ServiceCodec):
     """The codec of the app's calls, which checks requests, and leaves replies as they are."""
 
+    @override
     def request(self, value: Any) -> bytes:
         return self._check_request(value)
 
+    @override
     def response_value(self, cdr: bytes) -> Any:
         return cdr
 

@@ -11,6 +11,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 from foxglove.websocket import Capability
+from typing_extensions import override
 
 from bridge.client.topics import HubTopics
 from bridge.config.model import Config
@@ -51,6 +52,7 @@ class FoxgloveWorker(Worker):
         self._config: Config | None = None
         self._live: Live | None = None
 
+    @override
     def start(self, config: Config) -> None:
         """Open the node and the server; raises `RuntimeError` if the address is in use."""
         self._config = config
@@ -59,10 +61,12 @@ class FoxgloveWorker(Worker):
         self._live.start()
         _log.info("the Foxglove app finds the hub at %s", self._live.front.address)
 
+    @override
     def reload(self, config: Config) -> bool:
         """Request a restart after any change: the app reconnects by itself."""
         return config == self._config
 
+    @override
     def health(self) -> Health:
         """Return the server's address and load; raises `TimeoutError` if the worker's thread hangs."""
         assert self._live is not None
@@ -70,10 +74,11 @@ class FoxgloveWorker(Worker):
         self._live.check()
         return Health("running", self._live.text())
 
+    @override
     def diagnostics_wanted(self) -> bool:
-        """Return whether `/diagnostics` has subscribers."""
         return self._live is not None and has_subscribers(self._live.host.node.hub.graph)
 
+    @override
     def stop(self) -> None:
         """Disconnect the clients, and leave the hub."""
         live, self._live = self._live, None
@@ -220,6 +225,7 @@ class SdkLog(logging.Handler):
         super().__init__(logging.WARNING)
         self._log = ScarceLog("midspan.foxglove")
 
+    @override
     def emit(self, record: logging.LogRecord) -> None:
         """Log or count the record."""
         self._log.warn(f"the SDK: {record.getMessage()[:500]}")

@@ -18,6 +18,7 @@ from typing import Any
 
 import psutil
 import zenoh
+from typing_extensions import override
 
 from bridge.config.model import Config
 from bridge.config.rules import commands
@@ -139,6 +140,7 @@ class RouterWorker(Worker):
         self._watch: zenoh.Session | None = None  # in standby, at the router that is used
         self._other = ""
 
+    @override
     def start(self, config: Config) -> None:
         """Listen; raises `RuntimeError` if another program holds the port and cannot be shared."""
         self._config = config
@@ -161,6 +163,7 @@ class RouterWorker(Worker):
             _log.info("%s is at %s already and is used", holder_name, hub.listen)
         self._open_door(config)
 
+    @override
     def reload(self, config: Config) -> bool:
         """Take a new configuration; only the router for other machines can change while this one runs."""
         old = self._config
@@ -171,6 +174,7 @@ class RouterWorker(Worker):
             self._reopen_door(config)
         return True
 
+    @override
     def health(self) -> Health:
         """Query the router itself over zenoh."""
         assert self._config is not None
@@ -193,6 +197,7 @@ class RouterWorker(Worker):
         sessions = "1 session" if count == 1 else f"{count} sessions"
         return Health("running", f"{sessions} at {self._config.hub.listen}{self._door_text()}")
 
+    @override
     def stop(self) -> None:
         """Close the router; its peers keep their direct links."""
         self._close_door()

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.messages.definitions.schema import FieldType
 from bridge.messages.errors import ConversionError
@@ -41,6 +42,7 @@ def from_json(registry: Registry, type_name: str, value: Mapping[str, Any], type
 class _JsonReader(MessageReader):
     """Reads messages as JSON values."""
 
+    @override
     def plain(self, value: Any, base: str) -> Any:
         """Return a number; a float32 with only its significant digits."""
         if isinstance(value, float):
@@ -50,6 +52,7 @@ class _JsonReader(MessageReader):
                 return float(str(np.float32(value)))
         return value
 
+    @override
     def numbers(self, content: memoryview | bytes, base: str) -> Any:
         """Return a list, or base64 text for octets."""
         if base in OCTETS:
@@ -61,12 +64,14 @@ class _JsonReader(MessageReader):
 class _JsonWriter(MessageWriter):
     """Writes messages from JSON values."""
 
+    @override
     def plain(self, base: str, value: Any, where: str) -> bool | int | float:
         """Return a number, also from the texts for NaN and the infinities."""
         if base.startswith("float") and isinstance(value, str) and value.lower() in _NOT_NUMBERS:
             return _NOT_NUMBERS[value.lower()]
         return super().plain(base, value, where)
 
+    @override
     def items(self, kind: FieldType, value: Any, where: str) -> Sequence[Any] | np.ndarray | bytes:
         """Return the elements, also from base64 text."""
         if kind.base not in OCTETS or isinstance(value, np.ndarray):

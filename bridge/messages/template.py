@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.messages.definitions.schema import PRIMITIVE_SIZES, STRUCT_FORMATS, FieldType, Schema
 from bridge.messages.errors import ConversionError
@@ -53,10 +54,12 @@ class _PlaceWriter(MessageWriter):
         self.places: list[tuple[int, str]] = []
         self.found: set[str] = set()
 
+    @override
     def items(self, kind: FieldType, value: Any, where: str) -> Sequence[Any] | bytes:
         items = super().items(kind, value, where)
         return items.tolist() if isinstance(items, np.ndarray) else items
 
+    @override
     def element(self, kind: FieldType, value: Any, where: str) -> None:
         super().element(kind, value, where)
         path = next((path for path in self._changing if _within(where, path)), None)

@@ -10,6 +10,7 @@ import psutil
 from prometheus_client.core import Metric
 from prometheus_client.registry import Collector
 from pydantic import Field
+from typing_extensions import override
 
 from bridge import __version__
 from bridge.daemon.query import Phase
@@ -76,6 +77,7 @@ class MidspanCollector(Collector):
         """Return nothing: to get the names, the library would query all workers."""
         return ()
 
+    @override
     def collect(self) -> Iterable[Metric]:
         """Return all families that have samples."""
         return self.families(self._source.snapshot())

@@ -7,6 +7,8 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.callers import AGAIN, Callers, callers_file
 from bridge.config.model import Config
 from bridge.routing.counters import Counters
@@ -128,6 +130,7 @@ class _SwitchedOff(NameClient):
     """A client without a name server, for ``yarp.enabled: false``: every command fails at once."""
 
     @property
+    @override
     def address(self) -> Address:
         """Raise `NoNameServerError`."""
         raise NoNameServerError("YARP is switched off (yarp.enabled: false)")

@@ -8,6 +8,8 @@ import time
 from threading import Event
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.concurrency import Backoff
 from bridge.config.model import Config
 from bridge.config.sections.section import Section
@@ -202,6 +204,7 @@ class ModulesWorker(Worker):
         self._shared: Shared | None = None
         self._running: dict[str, Running] = {}
 
+    @override
     def start(self, config: Config) -> None:
         """Start the modules; a failure of one does not prevent the others from starting."""
         sys.setswitchinterval(SWITCH_INTERVAL)
@@ -211,6 +214,7 @@ class ModulesWorker(Worker):
         for name, section in self._sections(config).items():
             self._start(name, section, config, self._registry, self._shared)
 
+    @override
     def reload(self, config: Config) -> bool:
         """Start, stop and reload the modules whose configuration changed."""
         old, registry, shared = self._config, self._registry, self._shared
@@ -244,6 +248,7 @@ class ModulesWorker(Worker):
             raise StoreError("the worker has not started")
         return self._shared.stores.store
 
+    @override
     def health(self) -> Health:
         """Combine the modules' health; the worker is running if any module is."""
         reports = {name: running.health() for name, running in self._running.items()}
@@ -255,12 +260,12 @@ class ModulesWorker(Worker):
         best = min(reports.values(), key=lambda health: health.state != "running")
         return Health(best.state, ", ".join(_describe(name, health) for name, health in reports.items()))
 
+    @override
     def diagnostics_wanted(self) -> bool:
-        """See `Worker`."""
         return self._shared is not None and self._shared.diagnostics_wanted()
 
+    @override
     def stop(self) -> None:
-        """Stop all modules."""
         while self._running:
             self._running.popitem()[1].stop()
         if self._shared is not None:

@@ -8,6 +8,8 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from typing_extensions import override
+
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import Origin
@@ -317,8 +319,8 @@ class HubToSideRoute(TopicRoute):
         timeout = self.policy.timeout
         return self._context.stall_detector.stood_still(timeout) or source.age.age(sample.source_time_ns) > timeout
 
-    def close(self, why: str = "") -> None:  # noqa: ARG002 - only pending calls need the reason
-        """Close the endpoints on both networks."""
+    @override
+    def close(self, why: str = "") -> None:  # only pending calls need the reason
         self._leave_hub()
         for publisher in (self._latched, self._volatile):
             if publisher is not None:
@@ -328,8 +330,8 @@ class HubToSideRoute(TopicRoute):
             self._queue.clear()
             self._queued_bytes = 0
 
+    @override
     def status(self) -> RouteStatus:
-        """Return the route for the status document."""
         transport, by_lane = ("", ""), self._by_lane_before
         if (subscription := self._subscription) is not None:
             self.counters.missed(self._lost_before + subscription.lost, subscription.losses)
@@ -347,7 +349,8 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
     direction = "out"
     _outcome = Outcome()
 
-    def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # noqa: ARG002 - the hub's graph counts
+    @override
+    def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # the hub's graph counts
         """Return name and type of each topic of the hub that may leave it to this side."""
         publishers = self._context.hub.graph.publishers()
         return {(e.topic, e.type_name) for e in publishers if may_leave(e, self._context.edge)}

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from typing_extensions import override
+
 from bridge.clock import CLOCK_TOPIC, CLOCK_TYPE
 from bridge.concurrency import BoundedQueue
 from bridge.hub.endpoints.publisher import HubPublisher
@@ -233,8 +235,8 @@ class SideToHubRoute(TopicRoute):
             time_ns is not None and known.age.age(time_ns) > timeout
         )
 
-    def close(self, why: str = "") -> None:  # noqa: ARG002 - only pending calls need the reason
-        """Close the endpoints on both networks."""
+    @override
+    def close(self, why: str = "") -> None:  # only pending calls need the reason
         if self._subscription is not None:
             self._subscription.close()
             self._subscription = None
@@ -246,8 +248,8 @@ class SideToHubRoute(TopicRoute):
                 publisher.close()
         self._shared = self._static_publisher = None
 
+    @override
     def status(self) -> RouteStatus:
-        """Return the route for the status document."""
         if self._subscription is not None:
             self.counters.drops["lost"] = self._subscription.lost
         publishers = {s.publisher.gid: s.publisher for s in tuple(self._sources.values())}.values()
@@ -272,6 +274,7 @@ class SideToHubTopics(RouteSet[RouteKey, SideToHubRoute]):
         super().__init__(context)
         self._taps: dict[str, float] = {}
 
+    @override
     def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:
         """Return name and type of each topic that is published on the side."""
         return {(e.topic, e.type) for e in endpoints if e.kind is Kind.PUBLISHER}

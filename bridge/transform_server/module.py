@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.client.authorities import Authorities
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import LATCHED, Durability, Qos
@@ -27,6 +29,7 @@ class TransformServer(Module):
 
     name = "transform_server"
 
+    @override
     def start(self, host: Host, section: Section) -> None:
         """Subscribe to transforms, and open the ports."""
         assert isinstance(section, TransformServerSection)
@@ -65,6 +68,7 @@ class TransformServer(Module):
         host.yarp.serve(ports + GET, Getter(self._exchange))
         host.loop.every(section.period, stream.tick)
 
+    @override
     def reload(self, section: Section) -> bool:
         """Apply changed lifetimes at run time; other changes need a restart."""
         assert isinstance(section, TransformServerSection)
@@ -78,10 +82,11 @@ class TransformServer(Module):
         self._view.yarp_lifetime, self._view.ros_lifetime = lifetimes.values()
         return True
 
+    @override
     def health(self) -> Health:
-        """Return the number of frames."""
         return Health("running", f"{len(self._view)} frames, {self._view.ours} of YARP programs")
 
+    @override
     def status(self) -> dict[str, Any]:
         """Return the counts of frames and refusals, and the conflicting sources."""
         return {

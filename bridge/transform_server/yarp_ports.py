@@ -1,11 +1,11 @@
 """The ports for YARP's transform clients: the RPC ports that they call, and the stream of all frames."""
 
-# ruff: noqa: N802 - the methods' names are YARP's
-
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+
+from typing_extensions import override
 
 from bridge.modules.ports import HostedPort
 from bridge.transform_server.exchange import Exchange
@@ -33,18 +33,19 @@ class Setter(FrameTransformStorageSetRPC):
         super().__init__()
         self._exchange, self._changed = exchange, changed
 
+    @override
     def setTransformsRPC(self, transforms: list[FrameTransform]) -> ReturnValue:
-        """Set several transforms."""
         refusal = self._exchange.set(transforms)
         self._changed()
         if refusal is not None:
             raise CallFailed(reason=str(refusal))
         return OK
 
+    @override
     def setTransformRPC(self, transform: FrameTransform) -> ReturnValue:
-        """Set one transform."""
         return self.setTransformsRPC([transform])
 
+    @override
     def deleteTransformRPC(self, src: str, dst: str) -> ReturnValue:
         """Delete frames set by YARP programs between two frames; as in YARP it fails if two named ones have none."""
         if not self._exchange.delete(src, dst) and ANY not in (src, dst):
@@ -52,6 +53,7 @@ class Setter(FrameTransformStorageSetRPC):
         self._changed()
         return OK
 
+    @override
     def clearAllRPC(self) -> ReturnValue:
         """Delete all frames set by YARP programs."""
         return self.deleteTransformRPC(ANY, ANY)
@@ -64,8 +66,8 @@ class Getter(FrameTransformStorageGetRPC):
         super().__init__()
         self._exchange = exchange
 
+    @override
     def getTransformsRPC(self) -> tuple[ReturnValue, list[FrameTransform]]:
-        """Return all frames."""
         return OK, self._exchange.frames()
 
 
@@ -111,6 +113,7 @@ class _All(AllTransforms):
         super().__init__(OK, transforms)
         self._generation = generation
 
+    @override
     def to_wire(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> list[Buffer]:
         """Return the bytes for a dialect."""
         return super().to_wire(profile, generation or self._generation(profile))

@@ -6,6 +6,8 @@ import logging
 import secrets
 from typing import TYPE_CHECKING, Any
 
+from typing_extensions import override
+
 from bridge.config.model import Config
 from bridge.hub.diagnostics import announce, has_subscribers
 from bridge.hub.session import Hub
@@ -41,6 +43,7 @@ class MetricsWorker(Worker):
         self._hub: Hub | None = None
         self._head = StatusHead({"side": "metrics"}, uptime=False)
 
+    @override
     def start(self, config: Config) -> None:
         """Open the server; raises `RuntimeError` if the address is in use, or requires authentication."""
         self._config = config
@@ -62,10 +65,12 @@ class MetricsWorker(Worker):
         self.server.start()
         _log.info("metrics are at %smetrics", self.server.address)
 
+    @override
     def reload(self, config: Config) -> bool:
         """Return whether nothing changed: otherwise the worker restarts, which costs at most a scrape."""
         return config == self._config
 
+    @override
     def health(self) -> Health:
         """Return the address; joins the hub unless it has joined already."""
         assert self.server is not None
@@ -81,10 +86,11 @@ class MetricsWorker(Worker):
             self._hub = hub
         return Health("running", "; ".join(filter(None, (f"{self.server.address}metrics", self._link.trouble))))
 
+    @override
     def diagnostics_wanted(self) -> bool:
-        """Return whether `/diagnostics` has subscribers."""
         return self._hub is not None and has_subscribers(self._hub.graph)
 
+    @override
     def stop(self) -> None:
         """Close the server and the session."""
         server, self.server = self.server, None

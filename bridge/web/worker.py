@@ -6,6 +6,7 @@ import logging
 from typing import Any
 
 from starlette.websockets import WebSocket
+from typing_extensions import override
 
 from bridge import __version__
 from bridge.client.session import Client
@@ -50,6 +51,7 @@ class WebWorker(Worker):
         self._config: Config | None = None
         self._console: Console | None = None
 
+    @override
     def start(self, config: Config) -> None:
         """Open the node and the server; raises `RuntimeError` if the address is in use."""
         self._config = config
@@ -57,10 +59,12 @@ class WebWorker(Worker):
         self._console.start()
         _log.info("the console is at %s", self._console.server.address)
 
+    @override
     def reload(self, config: Config) -> bool:
         """Request a restart after any change: pages reconnect by themselves."""
         return config == self._config
 
+    @override
     def health(self) -> Health:
         """Return the address; raises `TimeoutError` if the module's thread hangs."""
         assert self._console is not None
@@ -72,10 +76,11 @@ class WebWorker(Worker):
         pages = console.server.pages
         return Health("running", console.server.address + (f", {pages} open" if pages else ""))
 
+    @override
     def diagnostics_wanted(self) -> bool:
-        """Return whether `/diagnostics` has subscribers."""
         return self._console is not None and has_subscribers(self._console.host.node.hub.graph)
 
+    @override
     def stop(self) -> None:
         """Close the page's sockets and the node."""
         console, self._console = self._console, None

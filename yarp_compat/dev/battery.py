@@ -20,6 +20,7 @@ from yarp_compat.dev.fields import Generated
 from yarp_compat.dev.rangefinder import VocabReply
 from yarp_compat.dev.returnvalue import OK, UNREACHED, ReturnValue, deliver, results_of
 from yarp_compat.dev.service import Service, before, rpc
+from yarp_compat.overriding import override
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.generation import Generation
 
@@ -134,13 +135,13 @@ class BatteryClient(StreamingClient[_BatteryCalls, BatteryData], IBattery):
             _BatteryCalls, f"{server}/rpc:i", rpc_port, f"{server}/data:o", BatteryData, stream_port, carrier, **options
         )
 
+    @override
     def newest(self) -> BatteryData | None:
-        """Return the newest message; None before the first."""
         last = self.last()
         return None if last is None else last[0]
 
+    @override
     def described(self) -> tuple[ReturnValue, str]:
-        """Return the outcome and the description of the battery."""
         if self.version is not None:
             outcome, *info = results_of(self.remote.getBatteryInfoRPC)
             return outcome, info[0] if outcome else ""
@@ -149,6 +150,7 @@ class BatteryClient(StreamingClient[_BatteryCalls, BatteryData], IBattery):
         except (OSError, WireError):
             return UNREACHED, ""
 
+    @override
     def _meant(self, received: tuple[BatteryData, float] | None) -> tuple[BatteryData, float] | None:
         """Reorder the numbers of servers before 3.12: voltage, current, charge."""
         if received is None or self.version is not None:

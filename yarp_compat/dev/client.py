@@ -12,6 +12,7 @@ from typing import Generic, Self, TypedDict, TypeVar, Unpack
 from yarp_compat.dev.service import Service
 from yarp_compat.naming import connections
 from yarp_compat.os.data.stamp import Stamp
+from yarp_compat.overriding import override
 from yarp_compat.ports.naming import Naming, PortError
 from yarp_compat.ports.port import PortCore
 from yarp_compat.ports.sockets import Openable, closed_on_failure
@@ -83,6 +84,7 @@ class Stream(Openable, Generic[T]):
         self._source, self._kind, self._carrier = source, kind, carrier
         self._reader = Reader(name, strict=strict, naming=naming)
 
+    @override
     def open(self) -> Self:
         """Open the port and connect the source to it; raises `NamingError`, or `PortError` if the source is missing."""
         self._reader.open()
@@ -90,8 +92,8 @@ class Stream(Openable, Generic[T]):
             connections.connect(self._reader.core.naming, self._source, self._reader.name, self._carrier)
         return self
 
+    @override
     def close(self) -> None:
-        """Close the port; iterations end."""
         self._reader.close()
 
     def read(self) -> tuple[T, float] | None:
@@ -146,6 +148,7 @@ class ServiceClient(Client, Generic[S]):
         self.connect(self.server)
         self.version = self.remote.introduce()
 
+    @override
     def open(self) -> Self:
         """Open the port, connect it, and introduce it, as YARP 4's servers expect; raises as `Stream.open` does."""
         super().open()
@@ -168,6 +171,7 @@ class StreamingClient(ServiceClient[S], Generic[S, T]):
         self._stream = Stream(source, kind, mine, carrier, naming=options.get("naming"))
         self._last: tuple[T, float] | None = None
 
+    @override
     def open(self) -> Self:
         """Open both ports and connect them; raises as `ServiceClient.open` does."""
         super().open()
@@ -175,6 +179,7 @@ class StreamingClient(ServiceClient[S], Generic[S, T]):
             self._stream.open()
         return self
 
+    @override
     def close(self) -> None:
         """Close both ports, which ends pending `read` calls."""
         self._stream.close()

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Self
 
 from yarp_compat.dev.mapfile import MapFileError, TextFile, decimal
+from yarp_compat.overriding import override
 from yarp_compat.wire.text import from_text, value_text
 
 _SECTIONS = ("Behaviours:", "Links:")
@@ -27,8 +28,8 @@ class Extras(TextFile):
     links: dict[str, MapLink] = field(default_factory=dict)
 
     @classmethod
+    @override
     def from_text(cls, text: str, source: str = "the file") -> Self:
-        """Parse a file's text; errors name the file ``source``. Raises `MapFileError` for an invalid line."""
         lines = [line.strip() for line in text.split("\n")]
         if lines[:2] != ["Version:", "1"]:
             raise MapFileError(f"{source} does not begin with the lines 'Version:' and '1'")
@@ -43,8 +44,8 @@ class Extras(TextFile):
                     raise MapFileError(f"{source}, line {number}: {error}: {line:.100}") from None
         return extras
 
+    @override
     def to_text(self) -> str:
-        """Return the text of a file, sorted by name."""
         lines = ["Version:", "1", "Behaviours:"]
         lines += [f"{value_text(name)} {rules.to_text()}" for name, rules in sorted(self.behaviours.items())]
         lines.append("Links:")

@@ -16,6 +16,7 @@ from enum import IntEnum
 from functools import cache
 from typing import Annotated, Any, Self, get_args, get_origin, get_type_hints
 
+from yarp_compat.overriding import override
 from yarp_compat.wire import tags
 from yarp_compat.wire.binary import decode
 from yarp_compat.wire.elements import ElementReader, ElementWriter
@@ -54,11 +55,13 @@ class Integer(FieldCodec):
         self._wrap = self._high if unsigned else 0
         super().__init__(f"{'u' if unsigned else 'i'}{bits}", int, lambda _: self._tag)
 
+    @override
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         if isinstance(value, int) and not self._low <= value < self._high:
             raise WireError(f"{value} is not an {self.name}")
         out.integer(value, self._tag, tagged=tagged)
 
+    @override
     def read(self, source: ElementReader) -> int:
         value = source.integer()
         if value < 0 and self._wrap:
@@ -78,9 +81,11 @@ class _Plain(FieldCodec):
         super().__init__(name, lambda: default, tag)
         self._write, self._read = write, read
 
+    @override
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         self._write(out, value, tagged=tagged)
 
+    @override
     def read(self, source: ElementReader) -> Any:
         return self._read(source)
 
@@ -97,6 +102,7 @@ class VocabEnum(IntEnum):
         return member
 
     @classmethod
+    @override
     def _missing_(cls, value: object) -> Self | None:
         return next((member for member in cls if member.text == value), None)
 
@@ -113,6 +119,7 @@ class Choice(FieldCodec):
         self._tag = tags.VOCAB32 if vocab or self._is_text else tags.INT32
         super().__init__(kind.__name__, lambda: next(iter(kind)), lambda _: self._tag)
 
+    @override
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         try:
             member = self._kind(value)
@@ -126,6 +133,7 @@ class Choice(FieldCodec):
         else:
             out.integer(member.value, tagged=tagged)
 
+    @override
     def read(self, source: ElementReader) -> IntEnum:
         value: Any = source.word() if self._is_text else source.integer()
         if value == "":  # the vocab 0, C++'s initial value: sent with an outcome that is not ok
@@ -144,12 +152,14 @@ class ListOf(FieldCodec):
         super().__init__(f"list<{element.name}>", list)
         self.element = element
 
-    def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:  # noqa: ARG002
+    @override
+    def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         tag = self.element.tag(out.profile)
         out.begin(len(value), tag)
         for element in value:
             self.element.write(out, element, tagged=not tag)
 
+    @override
     def read(self, source: ElementReader) -> list[Any]:
         count = source.begin()
         values = [self.element.read(source) for _ in range(count)]
@@ -164,11 +174,13 @@ class Nested(FieldCodec):
         super().__init__(kind.__name__, kind)
         self.kind = kind
 
-    def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:  # noqa: ARG002
+    @override
+    def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         if not isinstance(value, self.kind):
             raise WireError(f"{value!r:.60} is not a {self.name}")
         value._write(out)
 
+    @override
     def read(self, source: ElementReader) -> Portable:
         value = self.kind()
         value._read(source)
@@ -206,6 +218,7 @@ def field_of(annotation: Any) -> FieldCodec:
 class Structure(Portable):
     """A dataclass that is sent as its annotated fields, see :mod:`yarp_compat.dev.fields`."""
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         fields = fields_of(type(self))  # type: ignore[arg-type] # for mypy an object's __hash__ is the class's
         out.begin(len(fields))
@@ -216,6 +229,7 @@ class Structure(Portable):
         except WireError as error:
             raise type(error)(f"{type(self).__name__}.{name}: {error}") from None
 
+    @override
     def _read(self, source: ElementReader) -> None:
         fields = fields_of(type(self))  # type: ignore[arg-type] # for mypy an object's __hash__ is the class's
         count = source.begin()

@@ -19,6 +19,7 @@ from yarp_compat.dev.fields import Structure
 from yarp_compat.dev.returnvalue import OK, UNREACHED, ReturnCode, ReturnValue, fill, results_of
 from yarp_compat.dev.service import Service, rpc
 from yarp_compat.naming import connections
+from yarp_compat.overriding import override
 from yarp_compat.ports.sockets import closed_on_failure
 from yarp_compat.pythonic import Reader
 from yarp_compat.wire.errors import WireError
@@ -190,6 +191,7 @@ class FrameGrabberClient(ServiceClient[FrameGrabberMsgs], IFrameGrabberControls)
         self._reader = Reader(name, naming=options.get("naming")) if stream else None
         self._size = (0, 0)
 
+    @override
     def open(self) -> Self:
         """Open the ports and connect them; errors as of `ServiceClient.open`."""
         super().open()
@@ -199,6 +201,7 @@ class FrameGrabberClient(ServiceClient[FrameGrabberMsgs], IFrameGrabberControls)
                 connections.connect(self._reader.core.naming, self._source, self._reader.name, self._carrier)
         return self
 
+    @override
     def close(self) -> None:
         """Close the ports, which ends pending `getImage` calls."""
         if self._reader is not None:
@@ -226,6 +229,7 @@ class FrameGrabberClient(ServiceClient[FrameGrabberMsgs], IFrameGrabberControls)
         """The rows of the last image; 0 before the first."""
         return self._size[1]
 
+    @override
     def request(self, method: str, vocabs: tuple[str, str], *arguments: float) -> tuple[Any, ...]:
         """Call a method, on servers before 4.0 in vocabs."""
         if self.version is not None:

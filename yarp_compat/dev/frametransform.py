@@ -15,6 +15,7 @@ from typing import Annotated
 from yarp_compat.dev.fields import INT8, Structure
 from yarp_compat.dev.returnvalue import ReturnValue
 from yarp_compat.dev.service import Service, rpc
+from yarp_compat.overriding import override
 from yarp_compat.wire import tags
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 
@@ -41,6 +42,7 @@ class FrameTransform(Structure):
     qZ: float = 0.0
     qW: float = 1.0
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         """Write all fields at once, as servers send hundreds of these a hundred times a second."""
         double = out.profile.float64_tag
@@ -58,6 +60,7 @@ class FrameTransform(Structure):
         head = _HEAD.pack(tags.LIST, _FIELDS, tags.STRING, len(parent))
         out.block(b"".join((head, parent, _NEXT.pack(tags.STRING, len(child)), child, tail)))
 
+    @override
     def _read(self, source: ElementReader) -> None:
         """Read the usual layout at once, and equivalent ones field by field."""
         at, data = source.at, source.data

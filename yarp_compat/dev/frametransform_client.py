@@ -26,6 +26,7 @@ from yarp_compat.dev.returnvalue import CallFailed, ReturnValue
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.os.time import now
+from yarp_compat.overriding import override
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import PortError
 from yarp_compat.ports.port import PortCore
@@ -69,6 +70,7 @@ class TransformClient(Openable, IFrameTransform):
         self._tree_of: float | None = None
         self._retry_at = 0.0
 
+    @override
     def open(self) -> Self:
         """Open the ports if necessary, and connect them; errors as `ServiceClient.open`."""
         with closed_on_failure(self):
@@ -81,8 +83,8 @@ class TransformClient(Openable, IFrameTransform):
                 connections.connect(self._naming, self._streamed, self._input.name)
         return self
 
+    @override
     def close(self) -> None:
-        """Close the ports."""
         if self._input is not None:
             self._input.close()
         self._getter.close()
@@ -124,6 +126,7 @@ class TransformClient(Openable, IFrameTransform):
     def __iter__(self) -> Iterator[str]:
         return iter(self.tree().names())
 
+    @override
     def tree(self) -> FrameTree:
         """Return all current frames; without a stream, raises `OSError` or `CallFailed` if the request fails."""
         if self._input is None:
@@ -141,21 +144,22 @@ class TransformClient(Openable, IFrameTransform):
                 self._tree = FrameTree(t for t in self._tree.transforms if t.isStatic)
             return self._tree
 
+    @override
     def send(self, transforms: list[FrameTransform]) -> ReturnValue:
         """Set transforms in one call: `IFrameTransformStorageSet::setTransforms`."""
         remote = self._setter.remote
         return remote.setTransformRPC(transforms[0]) if len(transforms) == 1 else remote.setTransformsRPC(transforms)
 
+    @override
     def remove(self, first: str, second: str) -> ReturnValue:
-        """Delete the transforms between two frames."""
         return self._setter.remote.deleteTransformRPC(first, second)
 
+    @override
     def remove_all(self) -> ReturnValue:
-        """Delete all transforms."""
         return self._setter.remote.clearAllRPC()
 
+    @override
     def wait_until(self, known: Callable[[FrameTree], bool], timeout: float) -> bool:
-        """Wait until the frames meet a condition; False after ``timeout`` seconds."""
         deadline = time.monotonic() + timeout
         while not known(self.tree()):
             if time.monotonic() >= deadline:

@@ -12,6 +12,7 @@ from yarp_compat.dev.frametree import FrameTree
 from yarp_compat.dev.iframetransform import IFrameTransform
 from yarp_compat.dev.returnvalue import OK, ReturnCode, ReturnValue
 from yarp_compat.os.time import now
+from yarp_compat.overriding import override
 
 _POLL = 0.01  # seconds between checks for expired transforms
 _ANY = "*"
@@ -25,14 +26,15 @@ class LocalTransforms(IFrameTransform):
         self._transforms: dict[tuple[str, str], FrameTransform] = {}
         self._changed = threading.Condition()
 
+    @override
     def tree(self) -> FrameTree:
-        """Return all current frames."""
         oldest = now() - self._lifetime
         with self._changed:
             for key in [key for key, t in self._transforms.items() if not t.isStatic and t.timestamp < oldest]:
                 del self._transforms[key]
             return FrameTree(self._transforms.values())
 
+    @override
     def send(self, transforms: list[FrameTransform]) -> ReturnValue:
         """Store transforms; they replace older ones between the same frames."""
         with self._changed:
@@ -40,6 +42,7 @@ class LocalTransforms(IFrameTransform):
             self._changed.notify_all()
         return OK
 
+    @override
     def remove(self, first: str, second: str) -> ReturnValue:
         """Delete the transforms between two frames, whichever is the parent; false if there is none."""
         with self._changed:
@@ -48,14 +51,14 @@ class LocalTransforms(IFrameTransform):
                 del self._transforms[key]
         return OK if keys else ReturnValue(ReturnCode.METHOD_FAILED)
 
+    @override
     def remove_all(self) -> ReturnValue:
-        """Delete all transforms."""
         with self._changed:
             self._transforms.clear()
         return OK
 
+    @override
     def wait_until(self, known: Callable[[FrameTree], bool], timeout: float) -> bool:
-        """Wait until the frames meet a condition; False after ``timeout`` seconds."""
         deadline = time.monotonic() + timeout
         while not known(self.tree()):
             left = deadline - time.monotonic()

@@ -22,6 +22,7 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.server import DeviceCalls
 from yarp_compat.dev.service import Service, rpc
+from yarp_compat.overriding import override
 
 _STATUS = "navigation_status_"
 
@@ -128,38 +129,48 @@ class Navigation2DServer(INavigation2DMsgs):
         self._calls = DeviceCalls(device)
         self.target_name = ""
 
+    @override
     def stop_navigation_RPC(self) -> ReturnValue:
         self.target_name = ""
         return self._calls.done("stopNavigation")
 
+    @override
     def resume_navigation_RPC(self) -> ReturnValue:
         return self._calls.done("resumeNavigation")
 
+    @override
     def suspend_navigation_RPC(self, time_s: float) -> ReturnValue:
         """Pause; like YARP's robotGoto, until resumed if the time is 0 or below."""
         return self._calls.done("suspendNavigation", time_s if time_s > 0 else math.inf)
 
+    @override
     def recompute_current_navigation_path_RPC(self) -> ReturnValue:
         return self._calls.done("recomputeCurrentNavigationPath")
 
+    @override
     def get_navigation_status_RPC(self) -> tuple[ReturnValue, NavigationStatusEnum]:
         status = self._calls.result("getNavigationStatus", lacking="no status")
         if isinstance(status, str):
             status = NavigationStatusEnum[f"navigation_status_{status.removeprefix('navigation_status_')}"]
         return OK, status
 
+    @override
     def get_current_nav_waypoint_RPC(self) -> tuple[ReturnValue, Map2DLocation]:
         return OK, self._calls.result("getCurrentNavigationWaypoint", lacking="no waypoint")
 
+    @override
     def get_all_navigation_waypoints_RPC(self, trajectory_type: TrajectoryTypeEnum) -> tuple[ReturnValue, Map2DPath]:
         return OK, self._calls.result("getAllNavigationWaypoints", trajectory_type, lacking="no path")
 
+    @override
     def get_current_navigation_map_RPC(self, map_type: NavigationMapTypeEnum) -> tuple[ReturnValue, MapGrid2D]:
         return OK, self._calls.result("getCurrentNavigationMap", map_type, lacking="no such map")
 
+    @override
     def goto_target_by_absolute_location_RPC(self, loc: Map2DLocation) -> ReturnValue:
         return self.goto_target_by_absolute_location_and_set_name_RPC(loc, "")
 
+    @override
     def goto_target_by_absolute_location_and_set_name_RPC(self, loc: Map2DLocation, name: str) -> ReturnValue:
         _check_goal(loc.x, loc.y, loc.theta)
         outcome = self._calls.done("gotoTargetByAbsoluteLocation", loc)
@@ -167,14 +178,17 @@ class Navigation2DServer(INavigation2DMsgs):
             self.target_name = name
         return outcome
 
+    @override
     def goto_target_by_relative_location1_RPC(self, x: float, y: float) -> ReturnValue:
         return self.goto_target_by_relative_location2_RPC(x, y, math.nan)
 
+    @override
     def goto_target_by_relative_location2_RPC(self, x: float, y: float, theta: float) -> ReturnValue:
         _check_goal(x, y, theta)
         outcome = self._calls.done("gotoTargetByRelativeLocation", x, y, theta)
         return self._unnamed(outcome)
 
+    @override
     def follow_path_RPC(self, path: Map2DPath) -> ReturnValue:
         if not path.waypoints:
             raise CallFailed(ReturnCode.METHOD_FAILED, "the path has no waypoints")
@@ -182,20 +196,25 @@ class Navigation2DServer(INavigation2DMsgs):
             _check_goal(place.x, place.y, place.theta)
         return self._unnamed(self._calls.done("followPath", path))
 
+    @override
     def get_absolute_location_of_current_target_RPC(self) -> tuple[ReturnValue, Map2DLocation]:
         return OK, self._calls.result("getAbsoluteLocationOfCurrentTarget", lacking=_NO_TARGET)
 
+    @override
     def get_relative_location_of_current_target_RPC(self) -> tuple[ReturnValue, float, float, float]:
         x, y, theta = self._calls.result("getRelativeLocationOfCurrentTarget", lacking=_NO_TARGET)
         return OK, x, y, theta
 
+    @override
     def get_name_of_current_target_RPC(self) -> tuple[ReturnValue, str]:
         return OK, self.target_name
 
+    @override
     def apply_velocity_command_RPC(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> ReturnValue:
         _check_finite(x_vel, y_vel, theta_vel, timeout)
         return self._calls.done("applyVelocityCommand", x_vel, y_vel, theta_vel, timeout)
 
+    @override
     def get_last_velocity_command_RPC(self) -> tuple[ReturnValue, float, float, float]:
         x, y, theta = self._calls.result("getLastVelocityCommand", lacking="no command yet")
         return OK, x, y, theta

@@ -26,6 +26,7 @@ from yarp_compat.dev.map2d_client import succeeded
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue, fetch, invoke, outcome_of
 from yarp_compat.dev.server import DeviceCalls
 from yarp_compat.dev.service import Service, rpc
+from yarp_compat.overriding import override
 from yarp_compat.sig.matrix import Matrix
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
@@ -43,6 +44,7 @@ class CovarianceCodec(Nested):
         super().__init__(Matrix)
         self.default = lambda: Matrix(*SHAPE)
 
+    @override
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         matrix = self.default() if value is None else value if isinstance(value, Matrix) else Matrix(np.asarray(value))
         if not matrix.numpy().size:
@@ -50,6 +52,7 @@ class CovarianceCodec(Nested):
         _check_shape(matrix)
         super().write(out, matrix, tagged=tagged)
 
+    @override
     def read(self, source: ElementReader) -> Matrix:
         matrix = Matrix()
         matrix._read(source)
@@ -176,33 +179,42 @@ class Localization2DServer(ILocalization2DMsgs):
         super().__init__()
         self._calls = DeviceCalls(device)
 
+    @override
     def start_localization_service_RPC(self) -> ReturnValue:
         return self._calls.done("startLocalizationService")
 
+    @override
     def stop_localization_service_RPC(self) -> ReturnValue:
         return self._calls.done("stopLocalizationService")
 
+    @override
     def get_localization_status_RPC(self) -> tuple[ReturnValue, LocalizationStatusEnum]:
         status = self._calls.result("getLocalizationStatus", lacking="no status")
         if isinstance(status, str):
             status = LocalizationStatusEnum[_STATUS + status.removeprefix(_STATUS)]
         return OK, status
 
+    @override
     def get_estimated_poses_RPC(self) -> tuple[ReturnValue, list[Map2DLocation]]:
         return OK, self._calls.result("getEstimatedPoses", lacking="no particles")
 
+    @override
     def get_current_position1_RPC(self) -> tuple[ReturnValue, Map2DLocation]:
         return OK, self._position()[0]
 
+    @override
     def get_current_position2_RPC(self) -> tuple[ReturnValue, Map2DLocation, Covariance]:
         return OK, *self._position()
 
+    @override
     def get_estimated_odometry_RPC(self) -> tuple[ReturnValue, OdometryData]:
         return OK, self._calls.result("getEstimatedOdometry", lacking="no odometry")
 
+    @override
     def set_initial_pose1_RPC(self, loc: Map2DLocation) -> ReturnValue:
         return self._set_pose(loc, None)
 
+    @override
     def set_initial_pose2_RPC(self, loc: Map2DLocation, cov: Matrix) -> ReturnValue:
         return self._set_pose(loc, cov.numpy() if cov.numpy().size else None)
 

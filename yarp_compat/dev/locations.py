@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from yarp_compat.dev.fields import Structure
 from yarp_compat.os.data.stdvector import StdVector
+from yarp_compat.overriding import override
 from yarp_compat.sig.vec2d import Vec2D
 
 
@@ -58,8 +59,8 @@ class Map2DLocation(_Place):
             or abs(math.remainder(other_loc.theta - self.theta, 360.0)) <= angular_tolerance
         )
 
+    @override
     def toString(self) -> str:
-        """Return all fields as text."""
         return f"map_id:{self.map_id} x:{self.x:g} y:{self.y:g} theta:{self.theta:g}desc:{self.description}"
 
 
@@ -90,8 +91,8 @@ class Map2DObject(_Place):
         height = self.z - other_loc.z if isinstance(other_loc, Map2DObject) else 0.0
         return math.hypot(self.x - other_loc.x, self.y - other_loc.y, height) <= linear_tolerance
 
+    @override
     def toString(self) -> str:
-        """Return all fields as text."""
         place = f"map_id:{self.map_id} x:{self.x:g} y:{self.y:g} z:{self.z:g}"
         return f"{place} roll:{self.roll:g} pitch:{self.pitch:g} yaw:{self.yaw:g} desc:{self.description}"
 
@@ -155,8 +156,8 @@ class Map2DArea(_Place):
         self.map_id, self.description = "", ""
         self.points.clear()
 
+    @override
     def toString(self) -> str:
-        """Return all fields as text."""
         points = "".join(f" point {i}({point.x:g},{point.y:g})" for i, point in enumerate(self.points))
         return f"map_id:{self.map_id} {points}desc:{self.description}"
 
@@ -208,8 +209,8 @@ class Map2DPath(_Place):
         self.waypoints.clear()
         self.description = ""
 
+    @override
     def toString(self) -> str:
-        """Return all fields as text."""
         places = "".join(
             f" waypoint {i}({place.map_id} {place.x:.2g},{place.y:.2g},{place.theta:.2g})"
             for i, place in enumerate(self.waypoints)

@@ -16,6 +16,7 @@ from yarp_compat.dev.imap2d import IMap2DMsgs
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.returnvalue import CallFailed, ReturnCode, ReturnValue, filled, listed, outcome_of
+from yarp_compat.overriding import override
 
 T = TypeVar("T")
 
@@ -41,6 +42,7 @@ class _View(MutableMapping[str, T], Generic[T]):
     def __len__(self) -> int:
         return sum(1 for _ in self)
 
+    @override
     def clear(self) -> None:
         """Delete all items."""
         self._call(f"clear_all_{self._kind}s")

@@ -21,6 +21,7 @@ from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, flags_of, occup
 from yarp_compat.dev.mapinfo import MapContents, MapGrid2DInfo, MapGrid2DOrigin, Pair, numbers
 from yarp_compat.dev.rosmap import load_ros, save_ros
 from yarp_compat.dev.yarpmap import load_yarp, save_yarp
+from yarp_compat.overriding import override
 from yarp_compat.sig.image import ImageMono, ImageRgb
 from yarp_compat.wire.accessors import getter
 from yarp_compat.wire.elements import ElementReader, ElementWriter
@@ -331,6 +332,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         column, row = map(int, numbers(cell))
         return (row, column) if 0 <= column < self.m_width and 0 <= row < self.m_height else None
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         if len(self.m_map_name.encode("utf-8", "surrogateescape")) > _LONGEST_NAME:
             raise WireError(f"a map's name must have up to {_LONGEST_NAME} bytes, unlike {self.m_map_name!r:.60}")
@@ -345,6 +347,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
             flat = np.ascontiguousarray(cells).reshape(-1)
             out.blob(zlib.compress(flat.data) if self.compressed else flat.data)
 
+    @override
     def _read(self, source: ElementReader) -> None:
         count = source.begin()
         if count != 10:

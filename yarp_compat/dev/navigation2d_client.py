@@ -39,6 +39,7 @@ from yarp_compat.dev.returnvalue import (
     outcome_of,
 )
 from yarp_compat.dev.service import Service
+from yarp_compat.overriding import override
 from yarp_compat.ports.sockets import Openable
 from yarp_compat.pythonic import Server
 from yarp_compat.wire.values import Vocab
@@ -218,6 +219,7 @@ class Navigation2DClient(Openable, INavigation2D):
         naming = options.get("naming")
         self._user_commands = Server(f"{name}/user_commands/rpc", self._respond, naming=naming) if name else None
 
+    @override
     def open(self) -> Self:
         """Open the ports and connect them; errors as `ServiceClient.open`."""
         with ExitStack() as opened:
@@ -228,8 +230,8 @@ class Navigation2DClient(Openable, INavigation2D):
             self._open = opened.pop_all()
         return self
 
+    @override
     def close(self) -> None:
-        """Close the ports."""
         self._open.close()
 
     # -- the Python interface: errors are exceptions ------------------------------------------------------------------

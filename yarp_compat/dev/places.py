@@ -17,6 +17,7 @@ from typing import Any, Self
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.mapfile import MapFileError, TextFile, decimal, file_name, read_text, resolve, write
 from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.overriding import override
 from yarp_compat.sig.vec2d import Vec2D
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.text import from_text, value_text
@@ -34,6 +35,7 @@ class Places(TextFile):
     paths: dict[str, Map2DPath] = field(default_factory=dict)
 
     @classmethod
+    @override
     def from_text(cls, text: str, source: str = "the file") -> Self:
         """Parse a file's text; errors name it ``source``. Raises `MapFileError` for an invalid or repeated line."""
         lines = iter(enumerate(text.split("\n"), 1))
@@ -54,8 +56,8 @@ class Places(TextFile):
                     raise MapFileError(f"{source}, line {number}: {error}: {line:.100}") from None
         return places
 
+    @override
     def to_text(self) -> str:
-        """Return the text of a file of version 4, sorted by name."""
         lines = ["Version:", "4", "Locations:"]
         for name, place in sorted(self.locations.items()):
             lines.append(_line(name, place.map_id, [place.x, place.y, place.theta], place.description))

@@ -18,6 +18,7 @@ from typing import Annotated, Any, Concatenate, ParamSpec
 from yarp_compat.dev.fields import Choice, Generated
 from yarp_compat.dev.returnvalue import CallFailed, ReturnValue
 from yarp_compat.dev.service import Service, before, rpc
+from yarp_compat.overriding import override
 from yarp_compat.sig.vector import Vector
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.generation import Generation
@@ -79,6 +80,7 @@ class VocabReply(Portable):
     def __init__(self, quantity: str = "", *values: float | str) -> None:
         self.quantity, self.values = quantity, values
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         out.begin(2 + len(self.values))
         out.vocab("is")
@@ -89,6 +91,7 @@ class VocabReply(Portable):
             else:
                 out.float64(value)
 
+    @override
     def _read(self, source: ElementReader) -> None:
         count = source.begin()
         source.word()

@@ -24,6 +24,7 @@ from yarp_compat.dev.rangefinder import (
     VocabReply,
 )
 from yarp_compat.dev.returnvalue import OK, UNREACHED, ReturnCode, ReturnValue, deliver, fill, results_of
+from yarp_compat.overriding import override
 from yarp_compat.ports.sockets import closed_on_failure
 from yarp_compat.sig.vector import Vector
 from yarp_compat.wire.errors import WireError
@@ -149,14 +150,15 @@ class Rangefinder2DClient(StreamingClient[_LaserCalls, LaserScan2D], IRangefinde
         )
         IRangefinder2D.__init__(self, self.remote)
 
+    @override
     def open(self) -> Self:
-        """Open both ports and connect them; errors as `ServiceClient.open`."""
         super().open()
         with closed_on_failure(self):
             if self.version is None:  # before 3.12: servers from 3.10 on have today's methods, older ones vocabs
                 self._uses_vocabs = not self.getScanLimits()[0]
         return self
 
+    @override
     def newest(self) -> tuple[LaserScan2D, float] | None:
         """Return the newest scan and its time stamp in seconds; None before the first. Other data is skipped."""
         return self.last()

@@ -8,6 +8,7 @@ from enum import Enum
 from functools import partial, wraps
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar, overload
 
+from yarp_compat.overriding import override
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.generation import Generation
@@ -88,6 +89,7 @@ class ReturnValue(Portable):
 
     toString_c = toString
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         if out.generation is Generation.YARP_4:
             out.begin(1)
@@ -99,6 +101,7 @@ class ReturnValue(Portable):
         else:
             out.boolean(self)
 
+    @override
     def _read(self, source: ElementReader) -> None:
         if source.generation is Generation.YARP_3_11:
             number = int(source.untagged(_INT64)[0])
@@ -255,6 +258,7 @@ _FAILURE = struct.Struct("<i")
 class Refused(ReturnValue):
     """A failure that each generation reads as a failure, some without its code."""
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         if out.generation is Generation.YARP_4:
             out.begin(1)

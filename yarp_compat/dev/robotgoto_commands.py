@@ -14,6 +14,7 @@ from typing import Any
 
 from yarp_compat.dev.returnvalue import CallFailed, ReturnValue
 from yarp_compat.dev.service import Service, rpc
+from yarp_compat.overriding import override
 from yarp_compat.wire.values import Vocab
 
 _NUMBERS = {
@@ -50,8 +51,8 @@ class RobotGotoMsgs(Service):
     def SetObstacoleStop(self, enable: bool) -> ReturnValue: ...
     def GetNavigationStatus(self) -> tuple[ReturnValue, str]: ...  # ``navigation_status_moving``
 
+    @override
     def command(self, words: list[Any]) -> Sequence[Any] | None:
-        """Reply to a text command."""
         verb, *arguments = [str(word) if isinstance(word, str) else word for word in words] or [""]
         if verb == "help":
             return [Vocab("many"), *self._help()]

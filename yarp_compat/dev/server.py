@@ -15,6 +15,7 @@ from typing import Any
 from yarp_compat.dev import returnvalue
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.service import INTRODUCTION, Call, Service, write_version
+from yarp_compat.overriding import override
 from yarp_compat.ports.client_process import inspect_client
 from yarp_compat.ports.connections import ConnectionEvent
 from yarp_compat.ports.message import PortMessage
@@ -356,5 +357,6 @@ class ServiceServer(OpenPort):
         options = {"is_output": False, "rpc": True, "on_event": self._server.on_event, **options}
         super().__init__(name, **options)
 
+    @override
     def _on_message(self, message: PortMessage) -> None:
         self._server(message)

@@ -23,6 +23,7 @@ from typing import Any, Self
 from yarp_compat.naming.config import DEFAULT_NAMESPACE, DEFAULT_PORT, Address, replace_file
 from yarp_compat.naming.connections import Connector
 from yarp_compat.naming.registry import OLD, Command, PortRegistry, lines
+from yarp_compat.overriding import override
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import NamingError, SilentNaming
 from yarp_compat.ports.port import PortCore
@@ -152,6 +153,7 @@ class NameServer(Openable):
             profile=profile,
         )
 
+    @override
     def open(self) -> Self:
         """Load the saved state and serve; raises `NamingError` if the address is not available."""
         self._load()
@@ -169,6 +171,7 @@ class NameServer(Openable):
             self._connector.request(connection)
         return self
 
+    @override
     def close(self) -> None:
         """Stop serving; open ports and their connections persist, and the state stays in the file."""
         self._connector.close()
@@ -304,9 +307,11 @@ class _OwnNaming(SilentNaming):
     def __init__(self, server: NameServer) -> None:
         self._server = server
 
-    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:  # noqa: ARG002
+    @override
+    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
         return self._server.contact
 
+    @override
     def query(self, name: str) -> PortContact | None:
         return self._server.registry.find(name)
 

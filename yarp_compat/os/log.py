@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Self
 
+from yarp_compat.overriding import override
+
 _lock = threading.Lock()
 
 
@@ -266,6 +268,7 @@ class Log:
 class LogHandler(logging.Handler):
     """A ``logging`` handler that prints in YARP's format, for scripts that have not configured logging."""
 
+    @override
     def emit(self, record: logging.LogRecord) -> None:
         """Print a record with the severity of its level."""
         kind = next((kind for least, kind in _LEVELS if record.levelno >= least), LogType.TraceType)

@@ -8,6 +8,7 @@ from typing import Any
 
 from yarp_compat.os.data.bottle import Bottle, Property, Searchable, Value
 from yarp_compat.os.resource_places import ResourceFinderOptions, ResourceSearch
+from yarp_compat.overriding import override
 from yarp_compat.wire.accessors import getter
 
 log = logging.getLogger("yarp.os.ResourceFinder")
@@ -103,12 +104,12 @@ class ResourceFinder(Searchable):
         log.setLevel(logging.WARNING if quiet else logging.INFO)
         return True
 
+    @override
     def find(self, key: str) -> Value:
-        """Return the value of a key; a null value if the key is missing."""
         return self._property.find(key)
 
+    @override
     def findGroup(self, key: str) -> Bottle:
-        """Return the group of a key; a null Bottle if the key is missing."""
         return self._property.findGroup(key)
 
     def findNestedResourceFinder(self, key: str) -> ResourceFinder:
@@ -123,6 +124,7 @@ class ResourceFinder(Searchable):
 
     isNull = getter("_null", bool, "Whether this is the finder for a missing group.")
 
+    @override
     def toString(self) -> str:
         """Return all keys as a Bottle's text."""
         return self._property.toString()

@@ -13,6 +13,7 @@ from yarp_compat.os import time as clock
 from yarp_compat.os.data.bottle import Bottle, Value
 from yarp_compat.os.ports.connection import ConnectionReader
 from yarp_compat.os.resource_finder import ResourceFinder
+from yarp_compat.overriding import override
 from yarp_compat.wire.accessors import setter
 from yarp_compat.wire.portable import PortReader
 
@@ -223,6 +224,7 @@ class _Responder(PortReader):
         super().__init__()
         self._module = module
 
+    @override
     def read(self, connection: ConnectionReader) -> bool:
         """Read a command and write the reply."""
         command, reply = Bottle(), Bottle()

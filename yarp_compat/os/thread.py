@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 
 from yarp_compat.os import time as clock
+from yarp_compat.overriding import override
 from yarp_compat.wire.accessors import getter
 
 
@@ -126,6 +127,7 @@ class PeriodicThread(Thread):
         """Execute one cycle on the calling thread."""
         self.run()
 
+    @override
     def _work(self) -> None:
         due = clock.steady()
         while not self.isStopping():

@@ -7,6 +7,7 @@ import logging
 import socket
 from typing import Any
 
+from yarp_compat.overriding import override
 from yarp_compat.ports.base import PortBase, dialect_at, port_of_process
 from yarp_compat.ports.connections import AnyOutput, Connections
 from yarp_compat.ports.datagrams import DatagramInput, DatagramOutput, SendingGroup, datagram_socket
@@ -163,8 +164,8 @@ class ConnectingPort(PortBase):
         if connection is not None:
             self._attach(connection)
 
+    @override
     def attach(self, sock: socket.socket, opened: Opening) -> None:
-        """Add an input connection from a port of the same process."""
         self._attach(self._input(sock, opened, b"", ("", 0)))
 
     def _attach(self, connection: Input) -> None:
@@ -231,8 +232,8 @@ class ConnectingPort(PortBase):
             return True, f"Removing connection from {name} to {self.name}"
         return False, f"Could not find an incoming connection from {name}"
 
+    @override
     def ended(self, peer: MessagePeer, turned: socket.socket | None = None) -> None:
-        """Remove an input connection; ``turned`` is its socket if the peer asked to reverse the connection."""
         self.connections.ended(peer)
         if turned is not None:
             route = ConnectionRoute(self.name, peer.route.source, peer.route.carrier)

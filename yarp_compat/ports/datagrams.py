@@ -9,6 +9,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
 
+from yarp_compat.overriding import override
 from yarp_compat.ports.base import MessageCounters, PortBase
 from yarp_compat.ports.inputs import Input
 from yarp_compat.ports.message import PortMessage
@@ -49,12 +50,13 @@ class DatagramInput(Input):
         """Return the assembler of a sender's datagrams."""
         return self._assembler
 
+    @override
     def _stop_reading(self) -> None:
         self._closing = True
         self.wake()
 
+    @override
     def wake(self) -> None:
-        """Wake up threads that wait for datagrams: the connection has ended."""
         with contextlib.suppress(OSError), socket.socket(self.sock.family, socket.SOCK_DGRAM) as sock:
             sock.sendto(b"", self.sock.getsockname())
 
@@ -63,6 +65,7 @@ class DatagramInput(Input):
         size, sender = self.sock.recvfrom_into(memory)
         return size, sender
 
+    @override
     def handle_messages(self) -> bool:
         """Handle messages until the connection is closed."""
         memory = memoryview(bytearray(_LARGEST))

@@ -8,6 +8,7 @@ import select
 import socket
 import threading
 
+from yarp_compat.overriding import override
 from yarp_compat.ports.base import MessageCounters, PortBase, dialect_of
 from yarp_compat.ports.loop import PortLoop
 from yarp_compat.ports.message import Payload, PortMessage
@@ -174,8 +175,8 @@ class Input:
 class BinaryInput(Input):
     """An input of tcp, fast_tcp or local."""
 
+    @override
     def handle_messages(self) -> bool:
-        """Handle messages until the end; return True if the peer asked to reverse the connection."""
         next_message, send, deliver = self.stream.message, self.sock.sendall, self.port.deliver
         ack = ACK if self.carrier.ack else b""
         while (parts := next_message()) is not None:

@@ -7,6 +7,7 @@ import logging
 import os
 import threading
 
+from yarp_compat.overriding import override
 from yarp_compat.selector_loop import Callback, SelectorLoop
 
 _log = logging.getLogger("yarp.ports")
@@ -25,6 +26,7 @@ class PortLoop(SelectorLoop):
         self._thread = threading.Thread(target=self._loop, name="yarp-loop", daemon=True)
         self._thread.start()
 
+    @override
     def call_soon(self, callback: Callback) -> None:
         """Schedule a call on the thread; if the thread has ended, the caller runs it itself."""
         super().call_soon(callback)
@@ -72,6 +74,7 @@ class PortLoop(SelectorLoop):
             while True:
                 self._run(self._calls.popleft())
 
+    @override
     def _run(self, callback: Callback) -> None:
         try:
             callback()

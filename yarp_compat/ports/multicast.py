@@ -16,6 +16,7 @@ import socket
 import struct
 import threading
 
+from yarp_compat.overriding import override
 from yarp_compat.ports.base import PortBase
 from yarp_compat.ports.datagrams import RECEIVE_BUFFER, DatagramInput, SendingGroup
 from yarp_compat.ports.loop import PortLoop
@@ -46,24 +47,26 @@ class GroupInput(DatagramInput):
         for sock in (self.sock, self._woken):
             self._selector.register(sock, selectors.EVENT_READ)
 
-    def start(self, loop: PortLoop) -> None:  # noqa: ARG002
+    @override
+    def start(self, loop: PortLoop) -> None:
         """Wait for datagrams, on its own thread from the beginning."""
         self._begin()
 
+    @override
     def wake(self) -> None:
         """Wake up threads that wait for datagrams, without sending to the group: the connection has ended."""
         with contextlib.suppress(OSError):
             self._waker.send(b"\0")
 
+    @override
     def handle_messages(self) -> bool:
-        """Handle messages until the connection is closed."""
         try:
             return super().handle_messages()
         finally:
             self._release()
 
+    @override
     def abandon(self) -> None:
-        """Close the sockets of a connection that has no thread."""
         self._release()
         super().abandon()
 
@@ -72,6 +75,7 @@ class GroupInput(DatagramInput):
         self._waker.close()
         self._woken.close()
 
+    @override
     def _receive(self, memory: memoryview) -> tuple[int, tuple[str, int]]:
         while not self._closing:
             with contextlib.suppress(BlockingIOError):
@@ -79,6 +83,7 @@ class GroupInput(DatagramInput):
             self._selector.select()
         return 0, ("", 0)
 
+    @override
     def _assembler_of(self, sender: tuple[str, int]) -> Assembler:
         assembler = self._assemblers.get(sender)
         if assembler is None:
@@ -89,7 +94,8 @@ class GroupInput(DatagramInput):
             assembler = self._assemblers[sender] = Assembler(self.port.limit)
         return assembler
 
-    def _count(self, assembler: Assembler) -> None:  # noqa: ARG002
+    @override
+    def _count(self, assembler: Assembler) -> None:
         present = self._assemblers.values()
         self.counters.dropped["checksum"] = self._spoiled + sum(a.spoiled for a in present)
         self.counters.dropped["incomplete"] = self._incomplete + sum(a.incomplete for a in present)

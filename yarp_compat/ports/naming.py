@@ -9,6 +9,7 @@ import threading
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+from yarp_compat.overriding import override
 from yarp_compat.wire.contact import PortContact
 
 
@@ -88,6 +89,7 @@ class LocalNaming(SilentNaming):
         self._properties: dict[tuple[str, str], tuple[Any, ...]] = {}
         self._numbers = itertools.count(1)
 
+    @override
     def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
         """Register a port; one with number 0 chooses a number and registers again."""
         with self._lock:
@@ -96,10 +98,12 @@ class LocalNaming(SilentNaming):
             self._contacts[name] = super().register(name, host, port, carrier=carrier)
             return self._contacts[name]
 
+    @override
     def unregister(self, name: str) -> None:
         with self._lock:
             self._contacts.pop(name, None)
 
+    @override
     def query(self, name: str) -> PortContact | None:
         with self._lock:
             return self._contacts.get(name)
@@ -109,9 +113,11 @@ class LocalNaming(SilentNaming):
         with self._lock:
             return [contact for name, contact in self._contacts.items() if name.startswith(prefix)]
 
+    @override
     def set_property(self, name: str, key: str, *values: Any) -> None:
         self._properties[name, key] = values
 
+    @override
     def get_property(self, name: str, key: str) -> Sequence[Any]:
         return self._properties.get((name, key), ())
 
@@ -122,8 +128,10 @@ class Unregistered(SilentNaming):
     def __init__(self, naming: Naming) -> None:
         self._naming = naming
 
+    @override
     def query(self, name: str) -> PortContact | None:
         return self._naming.query(name)
 
+    @override
     def get_property(self, name: str, key: str) -> Sequence[Any]:
         return self._naming.get_property(name, key)

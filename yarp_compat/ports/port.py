@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
+from yarp_compat.overriding import override
 from yarp_compat.ports import admin, loop
 from yarp_compat.ports.base import MessageCounters, OnLine, OnMessage, note_closed, note_open
 from yarp_compat.ports.connecting import ConnectingPort
@@ -127,8 +128,8 @@ class PortCore(ConnectingPort):
         loop.release(shared)
         self.resume()
 
+    @override
     def abandon(self) -> None:
-        """Close the sockets in a forked child process, without notifying peers or the name server."""
         self._life, self._closed = threading.Lock(), threading.Event()
         self._closed.set()
         self._loop = None
@@ -261,8 +262,8 @@ class PortCore(ConnectingPort):
         level = logging.WARNING if isinstance(error, carriers.CarrierError) else logging.INFO
         _log.log(level, "port %s refused a connection from %s: %s", self.name, peer, error)
 
+    @override
     def administer(self, payload: Buffer, peer: MessagePeer) -> bytes:
-        """Execute an administrative command and return the answer's Bottle."""
         try:
             command = decode(payload, peer.profile)
         except WireError as error:
@@ -270,8 +271,8 @@ class PortCore(ConnectingPort):
             command = []
         return encode(admin.answer(self, command), peer.profile or self.profile)
 
+    @override
     def execute(self, command: PortCommand) -> tuple[str, ...]:
-        """Execute a port command and return the answer's lines, for text carriers."""
         return admin.execute(self, command)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from yarp_compat.overriding import override
 from yarp_compat.ports.inputs import Input
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.outgoing import from_line, to_line
@@ -25,8 +26,8 @@ LONGEST_REQUEST = 64 << 10  # bytes of the longest line to a name server
 class TextInput(Input):
     """An input of text or text_ack: a line with a command; for data and administration, a second one with a Bottle."""
 
+    @override
     def handle_messages(self) -> bool:
-        """Handle messages until the end; return True if the peer asked to reverse the connection."""
         ack = _ACK if self.carrier.ack else b""
         while (line := self.stream.line(framing.LONGEST_TEXT)) is not None:
             if not line:
@@ -65,8 +66,8 @@ class TextInput(Input):
 class NameInput(Input):
     """An input of name_ser: lines that begin with ``NAME_SERVER``. Without ``on_line`` they are ordinary messages."""
 
+    @override
     def handle_messages(self) -> bool:
-        """Answer lines until the end."""
         while (line := self.stream.line(LONGEST_REQUEST)) is not None:
             if not line:
                 continue
@@ -86,6 +87,7 @@ class NameInput(Input):
 class PageInput(Input):
     """An input of http: one request."""
 
+    @override
     def handle_messages(self) -> bool:
         """Answer the request; return True if it asks for a stream of the port's messages."""
         head = b""

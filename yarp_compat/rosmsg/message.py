@@ -12,6 +12,7 @@ import struct
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+from yarp_compat.overriding import override
 from yarp_compat.rosmsg.definition import PRIMITIVES, TIMES, MessageDefinition, MessageField
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
@@ -99,6 +100,7 @@ class Message(Portable):
 
     toString_c = toString
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         out.begin(len(self._definition.fields))
         for field in self._definition.fields:
@@ -111,6 +113,7 @@ class Message(Portable):
                 kind = f"{field.type}{'[]' * field.is_array}"
                 raise WireError(f"{self.TYPE}.{field.name} must be {kind}, not {value!r:.80}: {err}") from None
 
+    @override
     def _read(self, source: ElementReader) -> None:
         count = source.begin()
         if count != len(self._definition.fields):

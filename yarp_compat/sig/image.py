@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from yarp_compat.overriding import override
 from yarp_compat.sig.pixels import PIXELS, Format, PixelCode, convert, format_of
 from yarp_compat.sig.vector import Comparable, VectorOf, as_array
 from yarp_compat.wire.accessors import getter
@@ -286,6 +287,7 @@ class Image(Raster, Comparable, Portable):
             )
         self.setExternal(np.ascontiguousarray(array, form.dtype), array.shape[1], array.shape[0])
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         form = format_of(self._code) if self._code else None
         size = self._memory.nbytes
@@ -296,12 +298,14 @@ class Image(Raster, Comparable, Portable):
         )  # fmt: skip
         out.block(self._memory)
 
+    @override
     def _whole(self, data: Buffer, profile: Profile) -> None:
         source = ElementReader(data, profile)
         parts = _parse(source)
         source.finish()
         self._store(*parts)
 
+    @override
     def _read(self, source: ElementReader) -> None:
         self._store(*_parse(source))
 

@@ -14,6 +14,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from yarp_compat.overriding import override
 from yarp_compat.sig.vector import Comparable, Vector, as_array, read_numbers, write_numbers
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
@@ -185,12 +186,14 @@ class Matrix(Comparable, Portable):
         self._writable()[row : row + values.shape[0], col : col + values.shape[1]] = values
         return True
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         out.begin(3)
         out.integer(self.rows())
         out.integer(self.cols())
         write_numbers(out, np.ascontiguousarray(self._values).reshape(-1))
 
+    @override
     def _read(self, source: ElementReader) -> None:
         count = source.begin()
         if count != 3:
@@ -290,11 +293,13 @@ class Quaternion(Portable):
         w, x, y, z = self._values
         return f"Quaternion(x={x}, y={y}, z={z}, w={w})"
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         out.begin(4, out.profile.float64_tag)
         for value in self._values:
             out.float64(value, tagged=False)
 
+    @override
     def _read(self, source: ElementReader) -> None:
         count = source.begin()
         if count != 4:

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from yarp_compat.overriding import override
 from yarp_compat.wire.accessors import getter
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
@@ -151,11 +152,13 @@ class PointCloud(Portable):
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.width()} x {self._height} of type {self._point}>"
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         out.raw(_HEADER, self.width(), self._height, self._point, int(self.dense))
         out.begin(len(self._points), out.profile.float64_tag)
         out.block(self.bytes_of_points())
 
+    @override
     def _read(self, source: ElementReader) -> None:
         width, height, kind, dense = source.raw(_HEADER)
         layout = LAYOUTS.get(kind)

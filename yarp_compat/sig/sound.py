@@ -22,6 +22,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from yarp_compat.overriding import override
 from yarp_compat.sig.vector import Comparable, write_numbers
 from yarp_compat.wire.accessors import always, getter, setter
 from yarp_compat.wire.elements import ElementReader, ElementWriter
@@ -305,6 +306,7 @@ class Sound(Comparable, Portable):
     def __repr__(self) -> str:
         return f"<Sound of {self.getSamples()} samples in {self.getChannels()} channels at {self._frequency} Hz>"
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         newest = out.profile is Profile.YARP4
         out.begin(6 if newest else 5)
@@ -319,6 +321,7 @@ class Sound(Comparable, Portable):
                 out.string(marker.label, tagged=False)
                 out.raw(_PLACE, marker.channel, marker.sample_id)
 
+    @override
     def _read(self, source: ElementReader) -> None:
         parts = source.begin()
         if parts not in (4, 5, 6):

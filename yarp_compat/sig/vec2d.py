@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from yarp_compat.overriding import override
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.portable import Portable
@@ -19,11 +20,13 @@ class Vec2D(Portable):
     x: float = 0.0
     y: float = 0.0
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         out.begin(2, out.profile.float64_tag)
         out.float64(self.x, tagged=False)
         out.float64(self.y, tagged=False)
 
+    @override
     def _read(self, source: ElementReader) -> None:
         _pair(source)
         x, y = source.float64(), source.float64()
@@ -40,11 +43,13 @@ class Vec2DInt(Portable):
     x: int = 0
     y: int = 0
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         out.begin(2, self.TAG)
         out.integer(self.x, self.TAG, tagged=False)
         out.integer(self.y, self.TAG, tagged=False)
 
+    @override
     def _read(self, source: ElementReader) -> None:
         _pair(source)
         x, y = source.integer(), source.integer()

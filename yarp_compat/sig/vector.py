@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from yarp_compat.overriding import override
 from yarp_compat.wire.accessors import getter
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
@@ -252,9 +253,11 @@ class VectorOf(Comparable, Portable):
             self._room = self._room.copy()
         return self._room[: self._count]
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         write_numbers(out, self.numpy())
 
+    @override
     def _read(self, source: ElementReader) -> None:
         self._room = read_numbers(source, self.dtype)
         self._count = len(self._room)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Protocol, Self
 
+from yarp_compat.overriding import override
 from yarp_compat.wire import binary, text
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
@@ -75,8 +76,8 @@ class Portable(PortReader, PortWriter):
         """Read the value's elements; raises `WireError`, and leaves the value unchanged, for other types."""
         raise NotImplementedError(f"{type(self).__name__} has no elements")
 
+    @override
     def getReadType(self) -> Type:
-        """Return the type of the value."""
         return Type(self.TYPE)
 
     getWriteType = getType = getReadType
@@ -141,6 +142,7 @@ class Portable(PortReader, PortWriter):
         """Decode a line of a text carrier into this value; raises `WireError` like `from_wire`."""
         self.from_values(text.from_text(line))
 
+    @override
     def write(self, connection: WriterHolder) -> bool:
         """Write the value to a connection; return False if it cannot be encoded."""
         try:
@@ -149,6 +151,7 @@ class Portable(PortReader, PortWriter):
             return False
         return True
 
+    @override
     def read(self, connection: ReaderHolder) -> bool:
         """Read the value from a connection; return False, and change nothing, for other types."""
         try:

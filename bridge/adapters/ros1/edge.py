@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from typing_extensions import override
+
 from bridge.adapters.ros1 import names
 from bridge.adapters.ros1.actions import discovery
 from bridge.adapters.ros1.actions.actions import Ros1Actions
@@ -89,6 +91,7 @@ class Ros1Edge(SideEdge):
 
     # -- life ----------------------------------------------------------------------------------------------------------
 
+    @override
     def start(self, listener: EdgeListener) -> None:
         """Start the node, and begin to poll the master."""
         self._listener = listener
@@ -104,8 +107,8 @@ class Ros1Edge(SideEdge):
         )  # fmt: skip
         self._master.start()
 
+    @override
     def stop(self) -> None:
-        """Unregister everything and close, within two seconds. Safe to call twice."""
         with self._lock:
             if self._stopped:
                 return
@@ -156,15 +159,18 @@ class Ros1Edge(SideEdge):
 
     # -- the graph -----------------------------------------------------------------------------------------------------
 
+    @override
     def network(self) -> str | None:
         """Return the master's run id; None if it is unreachable and no connection to another node is left."""
         look = self._look
         return look.network if look is not None else None
 
+    @override
     def is_own_network(self, origin: Origin) -> bool:
         """Return whether an origin is on the joined master."""
         return origin.side == self.side and origin.network == self.network()
 
+    @override
     def endpoints(self) -> Sequence[Endpoint]:
         """Return the other nodes' publishers, subscriptions, servers and actions; service clients are invisible."""
         look = self._look
@@ -173,6 +179,7 @@ class Ros1Edge(SideEdge):
         topics = (e for e in self._topics.endpoints(look) if not self._actions.is_part(e.topic, e.type))
         return [*topics, *self._services.endpoints(look), *self._actions.endpoints()]
 
+    @override
     def has_subscribers(self, topic: str) -> bool:
         """Return whether another node subscribes to a topic; called every second, so it creates no endpoints."""
         look, node = self._look, self._caller()
@@ -182,6 +189,7 @@ class Ros1Edge(SideEdge):
         """Return the other Midspan nodes on this network that are alive, in the order of their names."""
         return self._links.living()
 
+    @override
     def settled(self, since: float) -> bool:
         """Return whether the master was read since then and has this node's entry, which later nodes read."""
         if self._settled < since:
@@ -189,6 +197,7 @@ class Ros1Edge(SideEdge):
             return False
         return True
 
+    @override
     def warnings(self) -> list[str]:
         """Return problems with the master, the clock, topics, services, actions and parameters."""
         warnings = []
@@ -248,36 +257,43 @@ class Ros1Edge(SideEdge):
 
     # -- types and names -----------------------------------------------------------------------------------------------
 
+    @override
     def to_hub(self, endpoint: Endpoint) -> Conversion:
         """Return the conversion of a type to the hub; an action's types are learned first."""
         if discovery.split_part(endpoint.topic, endpoint.type):
             self._actions.learn(endpoint.topic)
         return self._registry.ros1_to_hub(endpoint.type, endpoint.type_id, endpoint.definition)
 
+    @override
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
         """Return the conversion from CDR to ROS 1's bytes."""
         return self._registry.hub_to_ros1(type_name, type_hash)
 
+    @override
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
         """Return the conversion of a server's type; an action's types are learned first."""
         if discovery.split_part(endpoint.topic, endpoint.type):
             self._actions.learn(endpoint.topic)
         return self._registry.service_ros1_to_hub(endpoint.type, endpoint.type_id)
 
+    @override
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
         """Return the conversion between CDR and ROS 1's bytes."""
         return self._registry.service_hub_to_ros1(type_name, type_hash)
 
+    @override
     def side_name(self, hub_name: str) -> str:
         """Return the ROS 1 spelling of a hub topic name; see `bridge.adapters.ros1.names`."""
         return self._names.side_name(hub_name)
 
+    @override
     def hub_name(self, side_name: str) -> str:
         """Return the hub's spelling of a ROS 1 topic name; see `bridge.adapters.ros1.names`."""
         return names.hub_name(side_name)
 
     # -- Midspan's endpoints -------------------------------------------------------------------------------------------
 
+    @override
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
         """Subscribe to a topic's native publishers of this type; a volatile subscription receives no older messages."""
         part = discovery.split_part(topic, side_type.name)
@@ -286,16 +302,19 @@ class Ros1Edge(SideEdge):
         fresh = qos.durability is Durability.VOLATILE
         return self._topics.subscribe(topic, side_type, deliver, fresh=fresh)
 
+    @override
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
         """Publish on a topic; latched QoS retains the last ``depth`` messages of each source for late joiners."""
         part = discovery.split_part(topic, side_type.name)
         return self._actions.advertise(*part) if part else self._topics.advertise(topic, side_type, qos)
 
+    @override
     def caller(self, name: str, side_type: SideType) -> EdgeCaller:
         """Return a client of the native server of a service, with persistent connections."""
         part = discovery.split_part(name, side_type.name)
         return self._actions.caller(*part, side_type.name) if part else self._services.caller(name, side_type)
 
+    @override
     def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
         """Serve a service; it is not registered while a native server of that name exists."""
         part = discovery.split_part(name, side_type.name)
@@ -303,6 +322,7 @@ class Ros1Edge(SideEdge):
             return self._actions.serve(*part, side_type.name, call)
         return self._services.servers.open(name, side_type, call)
 
+    @override
     def carry_parameters(
         self, rules: Sequence[ParameterRule], hub: Hub, active: Callable[[], bool]
     ) -> Callable[[], None]:
@@ -323,6 +343,7 @@ class Ros1Edge(SideEdge):
         assert self._master is not None
         return ParameterServer(self._master.uri, self._caller, self._node.uri, self._ledger.owner)
 
+    @override
     def details(self) -> dict[str, Any]:
         """Return the rules of shared parameters and their counts."""
         return {} if self._parameters is None else {"parameters": self._parameters.details()}

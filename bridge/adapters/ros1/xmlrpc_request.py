@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 from xml.parsers import expat
 
+from typing_extensions import override
+
 _PATHS = ("/", "/RPC2")
 """Python's clients replace an empty path by /RPC2."""
 
@@ -54,6 +56,7 @@ class _Decoder(xmlrpc.client.Unmarshaller):
         self._depth_limit, self._values_left = limits.depth, limits.values
         self._depth = 0
 
+    @override
     def start(self, tag: str, attrs: dict[str, str]) -> None:
         """Handle a start tag."""
         if tag in ("array", "struct"):
@@ -66,6 +69,7 @@ class _Decoder(xmlrpc.client.Unmarshaller):
                 raise ValueError("too many values in one request")
         super().start(tag, attrs)
 
+    @override
     def end(self, tag: str) -> None:
         """Handle an end tag."""
         if tag in ("array", "struct"):

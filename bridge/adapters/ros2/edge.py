@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
+from typing_extensions import override
+
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.environment import domain
 from bridge.adapters.ros2.graph import neighbours, spdp, vendors
@@ -82,6 +84,7 @@ class Ros2Edge(SideEdge):
         self._origins: Origins | None = None
         self._presence: PresenceTopic | None = None
 
+    @override
     def start(self, listener: EdgeListener) -> None:
         """Join the DDS network, which is always available; takes about half a second."""
         self._listener = listener
@@ -146,6 +149,7 @@ class Ros2Edge(SideEdge):
             end.refit()
         self._graph_changed()
 
+    @override
     def carry_parameters(
         self, rules: Sequence[ParameterRule], hub: Hub, active: Callable[[], bool]
     ) -> Callable[[], None]:
@@ -161,6 +165,7 @@ class Ros2Edge(SideEdge):
 
         return destroy_nodes
 
+    @override
     def settled(self, since: float) -> bool:
         """Return whether all participants that existed at ``since`` are discovered."""
         presence = self._presence
@@ -173,6 +178,7 @@ class Ros2Edge(SideEdge):
                 "shared memory cannot reach ROS 2 nodes of another user or container: restarting with UDP only"
             )
 
+    @override
     def stop(self) -> None:
         """Close all endpoints, and leave the network."""
         context, self._context = self._context, None
@@ -193,24 +199,29 @@ class Ros2Edge(SideEdge):
         context.loop.stop()
         context.participant.close()
 
+    @override
     def network(self) -> str | None:
         """Return the participant's GUID prefix in hex; None before `start` and after `stop`."""
         return self._prefix.hex() if self._context is not None else None
 
+    @override
     def is_own_network(self, origin: Origin) -> bool:
         """Return whether a ROS 2 origin is this daemon's, or its participant is on this DDS network."""
         return origin.side == self.side and self._origins is not None and self._origins.is_own(origin.network)
 
+    @override
     def endpoints(self) -> Sequence[Endpoint]:
         """Return the publishers, subscriptions, servers and clients of all other participants."""
         context = self._context
         return context.graph.snapshot.endpoints if context is not None else ()
 
+    @override
     def has_subscribers(self, topic: str) -> bool:
         """Return whether a topic has subscribers; True for hidden topics and before the start."""
         context = self._context
         return context is None or is_hidden(topic) or topic in context.graph.snapshot.subscribed
 
+    @override
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
         """Subscribe; ``qos`` is an upper bound, reduced for each publisher to its offer."""
         context = self._started()
@@ -220,6 +231,7 @@ class Ros2Edge(SideEdge):
         subscription.refit()  # the graph may have changed since the constructor read it
         return subscription
 
+    @override
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
         """Advertise; the topic is on the graph at once."""
         participant = self._started().participant
@@ -238,6 +250,7 @@ class Ros2Edge(SideEdge):
                 f"rename one of the two by a rule with 'type: {type_name}': a ROS 2 program has one type per topic",
             )
 
+    @override
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
         """Return a conversion that keeps the bytes and validates them."""
         conversion = self.service_from_hub(endpoint.type, "")
@@ -249,8 +262,8 @@ class Ros2Edge(SideEdge):
             )
         return conversion
 
+    @override
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
-        """Return a conversion that keeps the bytes and validates them, as for topics."""
         self._types.prepare_services()
         return super().service_from_hub(type_name, type_hash)
 
@@ -261,10 +274,12 @@ class Ros2Edge(SideEdge):
     def _service_class(self, service: SideType) -> Any:
         return self._types.service_class(service.name, service.type_id, self._part_hashes(service))
 
+    @override
     def caller(self, name: str, side_type: SideType) -> EdgeCaller:
         """Return a client of the native servers of a name."""
         return self._kept(Ros2Caller(name, self._service_class(side_type), self._started(), self._closed))
 
+    @override
     def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
         """Serve a name; a DDS client receives no errors and keeps waiting, as after a lost reply."""
         service_class = self._service_class(side_type)
@@ -287,17 +302,20 @@ class Ros2Edge(SideEdge):
         with self._lock:
             self._ends.discard(end)
 
+    @override
     def resumed(self, seconds: float) -> None:
         """Restart after a long suspension: others that dropped this participant never rediscover it."""
         reason = f"suspended for {seconds:.0f} s, ROS 2 nodes may have dropped this participant: restarting"
         if seconds > _FORGOTTEN and self._listener is not None:
             self._listener.edge_failed(reason)
 
+    @override
     def details(self) -> dict[str, Any]:
         """Return the nodes on Cyclone DDS, for `bridge.doctor.checks.cyclone`."""
         cyclone = vendors.report(self.endpoints())
         return {"cyclone": cyclone} if cyclone else {}
 
+    @override
     def warnings(self) -> list[str]:
         """Return native subscriptions with incompatible QoS, nodes on Cyclone DDS, and new addresses."""
         offers: dict[str, set[Qos]] = {}

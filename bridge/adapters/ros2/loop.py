@@ -15,6 +15,8 @@ from abc import ABC, abstractmethod
 from collections import Counter, deque
 from typing import Any, ClassVar
 
+from typing_extensions import override
+
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.participant import Participant
 
@@ -110,6 +112,7 @@ class EpollReadLoop(ReadLoop):
         self._epoll.register(self._wake, select.EPOLLIN)
         self._leaving: deque[EndpointReader] = deque()
 
+    @override
     def add(self, reader: EndpointReader) -> None:
         """Serve a reader, with a new eventfd."""
         descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -117,20 +120,23 @@ class EpollReadLoop(ReadLoop):
         self._epoll.register(descriptor, select.EPOLLIN)
         reader.wake(descriptor)
 
+    @override
     def remove(self, reader: EndpointReader) -> None:
-        """Let the loop's thread destroy a reader."""
         self._leaving.append(reader)
         self._wake_up()
 
+    @override
     def _wake_up(self) -> None:
         os.eventfd_write(self._wake, 1)
 
+    @override
     def _close(self) -> None:
         for reader in list(self._readers.values()):
             self._drop(reader)
         self._epoll.close()
         os.close(self._wake)
 
+    @override
     def _serve_all(self, taker: rcl.Taker) -> None:
         while not self._stopping:
             for descriptor, _ in self._epoll.poll():
@@ -182,19 +188,23 @@ class WaitSetReadLoop(ReadLoop):
         self._guard = participant.make_guard_condition()
         self._changes: deque[tuple[EndpointReader, bool]] = deque()
 
+    @override
     def add(self, reader: EndpointReader) -> None:
         """Serve a reader from the next cycle of the loop on."""
         self._changes.append((reader, True))
         self._wake_up()
 
+    @override
     def remove(self, reader: EndpointReader) -> None:
         """Destroy a reader in the next cycle of the loop."""
         self._changes.append((reader, False))
         self._wake_up()
 
+    @override
     def _wake_up(self) -> None:
         self._guard.trigger_guard_condition()
 
+    @override
     def _close(self) -> None:
         self._apply_changes()
         for reader in self._readers.values():
@@ -202,6 +212,7 @@ class WaitSetReadLoop(ReadLoop):
         self._readers.clear()
         self._participant.destroy(self._guard)
 
+    @override
     def _serve_all(self, taker: rcl.Taker) -> None:
         with self._guard:
             wait_set = self._participant.make_wait_set(1)

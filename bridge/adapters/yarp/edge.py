@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
+from typing_extensions import override
+
 from bridge.adapters.side_edge import SideEdge
 from bridge.adapters.yarp.contents import Contents
 from bridge.adapters.yarp.endpoints import PortEndpoints
@@ -87,12 +89,14 @@ class YarpEdge(SideEdge):
 
     # -- lifecycle -----------------------------------------------------------------------------------------------------
 
+    @override
     def start(self, listener: EdgeListener) -> None:
         """Start the name-server thread, which joins the network as soon as the name server answers."""
         self._listener = listener
         self._contents.now_ns = self.clock.now_ns
         self._thread.start()
 
+    @override
     def stop(self) -> None:
         """Release all ports, threads and registrations; see `Edge.stop`."""
         if self._stopping.is_set():
@@ -181,14 +185,17 @@ class YarpEdge(SideEdge):
 
     # -- the network ---------------------------------------------------------------------------------------------------
 
+    @override
     def network(self) -> str | None:
         """Return the network's id, stored at its name server; it stays valid while the server is unreachable."""
         return self._network.identity if self._presence.is_open else None
 
+    @override
     def is_own_network(self, origin: Origin) -> bool:
         """Return whether an endpoint's origin is this network."""
         return origin.side == self.side and origin.network == self._network.identity
 
+    @override
     def settled(self, since: float) -> bool:
         """Return whether the name server's full list has been read since then."""
         if self._presence.is_open and self._presence.settled(since):
@@ -201,6 +208,7 @@ class YarpEdge(SideEdge):
         sightings = self._presence.sightings()
         return any(s.id == PRESENCE + owner and s.record is not None and now - s.heard < _AWAKE for s in sightings)
 
+    @override
     def warnings(self) -> list[str]:
         """Report an unreachable name server, ports that cannot be opened or connected, and unknown types."""
         unreachable = [f"the YARP network: {self._network.trouble}"] if self._network.trouble else []
@@ -210,16 +218,19 @@ class YarpEdge(SideEdge):
         ]
         return [*unreachable, *self.ports.warnings(), *sorted(self._graph.trouble.values()), *untyped]
 
+    @override
     def details(self) -> dict[str, Any]:
         """Return the ports, with their content and their peers."""
         return {"ports": self.ports.status()}
 
     # -- the graph -----------------------------------------------------------------------------------------------------
 
+    @override
     def endpoints(self) -> Sequence[Endpoint]:
         """Return the endpoints of other programs on the network."""
         return self._endpoints.all()
 
+    @override
     def has_subscribers(self, topic: str) -> bool:
         """Return whether a topic has subscribers; readers of its port count, though the graph does not list them."""
         output = self._outputs.get(topic)
@@ -227,11 +238,13 @@ class YarpEdge(SideEdge):
 
     # -- types ---------------------------------------------------------------------------------------------------------
 
+    @override
     def to_hub(self, endpoint: Endpoint) -> Conversion:
         """Return no conversion: the adapter itself converts, since the content can differ between ports."""
         side_type = self._side_type(endpoint.type, endpoint.type_id)
         return Conversion(side_type, side_type, None)
 
+    @override
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
         """Return only a check: each port's content is converted when it is written."""
         side_type = self._side_type(type_name, type_hash)
@@ -243,31 +256,37 @@ class YarpEdge(SideEdge):
             return SideType(type_name, type_hash, full_text(schema))
         return self._registry.ros2(type_name)
 
-    def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002
+    @override
+    def why_not(self, topic: str, type_name: str) -> str:
         """Exclude the parts of actions: YARP programs send goals through the gateway's ports."""
         return "part of an action; YARP programs send goals through the ports of the gateway" if split(topic)[1] else ""
 
     # -- services ------------------------------------------------------------------------------------------------------
 
+    @override
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
         """Return only checks: the adapter itself converts calls, since the content can differ between ports."""
         return self._services.conversion(endpoint.type)
 
+    @override
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
         """Return only checks, like `service_to_hub`."""
         return self._services.conversion(type_name, type_hash)
 
+    @override
     def caller(self, name: str, side_type: SideType) -> PortCaller:
         """Return a client for the RPC port that a rule names for this service."""
         return self._services.caller(name, side_type)
 
+    @override
     def serve(self, name: str, side_type: SideType, call: Call) -> OfferedService:
         """Serve a service through an RPC port, which opens as soon as the name server registers it."""
         return self._services.serve(name, side_type, call)
 
     # -- own endpoints -------------------------------------------------------------------------------------------------
 
-    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> _Subscription:  # noqa: ARG002
+    @override
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> _Subscription:
         """Subscribe to a topic's input ports."""
         subscription = _Subscription(self, topic, side_type, deliver)
         with self._lock:
@@ -290,6 +309,7 @@ class YarpEdge(SideEdge):
                 self._connect_subscription(input_port)
         self._wake.set()
 
+    @override
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> YarpPublisher:
         """Publish a topic; its ports open as soon as the name server registers them."""
         content = self._contents.of_topic(topic)

@@ -10,6 +10,8 @@ import uuid
 from dataclasses import dataclass
 from pathlib import Path
 
+from typing_extensions import override
+
 from bridge.config.sections.yarp import YarpSection
 from yarp_compat.naming import config as conf
 from yarp_compat.naming.client import NameClient
@@ -88,6 +90,7 @@ class _Names(NameClient):
 
     server: NameServer | None = None
 
+    @override
     def query(self, name: str) -> PortContact | None:
         return super().query(name) if self.server is None else self.server.registry.find(name)
 

@@ -13,6 +13,7 @@ from typing import Protocol, TypeVar
 from urllib.parse import quote
 
 import zenoh
+from typing_extensions import override
 
 from bridge.adapters.side_edge import SideEdge
 from bridge.adapters.zenoh.neighbours import KeyNeighbours, new_zid, remember
@@ -79,6 +80,7 @@ class KeyEdge(SideEdge):
         self._stopping = threading.Event()
         self._ticker = threading.Thread(target=self._tick_on, name=f"midspan-{self.side}-tick", daemon=True)
 
+    @override
     def start(self, listener: EdgeListener) -> None:
         """Open the session; it joins the network as soon as it can, also after a disconnection.
 
@@ -138,6 +140,7 @@ class KeyEdge(SideEdge):
         self.opened(session)
         self.away = ""
 
+    @override
     def stop(self) -> None:
         """Close all endpoints and the session, within two seconds. Safe to call twice."""
         self._stopping.set()
@@ -196,16 +199,19 @@ class KeyEdge(SideEdge):
             raise RuntimeError(f"the {self.side} edge is not open")
         return self._context
 
+    @override
     def network(self) -> str | None:
         """Return the id of this session on its network; None while it has no link."""
         context = self._context
         return str(context.session.zid()) if context is not None and self._linked_since is not None else None
 
+    @override
     def is_own_network(self, origin: Origin) -> bool:
         """Return whether the origin's session is this one or another on this network."""
         neighbours = self._presence
         return origin.side == self.side and (neighbours is None or neighbours.is_own(origin.network))
 
+    @override
     def settled(self, since: float) -> bool:
         """Return whether the network's routers and peers have replied with all tokens that existed at ``since``."""
         linked, neighbours = self._linked_since, self._presence

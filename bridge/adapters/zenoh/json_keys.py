@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import zenoh
+from typing_extensions import override
 
 from bridge.adapters.zenoh.edge import KeyEdge
 from bridge.adapters.zenoh.services import KeyCaller, KeyServer
@@ -45,9 +46,11 @@ class JsonKeysEdge(KeyEdge):
         keys = "\n".join(sorted(str(key.key) for key in dialect.keys))
         super().__init__(config, dialect, registry, state, hashlib.sha256(keys.encode()).hexdigest()[:16])
 
+    @override
     def opened(self, session: zenoh.Session) -> None:
         """Do nothing: programs do not announce keys, the configuration lists them."""
 
+    @override
     def endpoints(self) -> Sequence[Endpoint]:
         """Return one endpoint for each configured key and direction."""
         directions = ((self._in, Kind.PUBLISHER, Kind.SERVER), (self._out, Kind.SUBSCRIPTION, Kind.CLIENT))
@@ -61,6 +64,7 @@ class JsonKeysEdge(KeyEdge):
         qos = LATCHED if key.latched else Qos()
         return Endpoint(str(key.key), kind, key.hub_topic, key.type, qos, MadeBy.NATIVE, f"zenoh key {key.key}")
 
+    @override
     def why_not(self, topic: str, type_name: str) -> str:
         """Return why a topic has no JSON key; "" if it has one of its type."""
         key = self._out.get(topic)
@@ -70,16 +74,19 @@ class JsonKeysEdge(KeyEdge):
             return f"the JSON key {key.key} carries {key.type}, not {type_name}"
         return ""
 
+    @override
     def to_hub(self, endpoint: Endpoint) -> Conversion:
         """Return the conversion from JSON to CDR."""
         known = self._registry.ros2(endpoint.type)
         return Conversion(known, known, text_to_cdr(self._registry, endpoint.type))
 
+    @override
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
         """Return the conversion to JSON; as JSON has field names, the definition must equal the publisher's."""
         known = self._own_type(type_name, type_hash)
         return Conversion(known, known, cdr_to_text(self._registry, type_name))
 
+    @override
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
         """Return the conversion to JSON and back; as JSON has field names, the definition must equal the server's."""
         known = self._registry.service_ros2(type_name, type_hash)
@@ -90,7 +97,8 @@ class JsonKeysEdge(KeyEdge):
             response_to_side=to_side(response), response_to_hub=to_hub(response),
         )  # fmt: skip
 
-    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:  # noqa: ARG002
+    @override
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:
         """Subscribe to a key; for a latched one, first query programs and zenoh storages with a ``get``."""
         key = self._in[topic]
         name = str(key.key)
@@ -109,15 +117,18 @@ class JsonKeysEdge(KeyEdge):
         handler, remote = zenoh.handlers.Callback(on_reply, indirect=False), zenoh.Locality.REMOTE
         self.context.session.get(key, handler, timeout=_ASK_SECONDS, allowed_destination=remote)
 
-    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> KeyPublisher:  # noqa: ARG002
+    @override
+    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> KeyPublisher:
         """Publish JSON on a key; a ``get`` on a latched key returns the newest message."""
         key = str(self._out[topic].key)
         return self.register(KeyPublisher(self.context, key, qos, Announcement(), encoding=_JSON, newest=True))
 
-    def caller(self, name: str, side_type: SideType) -> KeyCaller:  # noqa: ARG002
+    @override
+    def caller(self, name: str, side_type: SideType) -> KeyCaller:
         """Return a client that calls a key with a ``get``."""
         return self.register(KeyCaller(self.context, str(self._in[name].key), name, Announcement(), encoding=_JSON))
 
+    @override
     def serve(self, name: str, side_type: SideType, call: Call) -> KeyServer:
         """Reply to each ``get`` on a key."""
         request, _ = self._registry.service_schemas(side_type.name, side_type.type_id)

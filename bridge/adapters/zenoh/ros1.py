@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import zenoh
+from typing_extensions import override
 
 from bridge.adapters.ros1 import names
 from bridge.adapters.zenoh.edge import KeyEdge, configured
@@ -51,15 +52,17 @@ class Ros1KeysEdge(KeyEdge):
         self._names = names.NameTable()
         self._aloha: Aloha | None = None
 
+    @override
     def opened(self, session: zenoh.Session) -> None:
         """Start to send and receive beacons."""
         self._aloha = Aloha(session, self._namespace, self._graph_changed, self._newcomer)
 
+    @override
     def closing(self) -> None:
-        """Withdraw all beacons."""
         if self._aloha is not None:
             self._aloha.close()
 
+    @override
     def tick(self, now: float) -> None:
         """Send due beacons and latched messages."""
         if self._aloha is not None:
@@ -76,6 +79,7 @@ class Ros1KeysEdge(KeyEdge):
             if publisher.topic == topic:
                 publisher.newcomer(first=first)
 
+    @override
     def endpoints(self) -> Sequence[Endpoint]:
         """Return the endpoints that bridges announce, and the configured publishers."""
         announced = [] if self._aloha is None else self._aloha.topics()
@@ -103,55 +107,67 @@ class Ros1KeysEdge(KeyEdge):
             return self._registry.service_ros1_to_hub(type_name).side.type_id
         return self._registry.ros1(type_name).type_id
 
+    @override
     def why_not(self, topic: str, type_name: str) -> str:
         """Return why a part of a ROS 2 action does not cross: ROS 1 has no such services and topics."""
         action = split(topic)[1] and ("/action/" in type_name or type_name.startswith("action_msgs/"))
         return "actions of ROS 2 do not cross to the ros1 dialect" if action else ""
 
+    @override
     def warnings(self) -> list[str]:
         """Return a warning with the number of invalid beacons."""
         return [] if self._aloha is None else self._aloha.warnings()
 
+    @override
     def to_hub(self, endpoint: Endpoint) -> Conversion:
         """Return the conversion to the hub; the type must be known here, as keys carry no definition."""
         return self._registry.ros1_to_hub(endpoint.type, endpoint.type_id)
 
+    @override
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
         """Return the conversion from CDR to ROS 1's bytes."""
         return self._registry.hub_to_ros1(type_name, type_hash)
 
+    @override
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
         """Return a server's conversion; a reply with an error text becomes an error."""
         known = self._registry.service_ros1_to_hub(endpoint.type, endpoint.type_id)
         return replace(known, response_to_hub=_or_failed(known.response_to_hub))
 
+    @override
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
         """Return the conversion between CDR and ROS 1's bytes."""
         return self._registry.service_hub_to_ros1(type_name, type_hash)
 
+    @override
     def side_name(self, hub_name: str) -> str:
         """Return the ROS 1 spelling of a hub topic name; see `bridge.adapters.ros1.names`."""
         return self._names.side_name(hub_name)
 
+    @override
     def hub_name(self, side_name: str) -> str:
         """Return the hub's spelling of a ROS 1 topic name; see `bridge.adapters.ros1.names`."""
         return names.hub_name(side_name)
 
+    @override
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:
         """Subscribe to a topic's key; the namespace ``*`` matches all bridges."""
         key, announcement = self._announcement(Kind.SUBSCRIPTION, topic, side_type)
         return self.register(KeySubscription(self.context, key, qos, deliver, lambda _sample: key, announcement))
 
+    @override
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> Ros1KeyPublisher:
         """Publish on a topic's key, and announce it to the bridges."""
         key, announcement = self._announcement(Kind.PUBLISHER, topic, side_type)
         return self.register(Ros1KeyPublisher(self.context, topic, key, qos, announcement))
 
+    @override
     def caller(self, name: str, side_type: SideType) -> KeyCaller:
         """Return a client of a service's key, and announce it to the bridges."""
         key, announcement = self._announcement(Kind.CLIENT, name, side_type)
         return self.register(KeyCaller(self.context, key, name, announcement))
 
+    @override
     def serve(self, name: str, side_type: SideType, call: Call) -> KeyServer:
         """Serve a service's key for clients of any namespace, and announce it to the bridges."""
         key, announcement = self._announcement(Kind.SERVER, name, side_type)

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import zenoh
+from typing_extensions import override
 
 from bridge.adapters.zenoh.edge import KeyEdge, configured
 from bridge.adapters.zenoh.ros2dds_graph import Ros2ddsGraph, TokenAnnouncer, endpoint_id
@@ -60,11 +61,13 @@ class Ros2ddsEdge(KeyEdge):
         self._graph: Ros2ddsGraph | None = None
         self._announcer: TokenAnnouncer | None = None
 
+    @override
     def opened(self, session: zenoh.Session) -> None:
         """Start to publish and to follow tokens."""
         self._announcer = TokenAnnouncer(session)
         self._graph = Ros2ddsGraph(session, self._prefix, self._tokens_changed)
 
+    @override
     def closing(self) -> None:
         """Stop heartbeats, and withdraw all tokens."""
         self._heartbeats.close(1.0)
@@ -81,6 +84,7 @@ class Ros2ddsEdge(KeyEdge):
                 subscription.ask_for(_announced_depth(graph, subscription.key))
         self._graph_changed()
 
+    @override
     def endpoints(self) -> Sequence[Endpoint]:
         """Return the endpoints that bridges announce, and the configured publishers."""
         announced = [] if self._graph is None else self._graph.endpoints()
@@ -93,11 +97,13 @@ class Ros2ddsEdge(KeyEdge):
 
         return configured(self.dialect, self._registry.ros2, endpoint)
 
-    def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002
+    @override
+    def why_not(self, topic: str, type_name: str) -> str:
         """Return why a key is not available: it cannot carry both CDR and JSON."""
         key = self._key(topic)
         return f"the key {key} carries JSON by zenoh.dialects" if key in self._json_keys else ""
 
+    @override
     def warnings(self) -> list[str]:
         """Return warnings about invalid tokens, and about bridges' topics on JSON keys."""
         if self._graph is None:
@@ -111,6 +117,7 @@ class Ros2ddsEdge(KeyEdge):
     def _key(self, topic: str) -> str:
         return self._prefix + topic[1:]
 
+    @override
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:
         """Subscribe to a key; the announced QoS is that of its publishers."""
         graph, announcer = self._graph, self._announcer
@@ -152,6 +159,7 @@ class Ros2ddsEdge(KeyEdge):
             return endpoint_id(bridge, key)  # its token for this key has not arrived yet
         return next((endpoint_id(t.zid, key) for t in graph.publishers(key) if t.type == side_type.name), "")
 
+    @override
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> Ros2ddsPublisher:
         """Publish on a key, and announce it to the bridges."""
         key = self._key(topic)
@@ -162,6 +170,7 @@ class Ros2ddsEdge(KeyEdge):
         assert self._announcer is not None
         return Announcement(partial(self._announcer.announce, kind, key, side_type, qos))
 
+    @override
     def caller(self, name: str, side_type: SideType) -> KeyCaller:
         """Return a client of a key; each request has an id, like those of the plugin's clients."""
         key = self._key(name)
@@ -173,6 +182,7 @@ class Ros2ddsEdge(KeyEdge):
         announcement = self._announcement(Kind.CLIENT, key, side_type, Qos())
         return self.register(KeyCaller(self.context, key, name, announcement, request_id))
 
+    @override
     def serve(self, name: str, side_type: SideType, call: Call) -> KeyServer:
         """Serve a key, and announce it to the bridges.
 

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable
 
 import zenoh
+from typing_extensions import override
 
 from bridge.adapters.zenoh.neighbours import sender, time_ns
 from bridge.adapters.zenoh.topics import Announcement, KeyContext, KeySubscription, PlainSink, SourceOf, priority
@@ -104,12 +105,13 @@ class LatchedSubscription(KeySubscription):
         """Request at least ``wanted`` samples from publishers that appear from now on."""
         self._history.depth = max(self._history.depth, wanted)
 
+    @override
     def close(self) -> None:
-        """Stop delivering. Safe to call twice."""
         if self._open:
             self._history.close()
         super().close()
 
+    @override
     def accept(self, sample: zenoh.Sample, source: str) -> None:
         """Accept a live sample; hold it back while its session is queried."""
         zid = sender(sample)

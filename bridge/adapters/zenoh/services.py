@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import zenoh
+from typing_extensions import override
 
 from bridge.adapters.zenoh.topics import Announcement, KeyContext
 from bridge.hub.endpoints.calls import Call, CallClient, CallError, CallServer
@@ -24,6 +25,7 @@ class KeyCaller(CallClient):
         target = zenoh.QueryTarget.BEST_MATCHING
         super().__init__(context.session, key, name, context.limit, context.executor, target, context.closed)
 
+    @override
     def _attached(self, number: int) -> bytes | None:
         return self._attach(number)
 
@@ -45,10 +47,12 @@ class KeyServer(CallServer):
         self._expression = zenoh.KeyExpr(asked or key)
         super().__init__(context.session, key, name, context.limit, call, context.closed)
 
+    @override
     def _takes(self, query: zenoh.Query) -> bool:
         """Return whether a query is a call; one with a wildcard only explores."""
         return self._expression.includes(query.key_expr)
 
+    @override
     def _request(self, payload: bytes) -> bytes:
         if payload:
             return payload

@@ -6,6 +6,7 @@ import re
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
+from typing_extensions import override
 
 from bridge.config.sections.section import ROS2_NAME, Enabled, PortName, Section, SideSection, matching, setting
 from yarp_compat.wire.generation import Findings, Generation, Generations
@@ -235,6 +236,7 @@ class YarpSection(SideSection):
             findings=findings,
         )
 
+    @override
     def joins_as(self, other: Section) -> bool:
         """Whether at most the releases of its programs differ."""
         return isinstance(other, YarpSection) and self == other.model_copy(

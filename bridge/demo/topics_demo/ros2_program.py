@@ -15,6 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import Image, LaserScan
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
+from typing_extensions import override
 
 from bridge.demo.topics_demo import messages
 from bridge.demo.topics_demo.report import TopicsProgram, serve
@@ -47,22 +48,24 @@ class Ros2Program(TopicsProgram):
         except ExternalShutdownException:
             return
 
+    @override
     def join_late(self) -> None:
-        """Subscribe to topics that were published once, long ago."""
         self._subscribe(OccupancyGrid, messages.MAP, messages.stamp, messages.grid, _LATCHED)
         self._subscribe(TFMessage, messages.TF_STATIC, lambda _message: None, self._mounts, _LATCHED)
 
+    @override
     def close(self) -> None:
-        """Leave the network."""
         self._executor.shutdown(2.0)
         self._spinner.join(2.0)
         rclpy.shutdown()  # destroys the node
 
+    @override
     def _send(self, linear: float, angular: float) -> None:
         twist = Twist()
         twist.linear.x, twist.angular.z = linear, angular
         self._velocity.publish(twist)
 
+    @override
     def _publish_hello(self, text: str) -> None:
         self._hello.publish(String(data=text))
 

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.demo.topics_demo import messages
 from bridge.demo.topics_demo.report import TopicsProgram, serve
@@ -81,13 +82,13 @@ class YarpProgram(TopicsProgram):
                 return
             self._closed.wait(0.1)
 
+    @override
     def join_late(self) -> None:
-        """Connect to topics that were published once, long ago."""
         self._subscribe(messages.MAP, _map)
         self._subscribe(messages.TF_STATIC, self._mounts, stamped=False)
 
+    @override
     def drive(self, linear: float, angular: float, seconds: float, text: bool = False) -> None:
-        """Send a velocity for some seconds, then stop; report the robot's pose before and after."""
         self._send_velocity(self._text_sender() if text else self._binary_sender(), linear, angular, seconds)
 
     def _binary_sender(self) -> Callable[[float, float], object]:
@@ -104,23 +105,26 @@ class YarpProgram(TopicsProgram):
         self._line.sendall(b"CONNECT driver\r\n")
         return lambda linear, angular: self._line.sendall(f"D\r\n{linear} 0.0 {angular}\r\n".encode())
 
+    @override
     def _publish_hello(self, text: str) -> None:
         linked = {route.target for route in self._speaker.outputs()}
         for target in {f"/midspan{messages.FROM_YARP}:i", f"/demo{messages.FROM_YARP}:i"} - linked:
             self._speaker.add_output(target)
         self._speaker.write(encode([text], Profile.YARP3))
 
+    @override
     def close(self) -> None:
-        """Leave the network."""
         self._closed.set()
         for core in self._ports:
             core.close()
 
+    @override
     def _odometry(self, payload: bytes) -> str:
         odometry = OdometryData.from_bytes(payload)
         self._pose = [odometry.odom_x, odometry.odom_y, math.radians(odometry.odom_theta)]
         return f"at {odometry.odom_x:.2f}, {odometry.odom_y:.2f} m"
 
+    @override
     def _mounts(self, payload: bytes) -> str:
         return self._add_mounts(child for _, child in _pairs(payload))
 

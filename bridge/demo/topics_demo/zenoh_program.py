@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
+from typing_extensions import override
 from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 from zenoh_ros2_sdk.session import ZenohSession
@@ -39,6 +40,7 @@ class ZenohProgram(TopicsProgram):
         for topic in messages.HELLOS:
             self._subscribe("std_msgs/msg/String", topic, messages.text, messages.text)
 
+    @override
     def join_late(self) -> None:
         """Subscribe to topics that were published once, long ago; when called again, to the missing ones."""
         for topic, type_, key, detail in (
@@ -51,13 +53,16 @@ class ZenohProgram(TopicsProgram):
                 self._late[topic].close()
             self._late[topic] = self._subscribe(type_, topic, key, detail, _LATCHED)
 
+    @override
     def _send(self, linear: float, angular: float) -> None:
         vector: Any = _JAZZY.types["geometry_msgs/msg/Vector3"]
         self._velocity.publish(linear=vector(x=linear, y=0.0, z=0.0), angular=vector(x=0.0, y=0.0, z=angular))
 
+    @override
     def _publish_hello(self, text: str) -> None:
         self._hello.publish(data=text)
 
+    @override
     def close(self) -> None:
         """Leave the network; a process that ends with an open zenoh session hangs."""
         for endpoint in self._endpoints:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from threading import Lock
 
 import zenoh
+from typing_extensions import override
 
 from bridge.hub.endpoints.publisher import EndpointContext
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription, PublisherState, Refused
@@ -98,23 +99,26 @@ class LaneSubscription(HubSubscription):
         self.why = "the graph is not evaluated yet"
         lane.add(self)
 
+    @override
     def close(self) -> None:
-        """Stop receiving. Safe to call twice."""
         self._lane.remove(self)
         super().close()
         for inlet in tuple(self._inlets):
             inlet.leave(self)
 
+    @override
     def _undeclare(self) -> None:
         with self._switching:
             undeclare(self._subscriber)
 
     # -- messages ------------------------------------------------------------------------------------------------------
 
+    @override
     def _make_room(self) -> None:
         super()._make_room()
         self._early = {gid: since for gid, since in self._early.items() if gid in self.sources}
 
+    @override
     def _on_sample(self, sample: zenoh.Sample) -> None:
         message = self._read(sample)
         if message is None:

@@ -18,6 +18,7 @@ from functools import partial
 from typing import Any
 
 import zenoh
+from typing_extensions import override
 
 from bridge.hub.endpoints.calls import PRIORITY, Call, CallClient, CallError, CallServer, PendingRequest
 from bridge.hub.endpoints.publisher import EndpointContext
@@ -60,14 +61,17 @@ class HubServer(CallServer):
         )
         self._withdraw = context.graph.announce(token)
 
+    @override
     def _heard_beside(self, session: zenoh.Session, reach: zenoh.Locality) -> list[Any]:
         return [subscribe(session, abandon_key(self._key), self._heard_leaving, reach)]
 
+    @override
     def _takes(self, query: zenoh.Query) -> bool:
         """Return whether to accept a call: not if it comes from the node itself."""
         attached = query.attachment
         return attached is None or attached.to_bytes()[-GID_SIZE:] not in self._own
 
+    @override
     def _pending(self, query: zenoh.Query) -> _HubRequest:
         request, attached = _HubRequest(query, self._answer), query.attachment
         if attached is not None:  # optional for a plain zenoh program
@@ -78,6 +82,7 @@ class HubServer(CallServer):
             request.seen = bool(self._graph.zid_of(request.caller))
         return request
 
+    @override
     def _attached(self, asked: PendingRequest) -> bytes | None:
         """Return the reply's attachment: the request's number and GID."""
         assert isinstance(asked, _HubRequest)
@@ -85,6 +90,7 @@ class HubServer(CallServer):
 
     # -- clients that leave --------------------------------------------------------------------------------------------
 
+    @override
     def _remembered(self, asked: PendingRequest) -> None:
         assert isinstance(asked, _HubRequest)
         if asked.number is not None and len(self._callers) < _MAX_CALLERS:
@@ -92,6 +98,7 @@ class HubServer(CallServer):
         if self._unwatch is None:
             self._unwatch = self._graph.watch(self._look_for_callers)
 
+    @override
     def _forgotten(self, asked: PendingRequest) -> None:
         assert isinstance(asked, _HubRequest)
         with self._lock:
@@ -160,6 +167,7 @@ class HubClient(CallClient):
         self._withdraw = context.graph.announce(token)
 
     @property
+    @override
     def ready(self) -> bool:
         """Return whether there is a server, other than one of the node itself."""
         if not super().ready:
@@ -167,12 +175,13 @@ class HubClient(CallClient):
         servers = [server.gid in self._own for server in self._graph.servers(self.name)]
         return not servers or not all(servers)
 
+    @override
     def _attached(self, number: int) -> bytes:
         """Return the request's attachment: number, time and GID, as in rmw_zenoh."""
         return pack_attachment(number, time.time_ns(), self.gid)
 
+    @override
     def _abandoned(self, attached: bytes | None) -> None:
-        """Notify the server."""
         assert attached is not None
         self._executor.submit(partial(self._tell_leaving, attached))
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.messages.definitions.schema import (
     PRIMITIVE_SIZES,
@@ -49,11 +50,12 @@ class RosBottle(Codec):
         self._schema = schema
         self._layouts = {known: Layout(self._schema, known) for known in Profile}
 
+    @override
     def to_yarp(self, cdr: bytes) -> EncodedMessage:
-        """See `Codec`."""
         bottle = self._layouts[self._profile].to_bottle(self._to_ros1(cdr))
         return EncodedMessage([bottle], (stamp_of(cdr) or None) if self._stamped else None)
 
+    @override
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
         """Convert a Bottle as in `Codec`, also one written by hand."""
         data = bytes(payload)

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from typing_extensions import override
+
 from bridge.messages import values
 from bridge.messages.definitions.schema import Schema
 from bridge.messages.errors import ConversionError
@@ -64,8 +66,8 @@ class NaturalCodec(Codec):
         self._kind = KINDS[schema.name]
         self._stamped = has_header(schema)
 
+    @override
     def to_yarp(self, cdr: bytes) -> EncodedMessage:
-        """See `Codec`."""
         out = ElementWriter(self._profile)
         try:
             self._kind.to_yarp(values.MessageReader(self._schema, cdr).message(), out)
@@ -73,8 +75,8 @@ class NaturalCodec(Codec):
             raise ConversionError(str(err)) from None
         return EncodedMessage(out.buffers(), (stamp_of(cdr) or None) if self._stamped else None)
 
+    @override
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
-        """See `Codec`."""
         wrong: WireError | None = None
         time_ns = self.now_ns() if stamp_ns is None else stamp_ns
         for known in Profile if profile is None else (profile,):

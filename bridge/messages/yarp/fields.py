@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.messages.definitions.schema import PRIMITIVE_SIZES, TIME_TYPES, FieldType, Schema, Shape
 from bridge.messages.errors import ConversionError, MessageTypeError
@@ -68,12 +69,13 @@ class FieldsCodec(Codec):
         self._stamped = has_header(schema)
         self._entries = [(entry, _resolve(schema, entry)) for entry in entries]
 
+    @override
     def to_yarp(self, cdr: bytes) -> EncodedMessage:
-        """See `Codec`."""
         message = MessageReader(self._schema, cdr).message()
         values = [_get(message, entry, kind) for entry, kind in self._entries]
         return EncodedMessage(encode_parts(values, self._profile), (stamp_of(cdr) or None) if self._stamped else None)
 
+    @override
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
         """Convert a Bottle as in `Codec`; fields that it lacks have their defaults."""
         values = decode_arrays(bytes(payload), profile)

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.messages.errors import ConversionError
 from bridge.messages.yarp.codec import Message, Missing, NaturalType, header, heading, turned
@@ -65,6 +66,7 @@ class _Velocity:
 
 
 class _StampedVelocity(_Velocity):
+    @override
     def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
         velocity = super().to_ros(source, stamp_ns, missing)
         return {"header": header(stamp_ns, missing.frame or "base_link"), "twist": velocity}

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+from typing_extensions import override
+
 from bridge.hub.endpoints.services import HubClient
 from bridge.hub.graph import HubEndpoint
 from bridge.routing.decision import OWN_NETWORK, RouteDecision, RouteKey, hub_groups
@@ -22,8 +24,8 @@ class HubToSideService(ServiceRoute):
 
     direction = "out"
 
+    @override
     def open(self) -> None:
-        """Open the missing endpoints."""
         conversion, context = self.conversion, self._context
         self.request, self.reply = conversion.request_to_hub, conversion.response_to_side
         if self._far is None:
@@ -39,7 +41,8 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
     direction = "out"
     kind = _SERVICE
 
-    def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # noqa: ARG002 - the hub's graph counts
+    @override
+    def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # the hub's graph counts
         """Return name and type of each service of the hub that may leave it to this side."""
         servers = self._context.hub.graph.servers()
         return {(e.topic, e.type_name) for e in servers if may_leave(e, self._context.edge)}

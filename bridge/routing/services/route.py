@@ -9,6 +9,8 @@ from collections.abc import Callable
 from threading import Lock
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.concurrency import BoundedQueue
 from bridge.hub.endpoints.calls import LEFT, Abandon, CallError, Done
 from bridge.hub.endpoints.services import HubClient, HubServer
@@ -113,8 +115,8 @@ class CallCounters(Counters):
         super().__init__()
         self.replies = self.errors = self.abandoned = self.pending = 0
 
+    @override
     def as_dict(self) -> dict[str, Any]:
-        """Return the counters for the status document."""
         calls = {name: getattr(self, name) for name in ("replies", "errors", "abandoned", "pending")}
         return {**super().as_dict(), "calls": self.messages, **calls}
 
@@ -217,6 +219,7 @@ class ServiceRoute(Route):
                 counters.bytes += len(result)
                 counters.latency(nanoseconds)
 
+    @override
     def close(self, why: str = "") -> None:
         """End every call, and close both endpoints."""
         with self._lock:
@@ -239,6 +242,6 @@ class ServiceRoute(Route):
             call.end(error)
             call.cancel()
 
+    @override
     def status(self) -> RouteStatus:
-        """Return the route for the status document."""
         return RouteStatus(**self.row(active=self.offered, sources=self.servers), priority="", qos="")

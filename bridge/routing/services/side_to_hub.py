@@ -6,6 +6,8 @@ import logging
 from collections.abc import Callable, Sequence
 from typing import Final
 
+from typing_extensions import override
+
 from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError
 from bridge.messages.actions import CANCEL_GOAL, ENDINGS, GET_RESULT, part_name, split
 from bridge.messages.registry import Registry
@@ -43,8 +45,8 @@ class SideToHubService(ServiceRoute):
     orphaned: Callable[[bytes], None] | None = None
     """Called with the request of a call whose client left before its reply; on a thread of zenoh."""
 
+    @override
     def open(self) -> None:
-        """Open the missing endpoints."""
         conversion, context = self.conversion, self._context
         self.request, self.reply = conversion.request_to_side, conversion.response_to_hub
         if self._far is None:
@@ -55,8 +57,8 @@ class SideToHubService(ServiceRoute):
                 self._refusal = _refusal(context.registry, hub.name, hub.type_id)
             self._near = context.hub.server(self.hub_topic, hub.name, hub.type_id, self.call)
 
+    @override
     def call(self, request: bytes, done: Done) -> Abandon:
-        """Start a call of a client on the hub."""
         refuse = self._refusal
         if refuse is None:
             return self._call(request, done)
@@ -104,6 +106,7 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
     direction = "in"
     kind = _SERVICE
 
+    @override
     def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:
         """Return name and type of each service that is served on the side."""
         return {(e.topic, e.type) for e in endpoints if e.kind is Kind.SERVER}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing_extensions import override
+
 from bridge.config.model import Config
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
@@ -54,14 +56,14 @@ class FrameFeed(Feed):
         self._host, self._follower, self._seconds = host, follower, seconds
         self._timer: Timer | None = None
 
+    @override
     def open(self) -> None:
-        """Subscribe to the transforms."""
         self._follower.begin()
         self._timer = self._host.loop.every(self._seconds, self.refresh)
         self.refresh()
 
+    @override
     def close(self) -> None:
-        """Release the transforms."""
         if self._timer is not None:
             self._timer.close()
         self._follower.end()
@@ -76,8 +78,8 @@ class FramesFeed(FrameFeed):
     def __init__(self, host: Host, follower: FrameFollower) -> None:
         super().__init__(host, follower, "frames", FRAMES_SECONDS)
 
+    @override
     def refresh(self) -> None:
-        """Publish the tree."""
         now = self._host.clock.now_ns()
         self.put(
             [
@@ -105,6 +107,7 @@ class FramePoseFeed(FrameFeed):
         if not parted or not all(0 < len(frame) <= _MOST_NAME for frame in (self._reference, self._frame)):
             raise LookupError(f"{name[:80]!r} is not a pose feed: use pose:REFERENCE>FRAME")
 
+    @override
     def refresh(self) -> None:
         """Publish the current pose, or the reason why there is none."""
         try:

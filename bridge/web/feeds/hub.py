@@ -8,6 +8,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.client.errors import ClientError
 from bridge.client.session import Client
 from bridge.client.status import answered
@@ -50,13 +52,14 @@ class PolledFeed(Feed):
         self._timer: Any = None
         self._asking = False
 
+    @override
     def open(self) -> None:
         """Query now, and again after each pause."""
         self._timer = self._host.loop.every(self._seconds, self._poll)
         self._poll()
 
+    @override
     def close(self) -> None:
-        """Stop querying."""
         self._timer.close()
 
     def _poll(self) -> None:

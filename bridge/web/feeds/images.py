@@ -7,6 +7,7 @@ import io
 from typing import Any
 
 from PIL import Image
+from typing_extensions import override
 
 from bridge.client.types import Types
 from bridge.concurrency import SerialExecutor
@@ -37,6 +38,7 @@ class ImageFeed(NewestFeed):
         super().__init__(host, executor, name, topic)
         self._types, self._most = types, int(width)
 
+    @override
     def value(self, type_name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:
         """Return the image, and its original size and encoding."""
         if type_name not in TYPES:

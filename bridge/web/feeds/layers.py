@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.host import Host
@@ -42,6 +43,7 @@ class LayerFeed(TopicsFeed):
         self._at: dict[str, float] | None = None
         self._timer: Timer | None = None
 
+    @override
     def open(self) -> None:
         """Subscribe to the layer, its heights and the transforms."""
         if not self._topic:
@@ -52,8 +54,8 @@ class LayerFeed(TopicsFeed):
         self.follow(self._topic + HEIGHTS, GRID_MAP, self._on_heights, LATCHED)
         self._timer = self._host.loop.every(SECONDS, self._refresh)
 
+    @override
     def close(self) -> None:
-        """Unsubscribe."""
         super().close()
         self._grid = self._heights = self._at = None
         if self._timer is not None:

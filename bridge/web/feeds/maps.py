@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
 from bridge.hub.endpoints.keyspace import KeySpace
@@ -163,12 +165,12 @@ class StoreFeed(Feed):
         super().__init__(name)
         self._store, self._part = store, part
 
+    @override
     def open(self) -> None:
-        """Follow the store."""
         self._store.begin(self, lambda view: self.put(self._part(view)))
 
+    @override
     def close(self) -> None:
-        """Stop following the store."""
         self._store.end(self)
 
 
@@ -181,6 +183,7 @@ class MapFeed(TopicsFeed):
         self._drawing = SerialExecutor("midspan-web-map")
         self._shown: MapGrid2D | None = None
 
+    @override
     def open(self) -> None:
         """Follow the store or the topic."""
         if self._source == "store":
@@ -188,8 +191,8 @@ class MapFeed(TopicsFeed):
         else:
             self.follow(self._source, GRID, self._on_grid, LATCHED)
 
+    @override
     def close(self) -> None:
-        """Stop following."""
         super().close()
         self._store.end(self)
         self._shown = None

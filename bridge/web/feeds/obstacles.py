@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.config.model import Config
 from bridge.hub.wire.qos import LATCHED
@@ -38,14 +39,15 @@ class ObstaclesFeed(TopicsFeed):
         self._timer: Timer | None = None
         driving.on_change(self._choose)
 
+    @override
     def open(self) -> None:
         """Follow the chosen planner and the frames."""
         self._follower.begin()
         self._timer = self._host.loop.every(SECONDS, self._refresh)
         self._choose()
 
+    @override
     def close(self) -> None:
-        """Unsubscribe."""
         super().close()
         self._topic, self._newest = "", None
         if self._timer is not None:

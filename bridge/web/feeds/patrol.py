@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.web.feeds.feed import Feed
 
 
@@ -15,10 +17,12 @@ class PatrolFeed(Feed):
         super().__init__("patrol")
         self._now: Mapping[str, Any] | None = None
 
+    @override
     def open(self) -> None:
         """Publish the current state."""
         self.put(self._now, "" if self._now else "no patrol yet")
 
+    @override
     def close(self) -> None:
         """Do nothing: it has no subscriptions."""
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from bridge.client.navigation import STATUS_TOPIC
 from bridge.config.model import Config
@@ -42,8 +43,8 @@ class RobotFeed(FrameFeed):
         super().__init__(host, follower, "robot", ROBOT_SECONDS)
         self._footprint = [list(corner) for corner in footprint]
 
+    @override
     def refresh(self) -> None:
-        """Publish the robot's pose."""
         try:
             pose = self._follower.frames.pose()
         except FramesError as err:
@@ -64,8 +65,8 @@ class TopicsFeed(Feed):
         """Subscribe until the feed is closed."""
         self._ends.append(self._host.node.subscription(topic, type_name, on_message, qos))
 
+    @override
     def close(self) -> None:
-        """Unsubscribe."""
         ends, self._ends = self._ends, []
         for end in ends:
             self._host.node.release(end)
@@ -81,6 +82,7 @@ class LaserFeed(TopicsFeed):
         self._scan: dict[str, Any] | None = None
         self._refreshed = -math.inf
 
+    @override
     def open(self) -> None:
         """Subscribe to the laser and the transforms."""
         if not self._topic:
@@ -90,8 +92,8 @@ class LaserFeed(TopicsFeed):
         self.follow(self._topic, SCAN, self._on_scan, Qos(Reliability.BEST_EFFORT, depth=1))
         self._timer = self._host.loop.every(ROBOT_SECONDS, self._refresh)
 
+    @override
     def close(self) -> None:
-        """Unsubscribe."""
         super().close()
         if self._timer is not None:
             self._timer.close()
@@ -128,10 +130,12 @@ class PathFeed(TopicsFeed):
         self._last: list[float] = []
         driving.on_change(self._update)
 
+    @override
     def open(self) -> None:
         """Subscribe to the path of the chosen planner."""
         self._update()
 
+    @override
     def close(self) -> None:
         """Unsubscribe; the path of a paused goal stays cached for the next page."""
         super().close()
@@ -211,6 +215,7 @@ class DrivingFeed(TopicsFeed):
         """Why manual driving is refused, "" if it is allowed."""
         return f"{self.planner} drives; pause or stop it first" if self.drives else ""
 
+    @override
     def open(self) -> None:
         """Subscribe to the gateway's status and the planner's feedback."""
         self.follow(STATUS_TOPIC, STATUS, self._on_status, LATCHED)
@@ -220,8 +225,8 @@ class DrivingFeed(TopicsFeed):
             self.follow(topic, kind, self._progress, Qos(depth=1))
         self._publish()
 
+    @override
     def close(self) -> None:
-        """Unsubscribe."""
         super().close()
         self._status = self._distance = None
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.endpoints import Subscription
 from bridge.modules.host import Host
@@ -28,6 +30,7 @@ class RobotsFeed(FrameFeed):
         self._paths: dict[str, list[float]] = {}
         self._subscriptions: list[Subscription] = []
 
+    @override
     def open(self) -> None:
         """Subscribe to the frames and the paths."""
         if not self._robots:
@@ -39,8 +42,8 @@ class RobotsFeed(FrameFeed):
                 self._subscriptions.append(self._host.node.subscription(robot.path, PATH, on_path, LATCHED))
         super().open()
 
+    @override
     def close(self) -> None:
-        """Unsubscribe."""
         if not self._robots:
             return
         super().close()
@@ -49,8 +52,8 @@ class RobotsFeed(FrameFeed):
             self._host.node.release(subscription)
         self._paths.clear()
 
+    @override
     def refresh(self) -> None:
-        """Publish the robots' current poses."""
         self.put([self._snapshot(robot) for robot in self._robots])
 
     def _snapshot(self, robot: OtherRobot) -> dict[str, Any]:

@@ -7,6 +7,8 @@ from abc import abstractmethod
 from functools import partial
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.client.errors import ClientError
 from bridge.client.topics import SubscribedTopic, TopicKey
 from bridge.client.types import Types
@@ -46,8 +48,8 @@ class NewestFeed(Feed):
         self._timers: list[Any] = []
         self._busy = False
 
+    @override
     def open(self) -> None:
-        """Subscribe to all publishers."""
         self._count, self._since, self._rate, self._newest = 0, time.monotonic(), None, None
         self._timers = [
             self._host.loop.every(TOPIC_SECONDS, self._decode_newest),
@@ -55,8 +57,8 @@ class NewestFeed(Feed):
         ]
         self._subscribe()
 
+    @override
     def close(self) -> None:
-        """Unsubscribe."""
         for timer in self._timers:
             timer.close()
         self._unsubscribe()
@@ -136,6 +138,7 @@ class MessageFeed(NewestFeed):
         super().__init__(host, executor, name, name.removeprefix("topic:"))
         self._types = types
 
+    @override
     def value(self, type_name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:
         """Return the message's fields, with long arrays and texts truncated."""
         return {"message": cut(self._types.decode(type_name, type_hash, cdr))}

@@ -13,6 +13,7 @@ import threading
 from typing import Any
 
 import h11
+from typing_extensions import override
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.exceptions import InvalidState
@@ -49,6 +50,7 @@ class BoundedListener(socket.socket):
         self._lock = threading.Lock()
         self._refused = ScarceLog()
 
+    @override
     def accept(self) -> tuple[socket.socket, Any]:
         """Return the next connection; raises `ConnectionAbortedError` if there are too many (asyncio continues)."""
         sock, address = super().accept()
@@ -78,6 +80,7 @@ class _Counted(socket.socket):
         self._listener: BoundedListener | None = listener
         self._host = host
 
+    @override
     def close(self) -> None:
         super().close()
         listener, self._listener = self._listener, None
@@ -88,6 +91,7 @@ class _Counted(socket.socket):
 class ServerLoop(asyncio.SelectorEventLoop):
     """An event loop whose servers limit the time of the TLS handshake."""
 
+    @override
     async def create_server(self, *args: Any, **options: Any) -> asyncio.Server:
         """Create a server; see asyncio."""
         if options.get("ssl") is not None:
@@ -101,6 +105,7 @@ class TimedHttp(H11Protocol):
     _since = 0.0
     _timer: asyncio.TimerHandle | None = None
 
+    @override
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Start the timer; see uvicorn."""
         super().connection_made(transport)
@@ -109,21 +114,25 @@ class TimedHttp(H11Protocol):
         self._since = self.loop.time()
         self._timer = self.loop.call_later(REQUEST_SECONDS, self._check_time)
 
+    @override
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the timer; see uvicorn."""
         self._end_timer()
         super().connection_lost(exc)
 
+    @override
     def on_response_complete(self) -> None:
         """Restart the request's time; see uvicorn."""
         super().on_response_complete()
         self._since = self.loop.time()
 
+    @override
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
         """Stop the timer, since another protocol takes over the connection; see uvicorn."""
         self._end_timer()
         super().handle_websocket_upgrade(event)
 
+    @override
     def send_400_response(self, msg: str) -> None:
         """Refuse a request as uvicorn does, and keep the application, which may have the head, from responding too."""
         if self.cycle is not None and not self.cycle.response_complete:
@@ -149,6 +158,7 @@ class TimedHttp(H11Protocol):
 class BoundedWebSocket(WebSocketsSansIOProtocol):
     """Closes the connection of a page with too much unread data, or with too many parts in a message."""
 
+    @override
     def handle_ping(self) -> None:
         """Answer a ping unless the connection is closing; see uvicorn."""
         if not self.transport.is_closing():
@@ -156,6 +166,7 @@ class BoundedWebSocket(WebSocketsSansIOProtocol):
         if self.transport.get_write_buffer_size() > MOST_UNREAD:
             self.transport.abort()
 
+    @override
     def handle_cont(self, event: Frame) -> None:
         """Count the parts of a message; see uvicorn."""
         if len(self.frames) >= MOST_PARTS:
@@ -163,6 +174,7 @@ class BoundedWebSocket(WebSocketsSansIOProtocol):
         else:
             super().handle_cont(event)
 
+    @override
     def send_receive_event_to_app(self) -> None:
         """Pass on a message; see uvicorn."""
         try:

@@ -9,6 +9,7 @@ from typing import Any
 from yarp_compat.dev.controlboard.messages import ControlBoardMsgs
 from yarp_compat.dev.controlboard.streams import JointData
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
+from yarp_compat.overriding import override
 
 _MULTI_JOINT = re.compile(r"(?P<base>\w+)(?P<kind>All|Group)RPC")
 
@@ -24,8 +25,8 @@ class JointBoard(ControlBoardMsgs):
         super().__init__()
         self.axes = axes
 
+    @override
     def getAxesRPC(self) -> tuple[ReturnValue, int]:
-        """The number of joints."""
         return OK, self.axes
 
     def control_mode(self, joint: int) -> int:

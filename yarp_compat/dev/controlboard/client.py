@@ -25,6 +25,7 @@ from yarp_compat.dev.returnvalue import OK, UNREACHED, ReturnCode, ReturnValue
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.os.data.stamp import Stamp
+from yarp_compat.overriding import override
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import Naming, PortError
 from yarp_compat.ports.port import PortCore
@@ -69,14 +70,15 @@ class ControlBoardClient(Openable):
         self._on_state = on_state
         self._open = ExitStack()
 
+    @override
     def open(self) -> Self:
         """Open the ports and connect them; errors as in the class."""
         with closed_on_failure(self):
             self._connect()
         return self
 
+    @override
     def close(self) -> None:
-        """Close the ports."""
         self._open.close()
 
     def call(self, method: str, *arguments: Any) -> tuple[Any, ...]:
@@ -213,6 +215,7 @@ class _StateReader(OpenPort):
         self._state, self._on_state = state, on_state
         super().__init__(name, naming=naming, is_output=False)
 
+    @override
     def _on_message(self, message: PortMessage) -> None:
         self._state.store(Received(message, self.core.profile))
         if self._on_state is not None:

@@ -20,6 +20,7 @@ from yarp_compat.dev.fields import BOOLEAN, INT16, TEXT, FieldCodec, Integer
 from yarp_compat.dev.returnvalue import ReturnValue
 from yarp_compat.dev.service import Service, rpc
 from yarp_compat.os.data.bottle import Bottle
+from yarp_compat.overriding import override
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 
 _Method = TypeVar("_Method", bound=Callable[..., Any])
@@ -51,6 +52,7 @@ def vocabs(request: str, reply: str = "") -> Callable[[_Method], _Method]:
 class _Truncated(Integer):
     """A number that YARP 4.0 declares as an integer by mistake; 3.x has all of it."""
 
+    @override
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         super().write(out, int(value), tagged=tagged)
 
@@ -61,13 +63,15 @@ class _Flags(FieldCodec):
     def __init__(self) -> None:
         super().__init__("map<string, bool>", dict)
 
-    def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:  # noqa: ARG002
+    @override
+    def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         out.begin(len(value))
         for name, flag in sorted(value.items()):
             out.begin(2)
             TEXT.write(out, name)
             BOOLEAN.write(out, flag)
 
+    @override
     def read(self, source: ElementReader) -> dict[str, bool]:
         flags = {}
         for _ in range(source.begin()):

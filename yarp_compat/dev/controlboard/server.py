@@ -21,6 +21,7 @@ from yarp_compat.dev.controlboard.vocab_rpc import respond
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnValue
 from yarp_compat.dev.server import ServiceServer
 from yarp_compat.naming.client import NameClient
+from yarp_compat.overriding import override
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import Naming
 from yarp_compat.ports.sockets import Openable, closed_on_failure
@@ -74,6 +75,7 @@ class BoardService(ControlBoardMsgs):
         super().__init__()
         self.board = board
 
+    @override
     def getDeviceInterfacesRPC(self) -> tuple[ReturnValue, dict[str, bool]]:
         """The interfaces whose methods the board defines."""
         kind = type(self.board)
@@ -133,6 +135,7 @@ class ControlBoardServer(Openable):
         self._open = ExitStack()
         self._stop = threading.Event()
 
+    @override
     def open(self) -> Self:
         """Open the ports; raises `NamingError` without a name server."""
         with closed_on_failure(self):
@@ -145,6 +148,7 @@ class ControlBoardServer(Openable):
             self._open.callback(self._stop.set)
         return self
 
+    @override
     def close(self) -> None:
         """Close the ports and end the thread."""
         self._open.close()
@@ -170,6 +174,7 @@ class _CommandPort(OpenPort):
         self._handler = handler
         super().__init__(name, naming=naming, is_output=False)
 
+    @override
     def _on_message(self, message: PortMessage) -> None:
         received = Received(message, self.core.profile)
         try:

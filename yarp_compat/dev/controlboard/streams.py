@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from yarp_compat.dev.fields import Structure
 from yarp_compat.os.data.bottle import Bottle
+from yarp_compat.overriding import override
 from yarp_compat.sig.vector import Vector, read_numbers, write_numbers
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
@@ -40,6 +41,7 @@ class JointData(Portable):
         self.axes = axes
         self.values = values or {}
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         layout = _LAYOUTS[out.profile]
         out.begin(2 * len(layout))
@@ -48,6 +50,7 @@ class JointData(Portable):
             write_numbers(out, np.zeros(self.axes, kind) if value is None else np.ascontiguousarray(value, kind))
             out.boolean(value is not None)
 
+    @override
     def _read(self, source: ElementReader) -> None:
         count = source.begin()
         layout = next((known for known in _LAYOUTS.values() if 2 * len(known) == count), None)

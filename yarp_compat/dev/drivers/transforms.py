@@ -14,6 +14,7 @@ from yarp_compat.dev.frametransform import FrameTransform
 from yarp_compat.dev.frametransform_client import LIFETIME, TransformClient
 from yarp_compat.dev.frametransform_local import LocalTransforms
 from yarp_compat.dev.returnvalue import ReturnCode, ReturnValue
+from yarp_compat.overriding import override
 
 log = logging.getLogger("yarp.dev.PolyDriver")
 
@@ -26,12 +27,15 @@ _REFUSED = ReturnValue(ReturnCode.NOT_IMPLEMENTED)
 class _Listener(TransformClient):
     """A client that cannot set or delete transforms, as with ``ftc_sub_yarp_only.xml``."""
 
-    def send(self, transforms: list[FrameTransform]) -> ReturnValue:  # noqa: ARG002
+    @override
+    def send(self, transforms: list[FrameTransform]) -> ReturnValue:
         return _REFUSED
 
-    def remove(self, first: str, second: str) -> ReturnValue:  # noqa: ARG002
+    @override
+    def remove(self, first: str, second: str) -> ReturnValue:
         return _REFUSED
 
+    @override
     def remove_all(self) -> ReturnValue:
         return _REFUSED
 

@@ -11,6 +11,7 @@ from typing import Any, overload
 
 from yarp_compat.os.data.property_base import PropertyBase
 from yarp_compat.os.data.value_base import ValueBase, deep_copy, integer, plain_of, word_of
+from yarp_compat.overriding import override
 from yarp_compat.wire import tags
 from yarp_compat.wire.accessors import getter
 from yarp_compat.wire.binary import decode, decode_prefix, encode, encode_parts
@@ -115,11 +116,13 @@ class Value(ValueBase, _Comparable):
         """Return the dict or list, as `asDict` and `asList` do."""
         return self.asDict() if isinstance(self._value, dict) else self.asList()
 
+    @override
     def find(self, key: str) -> Value:
         """Return the value after a key in the list or dict."""
         inner = self.asSearchable()
         return NULL if inner is None else inner.find(key)
 
+    @override
     def findGroup(self, key: str) -> Bottle:
         """Return the list that begins with a key in the list or dict."""
         inner = self.asSearchable()
@@ -269,14 +272,15 @@ class Bottle(Portable, _Comparable):
         """Return the value at an index; null if out of range."""
         return Value.of(self._values[index]) if 0 <= index < len(self._values) else NULL
 
+    @override
     def find(self, key: str) -> Value:
         """Return the value after a key: the second of the list that begins with it, or the one that follows it."""
         at = self._index(key)
         value = self._values[at] if at >= 0 else None
         return Bottle.of(value).get(1) if isinstance(value, list) else self.get(at + 1) if at >= 0 else NULL
 
+    @override
     def findGroup(self, key: str) -> Bottle:
-        """Return the list that begins with a key; a null Bottle if it is missing."""
         at = self._index(key)
         value = self._values[at] if at >= 0 else None
         return Bottle.of(value) if isinstance(value, list) else _NULL
@@ -294,8 +298,8 @@ class Bottle(Portable, _Comparable):
         tail._null = self._null
         return tail
 
+    @override
     def toString(self) -> str:
-        """Return the text form."""
         return to_text(self._values)
 
     def fromString(self, text: str) -> None:
@@ -310,36 +314,44 @@ class Bottle(Portable, _Comparable):
         """Replace the content by decoded bytes; raises `WireError` if they are not a Bottle."""
         self.from_wire(memoryview(data)[:length], profile)
 
-    def to_wire(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> list[Buffer]:  # noqa: ARG002
+    @override
+    def to_wire(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> list[Buffer]:
         """Return the bytes in pieces, without copies of large blobs."""
         return encode_parts(self._values, profile)
 
-    def to_bytes(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> bytes:  # noqa: ARG002
+    @override
+    def to_bytes(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> bytes:
         """Return the bytes in one piece."""
         return encode(self._values, profile)
 
+    @override
     def from_wire(self, data: Buffer, profile: Profile | None = None) -> None:
         """Replace the content by a whole payload; raises `WireError`, and changes nothing, if it is not a Bottle."""
         self._edit()[:] = decode(data, profile)
 
+    @override
     def to_values(self) -> list[Any]:
         """Return copies of the plain values."""
         return [deep_copy(value) for value in self._values]
 
+    @override
     def from_values(self, values: Iterable[Any]) -> None:
         """Replace the content by these values."""
         self._edit()[:] = [plain_of(value) for value in values]
 
     to_text = toString
 
+    @override
     def from_text(self, line: str) -> None:
         """Replace the content by the values of a text."""
         self.fromString(line)
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         for part in encode_parts(self._values, out.profile):
             out.block(part)
 
+    @override
     def _read(self, source: ElementReader) -> None:
         self._edit()[:], source.at = decode_prefix(source.data, source.profile, source.element())
 
@@ -435,11 +447,13 @@ class Property(PropertyBase, Searchable):
         merge(self._entries, {key: group})
         return Property.of(group)
 
+    @override
     def find(self, key: str) -> Value:
         """Return the value under a key; null if it does not exist."""
         values = entry_values(self._entries.get(key, ()))
         return Value.of(values[0]) if values else NULL
 
+    @override
     def findGroup(self, key: str) -> Bottle:
         """Return a new Bottle with the key and its values; a null Bottle if the key is missing."""
         if key not in self._entries:
@@ -453,5 +467,6 @@ class Property(PropertyBase, Searchable):
     def __repr__(self) -> str:
         return f"Property({self.toString()!r})"
 
+    @override
     def _has(self, key: str) -> bool:
         return key in self._entries

@@ -11,6 +11,7 @@ from yarp_compat.os import config_text
 from yarp_compat.os.config_text import Environment
 from yarp_compat.os.data.value_base import plain_of
 from yarp_compat.os.resource_places import find_in_context
+from yarp_compat.overriding import override
 from yarp_compat.wire.binary import decode_prefix, encode_parts
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.portable import Portable
@@ -161,10 +162,12 @@ class PropertyBase(Portable):
 
     # as a message: YARP sends and reads the values of the text form, sorted by key
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         for part in encode_parts(from_text(self.toString()), out.profile):
             out.block(part)
 
+    @override
     def _read(self, source: ElementReader) -> None:
         values, end = decode_prefix(source.data, source.profile, source.at)
         self._merge(dict_of(from_text(to_text(values))), wipe=True)
@@ -172,6 +175,7 @@ class PropertyBase(Portable):
 
     to_text = toString
 
+    @override
     def from_text(self, line: str) -> None:
         """Replace the content by that of a text."""
         self.fromString(line)
@@ -213,5 +217,6 @@ class PropertyBase(Portable):
             self.clear()
         merge(self._entries, entries)
 
+    @override
     def _become(self, other: Self) -> None:
         self._merge(dict(other._entries), wipe=True)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, ClassVar
 
 from yarp_compat.os.time import now
+from yarp_compat.overriding import override
 from yarp_compat.wire.accessors import always, getter
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.portable import Portable
@@ -42,12 +43,14 @@ class Stamp(Portable):
         self._count = self._count + 1 if -1 <= self._count < _LARGEST else 0
         self._time = now() if time is None else time
 
+    @override
     def to_text(self) -> str:
         """Return the envelope's text: ``5 123.5``, the time with 15 digits."""
         return f"{self._count} {self._time:.15g}"
 
     toString = to_text
 
+    @override
     def from_text(self, line: str) -> None:
         """Parse an envelope; raises `WireError`, and becomes invalid, unless it is an int and a number."""
         match = _TEXT.match(line)
@@ -56,11 +59,13 @@ class Stamp(Portable):
             raise WireError(f"invalid stamp {line!r:.80}: expected a count and a time")
         self._count, self._time = int(match[1]), float(match[2])
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         out.begin(2)
         out.integer(self._count)
         out.float64(self._time)
 
+    @override
     def _read(self, source: ElementReader) -> None:
         count = source.begin()
         if count not in (2, 3):

@@ -7,6 +7,7 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
+from yarp_compat.overriding import override
 from yarp_compat.wire import tags
 from yarp_compat.wire.accessors import always
 from yarp_compat.wire.binary import decode, decode_prefix, encode
@@ -196,9 +197,11 @@ class ValueBase(Portable):
 
     # on the wire: a list of this one value
 
+    @override
     def _write(self, out: ElementWriter) -> None:
         out.block(encode([] if self._value is None else [self._value], out.profile))
 
+    @override
     def _read(self, source: ElementReader) -> None:
         values, end = decode_prefix(source.data, source.profile, source.at)
         if len(values) > 1:

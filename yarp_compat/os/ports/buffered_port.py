@@ -14,6 +14,7 @@ from yarp_compat.os.ports.contact import Contact
 from yarp_compat.os.ports.contactable import Contactable
 from yarp_compat.os.ports.inbox import Inbox
 from yarp_compat.os.ports.port import answer
+from yarp_compat.overriding import override
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.errors import WireError
@@ -199,6 +200,7 @@ class BufferedPort(Contactable, TypedReaderCallback):
 
     setReader = setReplier
 
+    @override
     def onRead(self, datum: Any, reader: Any = None) -> None:
         """Handle one message after ``useCallback()``; for derived classes to override."""
 
@@ -226,20 +228,24 @@ class BufferedPort(Contactable, TypedReaderCallback):
 
         self._thread = CallbackThread(self.getName(), next_message, self._callback, self, self._callback_lock)
 
+    @override
     def _on_open(self) -> None:
         self._gate = self._inbox = Inbox()
         self._inbox.strict = self._strict
         if self._callback is not None:
             self._start_callback()
 
+    @override
     def _on_closing(self) -> None:
         self._inbox.close()
         self._stop_callback()
 
+    @override
     def _on_closed(self, core: PortCore) -> None:
         super()._on_closed(core)
         self._callback = None
 
+    @override
     def _on_message(self, message: PortMessage) -> None:
         if message.wants_reply and self._replier is not None:
             with self._callback_lock:

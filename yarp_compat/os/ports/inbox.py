@@ -6,6 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
+from yarp_compat.overriding import override
 from yarp_compat.ports.message import PortMessage
 
 
@@ -118,6 +119,7 @@ class Inbox(Gate):
             self._changed.notify_all()
             return message
 
+    @override
     def close(self) -> None:
         """Release all waiting threads permanently, and discard the messages."""
         super().close()

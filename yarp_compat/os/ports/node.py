@@ -16,6 +16,7 @@ from yarp_compat.os.ports.contactable import NODES, Contactable
 from yarp_compat.os.ports.nested import LATCHED
 from yarp_compat.os.ports.port import Port
 from yarp_compat.os.runtime import RUNTIME
+from yarp_compat.overriding import override
 from yarp_compat.ports.connections import ConnectionEvent
 from yarp_compat.rosmsg import get as message_class
 from yarp_compat.wire.accessors import getter
@@ -112,6 +113,7 @@ class Publisher(_TopicPort):
         """Select whether `write` returns before the message is sent; a slow peer then gets only the newest."""
         self._wait = not backgroundFlag
 
+    @override
     def write(self, forceStrict: Any = False) -> Any:
         """Send a message and return whether all peers received it; or send the prepared one as `BufferedPort` does."""
         if isinstance(forceStrict, bool):
@@ -141,11 +143,13 @@ class Publisher(_TopicPort):
             with contextlib.suppress(WireError):  # writing it reports the error
                 self._last_message = b"".join(message.to_wire(RUNTIME.profile))
 
+    @override
     def _on_open(self) -> None:
         super()._on_open()
         if self._latched and self._core is not None:  # set before it listens; the name server gets it only later
             self._core.properties[LATCHED] = 1
 
+    @override
     def _on_event(self, event: ConnectionEvent) -> None:
         super()._on_event(event)
         core, last = self._core, self._last_message
@@ -162,6 +166,7 @@ class Subscriber(_TopicPort):
         if topic:
             self.topic(topic)
 
+    @override
     def read(self, shouldWait: Any = True) -> Any:
         """Return the next message or None like `BufferedPort.read`; or wait, fill a given message, return if filled."""
         if isinstance(shouldWait, bool):

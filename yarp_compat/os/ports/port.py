@@ -10,6 +10,7 @@ from yarp_compat.os.ports.contact import Contact
 from yarp_compat.os.ports.contactable import UnbufferedContactable
 from yarp_compat.os.ports.inbox import Handoff
 from yarp_compat.os.runtime import RUNTIME
+from yarp_compat.overriding import override
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.accessors import setter
@@ -126,8 +127,8 @@ class Port(UnbufferedContactable):
         """Pass each message to ``reader.read(connection)``, on its connection's thread."""
         self._reader = reader
 
+    @override
     def _on_message(self, message: PortMessage) -> None:
-        """Handle a message, on its connection's thread."""
         core = self._core
         if core is not None and self._reader is not None:
             self._envelope = message.envelope or self._envelope
@@ -137,15 +138,18 @@ class Port(UnbufferedContactable):
             message.later()
             message.retire()  # the connection closes without a reply: even an empty one would count as a reply
 
+    @override
     def _on_open(self) -> None:
         self._gate = self._handoff = Handoff()
 
+    @override
     def _on_closing(self) -> None:
         self._handoff.close()
         if self._due is not None:
             self._due.retire()
             self._due = None
 
+    @override
     def _on_closed(self, core: PortCore) -> None:
         if self._reader is not None:
             notify_closed(self._reader, Contact.of(core.contact))
@@ -183,6 +187,7 @@ class RpcServer(Port):
         super().__init__()
         self.setRpcServer()
 
+    @override
     def read(self, data: Any, willReply: bool = True) -> bool:
         """Wait for a request; `reply` must follow."""
         if not willReply:
@@ -190,7 +195,8 @@ class RpcServer(Port):
             return False
         return super().read(data, True)
 
-    def write(self, data: Any, reply: Any = None, callback: Any = None) -> bool:  # noqa: ARG002
+    @override
+    def write(self, data: Any, reply: Any = None, callback: Any = None) -> bool:
         """Log an error and return False: a server sends no requests."""
         _rpc_log.error("%s cannot write, please use a regular Port or RpcClient for that", self.getName())
         return False
@@ -203,12 +209,14 @@ class RpcClient(Port):
         super().__init__()
         self.setRpcClient()
 
-    def read(self, data: Any, willReply: bool = False) -> bool:  # noqa: ARG002
+    @override
+    def read(self, data: Any, willReply: bool = False) -> bool:
         """Log an error and return False: a client receives no requests."""
         _rpc_log.error("cannot read from RpcClient %s, please use a regular Port for that", self.getName())
         return False
 
-    def reply(self, data: Any) -> bool:  # noqa: ARG002
+    @override
+    def reply(self, data: Any) -> bool:
         """Return False: a client receives no requests."""
         return False
 

@@ -6,6 +6,8 @@ import os
 import signal
 from pathlib import Path
 
+from typing_extensions import override
+
 from bridge.adapters.ros1.master.embedded import EmbeddedMaster
 from bridge.config.model import Config
 from bridge.config.sections.listen import split
@@ -21,6 +23,7 @@ class MasterWorker(Worker):
         self._config: Config | None = None
         self._master: EmbeddedMaster | None = None
 
+    @override
     def start(self, config: Config) -> None:
         """Listen; raises `RuntimeError` if another program, such as a roscore, has the port."""
         self._config = config
@@ -37,11 +40,13 @@ class MasterWorker(Worker):
             ) from None
         self._master.start()
 
+    @override
     def reload(self, config: Config) -> bool:
         """Apply a new configuration; a restart is needed for another address or time."""
         old, self._config = self._config, config
         return old is not None and _settings(old) == _settings(config)
 
+    @override
     def health(self) -> Health:
         """Return the number of nodes, and the address."""
         if self._master is None:
@@ -49,6 +54,7 @@ class MasterWorker(Worker):
         count = len(self._master.nodes())
         return Health("running", f"{'1 node' if count == 1 else f'{count} nodes'} at {self._master.uri}")
 
+    @override
     def stop(self) -> None:
         """Stop serving; the nodes stay registered in the state file."""
         master, self._master = self._master, None

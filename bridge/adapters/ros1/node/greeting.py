@@ -14,6 +14,8 @@ import struct
 import time
 from collections.abc import Callable, Mapping
 
+from typing_extensions import override
+
 from bridge.adapters.ros1.epoll_loop import EpollLoop, PolledConnection
 from bridge.adapters.ros1.handshake import MAX_HEADER, decode, encode
 from bridge.adapters.ros1_peers import DeadlineSocket, Ros1ProtocolError
@@ -52,6 +54,7 @@ class TcprosServer(PolledConnection):
         self._bytes = 0
         loop.add(self)
 
+    @override
     def on_ready(self) -> Callable[[], None] | None:
         """Accept the waiting connections; return how to pause if the system is out of descriptors."""
         for _ in range(_ACCEPTED_AT_ONCE):
@@ -66,6 +69,7 @@ class TcprosServer(PolledConnection):
             self._greet(sock)
         return None
 
+    @override
     def abandon(self) -> None:
         """Stop listening, as the loop ends."""
         self.close()
@@ -143,6 +147,7 @@ class _Greeting(PolledConnection):
         self._size = _LENGTH.size
         self._over = False
 
+    @override
     def on_ready(self) -> Callable[[], None] | None:
         """Receive a part of the header, and not a byte after it."""
         try:
@@ -168,8 +173,8 @@ class _Greeting(PolledConnection):
                 with contextlib.suppress(OSError):
                     self._sock.shutdown(socket.SHUT_RDWR)
 
+    @override
     def abandon(self) -> None:
-        """Disconnect."""
         self._end()
         self._sock.close()
 

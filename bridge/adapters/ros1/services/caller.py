@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
+from typing_extensions import override
+
 from bridge.adapters.ros1.epoll_loop import EpollLoop
 from bridge.adapters.ros1.graph.probe import Ros1Context
 from bridge.adapters.ros1.graph.state import Registration
@@ -93,6 +95,7 @@ class _ServerConnection(ServiceConnection):
         self.cut()
         return not unsent
 
+    @override
     def _message(self, head: bytes, body: bytes) -> None:
         pending, self._pending = self._pending, None
         if pending is None:
@@ -109,6 +112,7 @@ class _ServerConnection(ServiceConnection):
         else:
             self.cut()
 
+    @override
     def _too_large(self, size: int) -> bool:
         pending, self._pending = self._pending, None
         trouble = f"announced a reply of {size} bytes, limits.message allows {self._limit}"
@@ -117,6 +121,7 @@ class _ServerConnection(ServiceConnection):
         self.end(trouble)
         return False
 
+    @override
     def _ended(self, trouble: str) -> None:
         with self._lock:
             pending, self._pending = self._pending, None

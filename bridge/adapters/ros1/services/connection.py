@@ -15,6 +15,8 @@ import threading
 from abc import abstractmethod
 from typing import ClassVar
 
+from typing_extensions import override
+
 from bridge.adapters.ros1.epoll_loop import EpollLoop, PolledConnection
 
 _log = logging.getLogger(__name__)
@@ -141,16 +143,16 @@ class ServiceConnection(PolledConnection):
             pass
         return False
 
+    @override
     def on_ready(self) -> None:
-        """Read available data, without blocking."""
         try:
             self.ready()
         except Exception as err:
             _log.exception("a call failed unexpectedly")
             self.end(f"failed here: {type(err).__name__}: {err}")
 
+    @override
     def abandon(self) -> None:
-        """Close the connection, as the loop ends."""
         self.end(_STOPS)
 
     def ready(self) -> None:

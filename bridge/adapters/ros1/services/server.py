@@ -8,6 +8,8 @@ import socket
 import threading
 from collections.abc import Callable, Iterable
 
+from typing_extensions import override
+
 from bridge.adapters.ros1.epoll_loop import EpollLoop
 from bridge.adapters.ros1.graph.probe import Ros1Context
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD, Header, encode
@@ -40,6 +42,7 @@ class _ClientConnection(ServiceConnection):
         self._busy = False
         self._abandon: Abandon | None = None
 
+    @override
     def ready(self) -> None:
         """Read a request; during a call, only check whether the client has left."""
         if not self._busy:
@@ -61,6 +64,7 @@ class _ClientConnection(ServiceConnection):
         else:
             self.cut()
 
+    @override
     def _message(self, head: bytes, body: bytes) -> None:
         self._server.traffic.add(calls=1, received=len(head) + len(body))
         with self._state:
@@ -84,9 +88,11 @@ class _ClientConnection(ServiceConnection):
         if left:
             abandon()
 
-    def _too_large(self, size: int) -> bool:  # noqa: ARG002 - the error is sent once it is skipped
+    @override
+    def _too_large(self, size: int) -> bool:  # the error is sent once it is skipped
         return True
 
+    @override
     def _skipped(self, size: int) -> None:
         # only now: closing a connection with unread bytes would discard the error
         self._busy = True
@@ -118,6 +124,7 @@ class _ClientConnection(ServiceConnection):
         else:
             self.cut()
 
+    @override
     def _sent(self) -> None:
         if self._persistent:
             self._busy = False
@@ -125,6 +132,7 @@ class _ClientConnection(ServiceConnection):
         else:
             self.cut()
 
+    @override
     def _ended(self, trouble: str) -> None:
         abandon, turn = self._take()
         if turn:

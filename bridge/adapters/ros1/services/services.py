@@ -9,6 +9,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 
+from typing_extensions import override
+
 from bridge.adapters.ros1.graph.probe import Facts, Follower, Ros1Context
 from bridge.adapters.ros1.graph.state import MasterState, Registration
 from bridge.adapters.ros1.handshake import Header, connect_service
@@ -101,6 +103,7 @@ class Ros1Services(Follower[Ros1Caller]):
         """Return a client of the native server of a service."""
         return self._add(Ros1Caller(self._context, name, side_type, self._doubted, self._remove))
 
+    @override
     def _tell(self, end: Ros1Caller, known: Mapping[Registration, Facts]) -> None:
         natives = [(link, facts) for link, facts in known.items() if facts.native]
         end.follow(natives[-1][0] if natives and natives[-1][1].fits(end.md5) else None)

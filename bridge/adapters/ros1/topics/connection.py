@@ -10,6 +10,8 @@ import struct
 import threading
 from collections.abc import Callable
 
+from typing_extensions import override
+
 from bridge.adapters.ros1.epoll_loop import EpollLoop
 from bridge.adapters.ros1.topics.bus import TopicConnection
 from bridge.adapters.ros1_peers import DeadlineSocket, Ros1ProtocolError
@@ -83,6 +85,7 @@ class PublisherConnection(TopicConnection):
             if not self._started:
                 self._sock.close()
 
+    @override
     def on_ready(self) -> Callable[[], None] | None:
         """Deliver small messages; return how to continue at a large message or at the end, else None."""
         try:
@@ -102,8 +105,8 @@ class PublisherConnection(TopicConnection):
         except RuntimeError as err:  # the system is out of threads
             self._end(str(err))
 
+    @override
     def abandon(self) -> None:
-        """Close the connection, as the loop ends."""
         with self._lock:
             self.done = True
             self._sock.close()

@@ -10,6 +10,8 @@ import threading
 from collections import Counter, deque
 from collections.abc import Callable
 
+from typing_extensions import override
+
 from bridge.adapters.ros1.topics.bus import TopicConnection
 
 _log = logging.getLogger(__name__)
@@ -94,10 +96,12 @@ class SubscriberConnection(TopicConnection):
                 self._sock.close()
             self._condition.notify()
 
+    @override
     def on_ready(self) -> Callable[[], None]:
         """Handle the subscriber's end of the connection."""
         return self.abandon
 
+    @override
     def abandon(self) -> None:
         """Close the connection, as its subscriber has disconnected or the loop ends."""
         if self._ended is not None:

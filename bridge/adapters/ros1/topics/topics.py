@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
+from typing_extensions import override
+
 from bridge.adapters.ros1.graph.probe import Facts, Follower, Ros1Context
 from bridge.adapters.ros1.graph.state import MasterState, Registration, publisher_id
 from bridge.hub.wire.qos import LATCHED, Qos
@@ -71,6 +73,7 @@ class Ros1Topics(Follower["Ros1Subscription"]):
 
         return Ros1Publisher(self._context.book, topic, side_type, qos)
 
+    @override
     def _tell(self, end: Ros1Subscription, known: Mapping[Registration, Facts]) -> None:
         end.follow(known)
 

@@ -13,6 +13,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
 from bridge.adapters.ros2.loop import EndpointReader, ReadLoop
@@ -78,6 +80,7 @@ class PresenceTopic(EndpointReader):
         """Return whether all participants that existed at ``since`` are discovered by now."""
         return time.monotonic() > max(since, self._since) + DISCOVERY_SECONDS
 
+    @override
     def drain(self, taker: rcl.Taker, limit: int) -> None:
         """Store the records of other participants."""
         for _ in range(limit):

@@ -8,6 +8,8 @@ from collections import deque
 from functools import partial
 from typing import Any, ClassVar
 
+from typing_extensions import override
+
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.participant import SERVICE
@@ -55,6 +57,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         self._update_ended()
         self._loop.add(self)
 
+    @override
     def call(self, request: bytes, done: Done) -> Abandon:
         """Begin a call; never blocks. A request that cannot be sent ends with an error at once."""
         calling = _PendingCall(request, done)
@@ -156,6 +159,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         failed += [(calling, error) for calling in self._waiting]
         self._waiting.clear()
 
+    @override
     def drain(self, _taker: rcl.Taker, limit: int) -> None:
         """End calls with their replies."""
         for _ in range(limit):
@@ -184,6 +188,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             _end(calling, CallError(f"the server of {self.name} on ROS 2 left before it answered"))
         self._advance()
 
+    @override
     def _check_processes(self) -> None:
         """Check for servers whose processes have ended while a call is pending."""
         with self._lock:
@@ -206,8 +211,8 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             for number in [number for number, other in self._sent.items() if other is calling]:
                 del self._sent[number]
 
+    @override
     def close(self) -> None:
-        """End all pending calls with an error. Safe to call twice."""
         with self._lock:
             if self._closed:
                 return

@@ -8,6 +8,8 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph.graph import Ros2Graph
 from bridge.adapters.ros2.graph.neighbours import ProcessWatch
@@ -48,6 +50,7 @@ class ServiceEndpoint(EndpointReader):
         self._lock = threading.Lock()
         self._checking = self._closed = False
 
+    @override
     def destroy(self) -> None:
         """Free the buffer, and destroy rclpy's object."""
         self._taker.close()

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, ClassVar
 
+from typing_extensions import override
+
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
@@ -62,6 +64,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         self._destroyed = False
         self._loop.add(self)
 
+    @override
     def drain(self, _taker: rcl.Taker, limit: int) -> None:
         """Begin a call for each request of a native client on Fast DDS."""
         for _ in range(limit):
@@ -170,6 +173,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         if abandon is not None:
             abandon()
 
+    @override
     def _check_processes(self) -> None:
         """Check for clients whose processes have ended while their calls are pending."""
         with self._lock:
@@ -179,6 +183,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
             self._check_soon()
         self.refit()
 
+    @override
     def close(self) -> None:
         """Abandon pending calls with an error, and stop serving. Safe to call twice."""
         with self._lock:
@@ -202,6 +207,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
             self._loop.remove(self)
         self._on_closed(self)
 
+    @override
     def destroy(self) -> None:
         """Destroy the service, also while a reply is being sent."""
         with self._alive:

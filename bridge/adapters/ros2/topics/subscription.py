@@ -14,6 +14,8 @@ import time
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from typing_extensions import override
+
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph.origins import is_marked
 from bridge.adapters.ros2.loop import EndpointReader
@@ -166,6 +168,7 @@ class ClassReader(EndpointReader):
         self._sequences: dict[str, int] = {}
         self._room = _SEQUENCES
 
+    @override
     def drain(self, taker: rcl.Taker, limit: int) -> None:
         """Deliver messages whose publisher belongs to this class."""
         owner = self._owner
