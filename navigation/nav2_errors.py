@@ -1,8 +1,9 @@
 """The error codes of Nav2's actions, as short reasons in English.
 
-Source: the constants in ``nav2_msgs/action/*.action``, branch ``jazzy`` (1.3.13) of ros-navigation/navigation2. Each
-action has its own range; ``bt_navigator`` copies the code of the failed action into the result of
-``NavigateToPose`` and ``NavigateThroughPoses``, which define no codes. Docking and FollowObject share 901 to 904.
+Source: the constants in ``nav2_msgs/action/*.action``, branches ``humble`` to ``lyrical`` of
+ros-navigation/navigation2; no code changes its meaning between releases. Each action has its own range;
+``bt_navigator`` copies the code of the failed action into the result of ``NavigateToPose`` and
+``NavigateThroughPoses``, which have codes of their own since Kilted. Docking and FollowObject share 901 to 904.
 Midspan's own codes are in `navigation.status.Fault`.
 """
 
@@ -10,7 +11,11 @@ from __future__ import annotations
 
 _NO_TRANSFORM = "a transform is missing or too old"
 
-_CONTROL = {  # FollowPath
+_SERVERS = {  # any action, since Lyrical
+    1: "an action server rejected the goal",
+    2: "the goal could not be sent to an action server",
+}
+_CONTROL = {  # FollowPath; 108 since Lyrical
     100: "the controller failed",
     101: "the controller plugin is not configured",
     102: _NO_TRANSFORM,
@@ -19,6 +24,7 @@ _CONTROL = {  # FollowPath
     105: "the robot makes no progress",
     106: "the controller finds no valid velocity command",
     107: "the controller timed out",
+    108: "following the path timed out",
 }
 _PLANNING = {  # ComputePathToPose: 200 to 208; ComputePathThroughPoses: the same from 300, and 309
     0: "the planner failed",
@@ -49,11 +55,13 @@ _SMOOTHING = {  # SmoothPath
     504: "the path cannot be smoothed",
     505: "the smoother cannot use the path",
 }
-_WAYPOINTS = {  # FollowWaypoints, FollowGPSWaypoints
+_WAYPOINTS = {  # FollowWaypoints, FollowGPSWaypoints; from 602 on since Kilted
     600: "following the waypoints failed",
     601: "the task at a waypoint failed",
+    602: "the goal has no valid waypoints",
+    603: "a waypoint was missed",
 }
-_BEHAVIORS = {  # Spin, BackUp, DriveOnHeading, AssistedTeleop
+_BEHAVIORS = {  # Spin, BackUp, DriveOnHeading, AssistedTeleop; Wait since Kilted
     700: "the spin failed",
     701: "the spin timed out",
     702: _NO_TRANSFORM,
@@ -71,17 +79,27 @@ _BEHAVIORS = {  # Spin, BackUp, DriveOnHeading, AssistedTeleop
     730: "assisted teleoperation failed",
     731: "assisted teleoperation timed out",
     732: _NO_TRANSFORM,
+    740: "the wait failed",
+    741: "the wait timed out",
 }
-_DOCKING = {  # DockRobot, UndockRobot; FollowObject
+_DOCKING = {  # DockRobot, UndockRobot; FollowObject; 907 since Kilted
     901: f"the dock is not in the database, or {_NO_TRANSFORM}",
     902: "the dock is invalid, or the object to follow is not detected",
     903: "the staging pose of the dock, or the object to follow, cannot be reached",
     904: "the dock is not detected, or following the object timed out",
     905: "the robot cannot be controlled into or out of the dock",
     906: "the robot does not charge",
+    907: "docking timed out",
     999: "docking or following an object failed",
 }
+_NAVIGATOR = {  # NavigateToPose from 9000, NavigateThroughPoses from 9100; since Kilted
+    0: "the navigator failed",
+    1: "the behavior tree cannot be loaded",
+    2: _NO_TRANSFORM,
+    3: "the goal timed out",
+}
 _REASONS = {
+    **_SERVERS,
     **_CONTROL,
     **{base + code: text for base in (200, 300) for code, text in _PLANNING.items()},
     309: "the goal names no poses",
@@ -90,6 +108,7 @@ _REASONS = {
     **_WAYPOINTS,
     **_BEHAVIORS,
     **_DOCKING,
+    **{base + code: text for base in (9000, 9100) for code, text in _NAVIGATOR.items()},
 }
 
 

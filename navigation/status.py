@@ -39,25 +39,28 @@ _ENDED = frozenset((State.IDLE, State.REACHED, State.ABORTED, State.FAILING, Sta
 
 
 class Fault(IntEnum):
-    """Why a goal was not reached: ``error_code`` of ``nav2_msgs/action/NavigateToPose``, with Midspan's own numbers."""
+    """Why a goal was not reached: ``error_code`` of ``nav2_msgs/action/NavigateToPose``, with Midspan's own numbers.
+
+    No release of Nav2 uses codes from 10000 on. Names and numbers are those of ``midspan_msgs/msg/NavigationFault``.
+    """
 
     NONE = 0
-    BAD_GOAL = 9001
-    UNKNOWN_FRAME = 9002
-    OFF_THE_MAP = 9003
-    GOAL_OCCUPIED = 9004
-    START_OCCUPIED = 9005
-    NO_PATH = 9006
-    NO_MAP = 9007
-    BLOCKED = 9008
-    NO_LASER = 9009
-    NOT_LOCALIZED = 9010
-    NO_NAVIGATOR = 9011
-    MAP_CHANGED = 9012
-    BASE_STANDS = 9013
-    MAY_MOVE = 9014
-    SILENT = 9015
-    OTHER = 9099
+    BAD_GOAL = 20001
+    UNKNOWN_FRAME = 20002
+    OFF_THE_MAP = 20003
+    GOAL_OCCUPIED = 20004
+    START_OCCUPIED = 20005
+    NO_PATH = 20006
+    NO_MAP = 20007
+    BLOCKED = 20008
+    NO_LASER = 20009
+    NOT_LOCALIZED = 20010
+    NO_NAVIGATOR = 20011
+    MAP_CHANGED = 20012
+    BASE_STANDS = 20013
+    MAY_MOVE = 20014
+    SILENT = 20015
+    OTHER = 20099
 
     @property
     def anywhere(self) -> bool:

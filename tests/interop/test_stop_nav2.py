@@ -17,7 +17,7 @@ from tests.support.wait import until
 
 ALL = (YARP, ROS1, ROS2, ZENOH)
 PATIENCE = 10.0
-NO_NAVIGATOR = 9011
+NO_NAVIGATOR = 20011
 """The status's code while the planner is unreachable."""
 
 PATH = {"path": {"header": {"frame_id": "map"}, "poses": [pose(AWAY)]}}

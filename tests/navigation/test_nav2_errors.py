@@ -1,4 +1,4 @@
-"""Nav2's error codes have reasons: each code that nav2_msgs (Jazzy) defines, and no other."""
+"""Nav2's error codes have reasons: each code that nav2_msgs of Humble to Lyrical defines, and no other."""
 
 from __future__ import annotations
 
@@ -6,28 +6,33 @@ import re
 
 import pytest
 
+from bridge.interfaces.folders import DEFINITIONS
 from navigation.nav2_errors import reason
 from navigation.status import Fault
 
-# the constants of nav2_msgs/action/*.action, branch jazzy, without NONE=0
-JAZZY = {
-    "FollowPath": range(100, 108),
+# the constants of nav2_msgs/action/*.action, branches humble, jazzy, kilted and lyrical, without NONE=0
+ACTIONS = {
+    "any, in Lyrical": range(1, 3),
+    "FollowPath": range(100, 109),
     "ComputePathToPose": range(200, 209),
     "ComputePathThroughPoses": range(300, 310),
     "ComputeRoute, ComputeAndTrackRoute": range(400, 408),
     "SmoothPath": range(500, 506),
-    "FollowWaypoints, FollowGPSWaypoints": range(600, 602),
+    "FollowWaypoints, FollowGPSWaypoints": range(600, 604),
     "Spin": range(700, 704),
     "BackUp": range(710, 715),
     "DriveOnHeading": range(720, 725),
     "AssistedTeleop": range(730, 733),
-    "DockRobot, UndockRobot, FollowObject": (*range(901, 907), 999),
+    "Wait": range(740, 742),
+    "DockRobot, UndockRobot, FollowObject": (*range(901, 908), 999),
+    "NavigateToPose": range(9000, 9004),
+    "NavigateThroughPoses": range(9100, 9104),
 }
 
 
-@pytest.mark.parametrize("action", JAZZY)
+@pytest.mark.parametrize("action", ACTIONS)
 def test_each_code_of_an_action_has_a_reason(action: str) -> None:
-    texts = [reason(code) for code in JAZZY[action]]
+    texts = [reason(code) for code in ACTIONS[action]]
     assert all(texts)
     assert not [text for text in texts if re.search(r"\d|\.$|^[A-Z]", text)], "a fragment of a sentence, without code"
 
@@ -41,6 +46,8 @@ def test_each_code_of_an_action_has_a_reason(action: str) -> None:
         (208, "no path to the goal"),
         (304, "the goal is outside the map"),
         (703, "an obstacle blocks the spin"),
+        (9001, "the behavior tree cannot be loaded"),
+        (9102, "a transform is missing or too old"),
     ],
 )
 def test_reason_of_a_code(code: int, text: str) -> None:
@@ -48,9 +55,15 @@ def test_reason_of_a_code(code: int, text: str) -> None:
 
 
 def test_no_other_code_has_a_reason() -> None:
-    known = {code for codes in JAZZY.values() for code in codes}
+    known = {code for codes in ACTIONS.values() for code in codes}
     assert [code for code in range(-1, 0x10000) if reason(code) and code not in known] == []
 
 
 def test_midspan_codes_are_unknown_to_nav2() -> None:
     assert [fault for fault in Fault if reason(fault)] == []
+
+
+def test_midspan_codes_have_their_names_in_midspan_msgs() -> None:
+    text = (DEFINITIONS / "midspan_msgs/msg/NavigationFault.msg").read_text()
+    constants = dict(re.findall(r"^uint16 ([A-Z_]+)=(\d+)$", text, re.MULTILINE))
+    assert {name: int(code) for name, code in constants.items()} == {fault.name: fault for fault in Fault}

@@ -102,7 +102,7 @@ class FakeGateway(HubNode):
         def done() -> None:
             goal, self.now = self.now, None
             assert goal is not None
-            goal.abort({"error_code": 9006, "error_msg": why})
+            goal.abort({"error_code": 20006, "error_msg": why})
             self.publish_status(State.ABORTED)
 
         self.on(done)

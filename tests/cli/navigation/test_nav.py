@@ -148,7 +148,7 @@ def test_no_distance_is_printed_before_it_is_known(
         (204, "nav2 gave it up", "the goal is outside the map (Nav2 204): nav2 gave it up"),
         (208, "no path to the goal", "no path to the goal (Nav2 208)"),
         (208, "no path to the goal (Nav2 208)", "no path to the goal (Nav2 208)"),
-        (9006, "no way leads there", "no way leads there"),
+        (20006, "no way leads there", "no way leads there"),
         (0, "", ""),
         (77, "", ""),
     ],
@@ -190,7 +190,7 @@ def test_goto_pose_that_aborts(rig: Rig, midspan: Midspan) -> None:
 
     outcome = beside(midspan, ["--json", "-1.5", "2.0", "-90"], refuse)
     assert outcome.code == 1
-    assert outcome.lines()[-1] == {"status": "aborted", "reason": "no way leads there", "code": 9006}
+    assert outcome.lines()[-1] == {"status": "aborted", "reason": "no way leads there", "code": 20006}
 
 
 def test_in_any_heading(rig: Rig, midspan: Midspan) -> None:
@@ -395,9 +395,9 @@ def test_daemon_status_separates_a_late_gateway_from_a_missing_one(
     assert "modules" not in other.err, "the daemon of this machine is not asked about another hub"
 
 
-def test_slow_gateway(network: HubNetwork, closing: list[Any]) -> None:
+def test_slow_gateway(network: HubNetwork, tmp_path: Path, closing: list[Any]) -> None:
     late = threading.Event()
-    with connect(Config.model_validate({"hub": network.config()})) as session:
+    with connect(Config.model_validate({"hub": network.config(), "state": str(tmp_path)})) as session:
         client = CliClient(session.hub, session.config, session.where)
         assert no_answer(client).startswith("no gateway is configured")
         worker = FakeWorker(network, "gateway", status=lambda _params: {"late": not late.wait(2.5)})

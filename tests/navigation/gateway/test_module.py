@@ -44,8 +44,8 @@ def test_a_goal_and_its_feedback_and_its_end_are_passed_on(rig: Rig) -> None:
     goal = rig.planner.until(1)
     assert target(goal) == ("map", 3.0, 1.0)
     assert rig.state(State.MOVING)["goal_id"].tobytes() == client_goal.sent.id
-    rig.planner.publish_status(goal, State.WAITING, "a chair", 9008)
-    assert rig.state(State.WAITING, "a chair")["error_code"] == 9008
+    rig.planner.publish_status(goal, State.WAITING, "a chair", 20008)
+    assert rig.state(State.WAITING, "a chair")["error_code"] == 20008
     rig.planner.on(lambda: goal.feedback({"distance_remaining": 2.5, "current_pose": pose(0.5)}))
     until(lambda: client_goal.feedback, "the feedback arrived", 20)
     assert client_goal.feedback[0]["distance_remaining"] == 2.5
@@ -57,11 +57,11 @@ def test_a_goal_and_its_feedback_and_its_end_are_passed_on(rig: Rig) -> None:
 
 def test_an_abort_comes_with_its_reason(rig: Rig) -> None:
     client_goal = ClientGoal(rig.client, pose(3.0))
-    rig.planner.give_up(rig.planner.until(1), "no path to the goal", 9006)
+    rig.planner.give_up(rig.planner.until(1), "no path to the goal", 20006)
     assert client_goal.end() == ("ABORTED", "no path to the goal")
     assert client_goal.result is not None
-    assert client_goal.result["error_code"] == 9006
-    assert rig.state(State.ABORTED, "no path to the goal")["error_code"] == 9006
+    assert client_goal.result["error_code"] == 20006
+    assert rig.state(State.ABORTED, "no path to the goal")["error_code"] == 20006
 
 
 def test_a_reason_without_a_code_is_believed_of_a_reachable_planner(rig: Rig) -> None:

@@ -76,7 +76,7 @@ class Planner(HubNode):
     def reach(self, goal: Goal) -> None:
         self.on(goal.succeed)
 
-    def give_up(self, goal: Goal, reason: str, code: int = 9006) -> None:
+    def give_up(self, goal: Goal, reason: str, code: int = 20006) -> None:
         self.on(lambda: goal.abort({"error_code": code, "error_msg": reason}))
 
 

@@ -50,7 +50,7 @@ class HubPlanner(HubNode):
         if x >= UNREACHABLE:
             if time.monotonic() - self._since > PATIENCE:
                 self._goal = None
-                goal.abort({"error_code": 9006, "error_msg": "no path to the goal"})
+                goal.abort({"error_code": 20006, "error_msg": "no path to the goal"})
             return
         self.x += math.copysign(min(abs(left), 0.1 * SPEED), left)
         goal.feedback({"current_pose": pose(self.x), "distance_remaining": abs(left)})
