@@ -8,7 +8,9 @@ from typing import Any
 
 from navigation.pose import Pose
 
-GRID, TWIST, STRING = "nav_msgs/msg/OccupancyGrid", "geometry_msgs/msg/Twist", "std_msgs/msg/String"
+GRID, STRING = "nav_msgs/msg/OccupancyGrid", "std_msgs/msg/String"
+TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
+"""Types of velocity commands: Nav2 publishes stamped ones by default since Kilted."""
 NAVIGATE = "nav2_msgs/action/NavigateToPose"
 
 Message = dict[str, Any]

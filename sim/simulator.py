@@ -56,6 +56,7 @@ class Simulator(Module):
         self._stepping = Stepping(host.loop, self._tick, paced=self._real)
         if section.drive == "velocity":
             node.subscription(names.velocity, "geometry_msgs/msg/Twist", self._velocity, _NEWEST)
+            node.subscription(names.velocity, "geometry_msgs/msg/TwistStamped", self._stamped_velocity, _NEWEST)
         else:
             node.subscription(names.wheels, "sensor_msgs/msg/JointState", self._wheels, _NEWEST)
         node.subscription(DONE_TOPIC, DONE_TYPE, self._stepping.acknowledge)
@@ -133,6 +134,9 @@ class Simulator(Module):
 
     def _velocity(self, message: dict[str, Any]) -> None:
         self._try(lambda: self.simulation.command(messages.velocity(message)))
+
+    def _stamped_velocity(self, message: dict[str, Any]) -> None:
+        self._velocity(message["twist"])
 
     def _wheels(self, message: dict[str, Any]) -> None:
         self._try(lambda: self._drive_wheels(message))

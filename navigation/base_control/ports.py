@@ -16,6 +16,7 @@ from navigation.base_control.base import DrivenBase
 from navigation.base_control.commands import CommandError, CommandInput, FullControl, Velocity, of_bottle, of_degrees
 from navigation.base_control.kinematics import Travelled
 from navigation.base_control.section import BaseControlSection, BaseInput, JoySection
+from navigation.messages import TWIST, TWIST_STAMPED
 from yarp_compat.dev.basecontrol import (
     INavigation2DVelocityActionsMsgs,
     IOdometry2DMsgs,
@@ -66,7 +67,7 @@ class OdometryRpc(IOdometry2DMsgs):
         return _OK
 
 
-TWIST, STAMPED, JOY = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "sensor_msgs/msg/Joy"
+JOY = "sensor_msgs/msg/Joy"
 NEWEST = Qos(depth=1)
 _MAX_SENDERS = 64
 
@@ -105,7 +106,7 @@ class CommandInputs:
     def _open_topics(self, host: Host, source: BaseInput, target: CommandInput, joy: JoySection) -> None:
         for topic in source.twist:
             self._subscribe(host, topic, TWIST, target, of_twist)
-            self._subscribe(host, topic, STAMPED, target, lambda message: of_twist(message["twist"]))
+            self._subscribe(host, topic, TWIST_STAMPED, target, lambda message: of_twist(message["twist"]))
         for topic in source.joy:
             self._subscribe(host, topic, JOY, target, lambda message: of_joy(message, joy, self._base.full))
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import struct
 import time
+from collections.abc import Callable
 from enum import Enum
+from functools import partial
 
 from bridge.hub.wire.qos import Qos
 from bridge.modules.endpoints import Subscription
 from bridge.modules.host import Host
 from navigation.frames import FramesError, RobotFrames
-from navigation.messages import TWIST
+from navigation.messages import TWIST, TWIST_STAMPED
 from navigation.pose import Pose
 
 STANDING_SECONDS = 0.4
@@ -111,49 +113,68 @@ class Motion:
 
 
 _TWIST = struct.Struct("<6d")
+_STRING_LENGTH = struct.Struct("<I")
 _HEADER = 4
 """Bytes of CDR's encapsulation header, before the six numbers of a ``geometry_msgs/Twist``."""
 
+_FRAME_ID = _HEADER + 8
+"""Offset of the frame's name in a ``geometry_msgs/TwistStamped``, after its stamp."""
+
 
 class VelocityWatch:
-    """Follows the velocity commands to the base, only while it is open: for stops without odometry."""
+    """Follows the velocity commands to the base, stamped or not, only while it is open: for stops without odometry."""
 
     def __init__(self, host: Host, topic: str) -> None:
         self._host, self._topic = host, topic
-        self._subscription: Subscription | None = None
+        self._subscriptions: list[Subscription] = []
         self._opened = 0.0
         self._moving_at = -math.inf  # when the last command other than zero arrived (monotonic)
         self._zero_at = -math.inf
 
     def open(self) -> None:
         """Subscribe, if not subscribed yet."""
-        if self._subscription is None and self._topic:
-            self._opened = time.monotonic()
-            self._moving_at = self._zero_at = -math.inf
-            self._subscription = self._host.node.subscription_cdr(
-                self._topic, TWIST, self._on_velocity, Qos(depth=1), at_once=True
+        if self._subscriptions or not self._topic:
+            return
+        self._opened = time.monotonic()
+        self._moving_at = self._zero_at = -math.inf
+        for kind, begin in ((TWIST, _begin_of_twist), (TWIST_STAMPED, _begin_of_stamped)):
+            receive = partial(self._on_velocity, begin)
+            self._subscriptions.append(
+                self._host.node.subscription_cdr(self._topic, kind, receive, Qos(depth=1), at_once=True)
             )
 
     def close(self) -> None:
         """Unsubscribe."""
-        subscription, self._subscription = self._subscription, None
-        if subscription is not None:
-            self._host.node.release(subscription)
+        while self._subscriptions:
+            self._host.node.release(self._subscriptions.pop())
 
     def zero(self, since: float) -> bool:
         """Return whether the base is commanded to stand: zeros only, or silence for `SILENCE_SECONDS`.
 
         Commands before ``since`` (monotonic seconds) do not count. Without a topic of velocities the answer is False.
         """
-        if self._subscription is None:
+        if not self._subscriptions:
             return False
         begin = max(self._moving_at, self._opened, since)
         return time.monotonic() > begin + (ZERO_SECONDS if self._zero_at > begin else SILENCE_SECONDS)
 
-    def _on_velocity(self, cdr: bytes) -> None:
-        """Runs on a thread of zenoh."""
-        now = time.monotonic()
-        if len(cdr) >= _HEADER + _TWIST.size and any(_TWIST.unpack_from(cdr, _HEADER)):
+    def _on_velocity(self, begin: Callable[[bytes], int], cdr: bytes) -> None:
+        """Runs on a thread of zenoh. ``begin`` returns the offset of the six numbers."""
+        now, offset = time.monotonic(), begin(cdr)
+        if len(cdr) < offset + _TWIST.size or any(_TWIST.unpack_from(cdr, offset)):
             self._moving_at = now
         else:
             self._zero_at = now
+
+
+def _begin_of_twist(_cdr: bytes) -> int:
+    return _HEADER
+
+
+def _begin_of_stamped(cdr: bytes) -> int:
+    """Return the offset of the velocity, aligned to 8 bytes after the frame's name; past the end if it is truncated."""
+    if len(cdr) < _FRAME_ID + _STRING_LENGTH.size:
+        return len(cdr)
+    (length,) = _STRING_LENGTH.unpack_from(cdr, _FRAME_ID)
+    body = _FRAME_ID + _STRING_LENGTH.size + length - _HEADER
+    return int(_HEADER + (body + 7) // 8 * 8)

@@ -81,13 +81,13 @@ def test_steps_wait_for_the_acknowledgements_of_participants(place: Place) -> No
     velocity = far.advertise("/cmd_vel", "geometry_msgs/Twist")
     acknowledge = far.advertise("/sim/acknowledge", "std_msgs/Header")
 
-    def go() -> float:
+    def go(publisher: Any, command: dict[str, Any]) -> float:
         """Step 0.1 s with a command; the first commands may be lost before the subscription is connected."""
-        far.publish(velocity, {"linear": {"x": 0.2}})
+        far.publish(publisher, command)
         place.step(0.1)
         return float(-place.answer("sim")["truth"][1] + 8.2)
 
-    until(lambda: go() > 0.05, "the robot drives", 30)
+    until(lambda: go(velocity, {"linear": {"x": 0.2}}) > 0.05, "the robot drives", 30)
     last = {topic: far.wait(end, 1)[-1] for topic, end in subscriptions.items() if topic != "/battery_state"}
     assert last["/scan"]["header"]["frame_id"] == "laser"
     assert len(last["/scan"]["ranges"]) == 720
@@ -121,6 +121,8 @@ def test_steps_wait_for_the_acknowledgements_of_participants(place: Place) -> No
         assert (last_stamp["sec"], last_stamp["nanosec"]) < (before["sec"], before["nanosec"]), topic
     assert place.call("/sim/reset", "std_srvs/Trigger")["success"]
     assert place.answer("sim")["truth"][:2] == [3.0, 8.2]
+    stamped = far.advertise("/cmd_vel", "geometry_msgs/TwistStamped")  # as Nav2 of Kilted publishes it
+    until(lambda: go(stamped, {"twist": {"linear": {"x": 0.2}}}) > 0.05, "the robot drives by stamped velocities", 30)
 
 
 def test_services_change_a_simulation_in_real_time(place: Place) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast
@@ -11,6 +10,7 @@ from typing import Any, cast
 import pytest
 
 from bridge import state_machine
+from bridge.messages.values import MessageWriter
 from navigation.frames import FramesError
 from navigation.gateway import motion, stop
 from navigation.gateway.machine import StopState
@@ -22,11 +22,20 @@ from navigation.gateway.stop import (
     StopOrder,
     StopWaiters,
 )
+from navigation.messages import TWIST, TWIST_STAMPED
 from navigation.pose import Pose
+from tests.peers.hub.node import REGISTRY
 from tests.peers.navigation.simulated_hub import Clock
 
 TICK = 0.1
 LONG = 600.0
+
+
+def command(kind: str, velocity: float, frame: str = "base_link") -> bytes:
+    """Return the CDR of a velocity forward."""
+    twist = {"linear": {"x": velocity}}
+    message = twist if kind == TWIST else {"header": {"frame_id": frame}, "twist": twist}
+    return MessageWriter(REGISTRY.schema(kind)).message(message)
 
 
 class Base:
@@ -36,6 +45,7 @@ class Base:
         speed: m/s of the base.
         odometry: whether it publishes odometry.
         commands: velocities that its commanders publish in each step, m/s.
+        kind: type of these commands.
         released: whether the planner has released its goals.
         reachable: whether the planner is reachable.
     """
@@ -47,21 +57,22 @@ class Base:
         self.speed, self._x = 0.5, 0.0
         self.odometry = True
         self.commands: tuple[float, ...] = ()
+        self.kind = TWIST
         self.released, self.reachable = False, True
         self._seen_at = self.clock.now
-        self.subscribed: list[Callable[[bytes], None]] = []
+        self.subscribed: list[tuple[str, Callable[[bytes], None]]] = []
         host = SimpleNamespace(node=self)
         self.motion = Motion(cast("Any", SimpleNamespace(odometry=self._pose)))
         self.order = StopOrder(self.motion, VelocityWatch(cast("Any", host), "/cmd_vel"))
         self.states: list[StopState] = []
 
-    def subscription_cdr(self, topic: str, _type: str, receive: Callable[[bytes], None], *_: Any, **__: Any) -> Any:
+    def subscription_cdr(self, topic: str, kind: str, receive: Callable[[bytes], None], *_: Any, **__: Any) -> Any:
         assert topic == "/cmd_vel"
-        self.subscribed.append(receive)
-        return receive
+        self.subscribed.append((kind, receive))
+        return self.subscribed[-1]
 
-    def release(self, receive: Callable[[bytes], None]) -> None:
-        self.subscribed.remove(receive)
+    def release(self, subscription: tuple[str, Callable[[bytes], None]]) -> None:
+        self.subscribed.remove(subscription)
 
     def _pose(self) -> Pose:
         if not self.odometry:
@@ -72,8 +83,9 @@ class Base:
         self.clock.now += TICK
         self._x += self.speed * TICK
         for velocity in self.commands:
-            for receive in list(self.subscribed):
-                receive(b"\0\1\0\0" + struct.pack("<6d", velocity, 0.0, 0.0, 0.0, 0.0, 0.0))
+            for kind, receive in list(self.subscribed):
+                if kind == self.kind:
+                    receive(command(kind, velocity))
         if self.reachable:
             self._seen_at = self.clock.now
         self.motion.poll()
@@ -220,8 +232,10 @@ def test_without_odometry_silence_takes_longer_to_confirm_it(blind: Base) -> Non
     assert blind.until(StopState.CONFIRMED, 2.0) >= SILENCE_SECONDS
 
 
-def test_without_odometry_velocities_other_than_zero_keep_it_open(blind: Base) -> None:
+@pytest.mark.parametrize("kind", [TWIST, TWIST_STAMPED])
+def test_without_odometry_velocities_other_than_zero_keep_it_open(blind: Base, kind: str) -> None:
     blind.order.ask("it was stopped")
+    blind.kind = kind
     blind.released, blind.commands = True, (0.5,)
     assert blind.run(3.0) is StopState.SETTLING
     blind.commands = (0.0,)
@@ -398,3 +412,28 @@ def test_an_answer_that_asks_again_is_not_answered_in_the_same_step(monkeypatch:
     assert answers == [""]
     waiting.notify("")
     assert answers == ["", ""]
+
+
+@pytest.mark.parametrize("frame", ["", "a", "base", "base_link", "mobile_base_body_link"])
+@pytest.mark.parametrize("velocity", [0.0, -0.01])
+def test_stamped_velocity_is_read_whatever_its_frame(blind: Base, frame: str, velocity: float) -> None:
+    blind.order.ask("it was stopped")
+    blind.released = True
+    blind.step()
+    (receive,) = [receive for kind, receive in blind.subscribed if kind == TWIST_STAMPED]
+    for _ in range(round(ZERO_SECONDS / TICK) + 3):
+        receive(command(TWIST_STAMPED, velocity, frame))
+        blind.step()
+    assert blind.order.confirmed is (velocity == 0.0)
+
+
+@pytest.mark.parametrize("size", [0, 4, 12, 16, 40])
+def test_truncated_velocity_confirms_nothing(blind: Base, size: int) -> None:
+    blind.order.ask("it was stopped")
+    blind.released = True
+    blind.step()
+    for _ in range(30):
+        for kind, receive in list(blind.subscribed):
+            receive(command(kind, 0.0)[:size])
+        blind.step()
+    assert not blind.order.confirmed
