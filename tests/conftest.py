@@ -17,7 +17,7 @@ import hypothesis
 import psutil
 import pytest
 
-from tests.support import forks, missing, tiers
+from tests.support import forks, missing, tiers, time_limit
 from tests.support.process import outputs
 
 _REAL = (
@@ -64,6 +64,7 @@ def _threads() -> dict[object, str]:
 def pytest_configure(config: pytest.Config) -> None:
     # as a plugin: pytest does not call this file's hooks for a folder whose own conftest cannot be imported
     config.pluginmanager.register(missing)
+    config.pluginmanager.register(time_limit)
     # no time limit per example: the machine may be busy
     hypothesis.settings.register_profile("midspan", deadline=None)
     hypothesis.settings.load_profile("midspan")
