@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -16,12 +17,15 @@ from bridge.adapters.ros1.master import checks
 from bridge.adapters.ros1.master.checks import Check, InvalidError
 from bridge.adapters.ros1.master.names import canonical, resolve
 from bridge.adapters.ros1.master.parameters import ParameterTree
-from bridge.adapters.ros1.master.registrations import Kind, Link, Registrations, RegistrationsFullError, Removal
+from bridge.adapters.ros1.master.registrations import Kind, Link, Registrations, RegistrationsFullError
 
 _log = logging.getLogger("midspan.ros1.master")
 
 Reply = list[Any]
 """``[code, message, value]``."""
+
+REPLACED_SECONDS = 2.0
+"""Seconds in which a replaced node cannot register: it may not have noticed yet, and would end its successor."""
 
 GRAPH = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
 
@@ -58,6 +62,8 @@ class MasterApi:
         self.registrations = Registrations()
         self.parameters = ParameterTree()
         self._outbox, self._changed, self._shut_down = outbox, changed, shut_down
+        self._replaced: dict[Link, float] = {}
+        """Nodes that were replaced, with the time when they were."""
         key, api, any_name = checks.text("key"), checks.address("caller_api"), checks.name("node", root=True)
         topic, kind = checks.name("topic"), checks.type_name("topic_type")
         service, service_api = checks.name("service"), checks.address("service_api")
@@ -169,7 +175,7 @@ class MasterApi:
             value = self.parameters.get(key)
         except KeyError:
             value = {}
-        self._on_removal(self.registrations.register(Kind.PARAMETER, _subscribed(key), caller, api), caller)
+        self._register(Kind.PARAMETER, _subscribed(key), caller, api)
         self._changed()
         return [1, f"Subscribed to parameter [{key}]", value]
 
@@ -194,7 +200,7 @@ class MasterApi:
 
     def register_service(self, caller: str, service: str, service_api: str, api: str) -> Reply:
         """Register the server of a service; it replaces the previous one."""
-        self._on_removal(self.registrations.register(Kind.SERVICE, service, caller, api, service_api), caller)
+        self._register(Kind.SERVICE, service, caller, api, service_api)
         self._changed()
         return [1, f"Registered [{caller}] as provider of [{service}]", 1]
 
@@ -204,7 +210,7 @@ class MasterApi:
 
     def register_subscriber(self, caller: str, topic: str, kind: str, api: str) -> Reply:
         """Register a subscriber; return the publishers."""
-        self._on_removal(self.registrations.register(Kind.SUBSCRIBER, topic, caller, api), caller)
+        self._register(Kind.SUBSCRIBER, topic, caller, api)
         self.registrations.set_type(topic, kind, publisher=False)
         self._changed()
         return [1, f"Subscribed to [{topic}]", self.registrations.apis(Kind.PUBLISHER, topic)]
@@ -215,7 +221,7 @@ class MasterApi:
 
     def register_publisher(self, caller: str, topic: str, kind: str, api: str) -> Reply:
         """Register a publisher, and report it to the subscribers; return them."""
-        self._on_removal(self.registrations.register(Kind.PUBLISHER, topic, caller, api), caller, topic)
+        self._register(Kind.PUBLISHER, topic, caller, api)
         self.registrations.set_type(topic, kind, publisher=True)
         self._report_publishers([topic])
         self._changed()
@@ -234,17 +240,33 @@ class MasterApi:
         self._changed()
         return [1, message, count]
 
-    def _on_removal(self, removal: Removal | None, node: str, topic: str = "") -> None:
-        """Shut a node down that another one of its name replaces; ``topic`` is reported by the caller."""
+    def _register(self, kind: Kind, key: str, node: str, api: str, service_api: str = "") -> None:
+        """Register a node, and shut one of its name down that it replaces."""
+        now = time.monotonic()
+        if self._replaced:
+            self._replaced = {link: at for link, at in self._replaced.items() if now - at < REPLACED_SECONDS}
+            if Link(node, api) in self._replaced and node in self.registrations.nodes:
+                raise InvalidError(f"a new node of the name [{node}] has replaced the one at {api}")
+        removal = self.registrations.register(kind, key, node, api, service_api)
         if removal is not None:
+            self._replaced[Link(node, removal.api)] = now
             self._outbox.shut_down(removal.api, node, "new node registered with same name")
-            self._report_publishers([name for name in removal.topics if name != topic])
+            reported = key if kind is Kind.PUBLISHER else ""  # by the caller
+            self._report_publishers([topic for topic in removal.topics if topic != reported])
 
     def _report_publishers(self, topics: Sequence[str]) -> None:
         for topic in topics:
             publishers = self.registrations.apis(Kind.PUBLISHER, topic)
             for api in self.registrations.apis(Kind.SUBSCRIBER, topic):
                 self._outbox.publisher_update(api, topic, publishers)
+
+    def set_reachable(self, node: str, api: str) -> None:
+        """Store that a node has answered this master."""
+        with self.lock:
+            entry = self.registrations.nodes.get(node)
+            if entry is not None and entry.api == api and not entry.reachable:
+                entry.reachable = True
+                self._changed()
 
     def remove_dead(self, node: str, api: str) -> bool:
         """Remove a dead node's registrations, unless another node has replaced it; report that to subscribers."""
@@ -255,6 +277,15 @@ class MasterApi:
             self._report_publishers(self.registrations.remove_node(node).topics)
             self._changed()
             return True
+
+    def report_all(self) -> None:
+        """Send all subscribers the current publishers and parameters, which an earlier master may have had queued."""
+        with self.lock:
+            self._report_publishers(self.registrations.keys(Kind.SUBSCRIBER))
+            for key in self.registrations.keys(Kind.PARAMETER):
+                value = self.parameters.get(key) if self.parameters.has(key) else {}
+                for link in self.registrations.links(Kind.PARAMETER, key):
+                    self._outbox.param_update(link, key, key, value)
 
     # -- the graph -----------------------------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from bridge.adapters.ros1.master import saved
 from bridge.adapters.ros1.master.api import MasterApi
 from bridge.adapters.ros1.master.liveness import Liveness, Nodes
 from bridge.adapters.ros1.master.node_calls import NodeCalls
-from bridge.adapters.ros1.master.rosout import AGGREGATED, RosoutNode, is_elsewhere
+from bridge.adapters.ros1.master.rosout import AGGREGATED, NODE, RosoutNode, is_elsewhere
 from bridge.adapters.ros1.xmlrpc import XmlRpcServer
 from bridge.adapters.ros1.xmlrpc_request import Limits
 
@@ -58,15 +58,16 @@ class EmbeddedMaster:
         self.uri = self.api.uri = uri or f"http://{host}:{self._server.port}/"
         self._address, self._state, self._has_rosout = address, state, rosout
         self._rosout: RosoutNode | None = None
-        self._liveness = Liveness(self.nodes, self._on_dead, purge)
+        self._liveness = Liveness(self.nodes, self.api.set_reachable, self._on_dead, purge)
 
     def start(self) -> None:
         """Restore the state, and start to serve."""
         restored: Nodes = {}
         if self._state is not None:
             if saved.load(self._state, self.api):
-                restored = self.nodes()
-                _log.info("restored %d nodes and the parameters from %s", len(restored), self._state)
+                nodes = self.api.registrations.nodes
+                restored = {name: node.api for name, node in nodes.items() if node.reachable}
+                _log.info("restored %d nodes and the parameters from %s", len(nodes), self._state)
             self._writer = saved.StateWriter(self._state, self.api)
             self._writer.start()
         for name, value in {"/run_id": str(uuid.uuid4()), **_DISTRIBUTION}.items():
@@ -74,11 +75,15 @@ class EmbeddedMaster:
                 self.api.set_param(_ROSCORE, name, value)
         self._server.start()
         self._start_rosout()
+        self.api.report_all()
         self._liveness.start(restored)
 
     def _start_rosout(self) -> None:
         if not self._has_rosout or is_elsewhere(self.api):
             return
+        stale = self.nodes().get(NODE)
+        if stale is not None:  # of a killed master; another node may have its port now, and is not to be shut down
+            self.api.remove_dead(NODE, stale)
         try:
             self._rosout = RosoutNode(self.api, self.uri, self._address)
         except OSError as err:

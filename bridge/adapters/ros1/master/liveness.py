@@ -3,6 +3,9 @@
 A node that is killed cannot unregister. ``rosmaster`` lists it for ever; subscribers then try to connect to it, and
 tools show it. Here each node is asked for its process id now and then. If its machine refuses the connection, its
 process has ended. A node that is only unreachable may come back with its network, so it has more time.
+
+A node that has never answered stays: its address may lead elsewhere on this machine, such as ``localhost`` or a host
+name that only the robot's own machines resolve, while the nodes there reach each other.
 """
 
 from __future__ import annotations
@@ -29,7 +32,9 @@ _MIN_FAILURES = 3
 _TIMEOUT = 2.0
 _THREADS = 8
 _PERIODS = (0.1, 10.0)
-_RESTORED_PERIOD = 1.0
+_HASTY_PERIOD = 1.0
+"""Longest time until a new node is checked first, and between the checks of restored nodes."""
+
 _CHECKS_PER_SECOND = 20.0
 _JOIN_SECONDS = 1.0
 
@@ -51,14 +56,19 @@ class Liveness:
 
     Args:
         nodes: returns the registered nodes.
+        alive: is called with name and address of a node that answers for the first time.
         dead: is called with name and address of a dead node.
         seconds: without an answer until a node is dead; 0 if none is to be removed.
     """
 
-    def __init__(self, nodes: Callable[[], Nodes], dead: Callable[[str, str], None], seconds: float) -> None:
-        self._nodes, self._dead, self._seconds = nodes, dead, seconds
+    def __init__(
+        self, nodes: Callable[[], Nodes], alive: Callable[[str, str], None], dead: Callable[[str, str], None],
+        seconds: float,
+    ) -> None:  # fmt: skip
+        self._nodes, self._alive, self._dead, self._seconds = nodes, alive, dead, seconds
         self._period = min(max(seconds / 4, _PERIODS[0]), _PERIODS[1])
         self._failures: dict[tuple[str, str], _Failures] = {}
+        self._answered: set[tuple[str, str]] = set()
         self._restored: set[tuple[str, str]] = set()
         self._checked: set[tuple[str, str]] = set()
         self._lock = threading.Lock()
@@ -67,8 +77,9 @@ class Liveness:
         self._thread = threading.Thread(target=self._run, name="midspan-ros1-liveness", daemon=True)
 
     def start(self, restored: Nodes) -> None:
-        """Start to check; ``restored`` nodes may have ended while the master was not running."""
+        """Start to check; ``restored`` nodes have answered, and may have ended while the master was not running."""
         self._restored = set(restored.items())
+        self._answered = set(restored.items())
         if self._seconds > 0:
             self._thread.start()
 
@@ -81,49 +92,69 @@ class Liveness:
 
     def _run(self) -> None:
         nodes: set[tuple[str, str]] = set()
-        while not self._stopping.wait(self._pause(len(nodes))):
-            nodes = set(self._nodes().items())
+        next_round = 0.0
+        while not self._stopping.wait(min(self._pause(len(nodes)), _HASTY_PERIOD)):
+            previous, nodes = nodes, set(self._nodes().items())
             with self._lock:
                 self._failures = {node: failures for node, failures in self._failures.items() if node in nodes}
                 self._restored &= nodes
-                due = nodes - self._checked
+                self._answered &= nodes
+                due = nodes - previous
+                if (now := time.monotonic()) >= next_round:
+                    pause = self._pause(len(nodes))
+                    due, next_round = nodes, now + pause - min(pause, _HASTY_PERIOD) / 2
+                due = due - self._checked
                 self._checked |= due
             for node in due:
                 self._pool.submit(lambda node=node: self._check(*node))  # type: ignore[misc]
 
     def _pause(self, count: int) -> float:
         """Return the seconds until the next checks; longer with many nodes."""
-        period = min(self._period, _RESTORED_PERIOD) if self._restored else self._period
+        period = min(self._period, _HASTY_PERIOD) if self._restored else self._period
         return max(period, count / _CHECKS_PER_SECOND)
 
     def _check(self, name: str, api: str) -> None:
-        refused = answered = False
+        node = (name, api)
         try:
             ask(api, _TIMEOUT, "getPid", CALLER)
-            answered = True
-        except (RefusedError, ExhaustedError):  # it answers; or this process lacks descriptors to ask with
-            answered = True
+        except RefusedError:  # it answers
+            self._on_answer(node)
+        except ExhaustedError:  # this process lacks descriptors to ask with
+            pass
         except UnreachableError as err:
-            refused = err.refused
+            self._on_failure(node, refused=err.refused)
         except Ros1Error:  # another program has its port
-            refused = True
-        self._record((name, api), answered=answered, refused=refused)
-
-    def _record(self, node: tuple[str, str], *, answered: bool, refused: bool) -> None:
-        now = time.monotonic()
+            self._on_failure(node, refused=True)
+        else:
+            self._on_answer(node)
         with self._lock:
             self._checked.discard(node)
-            if answered:
-                self._failures.pop(node, None)
-                self._restored.discard(node)
-                return
+
+    def _on_answer(self, node: tuple[str, str]) -> None:
+        with self._lock:
+            self._failures.pop(node, None)
+            self._restored.discard(node)
+            first = node not in self._answered
+            self._answered.add(node)
+        if first:
+            self._alive(*node)
+
+    def _on_failure(self, node: tuple[str, str], *, refused: bool) -> None:
+        now = time.monotonic()
+        with self._lock:
             failures = self._failures.setdefault(node, _Failures(now))
             failures.count += 1
+            unknown = node not in self._answered
             seconds = min(RESTORED_SECONDS, self._seconds) if node in self._restored else self._seconds
             if not refused:
                 seconds = max(self._seconds, UNREACHABLE_SECONDS)
             dead = failures.count >= _MIN_FAILURES and now - failures.since >= seconds
-        if dead:
-            name, api = node
-            _log.warning("removed the registrations of the node %s: %s no longer answers", name, api)
-            self._dead(name, api)
+        if unknown:
+            if failures.count == _MIN_FAILURES:
+                _log.warning(
+                    "the node %s has never answered at %s, so this master cannot notice its end; if it runs on another"
+                    " machine, set ROS_IP or ROS_HOSTNAME there", *node,
+                )  # fmt: skip
+        elif dead:
+            _log.warning("removed the registrations of the node %s: %s no longer answers", *node)
+            self._dead(*node)

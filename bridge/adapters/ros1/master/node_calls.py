@@ -24,7 +24,7 @@ _SECONDS = 5.0
 _THREADS, _SLOW_THREADS = 32, 8
 _RETRY_SECONDS = (1.0, 2.0, 5.0)
 _TRIES = 60
-_MAX_QUEUED = 2000
+_MAX_QUEUED = 10_000
 """Calls that wait for one address, beyond which the oldest is dropped."""
 
 
@@ -94,6 +94,8 @@ class NodeCalls:
         for pool in (self._pool, self._slow_pool):
             pool.close()
         with self._lock:
+            for queue in self._queues.values():
+                queue.calls.clear()
             self._queues.clear()
 
     def _put(self, api: str, key: tuple[str, ...], call: _Call) -> None:

@@ -32,11 +32,13 @@ class Node:
 
     Attributes:
         api: its XML-RPC address.
+        reachable: whether it has answered this master since it registered.
         keys: for each kind, the names that it has registered, in order.
     """
 
     def __init__(self, api: str) -> None:
         self.api = api
+        self.reachable = False
         self.keys: dict[Kind, dict[str, None]] = {kind: {} for kind in Kind}
 
     @property

@@ -6,7 +6,6 @@ Tools subscribe to the latter, so that each node sends its log once. ``roscore``
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Mapping
 from functools import partial
 from threading import Lock
@@ -49,13 +48,16 @@ _THREADS = 8
 
 
 def is_elsewhere(api: MasterApi) -> bool:
-    """Return whether another program's node of this name is registered and answers."""
+    """Return whether another program's node of this name is registered and publishes.
+
+    Another node may have the port of one that has ended.
+    """
     node = api.registrations.nodes.get(NODE)
     if node is None:
         return False
     try:
-        return bool(ask(node.api, 1.0, "getPid", NODE) != os.getpid())
-    except Ros1Error:
+        return any(topic[:1] == [AGGREGATED] for topic in ask(node.api, 1.0, "getPublications", NODE))
+    except (Ros1Error, TypeError):
         return False
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import logging
 import threading
@@ -30,7 +31,7 @@ _BINARY, _TIME = "\0binary", "\0time"
 
 
 def load(file: Path, api: MasterApi) -> bool:
-    """Restore a master's state; return False without a valid file. Logs why a file is not valid."""
+    """Restore a master's state; return False without a valid file. Renames and reports an invalid one."""
     try:
         text = file.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -42,13 +43,20 @@ def load(file: Path, api: MasterApi) -> bool:
         document = json.loads(text, object_hook=_decode)
         registrations, parameters = Registrations(), ParameterTree()
         if document["version"] != _VERSION:
-            raise ValueError(f"version {document['version']}")  # noqa: TRY301  as any other defect
+            raise ValueError(f"format {document['version']} is not known to this version of Midspan")  # noqa: TRY301
         parameters.set("/", document["parameters"])
         for kind, key, node, address, service_api in document["registrations"]:
             registrations.register(Kind[kind], *map(str, (key, node, address, service_api)))
         registrations.types.update({str(topic): str(kind) for topic, kind in document["types"].items()})
+        for node in registrations.nodes.keys() & set(document.get("reachable", registrations.nodes)):
+            registrations.nodes[node].reachable = True
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as err:
-        _log.warning("%s is damaged: %s; this master starts without its previous state", file, err)
+        spare = file.with_name(f"{file.name}.invalid")
+        with contextlib.suppress(OSError):
+            file.replace(spare)
+        _log.warning(
+            "invalid state file: %s; this master starts without its previous state, and the file becomes %s", err, spare
+        )
         return False
     with api.lock:
         api.registrations, api.parameters = registrations, parameters
@@ -60,7 +68,10 @@ def dump(api: MasterApi) -> str:
     with api.lock:
         parameters, types = api.parameters.values, dict(api.registrations.types)
         links = [(kind.name, key, *link, service_api) for kind, key, link, service_api in api.registrations]
-    document = {"version": _VERSION, "registrations": links, "types": types, "parameters": parameters}
+        reachable = [name for name, node in api.registrations.nodes.items() if node.reachable]
+    document = {
+        "version": _VERSION, "registrations": links, "types": types, "reachable": reachable, "parameters": parameters,
+    }  # fmt: skip
     return json.dumps(document, default=_encode)
 
 
@@ -102,11 +113,14 @@ class StateWriter:
             self._thread.join(_JOIN_SECONDS)
 
     def _run(self) -> None:
-        pause = _PAUSE
-        while not self._stopping.is_set():
+        pause, last = _PAUSE, False
+        while not last:
             self._dirty.wait()
-            self._stopping.wait(pause)
+            last = self._stopping.wait(pause)
             self._dirty.clear()
             started = time.monotonic()
-            written = keep(self._file, dump(self._api), "a restart of this master will lose its current state")
-            pause = max(_PAUSE, _SHARE * (time.monotonic() - started)) if written else _FAILED_PAUSE
+            if keep(self._file, dump(self._api), "a restart of this master will lose its current state"):
+                pause = max(_PAUSE, _SHARE * (time.monotonic() - started))
+            else:
+                pause = _FAILED_PAUSE
+                self._dirty.set()

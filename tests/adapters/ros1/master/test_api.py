@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.ros1.master import registrations
+from bridge.adapters.ros1.master import api, registrations
 from bridge.adapters.ros1.master.api import MasterApi
 from bridge.adapters.ros1.master.registrations import Link
 from tests.peers.ros1.outbox import RecordedCalls
@@ -102,6 +102,32 @@ def test_a_node_that_is_replaced_is_shut_down_and_loses_its_registrations(master
     assert master.call("unregisterPublisher", "/node", "/other", A)[2] == 0
 
 
+def test_of_two_nodes_of_one_name_that_start_at_the_same_time_one_remains(
+    master: ApiUnderTest, monkeypatch: pytest.MonkeyPatch
+):
+    master.call("registerPublisher", "/node", "/rosout", STRING, A)
+    master.call("registerPublisher", "/node", "/rosout", STRING, B)
+    shutdown = (A, "shutdown", "/node", "new node registered with same name")
+    assert master.outbox.pop() == [shutdown]
+    replaced = "a new node of the name [/node] has replaced the one at http://host:1/"
+    for method, *params in [
+        ("registerService", "/srv", "rosrpc://host:9", A), ("registerSubscriber", "/t", "*", A),
+        ("registerPublisher", "/t", STRING, A), ("subscribeParam", A, "/p"),
+    ]:  # fmt: skip
+        assert master.call(method, "/node", *params)[:2] == [-1, replaced]
+    assert master.outbox.pop() == []
+    assert master.call("getSystemState", "/n")[2] == [[["/rosout", ["/node"]]], [], []]
+    assert master.call("lookupNode", "/n", "/node")[2] == B
+    assert master.call("registerService", "/other", "/srv", "rosrpc://host:9", A)[0] == 1, "another name is free"
+    master.call("unregisterPublisher", "/node", "/rosout", B)
+    assert master.call("registerPublisher", "/node", "/t", STRING, A)[0] == 1, "the name is free again"
+    master.outbox.pop()
+    master.call("registerPublisher", "/node", "/t", STRING, B)
+    monkeypatch.setattr(api, "REPLACED_SECONDS", 0.0)
+    assert master.call("registerPublisher", "/node", "/t", STRING, A)[0] == 1, "a later start at the same address"
+    assert [call[1] for call in master.outbox.pop()] == ["shutdown", "shutdown"]
+
+
 def test_a_service_has_the_last_server_that_registered(master: ApiUnderTest):
     master.call("registerService", "/one", "/srv", "rosrpc://host:8", A)
     master.call("registerService", "/two", "/srv", "rosrpc://host:9", B)
@@ -180,6 +206,6 @@ def test_types_of_topics_without_nodes_are_dropped_beyond_a_limit(
 
 def test_shutdown_ends_a_master_that_allows_it():
     ended: list[bool] = []
-    api = MasterApi("", RecordedCalls(), shut_down=lambda: ended.append(True))
-    assert api.methods["shutdown"]("/n", "why") == [1, "shutdown", 0]
+    master = MasterApi("", RecordedCalls(), shut_down=lambda: ended.append(True))
+    assert master.methods["shutdown"]("/n", "why") == [1, "shutdown", 0]
     assert ended == [True]

@@ -19,9 +19,13 @@ class Checked:
 
     def __init__(self, seconds: float) -> None:
         self.nodes: dict[str, str] = {}
+        self.alive: list[str] = []
         self.dead: list[str] = []
         self.rounds = threading.Semaphore(0)
-        self.liveness = Liveness(self._listed, self._on_dead, seconds)
+        self.liveness = self.create(seconds)
+
+    def create(self, seconds: float) -> Liveness:
+        return Liveness(self._listed, lambda node, _api: self.alive.append(node), self._on_dead, seconds)
 
     def _listed(self) -> dict[str, str]:
         self.rounds.release()
@@ -47,10 +51,12 @@ def checked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Checked]:
 
 
 def test_a_node_that_refuses_connections_is_removed_and_others_stay(checked: Checked):
-    alive, silent = FakeNode(), FakeNode()
-    silent.answers.clear()
-    checked.nodes = {"/alive": alive.api, "/silent": silent.api, "/dead": f"http://127.0.0.1:{free_port()}/"}
+    alive, silent, dying = FakeNode(), FakeNode(), FakeNode()
+    checked.nodes = {"/alive": alive.api, "/silent": silent.api, "/dead": dying.api}
     checked.liveness.start({})
+    until(lambda: len(checked.alive) == 3, "all have answered")
+    silent.answers.clear()
+    dying.close()
     until(lambda: checked.dead, "the dead node is removed")
     checked.wait_for_rounds(20)
     assert checked.dead == ["/dead"]
@@ -63,9 +69,10 @@ def test_a_node_that_refuses_connections_is_removed_and_others_stay(checked: Che
 def test_an_unreachable_node_is_removed_later(checked: Checked, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(liveness, "UNREACHABLE_SECONDS", 0.6)
     silent = FakeNode()
-    silent.answers.clear()
     checked.nodes = {"/silent": silent.api}
     checked.liveness.start({})
+    until(lambda: checked.alive, "the node has answered")
+    silent.answers.clear()
     until(lambda: checked.dead == ["/silent"], "the node that does not answer is removed")
     silent.close()
 
@@ -85,12 +92,42 @@ def test_a_node_that_answers_again_stays(checked: Checked, monkeypatch: pytest.M
     node.close()
 
 
+@pytest.mark.parametrize("host", ["127.0.0.1", "robot.invalid"])
+def test_a_node_that_this_machine_never_reached_stays(
+    checked: Checked, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, host: str
+):
+    monkeypatch.setattr(liveness, "UNREACHABLE_SECONDS", 0.3)
+    checked.nodes = {"/of_another_machine": f"http://{host}:{free_port()}/"}
+    checked.liveness.start({})
+    until(lambda: "set ROS_IP or ROS_HOSTNAME there" in caplog.text, "it is reported")
+    checked.wait_for_rounds(40)
+    assert checked.dead == []
+    assert caplog.text.count("/of_another_machine") == 1
+
+
+def test_a_new_node_is_checked_before_the_next_round(checked: Checked, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(liveness, "_PERIODS", (3600.0, 3600.0))
+    monkeypatch.setattr(liveness, "_HASTY_PERIOD", 0.02)
+    checked.liveness = checked.create(3600.0)
+    checked.liveness.start({})
+    checked.wait_for_rounds(3)
+    node = FakeNode()
+    checked.nodes = {"/new": node.api}
+    until(lambda: checked.alive == ["/new"], "the new node is checked")
+    checked.wait_for_rounds(5)
+    assert node.calls == [("getPid",)], "later only with the others"
+    node.close()
+
+
 def test_restored_nodes_have_less_time(checked: Checked, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(liveness, "RESTORED_SECONDS", 0.1)
     checked.liveness.close()
-    checked.liveness = Liveness(checked._listed, checked._on_dead, 3600.0)
-    checked.nodes = {name: f"http://127.0.0.1:{free_port()}/" for name in ("/restored", "/new")}
+    checked.liveness = checked.create(3600.0)
+    node = FakeNode()
+    checked.nodes = {"/restored": f"http://127.0.0.1:{free_port()}/", "/new": node.api}
     checked.liveness.start({"/restored": checked.nodes["/restored"]})
+    until(lambda: checked.alive, "the new node has answered")
+    node.close()
     until(lambda: checked.dead, "the restored node is removed")
     checked.wait_for_rounds(5)
     assert checked.dead == ["/restored"]
