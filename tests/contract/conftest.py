@@ -16,7 +16,7 @@ from tests.contract.fakeside import FakeSide
 from tests.contract.hubside import HubSide
 from tests.contract.ownside import OwnSide
 from tests.contract.rmwside import RmwSide
-from tests.contract.ros1side import Ros1Side
+from tests.contract.ros1side import EmbeddedMasterSide, Ros1Side
 from tests.contract.ros2side import Ros2Side
 from tests.contract.side import CUSTOM_FOLDER, OWN_FOLDER, PEER_FOLDERS, Bridge, Side
 from tests.contract.yarpside import YarpSide
@@ -28,6 +28,7 @@ from tests.support.lane import LANE
 SIDES: dict[str, type[Any]] = {
     "fake": FakeSide,
     "ros1": Ros1Side,
+    "ros1_embedded_master": EmbeddedMasterSide,
     "ros2": Ros2Side,
     "zenoh_ros2dds": Ros2ddsSide,
     "zenoh_ros1": Ros1KeysSide,
@@ -54,7 +55,7 @@ BASIC = {
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests on the other sides as `thorough`."""
+    """Mark the tests on the other sides, and on the embedded master, as `thorough`."""
     for item in items:
         if (
             item.path.parent == Path(__file__).parent
@@ -62,6 +63,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             and hasattr(item, "callspec")
         ):
             side, turn = item.callspec.params.get("side"), zlib.crc32(item.originalname.encode())
+            if side == "ros1_embedded_master":
+                item.add_marker(pytest.mark.thorough)
             for sides in IN_TURN:
                 if side in sides and side != sides[turn % len(sides)] and item.originalname not in BASIC:
                     item.add_marker(pytest.mark.thorough)

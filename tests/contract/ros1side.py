@@ -1,4 +1,4 @@
-"""The ROS 1 side of the contract suite: a real roscore and real rospy programs."""
+"""The ROS 1 side of the contract suite: real rospy programs on a real roscore, or on Midspan's own master."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bridge.messages.registry import Registry
 from tests.contract.side import CUSTOM_TYPES, PEER_FOLDERS, Side, WorkerProcess
 from tests.peers.hub.network import HubNetwork
 from tests.peers.peer import Peer
-from tests.peers.ros1.network import RosMaster
+from tests.peers.ros1.network import EMBEDDED, RosMaster
 
 
 class Ros1Side(Side):
@@ -20,11 +20,12 @@ class Ros1Side(Side):
     name = "ros1"
     has_services = True
     tells_empty_types = True
+    embedded = EMBEDDED
 
     def __init__(self, _hubs: HubNetwork) -> None:
         super().__init__()
         self._registry = Registry(folders=PEER_FOLDERS)
-        self._master = RosMaster()
+        self._master = RosMaster(embedded=self.embedded)
         self._master.start()
 
     def peer(self) -> Peer:
@@ -50,3 +51,9 @@ class Ros1Side(Side):
     def close(self) -> None:
         super().close()
         self._master.close()
+
+
+class EmbeddedMasterSide(Ros1Side):
+    """Midspan's own master per test."""
+
+    embedded = True

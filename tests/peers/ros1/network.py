@@ -1,9 +1,10 @@
-"""A ROS 1 network for a test: a real roscore on a free port, and the environment of real ROS 1 programs."""
+"""A ROS 1 network for a test: a master on a free port, and the environment of real ROS 1 programs."""
 
 from __future__ import annotations
 
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,6 +25,11 @@ ROS1_PEER = Path(__file__).with_name("peer.py")
 
 ROS1_CORE = Path(__file__).with_name("core.py")
 
+EMBEDDED_CORE = Path(__file__).with_name("embedded_core.py")
+
+EMBEDDED = os.environ.get("MIDSPAN_TEST_MASTER", "roscore") == "embedded"
+"""Whether tests use Midspan's own master wherever they do not name one; see ``make test-embedded-master``."""
+
 ROS1_PYTHON = Path("/usr/bin/python3")
 
 needs_ros1 = needs(ROS1)
@@ -43,10 +49,11 @@ def ros1_environment(master: str = "", environ: Mapping[str, str] = os.environ) 
 class RosMaster:
     """A roscore (master, parameters, rosout) on its own port, which stays the same when it is restarted.
 
-    The programs run without roscore's launcher, unless ``command`` requests the real command.
+    The programs run without roscore's launcher, unless ``command`` requests the real command. ``embedded`` selects
+    Midspan's own master instead, which keeps its state over a restart.
     """
 
-    def __init__(self, *, command: bool = False) -> None:
+    def __init__(self, *, command: bool = False, embedded: bool = EMBEDDED) -> None:
         need(ROS1)
         self.port = free_port()
         self.uri = f"http://127.0.0.1:{self.port}/"
@@ -56,12 +63,17 @@ class RosMaster:
             "ROS_HOME": self._folder,
             "ROS_LOG_DIR": f"{self._folder}/log",
         }
-        self._program = ["/usr/bin/roscore", "-p"] if command else [str(ROS1_CORE)]
+        self.embedded = embedded and not command
+        self._program: list[str | Path] = [ROS1_PYTHON, ROS1_CORE]
+        if command:
+            self._program = [ROS1_PYTHON, "/usr/bin/roscore", "-p"]
+        elif self.embedded:
+            self._program = [sys.executable, EMBEDDED_CORE, f"{self._folder}/master.json"]
         self._process: Process | None = None
 
     def start(self) -> None:
         """Start roscore, and wait until it replies."""
-        self._process = Process([ROS1_PYTHON, *self._program, str(self.port)], self.env)
+        self._process = Process([*self._program, str(self.port)], self.env)
         until(lambda: self._ready(), "roscore replies", 30.0)
 
     def stop(self) -> None:
