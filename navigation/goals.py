@@ -157,7 +157,6 @@ class FarClients:
         self._timer = host.loop.every(_EVERY, self._check)
 
     def close(self) -> None:
-        """Stop watching."""
         self._timer.close()
 
     def _meet(self, goal: Goal) -> None:

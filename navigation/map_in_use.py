@@ -53,7 +53,6 @@ class MapInUse:
         self._use(self.grid)
 
     def close(self) -> None:
-        """Stop following."""
         self._closed = True
         for close in self._closing:
             close()

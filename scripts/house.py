@@ -2,8 +2,8 @@
 
     python scripts/house.py            prints the figures
     python scripts/house.py --check    also prints the violations and fails if there are any: import cycles, large
-                                       files, tests without an assertion, too many phrases and vague names of
-                                       `scripts/language.py`
+                                       files, public methods without a docstring, tests without an assertion, too many
+                                       phrases and vague names of `scripts/language.py`
 
 In tests, it counts accesses to private attributes, and lists the tests that neither assert nor call a helper whose
 name implies an assertion.
@@ -149,6 +149,29 @@ def shared_classes(files: Mapping[str, File]) -> dict[str, list[str]]:
     return {name: places for name, places in sorted(modules.items()) if len(places) > 1}
 
 
+def undocumented(file: File) -> list[str]:
+    """Return the public methods without a docstring (D102), except `override` methods, and close, start and stop."""
+    if re.search("^# ruff: noqa:.*D102", file.path.read_text(encoding="utf-8"), re.MULTILINE):
+        return []
+    return [
+        f"{file.path}:{node.lineno}: {name}.{node.name} needs a docstring"
+        for name, node in _methods(file.tree.body)
+        if not re.match("_|(close|start|stop)$", node.name)
+        and not any(re.search("override|overload|setter", ast.unparse(decorator)) for decorator in node.decorator_list)
+        and ast.get_docstring(node) is None
+    ]
+
+
+def _methods(body: Iterable[ast.stmt]) -> Iterable[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
+    """Yield the methods of public classes, each with the name of its class."""
+    for part in body:
+        if isinstance(part, ast.ClassDef) and not part.name.startswith("_"):
+            yield from (
+                (part.name, node) for node in part.body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+            )
+            yield from _methods(part.body)
+
+
 def private_accesses(root: Path) -> int:
     """Count the tests' accesses to names with a leading underscore, except on ``self``."""
     return sum(_is_private(node) for _, tree in _tests(root) for node in ast.walk(tree))
@@ -231,7 +254,7 @@ def wrong(files: Mapping[str, File], known_large: AbstractSet[str] = KNOWN_LARGE
     violations += [
         f"{name} is not a large file; remove it from KNOWN_LARGE" for name in sorted(known_large - large.keys())
     ]
-    return violations
+    return violations + [method for file in files.values() for method in undocumented(file)]
 
 
 def main() -> int:

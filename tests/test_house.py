@@ -71,3 +71,10 @@ def test_a_large_file_is_found_and_one_that_is_known_for_it_must_be(tmp_path: Pa
         "sim.b is not a large file; remove it from KNOWN_LARGE",
     ]
     assert house.wrong(files, known_large={"sim.a"}) == []
+
+
+def test_public_methods_need_a_docstring_except_overriding_ones_and_close_start_and_stop(tmp_path: Path) -> None:
+    methods = "    def close(self): ...\n    @override\n    def run(self): ...\n    def _go(self): ...\n"
+    text = f"class One:\n{methods}    def send(self): ...\nclass _Two:\n    def send(self): ...\n"
+    files = write(tmp_path, {"sim/a.py": text, "sim/b.py": f"# ruff: noqa: N802, D102 - YARP's\n{text}"})
+    assert house.wrong(files, known_large=set()) == [f"{tmp_path}/sim/a.py:6: One.send needs a docstring"]

@@ -193,7 +193,6 @@ class SelectorLoop:
                 pass
 
     def close(self) -> None:
-        """Close the loop's own descriptors."""
         self._selector.close()
         self._wake_in.close()
         self._wake_out.close()

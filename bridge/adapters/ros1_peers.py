@@ -196,7 +196,6 @@ class XmlRpcClient:
         return values
 
     def close(self) -> None:
-        """Close the connection."""
         self._http.close()
 
     def _post(self, request: str) -> Any:

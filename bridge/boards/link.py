@@ -76,7 +76,6 @@ class BoardLink:
         self._thread = threading.Thread(target=self._run, name=f"midspan-board {section.remote}", daemon=True)
 
     def start(self) -> None:
-        """Start to connect."""
         self._thread.start()
 
     def stop(self) -> None:

@@ -192,7 +192,6 @@ class LatestMessage:
         return self._message
 
     def close(self) -> None:
-        """Stop receiving messages."""
         self._end.close()
 
 

@@ -37,7 +37,6 @@ class Publisher:
         self.end.put(encode(self._types, self.kind[1], message))
 
     def close(self) -> None:
-        """Close the publisher."""
         self.end.close()
 
 

@@ -246,7 +246,6 @@ class Definitions:
             query.answered.set()
 
     def close(self) -> None:
-        """Stop the thread."""
         self._executor.close()
 
 

@@ -181,7 +181,6 @@ class TransformListener:
             self.listen(_FIRST_SECONDS)
 
     def close(self) -> None:
-        """Unsubscribe."""
         self.clock.close()
         for feed in self._feeds:
             feed.close()

@@ -68,7 +68,6 @@ class Notifier:
         return self._interval
 
     def close(self) -> None:
-        """Close the socket."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None

@@ -186,7 +186,6 @@ class Front:
         self._thread = threading.Thread(target=self._run, name="midspan-foxglove-front", daemon=True)
 
     def start(self) -> None:
-        """Start to serve."""
         self._thread.start()
 
     @property

@@ -151,7 +151,6 @@ class Services:
         return reply
 
     def close(self) -> None:
-        """Stop requesting definitions."""
         self._requests.close()
 
 

@@ -123,7 +123,6 @@ class Live:
         self._head = StatusHead({"daemon": config.name, "worker": "foxglove", "side": "foxglove"})
 
     def start(self) -> None:
-        """Start to serve."""
         loop = self.host.loop
         loop.start()
         if (gateway := self._gateway) is not None:

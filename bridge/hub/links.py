@@ -251,7 +251,6 @@ class LinkLimits:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop the thread."""
         self._end.set()
         self._thread.join(2.0)
 

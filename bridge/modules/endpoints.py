@@ -66,7 +66,6 @@ class ModulePublisher:
         self.counters.crossed(len(payload))
 
     def close(self) -> None:
-        """Close the endpoint."""
         self._publisher.close()
 
 
@@ -142,7 +141,6 @@ class Subscription:
         self._heard(payload)
 
     def close(self) -> None:
-        """Unsubscribe."""
         if self.end is not None:
             self.end.close()
         with self._lock:
@@ -250,7 +248,6 @@ class Endpoints:
         ]
 
     def close(self) -> None:
-        """Close all endpoints."""
         ends, self._ends = self._ends, []
         for end in ends:
             end.close()

@@ -54,7 +54,6 @@ class EventLoop:
         return len(self._ready)
 
     def start(self) -> None:
-        """Start the thread."""
         self._thread.start()
         self._begun.wait()
 
@@ -254,7 +253,6 @@ class Timer:
             self._action()
 
     def close(self) -> None:
-        """Cancel the timer."""
         self.closed = True
 
 
@@ -270,7 +268,6 @@ class ClockTimer:
         self._withdraw = clock.on_time(self._on_time)
 
     def close(self) -> None:
-        """Cancel the timer."""
         self.closed = True
         self._withdraw()
 

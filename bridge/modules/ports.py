@@ -250,7 +250,6 @@ class Ports:
             return False
 
     def close(self) -> None:
-        """Close all ports."""
         self._closed = True
         self._trials.close()
         for port in self._ports:

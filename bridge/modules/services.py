@@ -55,7 +55,6 @@ class ModuleServer:
         self._end: HubServer = hub.server(name, type_name, side.type_id, self._call)
 
     def close(self) -> None:
-        """Close the server."""
         self._end.close()
 
     def _call(self, payload: bytes, done: Done) -> Abandon:

@@ -44,7 +44,6 @@ class RecordedTopics:
         self._lost = self._refused = 0
 
     def start(self) -> None:
-        """Subscribe to the selected topics."""
         self.on = True
         self.refresh()
 

@@ -69,5 +69,4 @@ class Taps:
         return wanted
 
     def close(self) -> None:
-        """Stop the requests."""
         self._executor.close()

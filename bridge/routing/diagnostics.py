@@ -71,7 +71,6 @@ class Diagnostics:
             self._due = now + 60.0
 
     def close(self) -> None:
-        """Stop publishing."""
         self._ask_for_all(heard=False)
         if self._publisher is not None:
             self._publisher.close()

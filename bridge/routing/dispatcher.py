@@ -35,7 +35,6 @@ class Dispatcher:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
-        """Start the thread."""
         self._thread.start()
 
     def submit(self, priority: Priority, work: Callable[[], None]) -> None:

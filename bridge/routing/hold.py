@@ -61,6 +61,5 @@ class Hold:
             self.held = any(self._said.get(gid, True) for gid in present)
 
     def close(self) -> None:
-        """Stop following the gateways."""
         self._unwatch()
         self._subscription.close()

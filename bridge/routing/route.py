@@ -205,7 +205,6 @@ class RouteSet(Generic[AnyKey, AnyRoute]):
         return list(self._routes.values())
 
     def close(self, why: str = "") -> None:
-        """Close all routes."""
         for key in list(self._routes):
             self._routes.pop(key).close(why)
 

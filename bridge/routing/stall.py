@@ -48,7 +48,6 @@ class StallDetector:
         self._thread = threading.Thread(target=self._run, name="midspan-stall", daemon=True)
 
     def start(self) -> None:
-        """Begin to beat."""
         self._last = _now()
         self._thread.start()
 

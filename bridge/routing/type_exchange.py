@@ -50,7 +50,6 @@ class TypeExchange:
         self._pool.submit(lambda: self._ask(name, type_hash))
 
     def close(self) -> None:
-        """Stop asking."""
         self._pool.close(_ASK_SECONDS)
 
     def _answer(self, params: dict[str, Any]) -> dict[str, Any]:

@@ -84,7 +84,6 @@ class EntryTable:
                 raise
 
     def close(self) -> None:
-        """Close the file."""
         self._base.close()
 
     def _prepare(self) -> None:

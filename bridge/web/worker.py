@@ -147,7 +147,6 @@ class Console:
         self._hello = hello(config.name, __version__, config.navigation.frame, most, HOLD_SECONDS)
 
     def start(self) -> None:
-        """Start to serve."""
         loop = self.host.loop
         loop.start()
         loop.call(lambda: self._driving.watch(self))  # always, because a page must not drive against a planner

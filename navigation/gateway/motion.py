@@ -144,7 +144,6 @@ class VelocityWatch:
             )
 
     def close(self) -> None:
-        """Unsubscribe."""
         while self._subscriptions:
             self._host.node.release(self._subscriptions.pop())
 

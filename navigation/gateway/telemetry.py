@@ -82,7 +82,6 @@ class Telemetry:
         return self.current_goal
 
     def close(self) -> None:
-        """Close the subscriptions."""
         for endpoint in self._endpoints:
             self._host.node.release(endpoint)
 

@@ -92,7 +92,6 @@ class Map2DServer(Module):
 
     @override
     def stop(self) -> None:
-        """Stop following the store."""
         for close in self._closing:
             close()
 

@@ -57,7 +57,6 @@ class Connections:
         self._closed = False
 
     def close(self) -> None:
-        """Stop accepting connections."""
         with self._lock:
             self._closed = True
 

@@ -137,7 +137,6 @@ class OutputSocket:
         self.sock.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """Close the socket."""
         self._patient.detach()
         self.sock.close()
 

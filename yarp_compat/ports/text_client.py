@@ -41,7 +41,6 @@ class LineSocket:
         self._explain = explain
 
     def close(self) -> None:
-        """Close the socket."""
         self._socket.close()
 
     def __enter__(self) -> Self:

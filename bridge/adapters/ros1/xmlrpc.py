@@ -116,7 +116,6 @@ class XmlRpcServer:
         return len(self._connections)
 
     def start(self) -> None:
-        """Start to serve."""
         self._thread.start()
 
     def close(self) -> None:

@@ -140,7 +140,6 @@ class Taker:
         return Taken(payload, gid, source_ns, sequence)
 
     def close(self) -> None:
-        """Free the buffer."""
         _rcutils.rcutils_uint8_array_fini(self._bytes_ref)
 
 
@@ -260,7 +259,6 @@ class Incoming:
         return payload
 
     def close(self) -> None:
-        """Free the memory."""
         _libc.free(c_void_p(self._wire.start))
         self._wire.start, self._wire.capacity = None, 0
 
@@ -326,7 +324,6 @@ class CallTaker:
         raise RclError(call, code)
 
     def close(self) -> None:
-        """Free the buffer."""
         self._incoming.close()
 
 

@@ -174,7 +174,6 @@ class YarpNetwork:
         return self.naming.server is not None
 
     def close(self) -> None:
-        """Stop the embedded name server."""
         server, self.naming.server = self.naming.server, None
         if server is not None:
             server.close()

@@ -192,7 +192,6 @@ class Aloha:
         return [f"{self._refused} beacons of ros1 bridges are ignored: see the log"] if self._refused else []
 
     def close(self) -> None:
-        """Stop all beacons."""
         undeclare(self._subscriber)
         with self._lock:
             beacons, self._own = list(self._own.values()), {}

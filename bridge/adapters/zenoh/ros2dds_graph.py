@@ -74,7 +74,6 @@ class Ros2ddsGraph:
         return [f"{self._refused} tokens of ros2dds bridges are ignored: see the log"] if self._refused else []
 
     def close(self) -> None:
-        """Stop following the tokens."""
         undeclare(self._subscriber)
 
     def _on_token(self, sample: zenoh.Sample) -> None:

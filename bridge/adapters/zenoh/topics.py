@@ -100,7 +100,6 @@ class PlainSink:
             self.publisher.put(payload, source_info=next(self._infos), encoding=self._encoding)
 
     def close(self) -> None:
-        """Undeclare the publisher."""
         undeclare(self.publisher)
 
 

@@ -52,7 +52,6 @@ class PlayServices:
         return RECORDED
 
     def close(self) -> None:
-        """Close the services."""
         if self._unserve is not None:
             self._unserve()
         self._node.close()

@@ -73,7 +73,6 @@ class TopicsProgram:
         self._send_velocity(self._send, linear, angular, seconds)
 
     def close(self) -> None:
-        """Leave the network."""
         raise NotImplementedError
 
     def _send(self, linear: float, angular: float) -> None:

@@ -117,7 +117,6 @@ class _Matching:
         self._told[""] = bool(status.matching)
 
     def close(self) -> None:
-        """Stop following the changes."""
         if self._listener is not None:
             undeclare(self._listener)
 

@@ -142,7 +142,6 @@ class Feeds:
         return self._topics[name]
 
     def close(self) -> None:
-        """Close all feeds."""
         for feed in (*self.fixed.values(), *self._topics.values()):
             if feed.watched:
                 feed.close()

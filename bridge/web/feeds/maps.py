@@ -101,7 +101,6 @@ class StoreFollower:
             self._executor.submit(self._ask)
 
     def close(self) -> None:
-        """Stop polling."""
         self._executor.close()
 
     def _ask(self) -> None:

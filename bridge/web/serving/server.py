@@ -214,7 +214,6 @@ class HttpServer:
         self._trouble = ""
 
     def start(self) -> None:
-        """Start to serve."""
         self._thread.start()
 
     @property

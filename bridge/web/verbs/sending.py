@@ -111,7 +111,6 @@ class Sending:
         return reply
 
     def close(self) -> None:
-        """Close the publishers."""
         if self._lock.acquire(timeout=_END_SECONDS):  # else one is publishing, and ends with the session
             while self._publishers:
                 self._publishers.popitem()[1][0].close()

@@ -188,7 +188,6 @@ class Verbs:
             return newest
 
     def close(self) -> None:
-        """End the threads."""
         self._pool.close(1.0)
         self._slow.close(1.0)
         for pool in self._stops.values():

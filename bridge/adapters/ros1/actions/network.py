@@ -211,7 +211,6 @@ class LingeringPublishers:
                 self._close([m for m in self._open.values() if m.until <= now])
 
     def close(self) -> None:
-        """Close all lingering publications."""
         with self._lock:
             self._close([m for m in self._open.values() if m.until < math.inf])
 

@@ -219,7 +219,6 @@ class NodeConnections:
         return ""
 
     def close(self) -> None:
-        """Close all connections."""
         with self._lock:
             self._closed = True
             links, self._out = list(self._out.values()), {}

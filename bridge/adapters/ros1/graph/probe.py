@@ -118,7 +118,6 @@ class Prober:
         self._held: dict[Registration, ProbedConnection] = {}
 
     def close(self) -> None:
-        """Close the held connections."""
         with self._lock:
             for link in list(self._held):
                 self._release(link)
@@ -347,7 +346,6 @@ class Follower(ABC, Generic[AnyEnd]):
         self._context.found()
 
     def close(self) -> None:
-        """Close all ends."""
         with self._lock:
             ends, self._ends = list(self._ends), set()
         for end in ends:

@@ -84,7 +84,6 @@ class Liveness:
             self._thread.start()
 
     def close(self) -> None:
-        """Stop checking."""
         self._stopping.set()
         self._pool.close()
         if self._thread.is_alive():

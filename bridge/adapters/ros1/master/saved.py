@@ -98,7 +98,6 @@ class StateWriter:
         self._thread = threading.Thread(target=self._run, name="midspan-ros1-state", daemon=True)
 
     def start(self) -> None:
-        """Start to write."""
         self._thread.start()
 
     def changed(self) -> None:

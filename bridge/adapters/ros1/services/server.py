@@ -278,7 +278,6 @@ class ServiceServers:
         return ""
 
     def close(self) -> None:
-        """Close all servers."""
         with self._lock:
             servers = list(self._servers.values())
         for server in servers:

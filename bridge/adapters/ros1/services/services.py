@@ -37,7 +37,6 @@ class Ros1Services(Follower[Ros1Caller]):
         self.servers = ServiceServers(context, wake)
 
     def stop(self) -> None:
-        """Close everything."""
         self.close()
         self.servers.close()
 

@@ -127,7 +127,6 @@ class TopicBook:
         self._changed()
 
     def close(self) -> None:
-        """Disconnect all subscribers."""
         for publication in self._publications():
             publication.close()
 

@@ -121,7 +121,6 @@ class Publication:
             self._changed()
 
     def close(self) -> None:
-        """Disconnect all subscribers."""
         with self._lock:
             self._closed = True
         for connection in self._connections:

@@ -75,7 +75,6 @@ class Ros2Graph:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread."""
         self._stopping.set()
         self._guard.trigger_guard_condition()
         if self._thread.is_alive():

@@ -92,7 +92,6 @@ class MemoryNeighbours:
         return bound is not None and len(bound.intersection(discovery_ports(self._domain))) < len(on_host)
 
     def close(self) -> None:
-        """Stop watching."""
         with self._lock:
             self._done = True
 
