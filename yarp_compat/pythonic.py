@@ -182,7 +182,6 @@ class Client(OpenPort):
 
     @override
     def open(self) -> Self:
-        """Open the port and connect it to the server."""
         super().open()
         with closed_on_failure(self):
             return self.connect(self.server)

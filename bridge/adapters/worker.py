@@ -77,7 +77,6 @@ class BridgeWorker(Worker):
 
     @override
     def start(self, config: Config) -> None:
-        """Open the hub sessions and start joining the side's networks."""
         self.config = config
         # A status document or diagnostics of many routes must not delay a message by Python's default of 5 ms.
         sys.setswitchinterval(SWITCH_INTERVAL)
@@ -124,7 +123,6 @@ class BridgeWorker(Worker):
 
     @override
     def diagnostics_wanted(self) -> bool:
-        """Return whether `/diagnostics` has a subscriber; all bridges see the same hub."""
         return bool(self.bridges) and self.bridges[0].diagnostics_wanted()
 
     @override

@@ -172,7 +172,6 @@ class ChunkedMcap(BagWriter):
 
     @override
     def abandon(self) -> None:
-        """Close the file without its summary."""
         self._packer.shutdown(cancel_futures=True)
         self._file.close()
 

@@ -31,7 +31,6 @@ class ControlBoards(Module):
 
     @override
     def start(self, host: Host, section: Section) -> None:
-        """Connect to the boards, and create their topics."""
         assert isinstance(section, ControlBoardsSection)
         self._host = host
         self._stall = StallDetector()
@@ -49,13 +48,11 @@ class ControlBoards(Module):
 
     @override
     def health(self) -> Health:
-        """Return "running" if all boards are connected."""
         trouble = next((link.trouble for link in self._links if link.trouble), "")
         return Health("waiting", trouble) if trouble else Health("running", f"{len(self._links)} boards")
 
     @override
     def status(self) -> dict[str, Any]:
-        """Return the boards with their joints, and the last refusal of each command topic."""
         return {
             "boards": [
                 {

@@ -48,7 +48,6 @@ class LineFormatter(logging.Formatter):
 
     @override
     def format(self, record: logging.LogRecord) -> str:
-        """Return the record's lines."""
         text = record.getMessage()
         if record.exc_info:
             text += "\n" + self.formatException(record.exc_info)
@@ -92,7 +91,6 @@ class RelayHandler(logging.Handler):
 
     @override
     def flush(self) -> None:
-        """Send the queued lines."""
         self.acquire()
         try:
             while self._lines and self._sink(*self._lines[0]):
@@ -115,7 +113,6 @@ class RelayHandler(logging.Handler):
 
     @override
     def emit(self, record: logging.LogRecord) -> None:
-        """Queue the record's lines and send them."""
         for line in self.format(record).split("\n"):
             self._lines.append(split_priority(line))
         self.flush()

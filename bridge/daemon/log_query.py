@@ -41,7 +41,6 @@ class KeptLines(logging.Handler):
 
     @override
     def emit(self, record: logging.LogRecord) -> None:
-        """Store a record's lines."""
         text = record.getMessage()
         if record.exc_info:
             text += "\n" + logging.Formatter().formatException(record.exc_info)

@@ -80,7 +80,6 @@ class Events(ServerListener):
 
     @override
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        """Record that a client watches a channel."""
         with self._lock:
             self._watched.setdefault(channel.id, set()).add(client.id)
             self._late.add(channel.id)
@@ -88,7 +87,6 @@ class Events(ServerListener):
 
     @override
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
-        """Record that a client no longer watches a channel, or that either is closed."""
         with self._lock:
             clients = self._watched.get(channel.id, set())
             clients.discard(client.id)
@@ -143,7 +141,6 @@ class Events(ServerListener):
 
     @override
     def on_client_unadvertise(self, client: Client, client_channel_id: int) -> None:
-        """Record that a client no longer publishes, or is closed."""
         if client_channel_id == MARK:
             self._visitors.remove_client(client.id)
             return
@@ -155,7 +152,6 @@ class Events(ServerListener):
 
     @override
     def on_message_data(self, client: Client, client_channel_id: int, data: bytes) -> None:
-        """Queue a client's message."""
         with self._lock:
             channel = self._advertised.get((client.id, client_channel_id))
             if channel is None:

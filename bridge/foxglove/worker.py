@@ -80,7 +80,6 @@ class FoxgloveWorker(Worker):
 
     @override
     def stop(self) -> None:
-        """Disconnect the clients, and leave the hub."""
         live, self._live = self._live, None
         if live is not None:
             live.close()
@@ -226,7 +225,6 @@ class SdkLog(logging.Handler):
 
     @override
     def emit(self, record: logging.LogRecord) -> None:
-        """Log or count the record."""
         self._log.warn(f"the SDK: {record.getMessage()[:500]}")
 
     @classmethod

@@ -79,7 +79,6 @@ class MidspanCollector(Collector):
 
     @override
     def collect(self) -> Iterable[Metric]:
-        """Return all families that have samples."""
         return self.families(self._source.snapshot())
 
     def families(self, snapshot: Snapshot) -> Families:

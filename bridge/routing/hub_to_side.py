@@ -351,7 +351,6 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
 
     @override
     def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # the hub's graph counts
-        """Return name and type of each topic of the hub that may leave it to this side."""
         publishers = self._context.hub.graph.publishers()
         return {(e.topic, e.type_name) for e in publishers if may_leave(e, self._context.edge)}
 

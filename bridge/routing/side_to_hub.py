@@ -276,7 +276,6 @@ class SideToHubTopics(RouteSet[RouteKey, SideToHubRoute]):
 
     @override
     def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:
-        """Return name and type of each topic that is published on the side."""
         return {(e.topic, e.type) for e in endpoints if e.kind is Kind.PUBLISHER}
 
     def follow(self, gate: EntryGate, endpoints: Sequence[Endpoint], decisions: list[RouteDecision]) -> None:

@@ -31,7 +31,6 @@ class TransformServer(Module):
 
     @override
     def start(self, host: Host, section: Section) -> None:
-        """Subscribe to transforms, and open the ports."""
         assert isinstance(section, TransformServerSection)
         self._section = section
         clock = YarpClock(host.clock, follows=section.clock == "run")
@@ -88,7 +87,6 @@ class TransformServer(Module):
 
     @override
     def status(self) -> dict[str, Any]:
-        """Return the counts of frames and refusals, and the conflicting sources."""
         return {
             "frames": len(self._view),
             "frames_of_yarp": self._view.ours,

@@ -55,7 +55,6 @@ class Setter(FrameTransformStorageSetRPC):
 
     @override
     def clearAllRPC(self) -> ReturnValue:
-        """Delete all frames set by YARP programs."""
         return self.deleteTransformRPC(ANY, ANY)
 
 
@@ -115,5 +114,4 @@ class _All(AllTransforms):
 
     @override
     def to_wire(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> list[Buffer]:
-        """Return the bytes for a dialect."""
         return super().to_wire(profile, generation or self._generation(profile))

@@ -92,7 +92,6 @@ class MetricsWorker(Worker):
 
     @override
     def stop(self) -> None:
-        """Close the server and the session."""
         server, self.server = self.server, None
         if server is not None:
             server.close()

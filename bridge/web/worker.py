@@ -82,7 +82,6 @@ class WebWorker(Worker):
 
     @override
     def stop(self) -> None:
-        """Close the page's sockets and the node."""
         console, self._console = self._console, None
         if console is not None:
             console.close()

@@ -130,7 +130,6 @@ class StoreAtlas(Atlas):
 
     @override
     def links(self) -> Sequence[LinkedPlaces]:
-        """Return the store's links whose two locations exist."""
         links = []
         for name, link in self._store.all(LINK).items():
             first, second = self._store.get(LOCATION, link.first), self._store.get(LOCATION, link.second)

@@ -193,7 +193,6 @@ class FrameGrabberClient(ServiceClient[FrameGrabberMsgs], IFrameGrabberControls)
 
     @override
     def open(self) -> Self:
-        """Open the ports and connect them; errors as of `ServiceClient.open`."""
         super().open()
         with closed_on_failure(self):
             if self._reader is not None:

@@ -72,7 +72,6 @@ class TransformClient(Openable, IFrameTransform):
 
     @override
     def open(self) -> Self:
-        """Open the ports if necessary, and connect them; errors as `ServiceClient.open`."""
         with closed_on_failure(self):
             self._setter.open()
             self._getter.open()
@@ -146,7 +145,6 @@ class TransformClient(Openable, IFrameTransform):
 
     @override
     def send(self, transforms: list[FrameTransform]) -> ReturnValue:
-        """Set transforms in one call: `IFrameTransformStorageSet::setTransforms`."""
         remote = self._setter.remote
         return remote.setTransformRPC(transforms[0]) if len(transforms) == 1 else remote.setTransformsRPC(transforms)
 

@@ -44,7 +44,6 @@ class _View(MutableMapping[str, T], Generic[T]):
 
     @override
     def clear(self) -> None:
-        """Delete all items."""
         self._call(f"clear_all_{self._kind}s")
 
     def _call(self, method: str, *arguments: Any, key: str | None = None) -> Any:

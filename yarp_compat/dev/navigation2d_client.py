@@ -221,7 +221,6 @@ class Navigation2DClient(Openable, INavigation2D):
 
     @override
     def open(self) -> Self:
-        """Open the ports and connect them; errors as `ServiceClient.open`."""
         with ExitStack() as opened:
             for client in self._clients:
                 opened.enter_context(client)

@@ -270,7 +270,6 @@ class LogHandler(logging.Handler):
 
     @override
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a record with the severity of its level."""
         kind = next((kind for least, kind in _LEVELS if record.levelno >= least), LogType.TraceType)
         text = record.getMessage()
         if record.exc_info:

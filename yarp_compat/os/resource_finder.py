@@ -126,7 +126,6 @@ class ResourceFinder(Searchable):
 
     @override
     def toString(self) -> str:
-        """Return all keys as a Bottle's text."""
         return self._property.toString()
 
     def getContext(self) -> str:

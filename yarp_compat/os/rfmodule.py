@@ -226,7 +226,6 @@ class _Responder(PortReader):
 
     @override
     def read(self, connection: ConnectionReader) -> bool:
-        """Read a command and write the reply."""
         command, reply = Bottle(), Bottle()
         if not command.read(connection):
             return False

@@ -67,7 +67,6 @@ class DatagramInput(Input):
 
     @override
     def handle_messages(self) -> bool:
-        """Handle messages until the connection is closed."""
         memory = memoryview(bytearray(_LARGEST))
         while not self._closing:
             try:

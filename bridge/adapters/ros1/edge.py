@@ -93,7 +93,6 @@ class Ros1Edge(SideEdge):
 
     @override
     def start(self, listener: EdgeListener) -> None:
-        """Start the node, and begin to poll the master."""
         self._listener = listener
         uri = master_uri(self._config, os.environ)
         name = "/" + self._config.ros1.node.strip("/")
@@ -167,7 +166,6 @@ class Ros1Edge(SideEdge):
 
     @override
     def is_own_network(self, origin: Origin) -> bool:
-        """Return whether an origin is on the joined master."""
         return origin.side == self.side and origin.network == self.network()
 
     @override
@@ -199,7 +197,6 @@ class Ros1Edge(SideEdge):
 
     @override
     def warnings(self) -> list[str]:
-        """Return problems with the master, the clock, topics, services, actions and parameters."""
         warnings = []
         wanted = self._joined or self._config.ros1.enabled is True or self._config.ros1.master is not None
         if self._master is not None and self._master.trouble and wanted:
@@ -266,7 +263,6 @@ class Ros1Edge(SideEdge):
 
     @override
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """Return the conversion from CDR to ROS 1's bytes."""
         return self._registry.hub_to_ros1(type_name, type_hash)
 
     @override
@@ -278,17 +274,14 @@ class Ros1Edge(SideEdge):
 
     @override
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
-        """Return the conversion between CDR and ROS 1's bytes."""
         return self._registry.service_hub_to_ros1(type_name, type_hash)
 
     @override
     def side_name(self, hub_name: str) -> str:
-        """Return the ROS 1 spelling of a hub topic name; see `bridge.adapters.ros1.names`."""
         return self._names.side_name(hub_name)
 
     @override
     def hub_name(self, side_name: str) -> str:
-        """Return the hub's spelling of a ROS 1 topic name; see `bridge.adapters.ros1.names`."""
         return names.hub_name(side_name)
 
     # -- Midspan's endpoints -------------------------------------------------------------------------------------------
@@ -345,5 +338,4 @@ class Ros1Edge(SideEdge):
 
     @override
     def details(self) -> dict[str, Any]:
-        """Return the rules of shared parameters and their counts."""
         return {} if self._parameters is None else {"parameters": self._parameters.details()}

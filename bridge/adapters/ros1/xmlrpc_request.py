@@ -58,7 +58,6 @@ class _Decoder(xmlrpc.client.Unmarshaller):
 
     @override
     def start(self, tag: str, attrs: dict[str, str]) -> None:
-        """Handle a start tag."""
         if tag in ("array", "struct"):
             self._depth += 1
             if self._depth > self._depth_limit:
@@ -71,7 +70,6 @@ class _Decoder(xmlrpc.client.Unmarshaller):
 
     @override
     def end(self, tag: str) -> None:
-        """Handle an end tag."""
         if tag in ("array", "struct"):
             self._depth -= 1
         super().end(tag)

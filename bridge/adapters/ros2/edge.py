@@ -180,7 +180,6 @@ class Ros2Edge(SideEdge):
 
     @override
     def stop(self) -> None:
-        """Close all endpoints, and leave the network."""
         context, self._context = self._context, None
         if context is None:
             return
@@ -211,7 +210,6 @@ class Ros2Edge(SideEdge):
 
     @override
     def endpoints(self) -> Sequence[Endpoint]:
-        """Return the publishers, subscriptions, servers and clients of all other participants."""
         context = self._context
         return context.graph.snapshot.endpoints if context is not None else ()
 
@@ -252,7 +250,6 @@ class Ros2Edge(SideEdge):
 
     @override
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
-        """Return a conversion that keeps the bytes and validates them."""
         conversion = self.service_from_hub(endpoint.type, "")
         request, _ = self._part_hashes(conversion.side)
         if endpoint.type_id not in ("", request):
@@ -276,7 +273,6 @@ class Ros2Edge(SideEdge):
 
     @override
     def caller(self, name: str, side_type: SideType) -> EdgeCaller:
-        """Return a client of the native servers of a name."""
         return self._kept(Ros2Caller(name, self._service_class(side_type), self._started(), self._closed))
 
     @override
@@ -311,7 +307,6 @@ class Ros2Edge(SideEdge):
 
     @override
     def details(self) -> dict[str, Any]:
-        """Return the nodes on Cyclone DDS, for `bridge.doctor.checks.cyclone`."""
         cyclone = vendors.report(self.endpoints())
         return {"cyclone": cyclone} if cyclone else {}
 

@@ -190,13 +190,11 @@ class WaitSetReadLoop(ReadLoop):
 
     @override
     def add(self, reader: EndpointReader) -> None:
-        """Serve a reader from the next cycle of the loop on."""
         self._changes.append((reader, True))
         self._wake_up()
 
     @override
     def remove(self, reader: EndpointReader) -> None:
-        """Destroy a reader in the next cycle of the loop."""
         self._changes.append((reader, False))
         self._wake_up()
 

@@ -98,7 +98,6 @@ class YarpEdge(SideEdge):
 
     @override
     def stop(self) -> None:
-        """Release all ports, threads and registrations; see `Edge.stop`."""
         if self._stopping.is_set():
             return
         self._stopping.set()
@@ -192,7 +191,6 @@ class YarpEdge(SideEdge):
 
     @override
     def is_own_network(self, origin: Origin) -> bool:
-        """Return whether an endpoint's origin is this network."""
         return origin.side == self.side and origin.network == self._network.identity
 
     @override
@@ -220,14 +218,12 @@ class YarpEdge(SideEdge):
 
     @override
     def details(self) -> dict[str, Any]:
-        """Return the ports, with their content and their peers."""
         return {"ports": self.ports.status()}
 
     # -- the graph -----------------------------------------------------------------------------------------------------
 
     @override
     def endpoints(self) -> Sequence[Endpoint]:
-        """Return the endpoints of other programs on the network."""
         return self._endpoints.all()
 
     @override
@@ -270,7 +266,6 @@ class YarpEdge(SideEdge):
 
     @override
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
-        """Return only checks, like `service_to_hub`."""
         return self._services.conversion(type_name, type_hash)
 
     @override
@@ -287,7 +282,6 @@ class YarpEdge(SideEdge):
 
     @override
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> _Subscription:
-        """Subscribe to a topic's input ports."""
         subscription = _Subscription(self, topic, side_type, deliver)
         with self._lock:
             self._subscriptions[topic, side_type.name] = subscription

@@ -142,7 +142,6 @@ class KeyEdge(SideEdge):
 
     @override
     def stop(self) -> None:
-        """Close all endpoints and the session, within two seconds. Safe to call twice."""
         self._stopping.set()
         if self._ticker.is_alive():  # a client's attempt to connect is not awaited; its thread closes the session
             self._ticker.join(2.0 if self._context is not None else 0.1)

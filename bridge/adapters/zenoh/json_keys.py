@@ -52,7 +52,6 @@ class JsonKeysEdge(KeyEdge):
 
     @override
     def endpoints(self) -> Sequence[Endpoint]:
-        """Return one endpoint for each configured key and direction."""
         directions = ((self._in, Kind.PUBLISHER, Kind.SERVER), (self._out, Kind.SUBSCRIPTION, Kind.CLIENT))
         return [
             self._endpoint(service if key.is_service else topic, key)
@@ -76,7 +75,6 @@ class JsonKeysEdge(KeyEdge):
 
     @override
     def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """Return the conversion from JSON to CDR."""
         known = self._registry.ros2(endpoint.type)
         return Conversion(known, known, text_to_cdr(self._registry, endpoint.type))
 
@@ -125,12 +123,10 @@ class JsonKeysEdge(KeyEdge):
 
     @override
     def caller(self, name: str, side_type: SideType) -> KeyCaller:
-        """Return a client that calls a key with a ``get``."""
         return self.register(KeyCaller(self.context, str(self._in[name].key), name, Announcement(), encoding=_JSON))
 
     @override
     def serve(self, name: str, side_type: SideType, call: Call) -> KeyServer:
-        """Reply to each ``get`` on a key."""
         request, _ = self._registry.service_schemas(side_type.name, side_type.type_id)
         nothing = None if request.root.fields else b"{}"
         key = str(self._out[name].key)

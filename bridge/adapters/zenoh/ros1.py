@@ -54,7 +54,6 @@ class Ros1KeysEdge(KeyEdge):
 
     @override
     def opened(self, session: zenoh.Session) -> None:
-        """Start to send and receive beacons."""
         self._aloha = Aloha(session, self._namespace, self._graph_changed, self._newcomer)
 
     @override
@@ -64,7 +63,6 @@ class Ros1KeysEdge(KeyEdge):
 
     @override
     def tick(self, now: float) -> None:
-        """Send due beacons and latched messages."""
         if self._aloha is not None:
             self._aloha.tick(now)
         for publisher in self._publishers():
@@ -81,7 +79,6 @@ class Ros1KeysEdge(KeyEdge):
 
     @override
     def endpoints(self) -> Sequence[Endpoint]:
-        """Return the endpoints that bridges announce, and the configured publishers."""
         announced = [] if self._aloha is None else self._aloha.topics()
 
         def plain(topic: str, known: SideType) -> Endpoint:
@@ -115,7 +112,6 @@ class Ros1KeysEdge(KeyEdge):
 
     @override
     def warnings(self) -> list[str]:
-        """Return a warning with the number of invalid beacons."""
         return [] if self._aloha is None else self._aloha.warnings()
 
     @override
@@ -125,7 +121,6 @@ class Ros1KeysEdge(KeyEdge):
 
     @override
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """Return the conversion from CDR to ROS 1's bytes."""
         return self._registry.hub_to_ros1(type_name, type_hash)
 
     @override
@@ -136,17 +131,14 @@ class Ros1KeysEdge(KeyEdge):
 
     @override
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
-        """Return the conversion between CDR and ROS 1's bytes."""
         return self._registry.service_hub_to_ros1(type_name, type_hash)
 
     @override
     def side_name(self, hub_name: str) -> str:
-        """Return the ROS 1 spelling of a hub topic name; see `bridge.adapters.ros1.names`."""
         return self._names.side_name(hub_name)
 
     @override
     def hub_name(self, side_name: str) -> str:
-        """Return the hub's spelling of a ROS 1 topic name; see `bridge.adapters.ros1.names`."""
         return names.hub_name(side_name)
 
     @override
@@ -157,13 +149,11 @@ class Ros1KeysEdge(KeyEdge):
 
     @override
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> Ros1KeyPublisher:
-        """Publish on a topic's key, and announce it to the bridges."""
         key, announcement = self._announcement(Kind.PUBLISHER, topic, side_type)
         return self.register(Ros1KeyPublisher(self.context, topic, key, qos, announcement))
 
     @override
     def caller(self, name: str, side_type: SideType) -> KeyCaller:
-        """Return a client of a service's key, and announce it to the bridges."""
         key, announcement = self._announcement(Kind.CLIENT, name, side_type)
         return self.register(KeyCaller(self.context, key, name, announcement))
 

@@ -63,13 +63,11 @@ class Ros2ddsEdge(KeyEdge):
 
     @override
     def opened(self, session: zenoh.Session) -> None:
-        """Start to publish and to follow tokens."""
         self._announcer = TokenAnnouncer(session)
         self._graph = Ros2ddsGraph(session, self._prefix, self._tokens_changed)
 
     @override
     def closing(self) -> None:
-        """Stop heartbeats, and withdraw all tokens."""
         self._heartbeats.close(1.0)
         if self._graph is not None and self._announcer is not None:
             self._graph.close()
@@ -86,7 +84,6 @@ class Ros2ddsEdge(KeyEdge):
 
     @override
     def endpoints(self) -> Sequence[Endpoint]:
-        """Return the endpoints that bridges announce, and the configured publishers."""
         announced = [] if self._graph is None else self._graph.endpoints()
         return [e for e in announced if self._key(e.topic) not in self._json_keys] + self._plain_endpoints()
 
@@ -105,7 +102,6 @@ class Ros2ddsEdge(KeyEdge):
 
     @override
     def warnings(self) -> list[str]:
-        """Return warnings about invalid tokens, and about bridges' topics on JSON keys."""
         if self._graph is None:
             return []
         taken = {self._key(e.topic) for e in self._graph.endpoints()} & self._json_keys
@@ -161,7 +157,6 @@ class Ros2ddsEdge(KeyEdge):
 
     @override
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> Ros2ddsPublisher:
-        """Publish on a key, and announce it to the bridges."""
         key = self._key(topic)
         announcement = self._announcement(Kind.PUBLISHER, key, side_type, qos)
         return self.register(Ros2ddsPublisher(self.context, key, qos, self._heartbeats, announcement))

@@ -43,7 +43,6 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
 
     @override
     def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # the hub's graph counts
-        """Return name and type of each service of the hub that may leave it to this side."""
         servers = self._context.hub.graph.servers()
         return {(e.topic, e.type_name) for e in servers if may_leave(e, self._context.edge)}
 

@@ -221,7 +221,6 @@ class ServiceRoute(Route):
 
     @override
     def close(self, why: str = "") -> None:
-        """End every call, and close both endpoints."""
         with self._lock:
             far, self._far = self._far, None
             near, self._near = self._near, None

@@ -108,7 +108,6 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
 
     @override
     def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:
-        """Return name and type of each service that is served on the side."""
         return {(e.topic, e.type) for e in endpoints if e.kind is Kind.SERVER}
 
     def close_departed(self, endpoints: Sequence[Endpoint]) -> None:

@@ -109,7 +109,6 @@ class FramePoseFeed(FrameFeed):
 
     @override
     def refresh(self) -> None:
-        """Publish the current pose, or the reason why there is none."""
         try:
             transform = self._follower.frames.buffer.lookup_transform(self._reference, self._frame)
         except TransformError as err:

@@ -45,7 +45,6 @@ class LayerFeed(TopicsFeed):
 
     @override
     def open(self) -> None:
-        """Subscribe to the layer, its heights and the transforms."""
         if not self._topic:
             self.put(None, "no layer is configured (web.layer)")
             return

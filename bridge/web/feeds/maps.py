@@ -184,7 +184,6 @@ class MapFeed(TopicsFeed):
 
     @override
     def open(self) -> None:
-        """Follow the store or the topic."""
         if self._source == "store":
             self._store.begin(self, self._on_store_view)
         else:

@@ -41,7 +41,6 @@ class ObstaclesFeed(TopicsFeed):
 
     @override
     def open(self) -> None:
-        """Follow the chosen planner and the frames."""
         self._follower.begin()
         self._timer = self._host.loop.every(SECONDS, self._refresh)
         self._choose()

@@ -84,7 +84,6 @@ class LaserFeed(TopicsFeed):
 
     @override
     def open(self) -> None:
-        """Subscribe to the laser and the transforms."""
         if not self._topic:
             self.put(None, "no laser is configured (web.laser)")
             return
@@ -132,7 +131,6 @@ class PathFeed(TopicsFeed):
 
     @override
     def open(self) -> None:
-        """Subscribe to the path of the chosen planner."""
         self._update()
 
     @override
@@ -217,7 +215,6 @@ class DrivingFeed(TopicsFeed):
 
     @override
     def open(self) -> None:
-        """Subscribe to the gateway's status and the planner's feedback."""
         self.follow(STATUS_TOPIC, STATUS, self._on_status, LATCHED)
         section = self._config.navigation
         if section.planner:

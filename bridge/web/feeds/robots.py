@@ -32,7 +32,6 @@ class RobotsFeed(FrameFeed):
 
     @override
     def open(self) -> None:
-        """Subscribe to the frames and the paths."""
         if not self._robots:
             self.put([])
             return

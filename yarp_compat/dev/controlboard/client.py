@@ -72,7 +72,6 @@ class ControlBoardClient(Openable):
 
     @override
     def open(self) -> Self:
-        """Open the ports and connect them; errors as in the class."""
         with closed_on_failure(self):
             self._connect()
         return self

@@ -77,7 +77,6 @@ class BoardService(ControlBoardMsgs):
 
     @override
     def getDeviceInterfacesRPC(self) -> tuple[ReturnValue, dict[str, bool]]:
-        """The interfaces whose methods the board defines."""
         kind = type(self.board)
         has = {
             name: bool(m) and getattr(kind, m) is not getattr(ControlBoardMsgs, m) for name, m in _INTERFACES.items()
@@ -150,7 +149,6 @@ class ControlBoardServer(Openable):
 
     @override
     def close(self) -> None:
-        """Close the ports and end the thread."""
         self._open.close()
 
     def _stream(self) -> None:

@@ -118,13 +118,11 @@ class Value(ValueBase, _Comparable):
 
     @override
     def find(self, key: str) -> Value:
-        """Return the value after a key in the list or dict."""
         inner = self.asSearchable()
         return NULL if inner is None else inner.find(key)
 
     @override
     def findGroup(self, key: str) -> Bottle:
-        """Return the list that begins with a key in the list or dict."""
         inner = self.asSearchable()
         return Bottle.getNullBottle() if inner is None else inner.findGroup(key)
 
@@ -321,7 +319,6 @@ class Bottle(Portable, _Comparable):
 
     @override
     def to_bytes(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> bytes:
-        """Return the bytes in one piece."""
         return encode(self._values, profile)
 
     @override
@@ -331,19 +328,16 @@ class Bottle(Portable, _Comparable):
 
     @override
     def to_values(self) -> list[Any]:
-        """Return copies of the plain values."""
         return [deep_copy(value) for value in self._values]
 
     @override
     def from_values(self, values: Iterable[Any]) -> None:
-        """Replace the content by these values."""
         self._edit()[:] = [plain_of(value) for value in values]
 
     to_text = toString
 
     @override
     def from_text(self, line: str) -> None:
-        """Replace the content by the values of a text."""
         self.fromString(line)
 
     @override

@@ -177,7 +177,6 @@ class PropertyBase(Portable):
 
     @override
     def from_text(self, line: str) -> None:
-        """Replace the content by that of a text."""
         self.fromString(line)
 
     # Python's names

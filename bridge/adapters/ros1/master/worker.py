@@ -48,7 +48,6 @@ class MasterWorker(Worker):
 
     @override
     def health(self) -> Health:
-        """Return the number of nodes, and the address."""
         if self._master is None:
             raise WorkerFailedError("the master is closed")
         count = len(self._master.nodes())

@@ -71,7 +71,6 @@ class TcprosServer(PolledConnection):
 
     @override
     def abandon(self) -> None:
-        """Stop listening, as the loop ends."""
         self.close()
 
     def close(self) -> None:

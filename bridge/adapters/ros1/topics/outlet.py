@@ -98,12 +98,10 @@ class SubscriberConnection(TopicConnection):
 
     @override
     def on_ready(self) -> Callable[[], None]:
-        """Handle the subscriber's end of the connection."""
         return self.abandon
 
     @override
     def abandon(self) -> None:
-        """Close the connection, as its subscriber has disconnected or the loop ends."""
         if self._ended is not None:
             self._ended(self)
         else:

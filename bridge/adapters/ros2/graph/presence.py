@@ -82,7 +82,6 @@ class PresenceTopic(EndpointReader):
 
     @override
     def drain(self, taker: rcl.Taker, limit: int) -> None:
-        """Store the records of other participants."""
         for _ in range(limit):
             taken = taker.take(self.pointer, large=False)
             if taken is None:

@@ -161,7 +161,6 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
 
     @override
     def drain(self, _taker: rcl.Taker, limit: int) -> None:
-        """End calls with their replies."""
         for _ in range(limit):
             taken = self._taker.response(self.pointer)
             if taken is None:
@@ -190,7 +189,6 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
 
     @override
     def _check_processes(self) -> None:
-        """Check for servers whose processes have ended while a call is pending."""
         with self._lock:
             self._checking = False
             if self._sent and not self._closed:

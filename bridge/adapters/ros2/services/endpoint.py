@@ -52,7 +52,6 @@ class ServiceEndpoint(EndpointReader):
 
     @override
     def destroy(self) -> None:
-        """Free the buffer, and destroy rclpy's object."""
         self._taker.close()
         super().destroy()
 

@@ -175,7 +175,6 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
 
     @override
     def _check_processes(self) -> None:
-        """Check for clients whose processes have ended while their calls are pending."""
         with self._lock:
             self._checking = False
             if self._closed or not self._pending:
