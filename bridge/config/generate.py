@@ -98,11 +98,6 @@ WIDTH = 100
 SCHEMA_FILE = "midspan.schema.json"  # the schema's name among the files in ``configs/``
 
 
-def editor_comment(schema: str = SCHEMA_FILE) -> str:
-    """First line of a file that lets editors with the YAML language server check it."""
-    return f"# yaml-language-server: $schema={schema}\n"
-
-
 def schema() -> str:
     """JSON schema of the file."""
     document = {

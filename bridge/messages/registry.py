@@ -196,14 +196,6 @@ class Registry:
             service = self._find_service(type_name, type_hash)
             return self._check(service.request), self._check(service.response)
 
-    def action_of_ros1(self, name: str) -> str:
-        """Return the ROS 2 action for a ROS 1 action.
-
-        For ``move_base_msgs/MoveBase`` it is ``nav2_msgs/action/NavigateToPose``.
-        """
-        with self._lock:
-            return self._actions.ros2_name(name)
-
     def action_to_ros1(self, type_name: str) -> str:
         """Return the ROS 1 action for a ROS 2 action."""
         with self._lock:

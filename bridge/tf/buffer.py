@@ -217,32 +217,6 @@ class TransformBuffer:
             return False, str(err)
         return True, ""
 
-    def can_transform_full(
-        self,
-        target_frame: str,
-        target_stamp: int,
-        source_frame: str,
-        source_stamp: int,
-        fixed_frame: str,
-        *,
-        timeout: float = 0.0,
-        extrapolate: float = 0.0,
-    ) -> tuple[bool, str]:
-        """Return whether `lookup_transform_full` would succeed, and if not, why."""
-        try:
-            self.lookup_transform_full(
-                target_frame,
-                target_stamp,
-                source_frame,
-                source_stamp,
-                fixed_frame,
-                timeout=timeout,
-                extrapolate=extrapolate,
-            )
-        except TransformError as err:
-            return False, str(err)
-        return True, ""
-
     def clear(self) -> None:
         """Remove all but static frames, for a clock that was set back."""
         with self._lock:

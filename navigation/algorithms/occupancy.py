@@ -94,10 +94,6 @@ class OccupancyMap:
         )
         return int(touched)
 
-    def probabilities(self) -> NDArray[np.float32]:
-        """Return each cell's probability of being occupied, (rows, columns); 0.5 is unknown."""
-        return (1.0 / (1.0 + np.exp(-self.odds))).astype(np.float32)
-
     def occupancy(self) -> NDArray[np.int8]:
         """Return the cells (rows, columns) as in `nav_msgs/OccupancyGrid`: 100 occupied, 0 free, -1 unknown."""
         values = np.full(self.odds.shape, -1, np.int8)

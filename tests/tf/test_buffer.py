@@ -177,8 +177,9 @@ def test_names_ignore_leading_slashes(buffer: TransformBuffer) -> None:
     assert buffer.set_transform("/map", "map", START, (1, 0, 0), UNIT) is FrameRefusal.SELF_TRANSFORM
     with pytest.raises(InvalidArgumentError, match="cannot be empty"):
         buffer.lookup_transform("map", "", timeout=30)
-    assert buffer.can_transform_full("map", 0, "odom", START, "map") == (True, "")
-    assert "fixed_frame" in buffer.can_transform_full("map", 0, "odom", START, "nowhere")[1]
+    assert buffer.lookup_transform_full("map", 0, "odom", START, "map").frame_id == "map"
+    with pytest.raises(LookupError_, match="fixed_frame"):
+        buffer.lookup_transform_full("map", 0, "odom", START, "nowhere")
 
 
 @pytest.fixture

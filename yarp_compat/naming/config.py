@@ -19,7 +19,7 @@ from pathlib import Path
 
 from yarp_compat.naming.directories import Directories
 from yarp_compat.ports.naming import NamingConfigError
-from yarp_compat.wire.contact import PortContact, is_name
+from yarp_compat.wire.contact import PortContact
 
 DEFAULT_NAMESPACE = "/root"
 DEFAULT_PORT = 10000
@@ -63,15 +63,6 @@ def namespace(environment: Mapping[str, str] | None = None) -> str:
     return namespaces(environment)[0]
 
 
-def write_namespace(name: str, environment: Mapping[str, str] | None = None) -> Path:
-    """Select a network for programs without ``YARP_NAMESPACE``; return the written file."""
-    if not is_name(name):
-        raise NamingConfigError(
-            f"{name!r} is not a valid name of a YARP network: names are like /robot, without spaces"
-        )
-    return _write(Path(folder(environment)) / NAMESPACE_FILE, f"{name}\n")
-
-
 def file(name: str | None = None, environment: Mapping[str, str] | None = None) -> Path:
     """Return the file with the address of a network's name server, by default of this program's network."""
     space = namespace(environment) if name is None else name
@@ -93,7 +84,13 @@ def read(name: str | None = None, environment: Mapping[str, str] | None = None) 
 
 def write(address: Address, name: str | None = None, environment: Mapping[str, str] | None = None) -> Path:
     """Write the address of a network's name server atomically; return the written file."""
-    return _write(file(name, environment), f"{address.host} {address.port} {address.mode}\n")
+    path = file(name, environment)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(path, f"{address.host} {address.port} {address.mode}\n".encode())
+    except OSError as err:
+        raise NamingConfigError(f"cannot write {path}: {err.strerror or err}") from None
+    return path
 
 
 def parse(text: str) -> Address:
@@ -134,15 +131,6 @@ def _read(path: Path) -> str:
     if len(data) > _MAX_BYTES:
         raise NamingConfigError(f"{path} is larger than {_MAX_BYTES} bytes: YARP did not write it")
     return data.decode("utf-8", "replace")
-
-
-def _write(path: Path, text: str) -> Path:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        replace_file(path, text.encode())
-    except OSError as err:
-        raise NamingConfigError(f"cannot write {path}: {err.strerror or err}") from None
-    return path
 
 
 def replace_file(path: Path, data: bytes) -> None:

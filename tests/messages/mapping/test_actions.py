@@ -82,7 +82,6 @@ def test_cdr_bytes_are_those_of_rclpy(registry: Registry):
 @needs_genpy
 @pytest.mark.parametrize(("ros1", "ros2"), PAIRS.items())
 def test_pairs_hold_both_ways(ros1: str, ros2: str, registry: Registry):
-    assert registry.action_of_ros1(ros1) == ros2
     assert registry.action_to_ros1(ros2) == ros1
     base = ros1.replace("/", "/action/")
     for part in ("SendGoal", "GetResult"):
@@ -288,8 +287,8 @@ def test_an_action_known_from_headers_alone_is_derived(folders: Path):
     registry = Registry()
     for topic in (topics.goal, topics.result):
         registry.learn_ros1(topic.name, topic.definition, topic.type_id)
-    assert registry.action_of_ros1("my_acts/count_up") == "my_acts/action/CountUp"
-    registry.service_ros1_to_hub("my_acts/action/count_up_SendGoal")
+    service = registry.service_ros1_to_hub("my_acts/action/count_up_SendGoal")
+    assert service.hub.name == "my_acts/action/CountUp_SendGoal"
     registry.service_ros1_to_hub("my_acts/action/count_up_GetResult")
     with pytest.raises(MessageTypeError, match="ROS 1 action my_acts/action/count_up_Feedback") as caught:
         registry.ros1_to_hub("my_acts/action/count_up_FeedbackMessage")
@@ -330,9 +329,9 @@ def test_actions_with_other_names_and_fields_cross_by_rule(folders: Path, tmp_pa
     rules = tmp_path / "rules.yaml"
     rules.write_text(RULES)
     registry = Registry(folders=[folders], mapping_rules=[rules])
-    assert registry.action_of_ros1("my_acts/count_up") == "nav2_msgs/action/Wait"
     assert registry.action_to_ros1("nav2_msgs/action/Wait") == "my_acts/count_up"
     goal = registry.service_ros1_to_hub("my_acts/action/count_up_SendGoal")
+    assert goal.hub.name == "nav2_msgs/action/Wait_SendGoal"
     assert goal.request_to_hub is not None
     request = to_json(registry, f"{goal.hub.name}_Request", goal.request_to_hub(UUID + struct.pack("<iII", 7, 8, 9)))
     assert request["goal"] == {"time": {"sec": 8, "nanosec": 0}}
@@ -359,7 +358,6 @@ def test_invalid_rule_is_reported(rule: str, reason: str, tmp_path: Path):
 
 def test_unknown_action_is_reported_with_its_cure(registry: Registry):
     for ask in (
-        lambda: registry.action_of_ros1("nobody_acts/Do"),
         lambda: registry.ros1_action("nobody_acts/Do"),
         lambda: registry.service_ros1_to_hub("nobody_acts/action/Do_SendGoal"),
         lambda: registry.service_hub_to_ros1("nobody_acts/action/Do_SendGoal"),
