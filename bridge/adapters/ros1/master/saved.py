@@ -20,7 +20,7 @@ from bridge.state_file import keep
 _log = logging.getLogger("midspan.ros1.master")
 
 _VERSION = 1
-_PAUSE = 0.5
+_PAUSE = 0.1
 _FAILED_PAUSE = 30.0
 _SHARE = 20
 """The file is written at most for this part of the time."""
