@@ -2,7 +2,7 @@
 
 BIN := .venv/bin
 
-.PHONY: help setup demo mix bench-peers test test-fast test-all lint types check bench screenshots dist deb lock clean
+.PHONY: help setup demo mix bench-peers test test-fast test-all test-embedded-master lint types check bench screenshots dist deb lock clean
 .DEFAULT_GOAL := help
 
 # each process receives one file at a time; bytecode is cached, otherwise each process would compile all tests and programs
@@ -36,6 +36,9 @@ test-fast: setup ## tests without middlewares, for the edit loop
 
 test-all: setup ## all tests, including fuzzing, packages and a first run in a bare clone
 	@$(forget); $(pytest) -n 5 $(ARGS) || $(go_on); $(again)
+
+test-embedded-master: setup ## the tests with ROS 1, on Midspan's own master instead of roscore
+	@MIDSPAN_TEST_MASTER=embedded $(pytest) -n 5 tests/contract tests/interop tests/adapters/ros1 $(ARGS)
 
 lint: setup ## ruff (rules and format), import cycles and sizes
 	@$(BIN)/ruff check .

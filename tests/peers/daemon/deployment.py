@@ -20,7 +20,7 @@ from tests.peers.daemon.midspan import MidspanDaemon
 from tests.peers.daemon.routers import end_router
 from tests.peers.hub.network import SDK_PROGRAM
 from tests.peers.peer import Peer, stop_all
-from tests.peers.ros1.network import RosMaster
+from tests.peers.ros1.network import EMBEDDED, RosMaster
 from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.lane import LANE
 from tests.support.missing import COMPILER, ROS2, need
@@ -32,13 +32,16 @@ ANSWER_SECONDS = 5.0
 
 
 class Deployment(MidspanDaemon):
-    """Everything on one machine, started by `midspan run` like a user would."""
+    """Everything on one machine, started by `midspan run` like a user would.
 
-    def __init__(self, folder: Path) -> None:
+    ``embedded`` selects Midspan's own ROS 1 master.
+    """
+
+    def __init__(self, folder: Path, *, embedded: bool = EMBEDDED) -> None:
         for reason in (ROS2, COMPILER):
             need(reason)
         super().__init__(folder, "interop")
-        self.master = RosMaster()
+        self.master = RosMaster(embedded=embedded)
         self._sides = ["ros1", "ros2"]
         self._open: list[Any] = []
         self._own = 0
