@@ -71,8 +71,10 @@ class RosMaster:
             self._program = [sys.executable, EMBEDDED_CORE, f"{self._folder}/master.json"]
         self._process: Process | None = None
 
-    def start(self) -> None:
-        """Start roscore, and wait until it replies."""
+    def start(self, *, forget: bool = False) -> None:
+        """Start roscore, and wait until it replies; ``forget``: without the state that Midspan's own master keeps."""
+        if forget:
+            Path(self._folder, "master.json").unlink(missing_ok=True)
         self._process = Process([*self._program, str(self.port)], self.env)
         until(lambda: self._ready(), "roscore replies", 30.0)
 

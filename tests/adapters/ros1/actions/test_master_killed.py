@@ -94,7 +94,7 @@ def test_goals_continue_without_a_master_and_can_be_canceled(drive):
 def test_another_master_without_the_server_ends_no_goals(drive):
     edge, before = drive.edge, shown(drive.edge)
     drive.master.kill()
-    drive.master.start()
+    drive.master.start(forget=True)
     edge.joined(drive.master.call("getParam", "/run_id"))
     listed = drive.master.state
     until(
@@ -128,7 +128,7 @@ def test_a_server_that_is_killed_later_is_lost(drive, away):
     drive.master.kill()
     until(lambda: "no ROS 1 master" in str(edge.ask("status")["warnings"]), "the loss is noticed", SECONDS)
     if not away:
-        drive.master.start()
+        drive.master.start(forget=True)
         edge.joined(drive.master.call("getParam", "/run_id"))
     drive.goes_on()
     lists = drive.hub.states()

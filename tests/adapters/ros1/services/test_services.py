@@ -16,10 +16,12 @@ import pytest
 from tests.peers.ros1.adapter import AT_ONCE, edge_on
 from tests.peers.ros1.network import RosMaster, needs_ros1
 from tests.peers.ros1.servers import tcp_server, until_closed
+from tests.support.process import Process
 from tests.support.wait import until
 
 pytestmark = needs_ros1
 
+ROSOUT = "/usr/lib/rosout/rosout"
 SET_BOOL = "std_srvs/SetBool"
 SET_BOOL_MD5 = "09fb03525b03e7ea1fd3992bafd87e16"
 ON = base64.b64encode(b"\1").decode()
@@ -73,13 +75,23 @@ def give_back(master, edge, served, name):
 # -- servers on ROS 1 --------------------------------------------------------------------------------------------------
 
 
+@pytest.fixture
+def rosout(master):
+    """A roscpp node with services: roscore's rosout, which replaces the one of Midspan's own master."""
+    if not master.embedded:
+        yield
+        return
+    with Process([ROSOUT, "__name:=rosout"], master.env):
+        yield
+
+
+@pytest.mark.usefixtures("rosout")
 def test_servers_are_listed(master, edge):
     with master.peer("seen") as peer:
         service = peer.ask("serve", service="/seen/set", type=SET_BOOL)["id"]
         result = server_of(edge, "/seen/set")
         assert (result["type"], result["type_id"], result["node"]) == (SET_BOOL, SET_BOOL_MD5, "/seen")
         assert result["made_by"] == "native"
-        # roscore's rosout is a roscpp program
         assert server_of(edge, "/rosout/get_loggers")["type"] == "roscpp/GetLoggers"
         peer.drop(service)
         until(lambda: not edge.endpoints(topic="/seen/set"), "it disappears with its server", SECONDS)
@@ -102,6 +114,7 @@ def test_calling_a_server(master, edge):
             assert "no such motor" in end
 
 
+@pytest.mark.usefixtures("rosout")
 def test_calling_a_roscpp_server(edge):
     # not its get_loggers: the rosout of Debian 12 crashes on the first call of any client
     caller = caller_of(edge, "/rosout/set_logger_level", "roscpp/SetLoggerLevel")
