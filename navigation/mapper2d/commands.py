@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from bridge.stores.entry import StoreError
 from bridge.stores.kinds import MAP
 from bridge.stores.store import Store
 from navigation.map2d_server.files import MapsFolder
 from navigation.mapper2d.mapper import MOST_BRUSH, PAINTS, Mapper
 from navigation.mapper2d.poses import Poses
+from navigation.mapping_commands import MappingCommands
 from navigation.pose import Pose
-from navigation.yarp import Commands
 from yarp_compat.dev.mapflag import MapFlag, picture_of_flags
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.mapinfo import MapGrid2DInfo
@@ -100,7 +99,7 @@ HELP = (
 )
 
 
-class MapperCommands(Commands):
+class MapperCommands(MappingCommands):
     """Answers commands of the RPC port. Called on the module's thread."""
 
     def __init__(
@@ -125,13 +124,6 @@ class MapperCommands(Commands):
         })  # fmt: skip
 
     @override
-    def answer(self, values: list[Any]) -> list[Any]:
-        """Answer as `Commands.answer`; errors of files and the store also raise `ValueError`."""
-        try:
-            return super().answer(values)
-        except (OSError, StoreError) as err:
-            raise ValueError(f"{values[0]}: {err}") from None
-
     def save(self) -> str:
         """Save the map in the store; return a text for people. Raises `StoreError`."""
         grid = self._mapper.grid()

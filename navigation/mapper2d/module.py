@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from typing_extensions import override
@@ -13,8 +12,6 @@ from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.scan import Turn
 from bridge.modules.host import Host
 from bridge.modules.module import Module
-from bridge.modules.services import Answer
-from bridge.stores.entry import StoreError
 from bridge.worker import Health
 from navigation.frames import FramesError
 from navigation.ini import laid_under
@@ -33,8 +30,6 @@ from navigation.yarp import PortConnection
 from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.pythonic import Received
 from yarp_compat.wire.errors import WireError
-
-TRIGGER = "std_srvs/srv/Trigger"
 
 _WAITING = 20  # scans that may wait for their poses
 _BEAT = 0.05
@@ -91,9 +86,7 @@ class Mapper2D(Module):
         if self._section.pose == "port":
             pairs.append((self._section.pose_port, f"{prefix}/odometry:i"))
         self._connected = [PortConnection(host.yarp.naming, source, target) for source, target in pairs if source]
-        for command, done in (("start", "mapping"), ("stop", "not mapping")):
-            host.node.server(f"/{self.name}/{command}", TRIGGER, self._trigger(command, done))
-        host.node.server(f"/{self.name}/save", TRIGGER, self._save)
+        self._commands.serve(host, self.name)
 
     def _on_initial_pose(self, message: dict[str, Any]) -> None:
         """Accept the robot's pose from a topic."""
@@ -164,19 +157,6 @@ class Mapper2D(Module):
         except ValueError as err:
             raise WireError(str(err)) from None  # the port counts and logs it
         self._changed = True
-
-    def _trigger(self, command: str, done: str) -> Callable[[dict[str, Any], Answer], None]:
-        def serve(_request: dict[str, Any], answer: Answer) -> None:
-            self._commands.answer([command])
-            answer({"success": True, "message": done})
-
-        return serve
-
-    def _save(self, _request: dict[str, Any], answer: Answer) -> None:
-        try:
-            answer({"success": True, "message": self._commands.save()})
-        except (StoreError, ValueError) as err:
-            answer({"success": False, "message": str(err)})
 
     @override
     def health(self) -> Health:

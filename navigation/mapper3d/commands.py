@@ -12,10 +12,9 @@ from bridge.stores.kinds import MAP, MAP3D
 from bridge.stores.store import Store, Write
 from navigation.map2d_server.files import MapsFolder
 from navigation.mapper3d.space import Space
-from navigation.yarp import Commands
+from navigation.mapping_commands import MappingCommands
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.octomap import Octomap
-from yarp_compat.wire.errors import WireError
 
 HELP = (
     "help: list the commands",
@@ -30,7 +29,7 @@ HELP = (
 _SUFFIXES = (".bt", ".ot")
 
 
-class SpaceCommands(Commands):
+class SpaceCommands(MappingCommands):
     """Answers commands of the RPC port. Called on the module's thread.
 
     Attributes:
@@ -59,19 +58,12 @@ class SpaceCommands(Commands):
             "load_from_mapserver": lambda arguments: self.load(_name(arguments)),
         })  # fmt: skip
 
-    @override
-    def answer(self, values: list[Any]) -> list[Any]:
-        """Answer as `Commands.answer`; errors of files and the store also raise `ValueError`."""
-        try:
-            return super().answer(values)
-        except (OSError, StoreError, WireError) as err:
-            raise ValueError(f"{values[0]}: {err}") from None
-
     def run(self, *, mapping: bool) -> str:
         """Start or stop mapping; return a text for people."""
         self.mapping = mapping
         return "Mapping." if mapping else "Stopped; 'start' continues."
 
+    @override
     def save(self) -> str:
         """Save map and layer in the store; return a text for people.
 

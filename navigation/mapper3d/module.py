@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ from bridge.config.sections.section import Section
 from bridge.hub.errors import HubError
 from bridge.modules.host import Host
 from bridge.modules.module import Module
-from bridge.modules.services import Answer
 from bridge.stores.entry import StoreError
 from bridge.worker import Health
 from navigation.algorithms.voxel_layer import EDGE, FLOOR, LayerColumns
@@ -28,7 +26,6 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.octomap import Octomap
 from yarp_compat.wire.errors import WireError
 
-TRIGGER = "std_srvs/srv/Trigger"
 _BEAT = 0.05
 _SAVE_PERIOD = 60.0  # seconds; a module has one second to stop, and saving a large map may take longer
 _SILENT_NS = 2_000_000_000
@@ -59,9 +56,7 @@ class Mapper3D(Module):
         self._octomaps = OctomapServer(host, section, self.space) if section.octomap else None
         self._queue = Sources(host, section, self._poses, self._add).queue
         host.yarp.respond(f"{section.prefix}/rpc", lambda values: host.loop.call(lambda: self._answer(values)))
-        for command, done in (("start", "mapping"), ("stop", "not mapping")):
-            host.node.server(f"/{self.name}/{command}", TRIGGER, self._trigger(command, done))
-        host.node.server(f"/{self.name}/save", TRIGGER, self._save)
+        self._commands.serve(host, self.name)
         host.on_jump(self._queue.clear)
         host.every(_BEAT, self._queue.work)
         host.every(section.layer.period, self._publish_layer)
@@ -126,19 +121,6 @@ class Mapper3D(Module):
         answer = self._commands.answer(values)
         self._layer_changed = self._map_changed = True
         return answer
-
-    def _trigger(self, command: str, done: str) -> Callable[[dict[str, Any], Answer], None]:
-        def serve(_request: dict[str, Any], answer: Answer) -> None:
-            self._commands.answer([command])
-            answer({"success": True, "message": done})
-
-        return serve
-
-    def _save(self, _request: dict[str, Any], answer: Answer) -> None:
-        try:
-            answer({"success": True, "message": self._commands.save()})
-        except (StoreError, ValueError) as err:
-            answer({"success": False, "message": str(err)})
 
     @override
     def health(self) -> Health:
