@@ -148,7 +148,8 @@ class HubSide:
         until(lambda: self.hub.graph.servers(service) and client.ready, f"a server of {service} on the hub", 60)
         return Calling(self.registry, name, request, client.call)
 
-    def route(self, topic: str, direction: str) -> dict[str, Any] | None:
+    def route(self, topic: str, direction: str) -> Any:
+        """Return one route as a dictionary, None without one."""
         return next((r for r in self.status()["routes"] if r["topic"] == topic and r["direction"] == direction), None)
 
     def takes(self, topic: str, direction: str, *, lane: bool) -> bool:

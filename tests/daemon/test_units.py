@@ -199,6 +199,7 @@ def test_two_daemons_share_the_state_folder_and_the_hub(tmp_path: Path) -> None:
                 name=name, navigation={}, modules={}, state=None, store={"enabled": True},
                 hub={"listen": f"tcp/127.0.0.1:{robots[0].port}"},
             )  # fmt: skip
+            assert robot.env is not None
             robot.env["STATE_DIRECTORY"] = str(tmp_path / "state")
             robot.midspan("worker", "router", "--control")
             robot.midspan("run", "--adopt", "router")

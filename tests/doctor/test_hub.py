@@ -20,7 +20,7 @@ from bridge.doctor.hub_problems import conflicts
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind, Origin
 from bridge.hub.wire.qos import Qos
-from tests.doctor.parts import around, hub, only, results
+from tests.doctor.parts import around, every, hub, only, results
 from tests.peers.hub.network import HubNetwork
 from tests.support.ports import free_port
 
@@ -62,7 +62,7 @@ def test_workers() -> None:
         {"worker": "sim", "state": "starting", "text": "importing dartpy (4 s)"},
         {"worker": "modules", "state": "cannot work", "text": "no module is there"},
     )
-    finding = hub_checks.look_at_workers(around(hub=view))
+    finding = every(hub_checks.look_at_workers(around(hub=view)))
     assert results(finding) == [Result.OK, Result.WARN, Result.WARN, Result.FAIL, Result.WARN, Result.FAIL]
     assert finding[-2].seen == "robot1/sim is starting: importing dartpy (4 s)"
     assert finding[-1].seen == "robot1/modules cannot work: no module is there"
@@ -144,7 +144,7 @@ def test_refused_types_and_differing_definitions() -> None:
     warned = only(types.look_at_hashes(around(hub=hub({"worker": "ros1", "warnings": [deaf, "/d: other"]}))))
     assert (warned.result, warned.seen) == (Result.WARN, deaf)
     many = hub({"worker": "ros1", "refused": [{**unknown, "type": f"x/A{number}"} for number in range(30)]})
-    assert "and 10 more" in types.look_at_refused(around(hub=many))[-1].seen
+    assert "and 10 more" in every(types.look_at_refused(around(hub=many)))[-1].seen
     nothing = around(hub=hub({"worker": "ros1"}))
     assert only(types.look_at_refused(nothing)).result is Result.OK
     assert only(types.look_at_hashes(nothing)).result is Result.OK

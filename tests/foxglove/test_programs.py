@@ -137,9 +137,9 @@ def test_the_app_calls_services_of_rospy_and_rclpy(robot: Robot) -> None:
             reply = {"success": True, "message": name}
             peer.ask("serve", service=f"/{name}_light", type="std_srvs/SetBool", reply=reply)
             call = app.call(f"/{name}_light", request)
-            reply = app.until(lambda: app.replies.get(call), f"the reply of {name}; {app.texts[-1]}", 30)  # noqa: B023
-            assert reply[4] == 1
-            assert reply[-len(name) - 1 :] == name.encode() + b"\0"
+            frame = app.until(lambda: app.replies.get(call), f"the reply of {name}; {app.texts[-1]}", 30)  # noqa: B023
+            assert frame[4] == 1
+            assert frame[-len(name) - 1 :] == name.encode() + b"\0"
 
 
 def test_the_app_sets_a_parameter_of_rclpy(robot: Robot) -> None:

@@ -18,10 +18,11 @@ def cloud(points=POINTS, kind="<f4", datatype=7, order="xyz", gap=0, height=1, r
     for axis, name in enumerate("xyz"):
         rows[name] = points[:, axis].reshape(rows.shape)
     data = b"".join(row.tobytes() + bytes(row_gap) for row in rows)
+    fields = layout.fields or {}
     return {
         "width": rows.shape[1], "height": height, "point_step": layout.itemsize,
         "row_step": rows.shape[1] * layout.itemsize + row_gap, "is_bigendian": kind[0] == ">", "is_dense": False,
-        "fields": [{"name": n, "offset": layout.fields[n][1], "datatype": datatype, "count": 1} for n in layout.names],
+        "fields": [{"name": n, "offset": fields[n][1], "datatype": datatype, "count": 1} for n in layout.names],
         "data": np.frombuffer(data, np.uint8),
     }  # fmt: skip
 

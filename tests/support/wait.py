@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 T = TypeVar("T")
 
@@ -12,7 +12,9 @@ _LONG, _PATIENCE = 10.0, 60.0
 """Waits of at least 10 s only detect hangs, and are extended to a minute, because a busy machine is slow."""
 
 
-def until(condition: Callable[[], T], what: str, seconds: float = 40.0, every: float = 0.02) -> T:
+def until(
+    condition: Callable[[], T | Literal[False] | None], what: str, seconds: float = 40.0, every: float = 0.02
+) -> T:
     """Return the condition's first true value; fail with ``what`` after ``seconds``, or a minute from 10 s on."""
     seconds = max(seconds, _PATIENCE) if seconds >= _LONG else seconds
     end = time.monotonic() + seconds

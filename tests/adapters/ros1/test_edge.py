@@ -6,6 +6,7 @@ import os
 import socket
 import struct
 import time
+from typing import Any
 from xmlrpc.client import ServerProxy
 
 import pytest
@@ -34,7 +35,7 @@ uint32 seq
 time stamp
 string frame_id
 """
-A_THING = {
+A_THING: dict[str, Any] = {
     "header": {"seq": 7, "stamp": {"secs": 1, "nsecs": 2}, "frame_id": "map"},
     "name": "thing",
     "data": [0, 128, 255],
@@ -428,6 +429,7 @@ def test_rosnode_can_read_the_adapters_connections(master, edge):
         uri = until(lambda: master.call("lookupNode", "/midspan"), "the node is known")
 
         def topics() -> bool:
+            node: Any
             with ServerProxy(uri) as node:
                 _, _, connections = node.getBusInfo("/test")
                 assert node.getBusStats("/test")[0] == 1

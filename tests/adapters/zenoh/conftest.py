@@ -61,8 +61,8 @@ class Place(HubRig):
         """Start a program without ROS."""
         return self.keep(JsonProgram(self.router.endpoint))
 
-    def route(self, side: str, topic: str, direction: str) -> dict[str, Any] | None:
-        """Return one route of one dialect."""
+    def route(self, side: str, topic: str, direction: str) -> Any:
+        """Return one route of one dialect as a dictionary, None without one."""
         routes = self.answer(side)["routes"]
         return next((r for r in routes if r["topic"] == topic and r["direction"] == direction), None)
 

@@ -34,7 +34,7 @@ def hub(network: HubNetwork) -> Iterator[Hub]:
         yield hub
 
 
-def asked(hub: Hub, request: dict[str, Any], seconds: float = 20.0) -> dict[str, Any] | str:
+def asked(hub: Hub, request: dict[str, Any], seconds: float = 20.0) -> Any:
     """The reply to a call of /do, or the error's text."""
     client = hub.client("/do", SERVICE, HASH)
     until(lambda: client.ready, "the server is seen")

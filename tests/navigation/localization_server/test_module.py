@@ -61,8 +61,8 @@ def use(place: Place, name: str, robot: Robot) -> None:
     place.worker.store.use_map(name)
 
 
-def status_of(place: Place) -> dict[str, Any]:
-    """Return the module's status document."""
+def status_of(place: Place) -> Any:
+    """Return the module's status document, a dictionary."""
     return place.answer("localization_server")
 
 

@@ -92,7 +92,7 @@ class App:
         else:
             self.texts.append(texts)
 
-    def until(self, done: Callable[[], T], what: str, seconds: float = 15.0) -> T:
+    def until(self, done: Callable[[], T | None], what: str, seconds: float = 15.0) -> T:
         """Read until ``done`` returns something true."""
         end = time.monotonic() + seconds
         while not (result := done()):

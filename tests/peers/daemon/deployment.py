@@ -103,8 +103,8 @@ class Deployment(MidspanDaemon):
         """Return the status of one side's worker, empty if it does not answer."""
         return next((d for d in self.status() if d.get("side") == side), {})
 
-    def route(self, side: str, topic: str, direction: str) -> dict[str, Any] | None:
-        """Return one route of one worker."""
+    def route(self, side: str, topic: str, direction: str) -> Any:
+        """Return one route of one worker as a dictionary, None without one."""
         routes = self.worker(side).get("routes", [])
         return next((r for r in routes if r["topic"] == topic and r["direction"] == direction), None)
 

@@ -56,7 +56,7 @@ class Serving:
         self.held, self.ended = bool(params.get("held")), False
         self.arrived = threading.Condition()
         self.taken: list[Any] = []
-        self.attachments: list[bytes | None] = []
+        self.attachments = list[bytes]()
         self.waiting: list[zenoh.Query] = []
         self.queryable = session.declare_queryable(
             key, zenoh.handlers.Callback(self.asked, indirect=False), allowed_origin=zenoh.Locality.REMOTE
@@ -70,7 +70,7 @@ class Serving:
         request = self.wire.decode(f"{self.type}_Request", b"" if payload is None else payload.to_bytes())
         with self.arrived:
             self.taken.append(request)
-            self.attachments.append(None if attached is None else attached.to_bytes())
+            self.attachments.append(b"" if attached is None else attached.to_bytes())
             held = self.held
             if held:
                 self.waiting.append(query)

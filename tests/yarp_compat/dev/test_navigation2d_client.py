@@ -46,7 +46,7 @@ class Robot(Planner):
         super().__init__()
         self.status, self.next_states = "moving", list[str]()
         self.placed: list[Any] = []
-        self.located: tuple[Map2DLocation, Any] | None = (Map2DLocation("m1", 1.0, 2.1, 100.0), COVARIANCE)
+        self.located: Any = (Map2DLocation("m1", 1.0, 2.1, 100.0), COVARIANCE)
 
     def getNavigationStatus(self) -> str:
         return self.next_states.pop(0) if self.next_states else self.status
@@ -169,7 +169,7 @@ def test_places_are_compared_with_the_position_of_the_robot(
     assert client.findCurrentArea(name, area)
     assert (name, area) == (["room"], ROOM)
     assert client.storeCurrentPosition("here")
-    assert kept.kept["location"]["here"] == robot.getCurrentPosition()[0]
+    assert kept.kept["location"]["here"] == robot.located[0]
     robot.located = (Map2DLocation("m2", 1, 2), None)
     assert client.findCurrentArea(name, area)
     assert (name, area) == ([""], Map2DArea())

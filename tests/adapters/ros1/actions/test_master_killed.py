@@ -3,6 +3,7 @@
 import base64
 import signal
 import time
+from typing import Any
 from xmlrpc.client import ServerProxy
 
 import pytest
@@ -112,6 +113,7 @@ def test_another_master_without_the_server_ends_no_goals(drive):
 
 
 def test_a_lost_registration_ends_no_goals(drive):
+    proxy: Any
     with ServerProxy(drive.master.uri) as proxy:
         _, _, uri = proxy.lookupNode("/test", "/driver")
         for part in ("status", "feedback", "result"):

@@ -22,6 +22,7 @@ A, B = "http://host:1/", "http://host:2/"
 
 def filled() -> MasterApi:
     api = MasterApi("", RecordedCalls())
+    method: str
     for method, *params in [
         ("registerPublisher", "/a", "/t", "std_msgs/String", A),
         ("registerPublisher", "/b", "/t", "std_msgs/String", B),
