@@ -58,15 +58,15 @@ class Publication:
 
     def header(self) -> Header:
         """Return the connection header for subscribers."""
-        return {
+        header = {
             "callerid": self._node(),
             "topic": self.topic,
             "type": self.side_type.name,
             "md5sum": self.side_type.type_id,
             "message_definition": self.side_type.definition,
             "latching": "1" if self.latches else "0",
-            ORIGIN_FIELD: self._origin,
         }
+        return header | {ORIGIN_FIELD: self._origin} if self._origin else header
 
     def mismatch(self, header: Header) -> str:
         """Return why a subscriber's type does not match; "" if it does."""
