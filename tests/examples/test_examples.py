@@ -17,6 +17,7 @@ RUNS = {
     "status.py",
     "goto_pose.py",
     "goto_location_yarp.py",
+    "goto_location_ros1.py",
     "goto_location_rospy.py",
     "goto_location_rclpy.py",
     "goto_location_zenoh.py",
@@ -42,7 +43,7 @@ def test_status_prints_the_places(place: Examples) -> None:
     assert (code, lines[-1]) == (0, f"places: {' '.join(sorted(PLACES))}")
 
 
-@pytest.mark.parametrize("side", ["yarp", "rospy", "rclpy", "zenoh"])
+@pytest.mark.parametrize("side", ["yarp", "rospy", "ros1", "rclpy", "zenoh"])
 def test_a_client_goes_to_a_location(place: Examples, side: str) -> None:
     arguments = (f"tcp/127.0.0.1:{place.deployment.port}",) if side == "zenoh" else ()
     for name in ("hall", "kitchen"):  # the robot may be in the hall already, so the second goal always moves it

@@ -97,6 +97,8 @@ class Examples:
         python: Any = sys.executable
         if side == "rospy":
             python, env = ROS1_PYTHON, self.deployment.master.env
+        elif side == "ros1":
+            env |= {"ROS_MASTER_URI": self.deployment.master.uri, "PYTHONPATH": str(EXAMPLES.parent)}
         elif side == "rclpy":
             python, env = ros2_python(), ros2_environment()
         return Process([python, EXAMPLES / example, *arguments], env)

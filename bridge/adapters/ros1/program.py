@@ -1,0 +1,257 @@
+"""ROS 1 nodes for small programs, on any computer with Python: topics and actions, without ROS 1's packages.
+
+To the graph such a node is any program's. Messages are JSON values (`bridge.messages.json`) with ROS 1's field names;
+times are ``{"sec": ..., "nanosec": ...}``, and headers have no ``seq``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import threading
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+from urllib.parse import urlsplit
+
+from bridge.adapters.ros1.actions import discovery, wire
+from bridge.adapters.ros1.actions.client import ActionlibClient
+from bridge.adapters.ros1.actions.frames import empty
+from bridge.adapters.ros1.actions.network import types_of
+from bridge.adapters.ros1.environment import DEFAULT_MASTER, is_local
+from bridge.adapters.ros1.node.address import NodeAddress
+from bridge.adapters.ros1.node.plain import Deliver, PlainNode, PlainNodeEvents
+from bridge.adapters.ros1.topics.publication import Publication
+from bridge.adapters.ros1_peers import Ros1Error, XmlRpcClient
+from bridge.concurrency import InlineExecutor
+from bridge.hub.endpoints.calls import CallError
+from bridge.messages.actions import GoalState
+from bridge.messages.json import from_json, to_json
+from bridge.messages.registry import Registry
+from bridge.messages.transcode.conversion import SideType
+
+_MASTER_SECONDS = 5.0
+_TICK_SECONDS = 0.1
+_DEPTH = 100
+
+Message = Mapping[str, Any]
+
+
+class Ros1Program:
+    """A node of ``name`` and a random suffix, at the master of ``ROS_MASTER_URI``.
+
+    Raises `bridge.adapters.ros1_peers.Ros1Error` if the master does not answer, and
+    `bridge.messages.errors.MessageTypeError` for unknown types.
+    """
+
+    def __init__(self, name: str, registry: Registry | None = None) -> None:
+        self.registry = registry or Registry()
+        self.changed = threading.Condition()
+        self._uri = os.environ.get("ROS_MASTER_URI") or DEFAULT_MASTER
+        environ = dict(os.environ)
+        if not {"ROS_IP", "ROS_HOSTNAME"} & environ.keys() and is_local(urlsplit(self._uri).hostname or ""):
+            environ["ROS_IP"] = "127.0.0.1"
+        self.name = f"/{name.strip('/')}_{uuid.uuid4().hex[:12]}"
+        self._registering = threading.Lock()
+        self._closed = False
+        self._registered: list[tuple[str, str]] = []
+        self._types: dict[str, str] = {}
+        events = PlainNodeEvents(self._publishers, self._notify, lambda _reason: self._notify())
+        self._node = PlainNode(self.name, self._uri, NodeAddress.of(environ), events)
+
+    def publish(self, topic: str, side_type: SideType) -> Publication:
+        """Open a publication for messages as bytes."""
+        publication = self._node.publish(topic, side_type)
+        self._call("registerPublisher", topic, side_type.name)
+        self._registered.append(("unregisterPublisher", topic))
+        return publication
+
+    def subscribe(self, topic: str, side_type: SideType, deliver: Deliver) -> None:
+        """Subscribe to messages as bytes; ``deliver`` is called on any thread."""
+        self._types[topic] = side_type.name
+        self._node.subscribe(topic, side_type, deliver)
+        self._registered.append(("unregisterSubscriber", topic))
+        self._publishers(topic)
+        self._node.follow()
+
+    def publishers(self, topic: str) -> set[str]:
+        """Return the nodes to whose publications of a subscribed topic this node is connected."""
+        return self._node.publishers(topic)
+
+    def wait_for_message(self, topic: str, type_name: str, seconds: float) -> Message | None:
+        """Return a topic's next message, or its latched one; None if none arrives in time."""
+        received: list[bytes] = []
+
+        def deliver(payload: bytes, _uri: str) -> None:
+            received.append(payload)
+            self._notify()
+
+        self.subscribe(topic, self.registry.ros1(type_name), deliver)
+        self.wait(lambda: bool(received), seconds)
+        return self.decode(type_name, received[0]) if received else None
+
+    def action_client(self, name: str, type_name: str) -> ActionClient:
+        """Return a client of an action, such as ``/move_base`` of type ``move_base_msgs/MoveBase``."""
+        return ActionClient(self, name, type_name)
+
+    def encode(self, type_name: str, message: Message) -> bytes:
+        """Serialize a message; missing fields have their defaults. Raises `bridge.messages.errors.ConversionError`."""
+        name = self.registry.ros1_to_hub(type_name).target.name
+        convert = self.registry.hub_to_ros1(name).convert
+        cdr = from_json(self.registry, name, message)
+        return cdr if convert is None else convert(cdr)
+
+    def decode(self, type_name: str, payload: bytes) -> Message:
+        """Parse a message; raises `bridge.messages.errors.ConversionError`."""
+        conversion = self.registry.ros1_to_hub(type_name)
+        cdr = payload if conversion.convert is None else conversion.convert(payload)
+        return to_json(self.registry, conversion.target.name, cdr)
+
+    def wait(self, ready: Callable[[], bool], seconds: float) -> bool:
+        """Wait until a condition holds that a message or a connection may change; return whether it does."""
+        with self.changed:
+            return self.changed.wait_for(ready, seconds)
+
+    def close(self) -> None:
+        """Unregister from the master and close all connections; a master that is gone is ignored."""
+        with self._registering:
+            self._closed, registered = True, self._registered
+            with contextlib.suppress(Ros1Error):
+                for method, topic in registered:
+                    self._call(method, topic)
+        self._node.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        self.close()
+
+    def _publishers(self, topic: str) -> list[str]:
+        """Return a topic's publishers from the master, where this registers the subscription again."""
+        with self._registering:
+            return [] if self._closed else list(map(str, self._call("registerSubscriber", topic, self._types[topic])))
+
+    def _call(self, method: str, *params: str) -> Any:
+        client = XmlRpcClient(self._uri, _MASTER_SECONDS)
+        try:
+            return client.call(method, self.name, *params, self._node.uri)
+        finally:
+            client.close()
+
+    def _notify(self) -> None:
+        with self.changed:
+            self.changed.notify_all()
+
+
+class GoalOutcome(NamedTuple):
+    """The end of a goal: its state, the server's text unless it succeeded, and the result's fields."""
+
+    state: GoalState
+    text: str
+    result: Message
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the server reports success."""
+        return self.state is GoalState.SUCCEEDED
+
+
+class ActionClient:
+    """A client of one actionlib action; `Ros1Program.action_client` makes it."""
+
+    def __init__(self, program: Ros1Program, name: str, type_name: str) -> None:
+        self._program, self._type = program, type_name
+        self._executor = InlineExecutor()
+        types = types_of(program.registry, type_name)
+        self._client = ActionlibClient(name, self, time.monotonic, empty(types.result_body))
+        self._feedback: tuple[bytes, Callable[[Message], None]] | None = None
+        self._numbers = itertools.count()
+        self._server = ""
+        self._to_server = {
+            part: program.publish(f"{name}/{part}", side_type)
+            for part, side_type in ((discovery.GOAL, types.goal), (discovery.CANCEL, types.cancel))
+        }
+        reads: dict[str, tuple[SideType, Callable[[bytes], None]]] = {
+            discovery.STATUS: (types.status, lambda data: self._client.statuses(wire.read_statuses(data))),
+            discovery.FEEDBACK: (types.feedback, lambda data: self._client.feedback(*wire.read_action_outcome(data))),
+            discovery.RESULT: (types.result, lambda data: self._client.result(*wire.read_action_outcome(data))),
+        }
+        self._from_server = [f"{name}/{part}" for part in reads]
+        for part, (side_type, read) in reads.items():
+            program.subscribe(f"{name}/{part}", side_type, self._reader(read))
+
+    def wait_for_server(self, seconds: float) -> bool:
+        """Wait until all five topics are connected to a server; return whether they are."""
+        return self._program.wait(self._connected, seconds)
+
+    def send_goal(self, goal: Message, on_feedback: Callable[[Message], None] | None = None) -> GoalOutcome:
+        """Send a goal and wait for its end, with ``on_feedback`` for each feedback; an interrupt cancels the goal."""
+        replies: list[bytes | CallError] = []
+        goal_id = uuid.uuid4().bytes
+        request = goal_id + self._program.encode(f"{self._type}Goal", goal)
+        self._feedback = (goal_id, on_feedback) if on_feedback is not None else None
+        self._executor.submit(lambda: self._client.send_goal(request, replies.append))
+        try:
+            first = self._wait_for(replies, 1)
+            if isinstance(first, CallError):
+                return self._outcome(first)
+            if not wire.read_goal_response(first):
+                return GoalOutcome(GoalState.UNKNOWN, "the server rejected the goal", {})
+            self._executor.submit(lambda: self._client.get_result(goal_id, replies.append))
+            return self._outcome(self._wait_for(replies, 2))
+        except KeyboardInterrupt:
+            self._executor.submit(lambda: self._client.close("interrupted"))
+            raise
+
+    # -- called by the client ------------------------------------------------------------------------------------------
+
+    def publish(self, part: str, payload: bytes) -> None:
+        """Publish on the server's ``goal`` or ``cancel`` topic."""
+        self._to_server[part].send(payload, str(next(self._numbers)), _DEPTH, retain=False)
+
+    def deliver(self, part: str, payload: bytes) -> None:
+        """Pass feedback to the program; the states are not used."""
+        if part == discovery.FEEDBACK and self._feedback is not None:
+            goal_id, body = wire.read_with_uuid(payload)
+            if goal_id == self._feedback[0]:
+                self._feedback[1](self._program.decode(f"{self._type}Feedback", body))
+
+    # ------------------------------------------------------------------------------------------------------------------
+
+    def _reader(self, read: Callable[[bytes], None]) -> Deliver:
+        def deliver(payload: bytes, _uri: str) -> None:
+            self._executor.submit(lambda: read(payload))
+            with self._program.changed:
+                self._program.changed.notify_all()
+
+        return deliver
+
+    def _connected(self) -> bool:
+        """Return whether one node has all ends of the action; inform the client of a change."""
+        nodes = [self._program.publishers(topic) for topic in self._from_server]
+        nodes += [{connection.peer for connection in p.connections} for p in self._to_server.values()]
+        servers = sorted(set.intersection(*nodes))
+        if self._server and self._server not in servers:
+            reason, self._server = f"its action server {self._server} left", ""
+            self._executor.submit(lambda: self._client.lost(reason))
+        if servers and not self._server:
+            self._server = servers[0]
+            self._executor.submit(self._client.found)
+            self._executor.submit(self._client.connected)
+        return bool(self._server)
+
+    def _wait_for(self, replies: list[bytes | CallError], count: int) -> bytes | CallError:
+        while not self._program.wait(lambda: len(replies) >= count, _TICK_SECONDS):
+            self._connected()
+            self._executor.submit(self._client.tick)
+        return replies[count - 1]
+
+    def _outcome(self, reply: bytes | CallError) -> GoalOutcome:
+        if isinstance(reply, CallError):
+            return GoalOutcome(GoalState.UNKNOWN, str(reply), {})
+        state, body, text = wire.read_result_response(reply)
+        return GoalOutcome(GoalState(state), text, self._program.decode(f"{self._type}Result", body))
