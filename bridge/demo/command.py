@@ -28,8 +28,8 @@ def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
         "rooms: a YARP, a ROS 1 and a ROS 2 client in turn send the R1 to named rooms of a simulated apartment, with"
-        " only Midspan in between (configs/navigation.yaml); shows the map and the path. topics: a roscore, the"
-        " simulated R1 as a ROS 1 robot, the daemon, and real rclpy, zenoh and YARP programs that subscribe and drive;"
+        " only Midspan in between (configs/navigation.yaml); shows the map and the path. topics: a ROS 1 master, the"
+        " simulated R1 as a rospy robot, the daemon, and real rclpy, zenoh and YARP programs that subscribe and drive;"
         " shows every route, and checks from the programs' reports that everything was bridged. Both use their"
         " own ports and ROS domain, and leave no process or file on the machine. Exit code 1 if a room was not"
         " reached, or something was not bridged."
@@ -74,19 +74,17 @@ def _rooms(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.ExitS
     from bridge.demo import rooms
     from bridge.demo.progress import DemoError
     from bridge.demo.rooms_view import RoomsView
-    from bridge.demo.sandbox import missing, too_slow, without_ros1
+    from bridge.demo.sandbox import missing, too_slow
 
     template = args.config or rooms.CONFIG
     sandbox = _sandbox(shutdown, stack, template, rooms.overrides(template), ports=False)
-    without = without_ros1(sandbox.config)
-    if without:
-        sandbox.leave_out_ros1()
+    replaced = rooms.replace_ros1(sandbox)
     _require([*missing(sandbox.config), *_simulation(sandbox), *too_slow()])
     with shutdown.held():
         view = stack.enter_context(RoomsView())
     view.print_line(_console(sandbox))
-    if without:
-        view.print_line(f"{without}\nthe demo continues without its ROS 1 client")
+    if replaced:
+        view.print_line(replaced)
     result = None
     try:
         demo = rooms.RoomsDemo(sandbox, view.tick, shutdown)
@@ -137,13 +135,17 @@ def _draw(course: Any, file: Path) -> None:
 
 def _topics(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.ExitStack) -> int:
     from bridge.demo.progress import DemoError
-    from bridge.demo.sandbox import CONFIG, missing, too_slow
+    from bridge.demo.sandbox import CONFIG, ROBOT, missing, roscore, too_slow, without_rospy
     from bridge.demo.topics_demo.scenario import TopicsDemo, TopicsResult
     from bridge.demo.topics_demo.view import TopicsView
 
     template = args.config or (CONFIG if CONFIG.is_file() else None)
     sandbox = _sandbox(shutdown, stack, template, {}, ports=True)
-    _require([*missing(sandbox.config), *_simulation(sandbox), *too_slow()])
+    robot = without_rospy(sandbox.config, ROBOT)
+    if roscore(sandbox.config) is None:
+        sandbox.embed_master()
+    needed = [f"{robot}\nthe robot of this demo is a rospy program; 'midspan demo' needs no rospy"] if robot else []
+    _require([*needed, *missing(sandbox.config), *_simulation(sandbox), *too_slow()])
     result = TopicsResult()
     with shutdown.held():
         view = stack.enter_context(TopicsView(sandbox))

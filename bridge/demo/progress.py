@@ -234,8 +234,9 @@ class DemoRun:
 
     def _launch_roscore_and_daemon(self) -> None:
         sandbox = self._sandbox
-        if sandbox.config.ros1.enabled:
-            master = guarded(SYSTEM_PYTHON, roscore(sandbox.config), "-p", str(sandbox.master_port))
+        program = None if sandbox.config.ros1.embedded_uri else roscore(sandbox.config)
+        if program is not None:
+            master = guarded(SYSTEM_PYTHON, program, "-p", str(sandbox.master_port))
             self._launch("roscore", master, sandbox.ros1_environment())
         daemon = guarded(sys.executable, "-m", "bridge.cli.main", "run", "--config", sandbox.config_file)
         self._launch("daemon", daemon, sandbox.environment())

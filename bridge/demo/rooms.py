@@ -17,7 +17,7 @@ from bridge.config.load import load
 from bridge.daemon.workers import worker_kinds
 from bridge.demo.processes import Program
 from bridge.demo.progress import STILL_SECONDS, DemoRun, PartState
-from bridge.demo.sandbox import SYSTEM_PYTHON, Sandbox
+from bridge.demo.sandbox import CLIENT, SYSTEM_PYTHON, Sandbox, roscore, without_rospy
 from bridge.demo.shutdown import Shutdown, end_all
 from bridge.demo.tracking import RobotTracker
 from bridge.shipped import shipped_folder
@@ -33,6 +33,7 @@ NEAR = 0.3
 
 YARP, ROS1, ROS2 = "YARP", "ROS 1", "ROS 2"
 _CLIENTS = {YARP: "goto_location_yarp.py", ROS1: "goto_location_rospy.py", ROS2: "goto_location_rclpy.py"}
+_WITHOUT_ROSPY = "goto_location_ros1.py"
 ROOMS = ("kitchen", "corridor", "bathroom")
 """The rooms for the YARP, the ROS 1 and the ROS 2 client, by default."""
 
@@ -82,15 +83,14 @@ class RoomsDemo(DemoRun):
 
     @contextmanager
     def started(self) -> Iterator[RobotTracker]:
-        """Start roscore and the daemon, and track the robot; everything is ended on exit. Raises `DemoError`."""
+        """Start the ROS 1 master and the daemon, and track the robot; end everything on exit. Raises `DemoError`."""
         sandbox = self._sandbox
         conf = sandbox.folder / "yarp"
         conf.mkdir(exist_ok=True)
         (conf / "yarp.conf").write_text(f"127.0.0.1 {sandbox.yarp_port} yarp\n", encoding="utf-8")
         try:
             self._launch_roscore_and_daemon()
-            if sandbox.config.ros1.enabled:
-                self._until(sandbox.master_answers, "roscore")
+            self._until(sandbox.master_answers, "the ROS 1 master")
             self._until(lambda: self._parts.up("router"), "the hub's router")
             with self._course() as course:
                 self._until(lambda: course.localized, "the robot and its localizer", course)
@@ -118,14 +118,9 @@ class RoomsDemo(DemoRun):
                 self._check("the hub")
 
     def run(self, course: RobotTracker, rooms: Sequence[str] = ROOMS) -> RoomsResult:
-        """Let each client send the robot to its room; the ROS 1 client only if there is ROS 1."""
-        drives = [
-            (client, room)
-            for client, room in zip(_CLIENTS, rooms, strict=True)
-            if client != ROS1 or self._sandbox.config.ros1.enabled
-        ]
-        result = RoomsResult(len(drives))
-        for client, room in drives:
+        """Let each client send the robot to its room."""
+        result = RoomsResult(len(_CLIENTS))
+        for client, room in zip(_CLIENTS, rooms, strict=True):
             result.drives.append(self._drive(client, room, course))
             if not result.drives[-1].reached:
                 break
@@ -154,13 +149,14 @@ class RoomsDemo(DemoRun):
     def _drive(self, client: str, room: str, course: RobotTracker) -> RoomDrive:
         sandbox = self._sandbox
         python: Path | str = sys.executable
-        env = sandbox.environment()
-        if client == ROS1:
-            python = SYSTEM_PYTHON
-            env = sandbox.ros1_environment()
+        env, example = sandbox.environment(), _CLIENTS[client]
+        if client == ROS1 and without_rospy(sandbox.config, CLIENT):
+            example = _WITHOUT_ROSPY
+        elif client == ROS1:
+            python, env = SYSTEM_PYTHON, sandbox.ros1_environment()
         began = time.monotonic()
         with self._shutdown.held():
-            program = Program([python, EXAMPLES / _CLIENTS[client], room], env, sandbox.folder)
+            program = Program([python, EXAMPLES / example, room], env, sandbox.folder)
             self._programs.append(program)
         self._progress.begin()
         while program.running and not self._progress.stalled:
@@ -194,8 +190,8 @@ class RoomsDemo(DemoRun):
         time.sleep(0.1)
 
     def _stop(self) -> None:
-        daemon, roscore = ([self._children[name]] if name in self._children else [] for name in ("daemon", "roscore"))
-        end_all(self._sandbox, self._shutdown, ((self._programs, 4.0), (daemon, 9.0), (roscore, 9.0)))
+        daemon, master = ([self._children[name]] if name in self._children else [] for name in ("daemon", "roscore"))
+        end_all(self._sandbox, self._shutdown, ((self._programs, 4.0), (daemon, 9.0), (master, 9.0)))
 
 
 def overrides(template: Path) -> dict[str, Any]:
@@ -207,6 +203,16 @@ def overrides(template: Path) -> dict[str, Any]:
         "sim": {"people": False},
         "web": {"enabled": not worker_kinds()["web"].missing(config)},
     }
+
+
+def replace_ros1(sandbox: Sandbox) -> str:
+    """Replace the parts of ROS 1 that this machine lacks by Midspan's; return a line about them, "" for none."""
+    own_master, own_client = roscore(sandbox.config) is None, bool(without_rospy(sandbox.config, CLIENT))
+    if own_master:
+        sandbox.embed_master()
+    lacking = " and ".join(name for name, lacks in (("roscore", own_master), ("rospy", own_client)) if lacks)
+    own = " and ".join(name for name, lacks in (("master", own_master), ("client", own_client)) if lacks)
+    return f"ROS 1: Midspan's own {own}, as this machine has no {lacking}" if own else ""
 
 
 def _holds(ready: Callable[[], object]) -> bool:

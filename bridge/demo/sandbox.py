@@ -9,7 +9,7 @@ import shutil
 import socket
 import tempfile
 import xmlrpc.client
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
@@ -21,6 +21,7 @@ import bridge
 from bridge.adapters.ros2 import environment as ros2
 from bridge.config.load import load
 from bridge.config.model import Config
+from bridge.config.sections.section import EMBEDDED
 from bridge.demo.rospy_packages import missing_rospy, packages_folder
 from bridge.shipped import shipped_folder
 from navigation.status import not_compiled
@@ -30,6 +31,12 @@ MARK = "MIDSPAN_DEMO"
 
 _ROOT = Path(bridge.__file__).parents[1]
 CONFIG = shipped_folder() / "configs" / "demo.yaml"
+
+_SETTINGS = ("FASTDDS_", "FASTRTPS_", "MIDSPAN_", "RMW_", "ROS_", "YARP_", "ZENOH_")
+"""Beginnings of the variables by which a user configures Midspan and the middlewares, and which a demo ignores."""
+
+_KEPT = {"MIDSPAN_CACHE"}
+"""The folder of built message packages."""
 
 _LONGEST_BASE = 50
 _DOMAINS = range(10, 101)
@@ -84,11 +91,7 @@ class Sandbox:
 
     def environment(self) -> dict[str, str]:
         """Return the environment of the daemon and of the programs on Midspan's own Python."""
-        inherited = {
-            k: v
-            for k, v in os.environ.items()
-            if not k.startswith(("ROS_", "ZENOH_", "RMW_", "FASTDDS_", "FASTRTPS_", "YARP_"))
-        }
+        inherited = {k: v for k, v in os.environ.items() if not k.startswith(_SETTINGS) or k in _KEPT}
         return inherited | {
             MARK: str(self.folder),
             "ROS_MASTER_URI": self.master,
@@ -143,10 +146,11 @@ class Sandbox:
         self.config_file.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
         return load(self.config_file)
 
-    def leave_out_ros1(self) -> None:
-        """Disable the side ROS 1, because this machine lacks it."""
+    def embed_master(self) -> None:
+        """Let Midspan run the ROS 1 master, because this machine has no roscore."""
         document = yaml.safe_load(self.config_file.read_text(encoding="utf-8"))
-        self.config = self._written(_merged(document, {"ros1": {"enabled": False}}))
+        ros1 = {"master": EMBEDDED, "listen": f"127.0.0.1:{self.master_port}"}
+        self.config = self._written(_merged(document, {"ros1": ros1}))
 
     def __enter__(self) -> Self:
         return self
@@ -213,16 +217,16 @@ def _is_free(port: int, kind: socket.SocketKind = socket.SOCK_DGRAM) -> bool:
 SYSTEM_PYTHON = Path("/usr/bin/python3")
 """The Python for which ROS 1's packages are installed."""
 
-_APT = (
-    "apt install python3-rospy python3-roslaunch python3-std-msgs python3-sensor-msgs python3-nav-msgs"
-    " python3-geometry-msgs python3-tf2-msgs"
-)
+ROBOT = ("nav_msgs", "sensor_msgs", "geometry_msgs", "tf2_msgs")
+"""The packages that the simulated ROS 1 robot imports in addition to rospy."""
+
+CLIENT = ("actionlib", "actionlib_msgs", "geometry_msgs", "move_base_msgs", "visualization_msgs")
+"""The packages that the rospy client imports in addition to rospy."""
 
 
 def missing(config: Config) -> list[str]:
-    """Return what is missing, each with its cure; empty if the demo can run."""
-    ros1_reason = without_ros1(config) if config.ros1.enabled else ""
-    return [reason for reason in (ros1_reason, _ros2(config), _zenoh()) if reason]
+    """Return what is missing of ROS 2 and zenoh, each with its cure; empty if the demo can run."""
+    return [reason for reason in (_ros2(config), _zenoh()) if reason]
 
 
 def too_slow() -> list[str]:
@@ -238,27 +242,24 @@ def ros1_packages(config: Config) -> Path:
     return folder
 
 
-def roscore(config: Config) -> Path:
-    """Return the path of ``roscore``."""
-    program = shutil.which("roscore", path=f"{ros1_packages(config).parents[2] / 'bin'}:{os.environ.get('PATH', '')}")
-    assert program is not None
-    return Path(program)
+def roscore(config: Config) -> Path | None:
+    """Return the path of ``roscore``; None if it or rospy is not installed."""
+    folder = packages_folder(config, os.environ)
+    if folder is None:
+        return None
+    program = shutil.which("roscore", path=f"{folder.parents[2] / 'bin'}:{os.environ.get('PATH', '')}")
+    return Path(program) if program is not None else None
 
 
-def without_ros1(config: Config) -> str:
-    """Return what is missing of ROS 1, with its cure; "" if it is complete."""
+def without_rospy(config: Config, packages: Sequence[str]) -> str:
+    """Return what is missing of rospy and other ROS 1 packages, with the cure; "" if they are complete."""
     reason = missing_rospy(config, os.environ)
     if reason:
         return f"ROS 1: {reason}"
     folder = ros1_packages(config)
-    lacking = [
-        name for name in ("nav_msgs", "sensor_msgs", "geometry_msgs", "tf2_msgs") if not (folder / name).is_dir()
-    ]
-    if lacking:
-        return f"ROS 1: {folder} lacks {', '.join(lacking)}: {_APT}"
-    if shutil.which("roscore", path=f"{folder.parents[2] / 'bin'}:{os.environ.get('PATH', '')}") is None:
-        return f"ROS 1: no roscore on this machine: {_APT}"
-    return ""
+    lacking = [name for name in packages if not (folder / name).is_dir()]
+    debian = " ".join(f"python3-{name.replace('_', '-')}" for name in lacking)
+    return f"ROS 1: {folder} lacks {', '.join(lacking)}: apt install {debian}" if lacking else ""
 
 
 def _ros2(config: Config) -> str:

@@ -17,9 +17,9 @@ import pytest
 
 from bridge.cli.main import build_parser
 from bridge.client.errors import ClientError
-from bridge.demo import command, leftovers, sandbox
+from bridge.demo import command, leftovers, rooms, sandbox
 from bridge.demo.processes import guarded
-from bridge.demo.sandbox import Sandbox, missing
+from bridge.demo.sandbox import CLIENT, Sandbox
 from bridge.demo.topics_demo import messages
 from bridge.demo.topics_demo.checks import ROS1, ROS2, YARP, YARP_TEXT, ZENOH, Drive, evaluate, expectations
 from bridge.demo.topics_demo.report import TopicReceived
@@ -128,15 +128,49 @@ def test_a_sandbox_keeps_the_rules_of_its_template(tmp_path: Path) -> None:
         assert not box.config.hub.listen.endswith(":7447")
 
 
-def test_a_demo_without_ros1_needs_no_ros1(tmp_path: Path) -> None:
-    template = tmp_path / "without.yaml"
-    template.write_text(f"ros1: {{packages: {tmp_path}}}\n")
+NO_ROSCORE = "ROS 1: Midspan's own master, as this machine has no roscore"
+NO_ROSPY = "ROS 1: Midspan's own client, as this machine has no rospy"
+NEITHER = "ROS 1: Midspan's own master and client, as this machine has no roscore and rospy"
+
+
+@pytest.mark.parametrize(
+    ("programs", "packages", "line"),
+    [
+        ((), (), NEITHER),
+        ((), ("rospy", *CLIENT), NO_ROSCORE),
+        (("roscore",), ("rospy",), NO_ROSPY),
+        (("roscore",), ("rospy", *CLIENT), ""),
+    ],
+)
+def test_midspan_replaces_what_a_machine_lacks_of_ros1(
+    tmp_path: Path, programs: tuple[str, ...], packages: tuple[str, ...], line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr("bridge.demo.rospy_packages._NEEDED", ())
+    folder = tmp_path / "lib" / "python3" / "dist-packages"
+    for package in packages:
+        (folder / package).mkdir(parents=True)
+        (folder / package / "__init__.py").touch()
+    folder.mkdir(parents=True, exist_ok=True)
+    (tmp_path / "bin").mkdir()
+    for program in programs:
+        (tmp_path / "bin" / program).touch(0o755)
+    template = tmp_path / "template.yaml"
+    template.write_text(f"ros1: {{packages: {folder}}}\n")
     with Sandbox(template) as box:
-        assert any(reason.startswith("ROS 1: ") for reason in missing(box.config))
-        box.leave_out_ros1()
-        assert not any(reason.startswith("ROS 1: ") for reason in missing(box.config))
-        assert not box.config.ros1.enabled
-        assert box.config.ros2.enabled
+        assert rooms.replace_ros1(box) == line
+        assert box.config.ros1.enabled
+        assert box.config.ros1.embedded_uri == ("" if programs else box.master)
+
+
+def test_the_settings_of_a_user_do_not_reach_the_demo(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("MIDSPAN_CONFIG", "MIDSPAN_SIDES", "MIDSPAN_WORKERS", "ROS_MASTER_URI", "YARP_LOG_LEVEL"):
+        monkeypatch.setenv(name, "mine")
+    monkeypatch.setenv("MIDSPAN_CACHE", "/packages")
+    with Sandbox(None) as box:
+        environ = box.environment()
+    assert "mine" not in environ.values()
+    assert environ["MIDSPAN_CACHE"] == "/packages", "the built message packages are found"
 
 
 def test_the_shipped_configuration_is_valid() -> None:
@@ -188,9 +222,12 @@ def test_missing_software_is_reported_with_its_cure(tmp_path: Path) -> None:
     from bridge.config.model import Config
 
     config = Config.model_validate({"ros1": {"packages": str(tmp_path)}})
-    reasons = sandbox.missing(config)
-    assert reasons
-    assert str(tmp_path) in reasons[0]
+    assert str(tmp_path) in sandbox.without_rospy(config, sandbox.ROBOT)
+    (tmp_path / "rospy").mkdir()
+    (tmp_path / "rospy" / "__init__.py").touch()
+    for package in ("rosgraph", "rosgraph_msgs", "roscpp", "genpy", "std_msgs"):
+        (tmp_path / package).mkdir()
+    assert "apt install python3-nav-msgs" in sandbox.without_rospy(config, ("nav_msgs",))
 
 
 @pytest.mark.parametrize("what", ["rooms", "topics"])

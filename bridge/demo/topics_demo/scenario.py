@@ -104,7 +104,7 @@ class TopicsDemo(DemoRun):
         self._launch_roscore_and_daemon()
         self._launch_program(ROS2, "ros2_program", environment)
         self._launch_program(YARP, "yarp_program", environment, sandbox.yarp_port)
-        self._wait_for(sandbox.master_answers, "roscore")
+        self._wait_for(sandbox.master_answers, "the ROS 1 master")
         ros1 = program_environment(sandbox.config, environment, sandbox.folder / "packages")
         self._launch_program(ROS1, "robot", ros1)
         self._wait_for(lambda: self._parts.up("router"), "the hub's router")  # the SDK requires it
