@@ -45,7 +45,9 @@ class Processes:
     def start_master(self) -> None:
         """Start roscore, and wait until it replies."""
         place = self.place
-        command = guarded(sandbox.SYSTEM_PYTHON, sandbox.roscore(place.config), "-p", str(place.master_port))
+        roscore = sandbox.roscore(place.config)
+        assert roscore is not None
+        command = guarded(sandbox.SYSTEM_PYTHON, roscore, "-p", str(place.master_port))
         self._spawn("roscore", command, self._ros1)
         self.until(place.master_answers, "roscore answers")
 

@@ -197,7 +197,7 @@ def pack(release: Release, root: Path, to: Path, version: str | None = None, *, 
     size = sum(path.stat().st_size for path in files) // 1024
     python = f"python3 (>= 3.{release.python}), python3 (<< 3.{release.python + 1})"
     text = (_SOURCE / "control").read_text("utf-8")
-    for mark, value in (("VERSION", full), ("SIZE", str(size)), ("PYTHON", python), ("ROS1", ", ".join(ros1()))):
+    for mark, value in (("VERSION", full), ("SIZE", str(size)), ("PYTHON", python)):
         text = text.replace(f"@{mark}@", value)
     _write(control / "control", text)
     to.mkdir(parents=True, exist_ok=True)
@@ -210,13 +210,6 @@ def pack(release: Release, root: Path, to: Path, version: str | None = None, *, 
 def _runs(file: Path) -> bool:
     """Return whether a file is a program; wheels mark libraries as executable, too."""
     return bool(file.stat().st_mode & 0o100) and ".so" not in file.suffixes and file.suffix != ".py"
-
-
-def ros1() -> list[str]:
-    """Return the archive's ROS 1 packages that set-up installs."""
-    match = re.search(r'^ros1="([^"]+)"', (ROOT / "scripts/setup.sh").read_text(encoding="utf-8"), re.MULTILINE)
-    assert match is not None
-    return match[1].split()
 
 
 def _changelog(version: str) -> str:

@@ -113,9 +113,21 @@ not_installed() {
     done
 }
 
+# Prints those of the given Debian packages that are not of ROS 1.
+without_ros1() {
+    # shellcheck disable=SC2086  # a list of words
+    ros1_words=" $(echo $ros1) "
+    for package in "$@"; do
+        case "$ros1_words" in
+            *" $package "*) ;;
+            *) printf '%s ' "$package" ;;
+        esac
+    done
+}
+
 system_packages() {
     if ! command -v apt-get >/dev/null || ! command -v dpkg-query >/dev/null; then
-        lacking "no apt on this system: ROS 1 (rospy) cannot be installed here; set-up continues without it"
+        lacking "no apt on this system: install a C++ compiler, git and make yourself; rospy is not needed"
         return
     fi
     # shellcheck disable=SC2086  # lists of words
@@ -124,7 +136,11 @@ system_packages() {
         return
     fi
     if [ "$missing" = "$(cat .cache/unavailable 2>/dev/null)" ]; then
-        lacking "still unavailable from apt: $missing(remove .cache/unavailable to try again)"
+        # shellcheck disable=SC2086  # a list of words
+        others=$(without_ros1 $missing)
+        if [ -n "$others" ] || [ "${CI:-}" = true ]; then
+            lacking "still unavailable from apt: ${others:-$missing}(remove .cache/unavailable to try again)"
+        fi
         return
     fi
     if [ "$(id -u)" -ne 0 ] && ! command -v sudo >/dev/null; then
@@ -144,8 +160,16 @@ system_packages() {
             unknown="$unknown $package"
         fi
     done
+    case "$unknown " in
+        *" python3-rospy "*) # the rest of ROS 1 is of no use without it
+            lacking "no python3-rospy in this system's archive, and none is needed: Midspan has its own ROS 1 node and master"
+            # shellcheck disable=SC2086
+            known=$(without_ros1 $known) unavailable=$unknown unknown=$(without_ros1 $unknown)
+            ;;
+        *) unavailable=$unknown ;;
+    esac
     if [ -n "$unknown" ]; then
-        lacking "not in this system's archive:$unknown"
+        lacking "not in this system's archive: ${unknown# }"
     fi
     # shellcheck disable=SC2086
     if [ -n "$known" ] && ! logged "[GS]et[:t]" 0 as_root DEBIAN_FRONTEND=noninteractive \
@@ -153,7 +177,7 @@ system_packages() {
         lacking "apt-get could not install:$known"
         return
     fi
-    if [ -n "$unknown" ]; then
+    if [ -n "$unavailable" ]; then
         mkdir -p .cache
         # shellcheck disable=SC2086
         not_installed $tools $ros1 >.cache/unavailable
@@ -161,7 +185,7 @@ system_packages() {
 }
 
 find_python() {
-    for python in ${PYTHON:+"$PYTHON"} /usr/bin/python3 python3 python3.13 python3.12 python3.11; do
+    for python in ${PYTHON:+"$PYTHON"} /usr/bin/python3 python3 python3.14 python3.13 python3.12 python3.11; do
         if "$python" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; then
             command -v "$python"
             return

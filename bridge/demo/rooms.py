@@ -210,7 +210,7 @@ def replace_ros1(sandbox: Sandbox) -> str:
     own_master, own_client = roscore(sandbox.config) is None, bool(without_rospy(sandbox.config, CLIENT))
     if own_master:
         sandbox.embed_master()
-    lacking = " and ".join(name for name, lacks in (("roscore", own_master), ("rospy", own_client)) if lacks)
+    lacking = " and no ".join(name for name, lacks in (("roscore", own_master), ("rospy", own_client)) if lacks)
     own = " and ".join(name for name, lacks in (("master", own_master), ("client", own_client)) if lacks)
     return f"ROS 1: Midspan's own {own}, as this machine has no {lacking}" if own else ""
 

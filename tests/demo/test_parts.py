@@ -130,7 +130,7 @@ def test_a_sandbox_keeps_the_rules_of_its_template(tmp_path: Path) -> None:
 
 NO_ROSCORE = "ROS 1: Midspan's own master, as this machine has no roscore"
 NO_ROSPY = "ROS 1: Midspan's own client, as this machine has no rospy"
-NEITHER = "ROS 1: Midspan's own master and client, as this machine has no roscore and rospy"
+NEITHER = "ROS 1: Midspan's own master and client, as this machine has no roscore and no rospy"
 
 
 @pytest.mark.parametrize(

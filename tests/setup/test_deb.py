@@ -47,8 +47,11 @@ def test_the_manual_has_every_verb_and_no_accidental_roff_request() -> None:
     assert manual.roff(".start -x\\n") == "\\&.start \\-x\\en"
 
 
-def test_recommends_are_the_ros1_packages_that_set_up_installs() -> None:
-    assert {"python3-rospy", "python3-roslaunch", "python3-tf2-ros"} <= set(deb.ros1())
+def test_ros1_is_only_suggested() -> None:
+    control = (ROOT / "packaging/debian/control").read_text()
+    fields = dict(line.split(": ", 1) for line in control.splitlines() if ": " in line and line[0] != " ")
+    assert "python3-rospy" in fields["Suggests"]
+    assert not [name for name in ("Depends", "Recommends") if "rospy" in fields[name]]
 
 
 @dataclass
@@ -75,9 +78,7 @@ class Place:
         return self.tree.machine.run("sh", "-c", "rosnode list || true", env=self.environ).split()
 
     def joined(self) -> bool:
-        """Return whether the master lists the bridge; on Ubuntu 24.04, which has no rospy, whether ROS 2 is joined."""
-        if self.release is deb.RELEASES["noble"]:
-            return "ros2 running" in self.status()
+        """Return whether the master lists the bridge."""
         return "/midspan" in self.nodes() and "ros1 running" in self.status()
 
 
