@@ -16,7 +16,7 @@ import pytest
 from bridge.interfaces.definition import BuildError
 
 _MARK = "not on this machine: "
-ROS1 = f"{_MARK}ROS 1 (`make setup` installs it from apt on Debian 12 and Ubuntu 24.04, as root or with sudo)"
+ROS1 = f"{_MARK}ROS 1 (`make setup` installs rospy and roscore from apt on Debian 12, as root or with sudo)"
 ROS2 = f"{_MARK}ROS 2 (`make setup` installs its wheels on Linux with x86_64; elsewhere source /opt/ros/jazzy)"
 DART = f"{_MARK}DART (`make setup` installs dartpy if it has a wheel: Linux, Python up to 3.13)"
 BROWSER = f"{_MARK}Chromium (`make test` installs it from apt on Debian 12, as root or with sudo)"
