@@ -2,7 +2,7 @@
 
 BIN := .venv/bin
 
-.PHONY: help setup demo mix bench-peers test test-fast test-all test-embedded-master lint types check bench screenshots dist deb lock clean
+.PHONY: help setup demo mix bench-peers test test-fast test-all test-embedded-master test-everywhere lint types check bench screenshots dist deb lock clean
 .DEFAULT_GOAL := help
 
 # each process receives one file at a time; bytecode is cached, otherwise each process would compile all tests and programs
@@ -15,7 +15,7 @@ again = [ -z "$$red" ] || $(BIN)/python scripts/unsteady.py
 forget = rm -rf .cache/pytest .cache/first-run
 
 help: ## list the targets
-	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 22
 
 test test-all: export BROWSER = yes # for the tests of the console
 
@@ -39,6 +39,9 @@ test-all: setup ## all tests, including fuzzing, packages and a first run in a b
 
 test-embedded-master: setup ## the tests with ROS 1, on Midspan's own master instead of roscore
 	@MIDSPAN_TEST_MASTER=embedded $(pytest) -n 5 tests/contract tests/interop tests/adapters/ros1 $(ARGS)
+
+test-everywhere: setup ## the demo and the ROS 1 tests in other releases and with other Pythons (ARGS='trixie 3.13' for some)
+	@$(BIN)/python scripts/everywhere.py $(ARGS)
 
 lint: setup ## ruff (rules and format), import cycles and sizes
 	@$(BIN)/ruff check .

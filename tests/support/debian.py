@@ -23,6 +23,9 @@ CACHE = Path(__file__).resolve().parents[2] / ".cache" / "debootstrap"
 
 DAY = 24 * 3600  # seconds
 
+UBUNTU = ("noble", "resolute")
+"""Releases of Ubuntu: 24.04 and 26.04."""
+
 _CGROUP = r"""
 mount --make-rprivate /
 mount -t cgroup2 cgroup2 "$2"
@@ -98,7 +101,7 @@ class Root:
 
     def _debootstrap(self, suite: str) -> None:
         command = ["debootstrap", "--variant=minbase", f"--cache-dir={CACHE}", "--include=ca-certificates"]
-        if suite == "noble":  # Debian's debootstrap may have neither the suite nor its keys
+        if suite in UBUNTU:  # Debian's debootstrap may have neither the suite nor its keys
             command += ["--components=main,universe", "--no-check-gpg"]
             last = ["http://archive.ubuntu.com/ubuntu", "/usr/share/debootstrap/scripts/gutsy"]
         else:
