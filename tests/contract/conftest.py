@@ -15,6 +15,7 @@ from bridge.messages.registry import Registry
 from tests.contract.fakeside import FakeSide
 from tests.contract.hubside import HubSide
 from tests.contract.ownside import OwnSide
+from tests.contract.plainside import PlainSide
 from tests.contract.rmwside import RmwSide
 from tests.contract.ros1side import EmbeddedMasterSide, Ros1Side
 from tests.contract.ros2side import Ros2Side
@@ -24,6 +25,7 @@ from tests.contract.zenohside import Ros1KeysSide, Ros2ddsSide
 from tests.peers.hub.network import HubNetwork
 from tests.peers.hub.quick import QuickHub
 from tests.support.lane import LANE
+from tests.support.missing import ROS1, lacking
 
 SIDES: dict[str, type[Any]] = {
     "fake": FakeSide,
@@ -35,6 +37,8 @@ SIDES: dict[str, type[Any]] = {
     "yarp": YarpSide,
     "own": OwnSide,
 }
+if ROS1 in lacking():
+    SIDES["ros1_without_rospy"] = PlainSide
 
 
 @pytest.fixture

@@ -41,41 +41,56 @@ Message = Mapping[str, Any]
 
 
 class Ros1Program:
-    """A node of ``name`` and a random suffix, at the master of ``ROS_MASTER_URI``.
+    """A node of ``name`` and a random suffix, at a master; default: that of ``ROS_MASTER_URI``.
 
     Raises `bridge.adapters.ros1_peers.Ros1Error` if the master does not answer, and
     `bridge.messages.errors.MessageTypeError` for unknown types.
     """
 
-    def __init__(self, name: str, registry: Registry | None = None) -> None:
+    def __init__(self, name: str, registry: Registry | None = None, *, master: str = "") -> None:
         self.registry = registry or Registry()
         self.changed = threading.Condition()
-        self._uri = os.environ.get("ROS_MASTER_URI") or DEFAULT_MASTER
+        self._uri = master or os.environ.get("ROS_MASTER_URI") or DEFAULT_MASTER
         environ = dict(os.environ)
         if not {"ROS_IP", "ROS_HOSTNAME"} & environ.keys() and is_local(urlsplit(self._uri).hostname or ""):
             environ["ROS_IP"] = "127.0.0.1"
         self.name = f"/{name.strip('/')}_{uuid.uuid4().hex[:12]}"
         self._registering = threading.Lock()
         self._closed = False
-        self._registered: list[tuple[str, str]] = []
+        self._registered: set[tuple[str, str]] = set()
         self._types: dict[str, str] = {}
         events = PlainNodeEvents(self._publishers, self._notify, lambda _reason: self._notify())
         self._node = PlainNode(self.name, self._uri, NodeAddress.of(environ), events)
 
-    def publish(self, topic: str, side_type: SideType) -> Publication:
+    def publish(self, topic: str, side_type: SideType, *, latched: bool = False) -> Publication:
         """Open a publication for messages as bytes."""
-        publication = self._node.publish(topic, side_type)
+        publication = self._node.publish(topic, side_type, latched=latched)
         self._call("registerPublisher", topic, side_type.name)
-        self._registered.append(("unregisterPublisher", topic))
+        self._registered.add(("unregisterPublisher", topic))
         return publication
+
+    def unpublish(self, publication: Publication, *, latched: bool = False) -> None:
+        """End a publication; ``latched`` as at its beginning."""
+        self._node.unpublish(publication, latched=latched)
+        self._unregister("unregisterPublisher", publication.topic)
 
     def subscribe(self, topic: str, side_type: SideType, deliver: Deliver) -> None:
         """Subscribe to messages as bytes; ``deliver`` is called on any thread."""
-        self._types[topic] = side_type.name
         self._node.subscribe(topic, side_type, deliver)
-        self._registered.append(("unregisterSubscriber", topic))
-        self._publishers(topic)
+        self._types[topic] = side_type.name
+        self._registered.add(("unregisterSubscriber", topic))
+        try:
+            self._publishers(topic)
+        except Ros1Error:
+            self._registered.discard(("unregisterSubscriber", topic))
+            self._node.unsubscribe(topic)
+            raise
         self._node.follow()
+
+    def unsubscribe(self, topic: str) -> None:
+        """End a subscription."""
+        self._node.unsubscribe(topic)
+        self._unregister("unregisterSubscriber", topic)
 
     def publishers(self, topic: str) -> set[str]:
         """Return the nodes to whose publications of a subscribed topic this node is connected."""
@@ -91,6 +106,7 @@ class Ros1Program:
 
         self.subscribe(topic, self.registry.ros1(type_name), deliver)
         self.wait(lambda: bool(received), seconds)
+        self.unsubscribe(topic)
         return self.decode(type_name, received[0]) if received else None
 
     def action_client(self, name: str, type_name: str) -> ActionClient:
@@ -133,7 +149,14 @@ class Ros1Program:
     def _publishers(self, topic: str) -> list[str]:
         """Return a topic's publishers from the master, where this registers the subscription again."""
         with self._registering:
-            return [] if self._closed else list(map(str, self._call("registerSubscriber", topic, self._types[topic])))
+            if self._closed or ("unregisterSubscriber", topic) not in self._registered:
+                return []
+            return list(map(str, self._call("registerSubscriber", topic, self._types[topic])))
+
+    def _unregister(self, method: str, topic: str) -> None:
+        with self._registering:
+            self._registered.discard((method, topic))
+            self._call(method, topic)
 
     def _call(self, method: str, *params: str) -> Any:
         client = XmlRpcClient(self._uri, _MASTER_SECONDS)

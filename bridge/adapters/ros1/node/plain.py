@@ -97,13 +97,33 @@ class PlainNode:
         self.uri = f"http://{address.in_uri}:{self._server.port}/"
         self._server.start()
 
-    def publish(self, topic: str, side_type: SideType) -> Publication:
+    def publish(self, topic: str, side_type: SideType, *, latched: bool = False) -> Publication:
         """Open the publication of a topic."""
-        return self._book.publish(topic, side_type, latched=False)
+        return self._book.publish(topic, side_type, latched=latched)
 
     def subscribe(self, topic: str, side_type: SideType, deliver: Deliver, limit: int = MAX_MESSAGE) -> None:
-        """Subscribe to a topic, once; `follow` connects to its publishers. ``limit``: largest message in bytes."""
+        """Subscribe to a topic; `follow` connects to its publishers.
+
+        ``limit`` is the largest message in bytes. Raises `ValueError` if the topic is subscribed to already.
+        """
+        if topic in self._subscriptions:
+            raise ValueError(f"{topic} is subscribed to already; unsubscribe first")
         self._subscriptions[topic] = _Subscription(side_type, deliver, limit, self._book.subscribe(topic))
+
+    def unpublish(self, publication: Publication, *, latched: bool = False) -> None:
+        """End a publication."""
+        self._book.unpublish(publication, latched=latched)
+
+    def unsubscribe(self, topic: str) -> None:
+        """End the subscription of a topic."""
+        with self._lock:
+            subscription = self._subscriptions.pop(topic)
+            readers = list(filter(None, subscription.readers.values()))
+            subscription.readers.clear()
+        for reader in readers:
+            reader.close()
+            subscription.entry.remove(reader)
+        self._book.unsubscribe(subscription.entry)
 
     def publishers(self, topic: str) -> set[str]:
         """Return the names of the connected publishers' nodes."""
@@ -147,9 +167,9 @@ class PlainNode:
                 self._timer.after(_RETRY_SECONDS, self.follow)
 
     def _update(self, topic: str, listed: set[str]) -> None:
-        subscription = self._subscriptions[topic]
         with self._lock:
-            if self._closed:
+            subscription = self._subscriptions.get(topic)
+            if self._closed or subscription is None:
                 return
             readers = subscription.readers
             removed = [readers.pop(uri) for uri in readers.keys() - listed]
@@ -159,23 +179,22 @@ class PlainNode:
             reader.close()
             self._forget(subscription, reader)
         for uri in added:
-            self._pool.submit(partial(self._connect, topic, uri))
+            self._pool.submit(partial(self._connect, subscription, topic, uri))
 
-    def _connect(self, topic: str, uri: str) -> None:
+    def _connect(self, subscription: _Subscription, topic: str, uri: str) -> None:
         try:
             sock, header = connect(self.name, uri, topic, _SECONDS)
         except Ros1Error as err:
             _log.debug("%s does not accept the connection of %s: %s", uri, self.name, err)
-            self._retry_later(topic, uri)
+            self._retry_later(subscription, uri)
             return
         try:
-            self._read(topic, uri, sock, header)
+            self._read(subscription, topic, uri, sock, header)
         except OSError:  # it has disconnected
             sock.close()
-            self._retry_later(topic, uri)
+            self._retry_later(subscription, uri)
 
-    def _read(self, topic: str, uri: str, sock: DeadlineSocket, header: Header) -> None:
-        subscription = self._subscriptions[topic]
+    def _read(self, subscription: _Subscription, topic: str, uri: str, sock: DeadlineSocket, header: Header) -> None:
         node = header.get("callerid", uri)
         if header.get("md5sum") != subscription.type.type_id:
             _log.warning("%s publishes another %s on %s; it is not read", node, header.get("type"), topic)
@@ -183,7 +202,7 @@ class PlainNode:
             return
         reader = PublisherConnection(
             sock, topic, uri, lambda payload: subscription.deliver(payload, uri),
-            lambda _trouble: self._on_end(topic, uri, reader), lambda _reason, _why: None, subscription.limit,
+            lambda _trouble: self._on_end(subscription, uri, reader), lambda _reason, _why: None, subscription.limit,
             self._loop,
         )  # fmt: skip
         with self._lock:
@@ -198,9 +217,9 @@ class PlainNode:
         reader.start()
         self._events.changed()
 
-    def _on_end(self, topic: str, uri: str, reader: PublisherConnection) -> None:
-        self._forget(self._subscriptions[topic], reader)
-        self._retry_later(topic, uri)
+    def _on_end(self, subscription: _Subscription, uri: str, reader: PublisherConnection) -> None:
+        self._forget(subscription, reader)
+        self._retry_later(subscription, uri)
 
     def _forget(self, subscription: _Subscription, reader: PublisherConnection) -> None:
         subscription.entry.remove(reader)
@@ -208,14 +227,13 @@ class PlainNode:
             subscription.nodes.pop(reader, None)
         self._events.changed()
 
-    def _retry_later(self, topic: str, uri: str) -> None:
-        self._timer.after(_RETRY_SECONDS, partial(self._retry, topic, uri))
+    def _retry_later(self, subscription: _Subscription, uri: str) -> None:
+        self._timer.after(_RETRY_SECONDS, partial(self._retry, subscription, uri))
 
-    def _retry(self, topic: str, uri: str) -> None:
+    def _retry(self, subscription: _Subscription, uri: str) -> None:
         """Connect again to a publisher that the master still lists."""
-        readers = self._subscriptions[topic].readers
         with self._lock:
-            reader = readers.get(uri)
+            reader = subscription.readers.get(uri)
             if reader is None or reader.done:
-                readers.pop(uri, None)
+                subscription.readers.pop(uri, None)
         self.follow()
