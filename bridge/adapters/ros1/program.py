@@ -109,9 +109,9 @@ class Ros1Program:
         self.unsubscribe(topic)
         return self.decode(type_name, received[0]) if received else None
 
-    def action_client(self, name: str, type_name: str) -> ActionClient:
+    def action_client(self, name: str, type_name: str) -> Ros1ActionClient:
         """Return a client of an action, such as ``/move_base`` of type ``move_base_msgs/MoveBase``."""
-        return ActionClient(self, name, type_name)
+        return Ros1ActionClient(self, name, type_name)
 
     def encode(self, type_name: str, message: Message) -> bytes:
         """Serialize a message; missing fields have their defaults. Raises `bridge.messages.errors.ConversionError`."""
@@ -183,7 +183,7 @@ class GoalOutcome(NamedTuple):
         return self.state is GoalState.SUCCEEDED
 
 
-class ActionClient:
+class Ros1ActionClient:
     """A client of one actionlib action; `Ros1Program.action_client` makes it."""
 
     def __init__(self, program: Ros1Program, name: str, type_name: str) -> None:
