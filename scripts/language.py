@@ -8,9 +8,7 @@ that do not say what they stand for. `scripts/house.py --check` holds each top-l
 from __future__ import annotations
 
 import ast
-import io
 import re
-import tokenize
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -63,6 +61,11 @@ VAGUE_VARIABLE = re.compile(
 
 _CODE = re.compile(r"```.*?```|`[^`]*`", re.DOTALL)
 _DIRECTIVE = re.compile(r"#\s*(noqa|type:|fmt:|ruff|mypy|pragma)")
+_STRING_OR_COMMENT = re.compile(
+    r"""#[^\n]*|\"{3}(?:\\.|[^\\])*?\"{3}|'{3}(?:\\.|[^\\])*?'{3}|"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*'""", re.DOTALL
+)
+"""Matches the comments of a valid file; it matches strings too, to skip a number sign in them."""
+
 _WORD = re.compile(r"[A-Za-z']+")
 
 
@@ -123,9 +126,14 @@ def of_texts(texts: Iterable[str]) -> Count:
 
 def of_source(source: str) -> Count:
     """Count the prose and the names of a Python file."""
-    tree = ast.parse(source)
-    count = of_texts([*_strings(tree), *_comments(source)])
-    for node in ast.walk(tree):
+    return of_tree(source, ast.parse(source))
+
+
+def of_tree(source: str, tree: ast.Module) -> Count:
+    """Count the prose and the names of a parsed Python file."""
+    nodes = list(walk(tree))
+    count = of_texts([*_strings(nodes), *_comments(source)])
+    for node in nodes:
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
             count.functions += 1
             count.vague_functions += VAGUE_FUNCTION.fullmatch(node.name) is not None
@@ -135,10 +143,24 @@ def of_source(source: str) -> Count:
     return count
 
 
-def _strings(tree: ast.Module) -> Iterator[str]:
+def walk(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield all nodes like `ast.walk`, in another order and in a third of the time."""
+    stack = [tree]
+    while stack:
+        node = stack.pop()
+        yield node
+        for name in node._fields:
+            value = getattr(node, name, None)
+            if isinstance(value, list):
+                stack += [item for item in value if isinstance(item, ast.AST)]
+            elif isinstance(value, ast.AST):
+                stack.append(value)
+
+
+def _strings(nodes: Iterable[ast.AST]) -> Iterator[str]:
     """Yield docstrings, and strings of several words."""
-    alone = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    for node in ast.walk(tree):
+    alone = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+    for node in nodes:
         if not isinstance(node, ast.Constant) or not isinstance(node.value, str):
             continue
         if id(node) in alone or (" " in node.value and len(node.value) > 15):
@@ -146,9 +168,9 @@ def _strings(tree: ast.Module) -> Iterator[str]:
 
 
 def _comments(source: str) -> Iterator[str]:
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.type == tokenize.COMMENT and not _DIRECTIVE.match(token.string):
-            yield token.string
+    for text in _STRING_OR_COMMENT.findall(source):
+        if text.startswith("#") and not _DIRECTIVE.match(text):
+            yield text
 
 
 def _files(root: Path, folder: str) -> dict[Path, Count]:
