@@ -2,15 +2,21 @@
 
 In the tree only missing or stale kernels are compiled. Without a compiler the kernels run as Python, which set-up and
 ``midspan doctor`` report. With ``$MIDSPAN_PURE`` none is compiled, for a wheel for any system.
+``$MIDSPAN_KERNEL_CACHE`` names a folder of compiled kernels, for machines that build the same sources several times.
 """
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import importlib.util
 import json
 import os
+import shlex
+import shutil
 import subprocess
 import sys
+import sysconfig
 from pathlib import Path
 from types import ModuleType
 
@@ -46,6 +52,33 @@ def _extension(module: str) -> Extension:
     return Extension(module, [source], extra_compile_args=list(flags), optional=True, **ABI3)
 
 
+@functools.cache
+def _toolchain() -> bytes:
+    """Describe everything else that a build depends on: compiler, variables, Python, this file."""
+    command = shlex.split(os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc")
+    version = subprocess.run([*command, "--version"], capture_output=True, check=False).stdout
+    variables = [os.environ.get(name) for name in ("CFLAGS", "CPPFLAGS", "LDFLAGS", "LDSHARED", "SOURCE_DATE_EPOCH")]
+    facts = (command, shutil.which(command[0]), version, variables, sys.version, sysconfig.get_platform())
+    return repr(facts).encode() + Path(__file__).read_bytes()
+
+
+def _cached(module: str) -> Path | None:
+    """Return the place of a module's build in the cache; None without a cache."""
+    folder = os.environ.get("MIDSPAN_KERNEL_CACHE")
+    if not folder:
+        return None
+    key = hashlib.sha256(kernels.digest(module, cython_version).encode() + _toolchain()).hexdigest()
+    return Path(folder) / f"{module}-{key}"
+
+
+def _replace(source: Path, target: Path) -> None:
+    """Copy a file; another process sees either the old or the whole new one."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    new = target.with_name(f"{target.name}.{os.getpid()}")
+    shutil.copy2(source, new)
+    new.replace(target)
+
+
 class BuildKernels(build_ext):
     """Compiles missing and stale kernels, and records the digests of their sources."""
 
@@ -56,11 +89,31 @@ class BuildKernels(build_ext):
             state = kernels.state()
             wanted = {*state.missing, *state.stale}
             self.extensions = [extension for extension in self.extensions if extension.name in wanted]
+        root = kernels.ROOT if in_tree else Path(self.build_lib).absolute()
+        complete = self.extensions
+        self.extensions = [extension for extension in complete if not self._restore(extension.name, root)]
         if self.extensions:
             self.force = True
             self._generate()
             super().run()
-        self._record(kernels.ROOT if in_tree else Path(self.build_lib).absolute())
+            for extension in self.extensions:
+                self._store(extension.name, root)
+        self.extensions = complete
+        self._record(root)
+
+    def _restore(self, module: str, root: Path) -> bool:
+        """Copy a module from the cache; return whether it contains the module."""
+        cached = _cached(module)
+        if cached is None or not cached.is_file():
+            return False
+        _replace(cached, root / self.get_ext_filename(module))
+        return True
+
+    def _store(self, module: str, root: Path) -> None:
+        """Copy a compiled module to the cache."""
+        cached, built = _cached(module), root / self.get_ext_filename(module)
+        if cached is not None and built.is_file():
+            _replace(built, cached)
 
     def _generate(self) -> None:
         GENERATED.mkdir(parents=True, exist_ok=True)

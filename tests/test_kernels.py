@@ -8,6 +8,7 @@ import runpy
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from setuptools import Distribution, Extension  # type: ignore[import-untyped]
@@ -46,6 +47,54 @@ def test_a_kernel_that_cannot_be_compiled_is_left_out(tmp_path: Path, monkeypatc
     build.extensions = [script["_extension"](kernels.KERNELS[0])]
     build._generate()
     assert [extension.optional for extension in build.extensions] == [True]
+
+
+def test_equal_sources_are_compiled_once_with_a_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "kernels", kernels)
+    monkeypatch.setattr("setuptools.setup", lambda **_: None)
+    monkeypatch.setattr("setuptools.command.build_ext.build_ext.run", pretend_to_compile)
+    monkeypatch.setenv("MIDSPAN_KERNEL_CACHE", str(tmp_path / "cache"))
+    script = runpy.run_path(str(kernels.ROOT / "setup.py"))
+    command, recipe = script["BuildKernels"], script["kernels"]
+    monkeypatch.setattr(command, "_generate", lambda _: None)
+    monkeypatch.setattr(recipe, "ROOT", tmp_path)
+    monkeypatch.setattr(recipe, "KERNELS", modules := ("bridge.one", "bridge.two"))
+    (tmp_path / "bridge").mkdir()
+    for module in modules:
+        recipe.source(module).write_text(f"NAME = {module!r}\n", encoding="utf-8")
+
+    def compiled(place: str) -> list[str]:
+        extensions = [Extension(name, [str(recipe.source(name))]) for name in modules]
+        build = command(Distribution({"ext_modules": extensions}))
+        build.build_lib, build.compiled = str(tmp_path / place), []
+        build.finalize_options()
+        build.run()
+        for module in modules:
+            built = tmp_path / place / build.get_ext_filename(module)
+            assert built.read_bytes() == recipe.source(module).read_bytes()
+        record = json.loads((tmp_path / place / "bridge" / kernels.RECORD).read_text(encoding="utf-8"))
+        assert record.keys() == {*modules, "cython"}
+        return build.compiled
+
+    assert compiled("first") == ["bridge.one", "bridge.two"]
+    assert compiled("again") == []
+    recipe.source("bridge.two").write_text("Y = 2\n", encoding="utf-8")
+    assert compiled("another source") == ["bridge.two"]
+    monkeypatch.setattr(recipe, "FLAGS", ("-O0",))
+    assert compiled("other flags") == ["bridge.one", "bridge.two"]
+    monkeypatch.setenv("CFLAGS", "-g")
+    script["_toolchain"].cache_clear()
+    assert compiled("other variables") == ["bridge.one", "bridge.two"]
+    monkeypatch.delenv("MIDSPAN_KERNEL_CACHE")
+    assert compiled("no cache") == ["bridge.one", "bridge.two"]
+
+
+def pretend_to_compile(build: Any) -> None:
+    for extension in build.extensions:
+        build.compiled.append(extension.name)
+        target = Path(build.build_lib) / build.get_ext_filename(extension.name)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(extension.sources[0], target)
 
 
 @pytest.fixture

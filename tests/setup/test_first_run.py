@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SECONDS = 1500
 """For set-up and demo on one core. Neither depends on time, so only a hang takes this long."""
 
-_OURS = ("AMENT", "MIDSPAN_CACHE", "PYTEST", "PYTHON", "ROS", "VIRTUAL_ENV", "YARP")
+_OURS = ("AMENT", "MIDSPAN_CACHE", "MIDSPAN_KERNEL_CACHE", "PYTEST", "PYTHON", "ROS", "VIRTUAL_ENV", "YARP")
 """Beginnings of the variables that a newcomer's shell does not have."""
 
 pytestmark = pytest.mark.timeout(2 * SECONDS)
