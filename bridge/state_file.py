@@ -6,6 +6,7 @@ import contextlib
 import logging
 import os
 import re
+import socket
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -111,18 +112,13 @@ def control_socket(config: Config, worker: str) -> Path:
 
 
 def daemon_socket(config: Config) -> Path:
-    """Return the socket on which the daemon reports its state; raises like `control_socket`."""
+    """Return the socket on which the daemon responds to requests; raises like `control_socket`."""
     return _socket_in_state(config, f"{config.name}.daemon.sock")
-
-
-def log_socket(config: Config) -> Path:
-    """Return the socket on which the daemon sends its newest log lines; raises like `control_socket`."""
-    return _socket_in_state(config, f"{config.name}.log.sock")
 
 
 def _socket_in_state(config: Config, name: str) -> Path:
     path = _in_state(config, name)
-    if len(os.fsencode(path)) > _MAX_SOCKET_PATH:
+    if hasattr(socket, "AF_UNIX") and len(os.fsencode(path)) > _MAX_SOCKET_PATH:
         msg = f"{path} is too long for a socket's name; set 'state' in the configuration to a shorter folder"
         raise RuntimeError(msg)
     return path

@@ -33,7 +33,7 @@ def test_a_daemon_of_any_name_has_state_files_and_keys(name: str, tmp_path: Path
     paths = [
         state_file.worker_folder(config), state_file.daemon_lock(config), state_file.worker_lock(config, "yarp"),
         state_file.worker_output(config, "yarp"), state_file.control_socket(config, "yarp"),
-        state_file.daemon_socket(config), state_file.log_socket(config), keys.certificate, keys.key,
+        state_file.daemon_socket(config), keys.certificate, keys.key,
     ]  # fmt: skip
     assert [path.name for path in paths if not is_windows_name(path.name)] == []
     assert len(set(paths)) == len(paths)

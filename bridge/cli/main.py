@@ -36,6 +36,7 @@ VERBS: dict[str, Verb] = {
     "run": Verb("bridge.cli.daemon.run:register_run", "run the daemon: start, watch and restart the workers"),
     "worker": Verb("bridge.cli.daemon.run:register_worker", "run one worker, also on another machine"),
     "module": Verb("bridge.cli.daemon.run:register_module", "run one hosted module, also on another machine"),
+    "reload": Verb("bridge.cli.daemon.reload:register", "let the running daemon load its changed configuration"),
     "sim": Verb(
         "bridge.cli.daemon.sim:register",
         "run the simulated base without a daemon; make maps and pictures of floor plans",

@@ -14,6 +14,7 @@ from pathlib import Path
 from bridge.config.received import ReceivedConfig
 from bridge.daemon import protocol
 from bridge.daemon.heartbeat import start_heartbeat
+from bridge.daemon.local_socket import LocalListener, receive
 from bridge.progress import working
 
 logger = logging.getLogger("midspan.worker")
@@ -93,29 +94,23 @@ def end_process_after(seconds: float) -> None:
 
 
 class ControlServer:
-    """Listens on a Unix socket for one daemon at a time; a new connection replaces the previous one.
+    """Listens at a path for one daemon at a time; a new connection replaces the previous one.
 
     The caller holds the worker's lock. ``on_command`` is called with each command, on a thread of this server.
     Raises `RuntimeError` if the socket cannot be created.
     """
 
     def __init__(self, path: Path, owner: protocol.Owner, on_command: Callable[[protocol.Command], None]) -> None:
-        self._path = path
         self._hello = protocol.Hello(os.getpid(), owner)
         self._on_command = on_command
         self._lock = threading.Lock()
         self._client: socket.socket | None = None
         self._closed = False
-        self._server = socket.socket(socket.AF_UNIX)
         try:
-            path.unlink(missing_ok=True)  # left by a dead predecessor
-            self._server.bind(str(path))
-            path.chmod(0o600)
+            self._listener = LocalListener(path)
         except OSError as err:
-            self._server.close()
             cure = "make the state folder writable, or set 'state' to one that is"
             raise RuntimeError(f"cannot create {path}: {err.strerror}; {cure}") from None
-        self._server.listen(4)
         self._thread = threading.Thread(target=self._accept, name="control", daemon=True)
         self._thread.start()
 
@@ -151,16 +146,26 @@ class ControlServer:
     def _accept(self) -> None:
         while not self._closed:
             try:
-                client, _ = self._server.accept()
+                client, _ = self._listener.sock.accept()
             except OSError:
                 return
             client.settimeout(_SEND_SECONDS)
-            with self._lock:
-                self._drop()
-                self._client = client
-                self._send_now(protocol.encode_report(self._hello))  # before any other report
-            self._flush_log()
-            threading.Thread(target=self._read, args=(client,), name="control-client", daemon=True).start()
+            threading.Thread(target=self._serve, args=(client,), name="control-client", daemon=True).start()
+
+    def _serve(self, client: socket.socket) -> None:
+        try:
+            admitted = self._listener.admit(client, receive(client, self._listener.greeting))
+        except OSError:
+            admitted = False
+        with self._lock:
+            if not admitted or self._closed:
+                client.close()
+                return
+            self._drop()
+            self._client = client
+            self._send_now(protocol.encode_report(self._hello))  # before any other report
+        self._flush_log()
+        self._read(client)
 
     def _flush_log(self) -> None:
         for handler in logging.getLogger().handlers:
@@ -188,11 +193,9 @@ class ControlServer:
 
     def close(self) -> None:
         """Stop listening and remove the socket."""
-        self._closed = True
-        with contextlib.suppress(OSError):
-            self._server.shutdown(socket.SHUT_RDWR)  # wakes accept
-        self._server.close()
+        with self._lock:
+            self._closed = True
+        self._listener.close()
         self._thread.join(1)
         with self._lock:
             self._drop()
-        self._path.unlink(missing_ok=True)

@@ -1,23 +1,44 @@
 """Locks in the state folder: one daemon for each name, one process for each of its workers.
 
 An flock(2) lasts as long as any process has its file open: it ends even with a killed process, and a child inherits it.
+Windows' locks end with their process too, but no child inherits them: there a worker locks its file itself.
 """
 
 from __future__ import annotations
 
 import errno
-import fcntl
 import json
 import logging
 import os
 import socket
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from bridge.daemon.protocol import Owner
 from bridge.routing.processes import process_space
 
+if sys.platform == "win32":
+    import msvcrt
+
+    _FAR = 1 << 30
+    """Offset of the locked byte. Windows lets no other process read it, so it is behind the holder's text."""
+
+    def _lock(file: int) -> None:
+        os.lseek(file, _FAR, os.SEEK_SET)
+        msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
+
+else:
+    import fcntl
+
+    def _lock(file: int) -> None:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
 logger = logging.getLogger("midspan.daemon")
+
+INHERITED = sys.platform != "win32"
+"""Whether the process that a daemon starts holds its lock by inheritance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,18 +65,18 @@ class Lock:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
         except OSError as err:
             if err.errno not in {errno.EROFS, errno.ENOSPC, errno.EACCES, errno.EDQUOT}:
                 raise
             # an existing file is enough, as a lock needs no write access
-            self._file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+            self._file = os.open(path, os.O_RDONLY)
 
     def try_lock(self) -> bool:
         """Try to lock, for this process or the one that it starts; return False if another one holds the lock."""
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+            _lock(self._file)
+        except (BlockingIOError, PermissionError):
             return False
         return True
 
@@ -65,22 +86,25 @@ class Lock:
         text = json.dumps(holder)
         try:
             os.ftruncate(self._file, 0)
-            os.pwrite(self._file, text.encode(), 0)
+            os.lseek(self._file, 0, os.SEEK_SET)
+            os.write(self._file, text.encode())
         except OSError as err:
             logger.warning("cannot write the holder into %s: %s", self.path, err.strerror)
 
     def holder(self) -> Holder | None:
         """Return the holder; None if the file does not name one."""
         try:
-            data = json.loads(os.pread(self._file, 4096, 0))
+            os.lseek(self._file, 0, os.SEEK_SET)
+            data = json.loads(os.read(self._file, 4096))
             owner: Owner = "service" if data["owner"] == "service" else "daemon"
             return Holder(int(data["pid"]), str(data["machine"]), owner, str(data.get("space", "")))
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             return None
 
-    def fileno(self) -> int:
-        """Return the descriptor, which a child may inherit."""
-        return self._file
+    @property
+    def passed_on(self) -> tuple[int, ...]:
+        """The descriptor for a child that is to hold the lock; empty where no child inherits locks."""
+        return (self._file,) if INHERITED else ()
 
     def close(self) -> None:
         """Close this process's descriptor; the lock lasts while a child has one."""

@@ -1,31 +1,22 @@
-"""The newest log lines of the daemon and its workers, on a Unix socket in the state folder."""
+"""The newest log lines of the daemon and its workers, for requests to the daemon."""
 
 from __future__ import annotations
 
-import contextlib
 import json
 import logging
-import socket
 from collections import deque
-from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from typing_extensions import override
 
-from bridge import state_file
 from bridge.config.model import Config
-from bridge.daemon.query import QueryServer, ask_socket
+from bridge.daemon.query import request
 
-if TYPE_CHECKING:
-    from yarp_compat.selector_loop import SelectorLoop
-
+LOG = "log"
 OWN = "daemon"
 """The ``worker`` of the daemon's own lines."""
 
 _LEVELS = ((logging.ERROR, "error"), (logging.WARNING, "warning"), (logging.INFO, "info"))
-_MAX_CLIENTS = 8
-_REQUEST_SIZE = 100
 _LONGEST = 8 << 10
 
 
@@ -54,6 +45,10 @@ class KeptLines(logging.Handler):
         while len(self._lines) > self._most or (self._bytes > self._most_bytes and len(self._lines) > 1):
             self._bytes -= len(self._lines.popleft()["text"])
 
+    def respond(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Respond to a request with the number of a line as its ``after``."""
+        return self.after(int(request["after"]))
+
     def after(self, n: int, most_bytes: int = 64 << 10) -> dict[str, Any]:
         """Return ``last``, the number of the newest line, and ``lines``: those after line ``n``, as many as fit."""
         self.acquire()
@@ -70,40 +65,6 @@ class KeptLines(logging.Handler):
         return {"last": last, "lines": lines}
 
 
-class LogServer(QueryServer):
-    """Responds to a line's number with the lines after it, then closes the connection."""
-
-    def __init__(self, loop: SelectorLoop, path: Path, kept: KeptLines) -> None:
-        self._kept = kept
-        self._clients: deque[socket.socket] = deque()
-        super().__init__(loop, path, dict)
-
-    @override
-    def _accepted(self, client: socket.socket) -> None:
-        client.setblocking(False)
-        while len(self._clients) >= _MAX_CLIENTS:
-            self._close(self._clients[0])  # connected long ago, without a request
-        self._clients.append(client)
-        self._loop.on_readable(client.fileno(), partial(self._respond, client))
-
-    def _respond(self, client: socket.socket) -> None:
-        with contextlib.suppress(OSError, ValueError):
-            after = int(client.recv(_REQUEST_SIZE))
-            client.sendall(json.dumps(self._kept.after(after)).encode())  # far smaller than a socket's buffer
-        self._close(client)
-
-    def _close(self, client: socket.socket) -> None:
-        self._clients.remove(client)
-        self._loop.unwatch(client.fileno())
-        client.close()
-
-    @override
-    def close(self) -> None:
-        while self._clients:
-            self._close(self._clients[0])
-        super().close()
-
-
 def ask_log(config: Config, after: int, seconds: float = 1.0) -> dict[str, Any] | None:
     """Return the newest log lines of this configuration's daemon, None if it is not running.
 
@@ -112,4 +73,5 @@ def ask_log(config: Config, after: int, seconds: float = 1.0) -> dict[str, Any] 
         after the line ``after``, oldest first, as many as fit, each with ``n``, ``time`` (s since 1970), ``level``
         (``error``, ``warning``, ``info``, ``debug``), ``worker`` (`OWN`: the daemon itself) and ``text``.
     """
-    return ask_socket(config, state_file.log_socket, b"%d\n" % after, seconds)
+    document = request(config, LOG, seconds, after=after)
+    return document if document is not None and "lines" in document else None

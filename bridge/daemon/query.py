@@ -1,6 +1,7 @@
-"""State of the daemon and its workers, on a Unix socket in the state folder.
+"""Requests to the daemon, on a socket in its state folder: its state, its log, a reload.
 
-A running worker responds on the hub; for one that cannot start, only the daemon can respond.
+A running worker responds on the hub; for one that cannot start, only the daemon can respond. A request is one line of
+JSON, ``{"verb": "status"}``; the response is one JSON document, after which the daemon closes the connection.
 """
 
 from __future__ import annotations
@@ -11,12 +12,15 @@ import json
 import logging
 import os
 import socket
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bridge import state_file
 from bridge.config.model import Config
+from bridge.daemon import local_socket
 from bridge.daemon.worker_states import Phase as Phase
 from bridge.state_file import state_folder
 from bridge.status import DaemonStatus, read_daemon_status
@@ -27,82 +31,129 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger("midspan.daemon")
 
+Verb = Callable[[dict[str, Any]], dict[str, Any]]
+"""Makes the response to a request; raises `ValueError`, `KeyError` or `TypeError` for an invalid one."""
+
+STATUS, RELOAD = "status", "reload"
 _MAX_RESPONSE = 1 << 20
+_MAX_REQUEST = 1 << 10
+_MAX_CLIENTS = 8
+
+
+class _Client:
+    """A connection, whose request has not arrived completely yet."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        self.sock = sock
+        self.received = b""
+        self.admitted = False
 
 
 class QueryServer:
-    """Sends one JSON document on each connection, then closes it."""
+    """Responds to requests with its ``verbs``, by name, on the loop's thread."""
 
-    def __init__(self, loop: SelectorLoop, path: Path, document: Callable[[], dict[str, Any]]) -> None:
+    def __init__(self, loop: SelectorLoop, path: Path, verbs: Mapping[str, Verb]) -> None:
         self._loop = loop
-        self._path = path
-        self._document = document
-        self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
-        self._server = socket.socket(socket.AF_UNIX)
+        self._verbs = verbs
+        self._clients: deque[_Client] = deque()
+        self._spare = os.open(os.devnull, os.O_RDONLY)
+        self._listener: local_socket.LocalListener | None = None
         try:
-            path.unlink(missing_ok=True)  # left by a dead daemon: this one holds the lock
-            self._server.bind(str(path))
-            path.chmod(0o600)
+            self._listener = local_socket.LocalListener(path)
         except OSError as err:
-            logger.warning("cannot create socket %s: %s; commands cannot query the workers", path, err.strerror)
+            logger.warning("cannot create socket %s: %s; commands cannot query the daemon", path, err.strerror)
             return
-        self._server.listen(8)
-        self._server.setblocking(False)
-        loop.on_readable(self._server.fileno(), self._accept)
+        self._listener.sock.setblocking(False)
+        loop.on_readable(self._listener.sock, partial(self._accept, self._listener))
 
-    def _accept(self) -> None:
+    def _accept(self, listener: local_socket.LocalListener) -> None:
         try:
-            client, _ = self._server.accept()
+            sock, _ = listener.sock.accept()
         except OSError as err:
             if err.errno == errno.EMFILE:
-                self._turn_away()
+                self._turn_away(listener)
             return
-        self._accepted(client)
+        sock.setblocking(False)
+        while len(self._clients) >= _MAX_CLIENTS:
+            self._close(self._clients[0])  # connected long ago, without a request
+        client = _Client(sock)
+        self._clients.append(client)
+        self._loop.on_readable(sock, partial(self._read, listener, client))
 
-    def _accepted(self, client: socket.socket) -> None:
-        with contextlib.suppress(OSError), client:
-            client.setblocking(False)  # the document is far smaller than the socket buffer
-            client.sendall(json.dumps(self._document()).encode())
-
-    def _turn_away(self) -> None:
+    def _turn_away(self, listener: local_socket.LocalListener) -> None:
         """Accept and close a connection with the spare descriptor: if it stayed pending, the loop would spin."""
         os.close(self._spare)
         with contextlib.suppress(OSError):
-            self._server.accept()[0].close()
-        self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
+            listener.sock.accept()[0].close()
+        self._spare = os.open(os.devnull, os.O_RDONLY)
+
+    def _read(self, listener: local_socket.LocalListener, client: _Client) -> None:
+        try:
+            data = client.sock.recv(_MAX_REQUEST)
+            client.received += data
+            if not client.admitted and len(client.received) >= listener.greeting:
+                greeting, client.received = client.received[: listener.greeting], client.received[listener.greeting :]
+                client.admitted = listener.admit(client.sock, greeting)
+                data = data if client.admitted else b""
+            request, end, _ = client.received.partition(b"\n")
+            if client.admitted and end:
+                client.sock.sendall(self._respond(request))  # far smaller than a socket's buffer
+            elif data and len(client.received) < _MAX_REQUEST:
+                return
+        except BlockingIOError:
+            return
+        except OSError:
+            pass
+        self._close(client)
+
+    def _respond(self, line: bytes) -> bytes:
+        try:
+            request = json.loads(line)
+            document = self._verbs[request["verb"]](request)
+        except (ValueError, KeyError, TypeError, RecursionError) as err:
+            document = {"error": f"not a request: {err!r}"}
+        return json.dumps(document).encode()
+
+    def _close(self, client: _Client) -> None:
+        self._clients.remove(client)
+        self._loop.unwatch(client.sock)
+        client.sock.close()
 
     def close(self) -> None:
         """Stop listening and remove the socket."""
-        self._loop.unwatch(self._server.fileno())
-        self._server.close()
+        while self._clients:
+            self._close(self._clients[0])
+        if self._listener is not None:
+            self._loop.unwatch(self._listener.sock)
+            self._listener.close()
         os.close(self._spare)
-        with contextlib.suppress(OSError):
-            self._path.unlink(missing_ok=True)
 
 
 def ask_daemon(config: Config, seconds: float = 1.0) -> DaemonStatus | None:
     """Return the state of this configuration's daemon, None if it is not running (or its folder is another user's)."""
-    document = ask_socket(config, state_file.daemon_socket, b"", seconds)
+    document = request(config, STATUS, seconds)
     return None if document is None else read_daemon_status(document)
 
 
-def ask_socket(config: Config, path: Callable[[Config], Path], request: bytes, seconds: float) -> dict[str, Any] | None:
-    """Return the response on one of the daemon's sockets, None without a valid one."""
+def reload_daemon(config: Config, seconds: float = 20.0) -> str | None:
+    """Let a configuration's daemon load its file again; return why it rejects it, "" if not. None: it does not run."""
+    document = request(config, RELOAD, seconds)
+    return None if document is None else str(document.get("rejected", document.get("error", "")))
+
+
+def request(config: Config, verb: str, seconds: float, **fields: Any) -> dict[str, Any] | None:
+    """Return the daemon's response to a request, None without a valid one within ``seconds``."""
     config = config.model_copy(update={"state": state_folder(config).absolute()})
     response = b""
-    if not hasattr(socket, "AF_UNIX"):  # on Windows, which has no daemon
-        return None
-    with socket.socket(socket.AF_UNIX) as sock:
-        sock.settimeout(seconds)
-        try:
-            sock.connect(str(path(config)))
-            if request:  # even an empty send fails if the server has already responded and closed
-                sock.sendall(request)
+    try:
+        with local_socket.connect(state_file.daemon_socket(config), seconds) as sock:
+            with contextlib.suppress(OSError):  # a daemon of an earlier release has responded and closed by now
+                sock.sendall(json.dumps({"verb": verb, **fields}).encode() + b"\n")
             while data := sock.recv(1 << 16):
                 response += data
                 if len(response) > _MAX_RESPONSE:
                     return None
-            document = json.loads(response)
-        except (OSError, ValueError, RuntimeError):
-            return None
+        document = json.loads(response)
+    except (OSError, ValueError, RuntimeError):
+        return None
     return document if isinstance(document, dict) else None

@@ -17,6 +17,8 @@ import time
 from collections.abc import Callable
 from typing import TypeVar
 
+import psutil
+
 HAND_OVER: signal.Signals | None = getattr(signal, "SIGUSR2", None)
 _PREDECESSOR = "MIDSPAN_PREDECESSOR"
 _APART = "import os, sys; os.fork() or os.execv(sys.argv[1], sys.argv[1:])"
@@ -64,11 +66,7 @@ class Successor:
 
 
 def _lives(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return pid > 0
+    return pid > 0 and psutil.pid_exists(pid)
 
 
 def succeed(acquire: Callable[[], T]) -> T:

@@ -15,9 +15,9 @@ from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.daemon import log
 from bridge.daemon.lock import Lock
-from bridge.daemon.log_query import KeptLines, LogServer
+from bridge.daemon.log_query import LOG, KeptLines
 from bridge.daemon.notify import Notifier
-from bridge.daemon.query import Phase, QueryServer
+from bridge.daemon.query import RELOAD, STATUS, Phase, QueryServer
 from bridge.daemon.readiness import Readiness
 from bridge.daemon.worker_process import WorkerProcess
 from bridge.daemon.worker_run import Timing
@@ -121,10 +121,10 @@ class Supervisor:
 
     def run(self) -> None:
         """Run until a stop request; raises `RuntimeError` if the state folder is unusable or has another daemon."""
-        socket, log_socket = state_file.daemon_socket(self._config), state_file.log_socket(self._config)
+        socket, kept = state_file.daemon_socket(self._config), KeptLines()
         lock = self._lock_state_folder()
-        query, kept = QueryServer(self.loop, socket, self.document), KeptLines()
-        log_query = LogServer(self.loop, log_socket, kept)
+        verbs = {STATUS: lambda _: self.document(), LOG: kept.respond, RELOAD: lambda _: self._reload()}
+        query = QueryServer(self.loop, socket, verbs)
         logging.getLogger().addHandler(kept)
         self._begun = self._stepped = time.monotonic()
         try:
@@ -142,7 +142,6 @@ class Supervisor:
         finally:
             self._end()
             logging.getLogger().removeHandler(kept)
-            log_query.close()
             query.close()
             lock.close()
             self._notify.close()
@@ -234,7 +233,10 @@ class Supervisor:
 
     # -- reload --------------------------------------------------------------------------------------------------------
 
-    def _reload(self) -> None:
+    def _reload(self) -> dict[str, Any]:
+        """Load the configuration again; return the response to a request for it: why it is rejected, or ""."""
+        if self._stops:  # a request during the stop
+            return {"rejected": "the daemon is stopping"}
         self._notify.reloading()
         try:
             config = self._source.reload(self._config)
@@ -243,12 +245,13 @@ class Supervisor:
             first, *more = str(err).splitlines()
             self._refused = f"{first} (and {len(more)} more)" if more else first
             self._readiness.announce_again()
-            return
+            return {"rejected": str(err)}
         logger.info("configuration reloaded")
         self._refused = ""
         log.set_level(config)
         self._config = config
         self._begin(config)
+        return {"rejected": ""}
 
     # -- the end -------------------------------------------------------------------------------------------------------
 

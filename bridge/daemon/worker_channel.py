@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import logging
 import os
 import signal
@@ -15,20 +14,19 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Protocol
+from typing import IO, Any, Protocol
 
 from typing_extensions import override
 
 from bridge import state_file
 from bridge.config.model import Config
-from bridge.daemon import log, protocol
+from bridge.daemon import local_socket, log, processes, protocol, streams
 from bridge.daemon.lock import Lock
 from bridge.daemon.workers import WorkerKind, supervised_command
 from yarp_compat.selector_loop import SelectorLoop
 
 logger = logging.getLogger("midspan.daemon")
 
-READ_SIZE = 1 << 16
 LONGEST_LOG_LINE = 8 << 10
 
 
@@ -74,44 +72,35 @@ class WorkerChannel(ABC):
         self.started_here = False
         self._loop = loop
         self._listener = listener
-        self._outgoing = b""
+        self._commands: streams.Writer
 
     @abstractmethod
     def poll(self) -> None:
         """Check for the exit of the process; called often."""
 
-    def kill(self, number: signal.Signals) -> None:
-        """Send a signal; SIGKILL also goes to the worker's own child processes."""
+    def stop(self) -> None:
+        """Ask the process to stop."""
+        self.send(protocol.Stop())
         if self.pid:
-            kill_group(self.pid, number)
+            processes.terminate(self.pid)
+
+    def dump_stacks(self) -> None:
+        """Let the process log the stacks of its threads."""
+        if self.pid:
+            processes.dump_stacks(self.pid)
+
+    def kill(self) -> None:
+        """Kill the process and its own child processes."""
+        if self.pid:
+            processes.kill(self.pid)
 
     @abstractmethod
     def detach(self) -> None:
         """Close the channel and leave the process running."""
 
-    @abstractmethod
-    def _writer(self) -> int:
-        """Descriptor that commands are written to, -1 before the connection."""
-
     def send(self, command: protocol.Command) -> None:
-        """Send a command without blocking: data that the pipe cannot hold is sent later."""
-        waiting = bool(self._outgoing)
-        self._outgoing += protocol.encode_command(command)
-        if not waiting:
-            self._flush()
-
-    def _flush(self) -> None:
-        writer = self._writer()
-        if writer < 0:
-            return
-        self._loop.on_writable(writer, None)
-        try:
-            while self._outgoing:
-                self._outgoing = self._outgoing[os.write(writer, self._outgoing) :]
-        except BlockingIOError:
-            self._loop.on_writable(writer, self._flush)
-        except OSError:
-            self._outgoing = b""  # `poll` detects the exit
+        """Send a command without blocking."""
+        self._commands.write(protocol.encode_command(command))
 
     def _report(self, line: bytes) -> None:
         try:
@@ -133,23 +122,19 @@ class WorkerChannel(ABC):
             self._listener.on_report(protocol.LogLine(*log.split_priority(line.decode(errors="replace"))))
 
 
-def read_some(file: int) -> bytes | None:
-    """Read without blocking: return None before data arrives, b"" at the end."""
-    try:
-        return os.read(file, READ_SIZE)
-    except BlockingIOError:
-        return None
-    except OSError:
-        return b""
-
-
-def kill_group(pid: int, number: signal.Signals) -> None:
-    """Send a signal to the leader of a process group; SIGKILL goes to the whole group."""
-    with contextlib.suppress(ProcessLookupError, PermissionError):
-        if number is signal.SIGKILL:
-            os.killpg(pid, number)
-        else:
-            os.kill(pid, number)
+def _start(command: list[str], env: Mapping[str, str], lock: Lock, **stdio: Any) -> subprocess.Popen[bytes]:
+    """Start a worker's process with a lock; only the daemon handles a Ctrl-C in its terminal."""
+    process = subprocess.Popen(
+        command,
+        env=dict(env),
+        bufsize=0,
+        start_new_session=True,
+        creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # on Windows
+        pass_fds=lock.passed_on,
+        **stdio,
+    )
+    lock.write(process.pid, "daemon")
+    return process
 
 
 class PipeChannel(WorkerChannel):
@@ -159,72 +144,54 @@ class PipeChannel(WorkerChannel):
         self, loop: SelectorLoop, listener: ChannelListener, kind: WorkerKind, env: Mapping[str, str], lock: Lock
     ) -> None:
         super().__init__(loop, listener)
-        self._process = subprocess.Popen(
-            supervised_command(kind.name),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env=dict(env),
-            bufsize=0,
-            start_new_session=True,  # only the daemon handles a Ctrl-C in its terminal
-            pass_fds=(lock.fileno(),),
-        )
+        pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+        self._process = _start(supervised_command(kind.name), env, lock, **pipes)
         self.pid, self.started_here = self._process.pid, True
-        lock.write(self.pid, "daemon")
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         assert self._process.stderr is not None
-        self._stdin = self._process.stdin.fileno()
-        self._stdout = self._process.stdout.fileno()
-        self._stderr = self._process.stderr.fileno()
         self._reports = protocol.Lines()
         self._log = protocol.Lines(LONGEST_LOG_LINE)
-        for file in (self._stdin, self._stdout, self._stderr):
-            fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) | os.O_NONBLOCK)
-        loop.on_readable(self._stdout, self._read_reports)
-        loop.on_readable(self._stderr, self._read_log)
+        self._commands = streams.writer(loop, self._process.stdin)
+        self._readers = (
+            streams.reader(loop, self._process.stdout, self._on_reports),
+            streams.reader(loop, self._process.stderr, self._on_log),
+        )
 
-    @override
-    def _writer(self) -> int:
-        return self._stdin
-
-    def _read_reports(self) -> None:
-        data = read_some(self._stdout)
-        if data == b"":
-            self._loop.on_readable(self._stdout, None)
-        for line in self._reports.feed(data or b""):
+    def _on_reports(self, data: bytes) -> None:
+        for line in self._reports.feed(data):
             self._report(line)
 
-    def _read_log(self) -> None:
-        data = read_some(self._stderr)
-        if data == b"":
-            self._loop.on_readable(self._stderr, None)
-        self._log_lines(self._log.feed(data) if data else self._log.end() if data == b"" else [])
+    def _on_log(self, data: bytes) -> None:
+        self._log_lines(self._log.feed(data) if data else self._log.end())
 
     @override
     def poll(self) -> None:
         """Check for the exit of the process; then kill the rest of its group, and read its last output."""
-        # Not reaped yet, so that its id still names its group.
-        if os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+        if not self._has_exited():
             return
-        kill_group(self.pid, signal.SIGKILL)
+        processes.kill(self.pid)
         code = self._process.wait()
-        self._read_reports()
-        self._read_log()
+        for reader in self._readers:
+            reader.drain()
         self._log_lines(self._log.end())
         self.detach()
         self._listener.on_exit(Exit(code))
 
+    def _has_exited(self) -> bool:
+        if hasattr(os, "waitid"):  # does not reap the process, so that its id still names its group
+            return os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+        return self._process.poll() is not None
+
     @override
     def detach(self) -> None:
-        for file in (self._stdin, self._stdout, self._stderr):
-            self._loop.unwatch(file)
-        for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
-            assert pipe is not None
-            pipe.close()
+        for stream in (self._commands, *self._readers):
+            stream.close()
 
 
 _LAST_OUTPUT = 4096
+_CONNECT_SECONDS = 0.25
+"""The daemon's loop waits this long at most for a worker that hangs; not at all with Unix sockets."""
 
 
 class SocketChannel(WorkerChannel):
@@ -235,41 +202,38 @@ class SocketChannel(WorkerChannel):
         self._path = state_file.control_socket(config, kind.name)
         self._output = state_file.worker_output(config, kind.name)
         self._process: subprocess.Popen[bytes] | None = None
+        self._start_reports: streams.Reader | None = None
         self._socket: socket.socket | None = None
         self._lines = protocol.Lines()
         self._connected = False
+        self._to_socket = self._commands = streams.SelectedWriter(loop)
 
     def adopt(self) -> bool:
         """Connect to the worker; return False if it does not run."""
-        sock = _connect(self._path)
-        if sock is None:
+        try:
+            sock = local_socket.connect(self._path, _CONNECT_SECONDS)
+        except OSError:
             return False
+        sock.setblocking(False)
         self._close_start()
         self._socket = sock
         self._connected = True
-        self._loop.on_readable(sock.fileno(), self._read)
-        self._flush()
+        self._loop.on_readable(sock, self._read)
+        self._to_socket.attach(sock, sock.send, sock.close)
         return True
 
     def spawn(self, kind: WorkerKind, config: Config, env: Mapping[str, str], lock: Lock) -> None:
         """Start a worker; `poll` connects to it as soon as its socket exists."""
+        with contextlib.suppress(OSError):
+            self._path.unlink(missing_ok=True)  # of a dead predecessor: another program may have its port by now
         with self._open_output() as output, _unnamed_file() as first:
             first.write(protocol.encode_command(protocol.NewConfig(config)))
             first.seek(0)
-            self._process = subprocess.Popen(
-                supervised_command(kind.name, "--control"),
-                stdin=first,
-                stdout=subprocess.PIPE,
-                stderr=output,
-                env=dict(env),
-                start_new_session=True,
-                pass_fds=(lock.fileno(),),
-            )
+            command = supervised_command(kind.name, "--control")
+            self._process = _start(command, env, lock, stdin=first, stdout=subprocess.PIPE, stderr=output)
         self.pid, self.started_here = self._process.pid, True
-        lock.write(self.pid, "daemon")
         assert self._process.stdout is not None
-        os.set_blocking(self._process.stdout.fileno(), False)
-        self._loop.on_readable(self._process.stdout.fileno(), self._read_start)
+        self._start_reports = streams.reader(self._loop, self._process.stdout, self._on_start)
 
     def _open_output(self) -> IO[bytes]:
         """Open the file for its stderr, /dev/null if the state folder is not writable."""
@@ -279,30 +243,25 @@ class SocketChannel(WorkerChannel):
             logger.warning("cannot write %s: %s; the worker's last output will be lost", self._output, err.strerror)
             return Path(os.devnull).open("wb")
 
-    @override
-    def _writer(self) -> int:
-        return self._socket.fileno() if self._socket is not None else -1
-
-    def _read_start(self) -> None:
-        """Read the reports of its start, before its socket exists."""
-        assert self._process is not None
-        assert self._process.stdout is not None
-        data = read_some(self._process.stdout.fileno())
-        if data == b"":
-            self._close_start()
-        for line in self._lines.feed(data or b""):
+    def _on_start(self, data: bytes) -> None:
+        """Handle reports of its start, before its socket exists."""
+        for line in self._lines.feed(data):
             self._report(line)
 
     def _close_start(self) -> None:
-        if self._process is not None and self._process.stdout is not None and not self._process.stdout.closed:
-            self._loop.unwatch(self._process.stdout.fileno())
-            self._process.stdout.close()
+        if self._start_reports is not None:
+            self._start_reports.close()
+            self._start_reports = None
             self._lines = protocol.Lines()
 
     def _read(self) -> None:
-        data = read_some(self._writer())
-        if data is None:
+        assert self._socket is not None
+        try:
+            data = self._socket.recv(streams.READ_SIZE)
+        except BlockingIOError:
             return
+        except OSError:
+            data = b""
         if not data:
             self._disconnect()
             self.poll()
@@ -335,10 +294,8 @@ class SocketChannel(WorkerChannel):
             self._log_lines(output.read().splitlines())
 
     def _disconnect(self) -> None:
-        if self._socket is not None:
-            self._loop.unwatch(self._socket.fileno())
-            self._socket.close()
-            self._socket = None
+        self._to_socket.close()
+        self._socket = None
 
     @override
     def detach(self) -> None:
@@ -350,14 +307,3 @@ class SocketChannel(WorkerChannel):
 def _unnamed_file() -> IO[bytes]:
     """Open a temporary file for a child to read; on Linux in memory, so that a full disk does not matter."""
     return os.fdopen(os.memfd_create("midspan"), "w+b") if sys.platform == "linux" else tempfile.TemporaryFile()
-
-
-def _connect(path: Path) -> socket.socket | None:
-    sock = socket.socket(socket.AF_UNIX)
-    sock.setblocking(False)  # a Unix socket connects at once or not at all
-    try:
-        sock.connect(str(path))
-    except OSError:
-        sock.close()
-        return None
-    return sock

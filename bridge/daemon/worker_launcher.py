@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import signal
 import time
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,9 +11,9 @@ import psutil
 
 from bridge import state_file
 from bridge.config.model import Config
-from bridge.daemon import protocol
+from bridge.daemon import processes, protocol
 from bridge.daemon.lock import Lock
-from bridge.daemon.worker_channel import ChannelListener, PipeChannel, SocketChannel, WorkerChannel, kill_group
+from bridge.daemon.worker_channel import ChannelListener, PipeChannel, SocketChannel, WorkerChannel
 from bridge.daemon.worker_run import Timing
 from bridge.daemon.worker_states import WorkerEvent
 from bridge.daemon.workers import WorkerKind
@@ -111,7 +110,7 @@ class WorkerLauncher:
         if holder.is_here and now - self._blocked_since > self._timing.stop:
             if _is_worker(holder.pid, name):
                 logger.warning("%s: process %d of an earlier daemon does not exit; killing it", name, holder.pid)
-                kill_group(holder.pid, signal.SIGKILL)
+                processes.kill(holder.pid)
             self._blocked_since = now
         return self._wait(f"waiting for process {holder.pid} of {holder.machine} to exit", self._timing.exit_poll)
 

@@ -11,11 +11,10 @@ import logging
 import os
 import queue
 import signal
-import sys
 import time
 from collections.abc import Callable
 from enum import Enum
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from bridge import resources, state_file
 from bridge.adapters.memory import few_heaps
@@ -23,6 +22,7 @@ from bridge.config.model import Config
 from bridge.daemon import log, protocol
 from bridge.daemon.control import Commands, ControlServer, DaemonPipe, Hangup
 from bridge.daemon.heartbeat import dump_stacks_on_signal
+from bridge.daemon.lock import INHERITED, Lock
 from bridge.daemon.notify import Notifier
 from bridge.daemon.succession import Successor, succeed
 from bridge.daemon.workers import WorkerKind
@@ -30,9 +30,6 @@ from bridge.hub.errors import HubError
 from bridge.progress import working
 from bridge.resources import LARGE_MESSAGES, raise_open_files
 from bridge.worker import Health, Worker, WorkerFailedError
-
-if TYPE_CHECKING:
-    from bridge.daemon.lock import Lock
 
 logger = logging.getLogger("midspan.worker")
 
@@ -223,17 +220,29 @@ class WorkerMain:
         if first is None:
             return 0
         config = first.config
-        if not self._control:
-            log.setup(config, self._kind.name, log.Style.SUPERVISED)
-            pipe.read_to(self._commands, stop_at_end=True)
-            return self._run(config, pipe.report) or 0
-        relay = log.RelayHandler()
+        relay = log.RelayHandler() if self._control else None
         log.setup(config, self._kind.name, log.Style.SUPERVISED, relay)
+        lock = server = None
         try:
-            server = self._open_control(config, "daemon", self._commands.put)
+            if not INHERITED:
+                lock = self._lock(config, "daemon")
+            if self._control:
+                server = self._open_control(config, "daemon", self._commands.put)
         except RuntimeError as err:
             logger.error("cannot work here: %s", err)  # noqa: TRY400  the daemon reads it from stderr
             return protocol.EXIT_CANNOT_WORK
+        try:
+            return self._run_under_daemon(config, pipe, relay, server)
+        finally:
+            if lock is not None:
+                lock.close()
+
+    def _run_under_daemon(
+        self, config: Config, pipe: DaemonPipe, relay: log.RelayHandler | None, server: ControlServer | None
+    ) -> int:
+        if relay is None or server is None:
+            pipe.read_to(self._commands, stop_at_end=True)
+            return self._run(config, pipe.report) or 0
         relay.relay_to(server.relay)
         pipe.heartbeat.send_to(server.report)
         try:
@@ -252,7 +261,7 @@ class WorkerMain:
             return 0
         successor = Successor()
         self._kind.create()  # imports its code before the predecessor exits
-        lock = succeed(lambda: self._lock(config))
+        lock = succeed(lambda: self._lock(config, "service"))
         server = self._open_control(config, "service", self._on_service_command) if self._control else None
         ready = False
 
@@ -277,8 +286,7 @@ class WorkerMain:
             notifier.close()
             if server is not None:
                 server.close()
-            if lock is not None:
-                lock.close()
+            lock.close()
 
     def _on_service_command(self, command: protocol.Command) -> None:
         """Handle a daemon's command; for a new configuration, a service reloads its own file."""
@@ -307,16 +315,11 @@ class WorkerMain:
     ) -> ControlServer:
         return ControlServer(state_file.control_socket(config, self._kind.name), owner, on_command)
 
-    def _lock(self, config: Config) -> Lock | None:
+    def _lock(self, config: Config, owner: protocol.Owner) -> Lock:
         """Lock the worker: it has at most one process, with or without a daemon of the same name."""
-        if sys.platform == "win32":
-            return None
-
-        from bridge.daemon.lock import Lock
-
         lock = Lock(state_file.worker_lock(config, self._kind.name))
         if lock.try_lock():
-            lock.write(os.getpid(), "service")
+            lock.write(os.getpid(), owner)
             return lock
         holder = lock.holder()
         lock.close()

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import logging
-import signal
 import time
 from collections.abc import Callable
 
 from bridge.config.model import Config
 from bridge.daemon import protocol
-from bridge.daemon.heartbeat import DUMP_STACKS
 from bridge.daemon.worker_channel import Exit, WorkerChannel
 from bridge.daemon.worker_launcher import WorkerLauncher
 from bridge.daemon.worker_run import Progress, RunHistory, Timing, WorkerRun
@@ -270,8 +268,8 @@ class WorkerProcess:
             case Progress.HUNG:
                 self._kill(self._silence())
             case Progress.LATE if self.phase is Phase.UP or self.text:  # before its first report the signal kills it
-                if self.channel is not None and self.channel.pid and DUMP_STACKS is not None:
-                    self.channel.kill(DUMP_STACKS)
+                if self.channel is not None:
+                    self.channel.dump_stacks()
 
     def _silence(self) -> str:
         limit = self._limit
@@ -298,7 +296,7 @@ class WorkerProcess:
         if self.channel is None:
             return
         if self.channel.pid:
-            self.channel.kill(signal.SIGKILL)
+            self.channel.kill()
         else:
             # adopted, but its process id is unknown: the lock names it once this connection is closed
             self.channel.detach()
@@ -325,8 +323,7 @@ class WorkerProcess:
             logger.info("stopping %s: %s", self.name, why)
             self._run.killed = False
             self._enter(WorkerEvent.STOP, why)
-            self.channel.send(protocol.Stop())
-            self.channel.kill(signal.SIGTERM)
+            self.channel.stop()
         self._kill_after(self._timing.stop if seconds is None else seconds)
 
     def _kill_after(self, seconds: float) -> None:

@@ -8,7 +8,6 @@ runs.
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -106,13 +105,13 @@ class DaemonState:
 def daemon_state(config: Config, documents: Iterable[StatusDocument] = (), file: Path | None = None) -> DaemonState:
     """Find out whether a configuration's daemon runs, given its file and the status documents on its hub."""
     unit, down = units.unit_of(file), None
-    places = _places(config)
-    for place in places:
+    candidates = places(config)
+    for place in candidates:
         document = ask_daemon(place)
         if document is not None:
             unit = units.unit_of(document.config or file)
             return DaemonState(config.name, Life.RUNNING, document.pid, document=document, unit=unit)
-    for place in places:
+    for place in candidates:
         lock = state_file.daemon_lock(place)
         pid = _holder(lock)
         if pid and _holds(pid, lock):
@@ -125,7 +124,7 @@ def daemon_state(config: Config, documents: Iterable[StatusDocument] = (), file:
     return DaemonState(config.name, Life.DOWN if orphan else Life.UNKNOWN, router=orphan, unit=unit)
 
 
-def _places(config: Config) -> list[Config]:
+def places(config: Config) -> list[Config]:
     """Return the configuration with each state folder that its daemon may have: this user's, and the services'."""
     folders = [state_folder(config).absolute()]
     if config.state is None and units.STATE not in folders:
@@ -141,7 +140,7 @@ def unresponsive_router(config: Config) -> str:
     from bridge.hub.router import port_holder  # many verbs need no router
 
     holder = port_holder(config.hub.listen)
-    routers = [_outliving(place) for place in _places(config)]
+    routers = [_outliving(place) for place in places(config)]
     if holder is None or holder.pid not in routers:
         return ""
     place = connect_endpoint(config.hub.listen)
@@ -191,8 +190,6 @@ def _not_loaded(daemon: DaemonStatus, report: WorkerReport, config: Config) -> s
 
 def _holder(lock: Path) -> int:
     """The process of this machine that is named in a lock, also a dead one; else 0."""
-    if sys.platform == "win32":  # without a daemon
-        return 0
     from bridge.daemon.lock import Lock
 
     try:

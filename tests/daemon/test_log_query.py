@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from bridge.config.model import Config
-from bridge.daemon.log_query import OWN, KeptLines, LogServer, ask_log
+from bridge.daemon.log_query import LOG, OWN, KeptLines, ask_log
+from bridge.daemon.query import QueryServer
 from tests.peers.daemon.daemon import Daemon
 from tests.support.wait import until
 from yarp_compat.selector_loop import SelectorLoop
@@ -65,7 +66,7 @@ def test_bounded_responses_together_have_all_lines() -> None:
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[tuple[Config, KeptLines]]:
     loop, kept, closing = SelectorLoop(), KeptLines(), threading.Event()
-    server = LogServer(loop, tmp_path / "test.log.sock", kept)
+    server = QueryServer(loop, tmp_path / "test.daemon.sock", {LOG: kept.respond})
 
     def run() -> None:
         while not closing.is_set():
@@ -89,7 +90,7 @@ def test_silent_and_invalid_clients_do_not_block_others(served: tuple[Config, Ke
     with contextlib.ExitStack() as stack:
         for number in range(20):
             silent = stack.enter_context(socket.socket(socket.AF_UNIX))
-            silent.connect(str(config.state) + "/test.log.sock")
+            silent.connect(str(config.state) + "/test.daemon.sock")
             if number % 2:
                 silent.sendall(b"everything\n")
         document = until(lambda: ask_log(config, 0, 10.0), "a response, once a connection is free")

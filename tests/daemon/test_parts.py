@@ -168,7 +168,7 @@ def test_a_lock_lasts_while_any_process_has_its_descriptor(tmp_path: Path) -> No
     holder = second.holder()
     assert holder is not None
     assert (holder.pid, holder.owner, holder.is_here) == (os.getpid(), "service", True)
-    inherited = os.dup(first.fileno())
+    inherited = os.dup(first.passed_on[0])
     first.close()
     assert not second.try_lock()
     os.close(inherited)

@@ -65,7 +65,7 @@ def test_a_file_instead_of_a_socket_yields_none(tmp_path: Path) -> None:
 
 def test_without_descriptors_a_client_is_disconnected_and_the_loop_does_not_spin(tmp_path: Path) -> None:
     loop = SelectorLoop()
-    server = QueryServer(loop, tmp_path / "sock", dict)
+    server = QueryServer(loop, tmp_path / "sock", {"status": lambda _: {}})
     with contextlib.closing(loop), contextlib.closing(server), socket.socket(socket.AF_UNIX) as client:
         client.settimeout(5.0)
         client.connect(str(tmp_path / "sock"))
@@ -75,7 +75,9 @@ def test_without_descriptors_a_client_is_disconnected_and_the_loop_does_not_spin
         with socket.socket(socket.AF_UNIX) as again:
             again.settimeout(5.0)
             again.connect(str(tmp_path / "sock"))
-            loop.step(5.0)
+            again.sendall(b'{"verb": "status"}\n')
+            for _ in range(2):  # accepts, then reads
+                loop.step(5.0)
             assert again.recv(100) == b"{}"
 
 

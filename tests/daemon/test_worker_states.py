@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Iterator
 from typing import Any
 
@@ -70,13 +69,16 @@ class _Channel:
 
     def __init__(self) -> None:
         self.sent: list[protocol.Command] = []
-        self.signals: list[signal.Signals] = []
+        self.killed = 0
 
     def send(self, command: protocol.Command) -> None:
         self.sent.append(command)
 
-    def kill(self, number: signal.Signals) -> None:
-        self.signals.append(number)
+    def stop(self) -> None:
+        self.send(protocol.Stop())
+
+    def kill(self) -> None:
+        self.killed += 1
 
     def poll(self) -> None:
         pass
@@ -205,7 +207,7 @@ def test_a_second_stop_request_keeps_the_state_and_its_reason(rig: _Rig) -> None
     rig.bring_to(Phase.STOPPING)
     rig.worker.stop("once more")
     assert (rig.worker.phase, rig.worker.text) == (Phase.STOPPING, "requested")
-    assert len(rig.launcher.channel.sent) == len(rig.launcher.channel.signals) == 1
+    assert len(rig.launcher.channel.sent) == 1
 
 
 def test_a_disabled_worker_stays_off_even_if_it_asks_for_a_restart_before_it_exits(rig: _Rig) -> None:
@@ -240,7 +242,7 @@ def test_a_timer_starts_a_worker_again(event: WorkerEvent) -> None:
 def test_a_timer_kills_a_worker_that_does_not_stop(caplog: pytest.LogCaptureFixture) -> None:
     rig = _Rig(Timing(stop=0.0))
     rig.bring_to(Phase.STOPPING)
-    until(lambda: rig.loop.step(1.0) or signal.SIGKILL in rig.launcher.channel.signals, "it is killed")
+    until(lambda: rig.loop.step(1.0) or rig.launcher.channel.killed, "it is killed")
     assert "ros1 did not stop in time; killing process 7" in caplog.text
     rig.loop.close()
 
@@ -249,10 +251,9 @@ def test_the_timer_of_an_earlier_state_has_no_effect() -> None:
     rig = _Rig(Timing(stop=0.0))
     rig.bring_to(Phase.STOPPING)
     rig.worker.on_exit(Exit(0))
-    rig.launcher.channel.signals.clear()
     rig.configure("other")
     rig.loop.step(0.0)
     rig.loop.step(0.0)
     assert rig.worker.phase is Phase.STARTING
-    assert rig.launcher.channel.signals == []
+    assert rig.launcher.channel.killed == 0
     rig.loop.close()

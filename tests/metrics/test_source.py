@@ -39,6 +39,7 @@ class Daemon:
             except OSError:
                 return
             with client:
+                client.recv(1000)
                 client.sendall(json.dumps(self.document).encode())
 
     def close(self) -> None:

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from bridge.daemon.log_query import KeptLines, LogServer
-from bridge.daemon.query import QueryServer
+from bridge.daemon.log_query import LOG, KeptLines
+from bridge.daemon.query import STATUS, QueryServer
 from bridge.web.verbs import inspection
 from bridge.web.verbs.config_text import HIDDEN, secrets_of, without_secrets
 from tests.peers.browser.page import TestPage
@@ -22,16 +22,14 @@ from yarp_compat.selector_loop import SelectorLoop
 
 
 class Daemon:
-    """A daemon that responds on its sockets."""
+    """A daemon that responds on its socket."""
 
     def __init__(self, folder: Path, file: Path) -> None:
         self._loop = SelectorLoop()
         self.kept = KeptLines()
         self._over = False
-        self._servers = [
-            QueryServer(self._loop, folder / "here.daemon.sock", lambda: {"config": str(file)}),
-            LogServer(self._loop, folder / "here.log.sock", self.kept),
-        ]
+        verbs = {STATUS: lambda _: {"config": str(file)}, LOG: self.kept.respond}
+        self._server = QueryServer(self._loop, folder / "here.daemon.sock", verbs)
         self._thread = threading.Thread(target=self._serve)
         self._thread.start()
 
@@ -50,8 +48,7 @@ class Daemon:
         self._over = True
         self._loop.wake()
         self._thread.join()
-        for server in self._servers:
-            server.close()
+        self._server.close()
         self._loop.close()
 
 

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 def register_run(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
-        "Runs the daemon in the foreground. SIGHUP checks and reloads the configuration; only workers that use a change"
-        " reload. SIGTERM or Ctrl-C stops everything in order, a second one at once."
+        "Runs the daemon in the foreground. SIGHUP or 'midspan reload' checks and reloads the configuration; only"
+        " workers that use a change reload. SIGTERM or Ctrl-C stops everything in order, a second one at once."
     )
     add_config(parser)
     parser.add_argument(
@@ -41,12 +41,6 @@ def register_run(parser: argparse.ArgumentParser) -> None:
 
 def run_run(args: argparse.Namespace) -> int:
     """Run the daemon until it is asked to stop."""
-    if sys.platform == "win32":  # its locks and its channels to the workers need POSIX
-        workers = ", ".join(worker_kinds({}))
-        raise CliError(
-            f"the daemon does not run on Windows: start each worker with 'midspan worker NAME' ({workers}),"
-            " or run the daemon on a Linux machine on the same hub"
-        )
     from bridge.config.document import ConfigError
     from bridge.daemon import log
     from bridge.daemon.protocol import EXIT_CANNOT_WORK
@@ -58,9 +52,11 @@ def run_run(args: argparse.Namespace) -> int:
         print(err, file=sys.stderr)
         return EXIT_CANNOT_WORK  # so that systemd does not restart the service
     log.setup(supervisor.config, "midspan", log.style_for())
-    signal.signal(signal.SIGTERM, lambda *_: supervisor.request_stop())
-    signal.signal(signal.SIGINT, lambda *_: supervisor.request_stop())
-    signal.signal(signal.SIGHUP, lambda *_: supervisor.request_reload())
+    for name in ("SIGTERM", "SIGINT", "SIGBREAK"):  # Windows sends the last one as it closes a console or a session
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), lambda *_: supervisor.request_stop())
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, lambda *_: supervisor.request_reload())
     supervisor.run()
     return 0
 

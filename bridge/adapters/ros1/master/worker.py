@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import _thread
 import signal
 from pathlib import Path
 
@@ -72,7 +72,7 @@ def state_file(config: Config) -> Path:
 
 
 def _end() -> None:
-    os.kill(os.getpid(), signal.SIGTERM)
+    _thread.interrupt_main(signal.SIGTERM)  # on Windows os.kill would end the process at once
 
 
 def _settings(config: Config) -> tuple[object, ...]:

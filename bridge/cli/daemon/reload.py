@@ -1,0 +1,39 @@
+"""``midspan reload``: the running daemon loads its changed configuration."""
+
+from __future__ import annotations
+
+import argparse
+
+from bridge.cli.arguments import add_config
+from bridge.cli.output import CliError
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    parser.description = (
+        "Lets the running daemon check and load its configuration file again, as SIGHUP does; only workers that use a"
+        " change reload. If the file has a problem, the daemon keeps the configuration that it runs."
+    )
+    add_config(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Reload the daemon; raises `CliError` if it does not run, or rejects its file."""
+    from bridge.config.load import load
+    from bridge.daemon.query import reload_daemon
+    from bridge.doctor.daemon_state import daemon_state, places
+    from bridge.state_file import named
+
+    config = named(load(args.config))
+    for place in places(config):
+        rejected = reload_daemon(place)
+        if rejected:
+            raise CliError(f"the daemon {config.name} keeps its running configuration:\n{rejected}")
+        if rejected is not None:
+            print(f"the daemon {config.name} has loaded its configuration")
+            return 0
+    state = daemon_state(config)
+    raise CliError(
+        state.trouble or f"no daemon named {config.name} runs with the state folder {places(config)[0].state}"
+    )
