@@ -9,6 +9,12 @@ from __future__ import annotations
 
 import builtins
 import os
+import select
+import selectors
+import signal
+import socket
+import stat
+import subprocess
 import sys
 import types
 from typing import Any
@@ -60,9 +66,6 @@ NO_NAMES = {
 NO_FOLDERS = ("/proc", "/dev/shm", "/dev/fd", "/sys", "/run", "/usr/share/zoneinfo", "/etc")
 """Windows has none of them, macOS only the last three."""
 
-_real: dict[str, Any] = {
-    name: __import__(name) for name in ("os", "select", "selectors", "signal", "socket", "subprocess", "time")
-}
 _replaced: dict[str, dict[str, object]] = {}
 _proxies: dict[str, types.ModuleType] = {}
 
@@ -232,25 +235,20 @@ def _stat(path: Any, *arguments: Any, **options: Any) -> Any:
 
 
 def _is_socket(file: Any) -> bool:
-    import stat
-
     number = file if isinstance(file, int) else file.fileno()
     return stat.S_ISSOCK(os.fstat(number).st_mode)
 
 
 def _windows() -> None:
     """Define what Windows has in other forms."""
-    os_, select, selectors, signal = _real["os"], _real["select"], _real["selectors"], _real["signal"]
-    socket, subprocess = _real["socket"], _real["subprocess"]
-
     exclusive, new_group = -5, 0x200  # SO_EXCLUSIVEADDRUSE and CREATE_NEW_PROCESS_GROUP
 
     def kill(pid: int, number: int) -> None:
         # CTRL_C_EVENT is 0, CTRL_BREAK_EVENT 1; every other number ends the process with it as its exit code
         if number in {0, 1}:
-            os_.kill(pid, signal.SIGINT)
+            os.kill(pid, signal.SIGINT)
         else:
-            os_.kill(pid, signal.SIGKILL)
+            os.kill(pid, signal.SIGKILL)
 
     def select_(readable: Any, writable: Any, exceptional: Any, timeout: float | None = None) -> Any:
         for file in (*readable, *writable, *exceptional):
@@ -283,7 +281,7 @@ def _windows() -> None:
             super().shutdown(how)
 
         def accept(self) -> Any:
-            number, address = self._accept()
+            number, address = self._accept()  # type: ignore[attr-defined]
             sock = type(self)(self.family, self.type, self.proto, fileno=number)
             sock.setblocking(socket.getdefaulttimeout() is None)
             return sock, address
@@ -356,7 +354,6 @@ def _msvcrt() -> types.ModuleType:
 
 def _macos() -> None:
     """Define what macOS has in other forms."""
-    selectors, socket = _real["selectors"], _real["socket"]
 
     class Socket(socket.socket):
         def shutdown(self, how: int) -> None:
@@ -370,7 +367,7 @@ def _macos() -> None:
             super().bind(address)
 
         def accept(self) -> Any:
-            number, address = self._accept()
+            number, address = self._accept()  # type: ignore[attr-defined]
             sock = type(self)(self.family, self.type, self.proto, fileno=number)
             sock.setblocking(socket.getdefaulttimeout() is None)
             return sock, address
