@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -20,17 +19,12 @@ from tests.contract.side import PeerLike
 from tests.peers.hub.quick import QuickHub
 from tests.peers.yarp.programs import Definitions, Names, YarpProgram
 from tests.peers.zenoh.programs import Ros2ddsBridge, Router
-from tests.support.hidden import HIDE, LIBRARIES, NAME, is_windows_name
+from tests.support.hidden import as_on, is_windows_name
 from tests.support.process import Process
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
 
-ROOT = Path(__file__).parents[2]
 STRING = "std_msgs/String"
-WORKER = """
-from bridge.cli.main import main
-sys.exit(main(["worker", sys.argv[1], "--prepared", "--config", sys.argv[2]]))
-"""
 
 
 @pytest.fixture
@@ -51,9 +45,9 @@ def worker(side: str, hubs: QuickHub, folder: Path, **sections: Any) -> Iterator
     state = folder / "state"
     config = {"name": "CON", "state": str(state), "hub": {"listen": hubs.endpoint, "shared_memory": False}}
     file.write_text(yaml.safe_dump({**config, **sections}))
-    environ = {**os.environ, "PYTHONPATH": str(ROOT)}
     far = HubSide(Hub.open(hubs.settings("far")), Registry())
-    with Process([sys.executable, "-c", LIBRARIES + HIDE + NAME + WORKER, side, file], environ) as process:
+    command = [sys.executable, "-m", "bridge.cli.main", "worker", side, "--config", file]
+    with Process(command, as_on("windows")) as process:
         try:
             until(lambda: process.popen.poll() is not None or runs(far), "it runs", 30)
             yield far

@@ -12,7 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import psutil
 import pytest
@@ -20,13 +20,12 @@ import yaml
 
 from tests.peers.yarp.programs import Definitions, Names, YarpProgram
 from tests.peers.zenoh.programs import Ros2ddsBridge
-from tests.support.hidden import is_windows_name
+from tests.support.hidden import as_on, is_windows_name
 from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
 
-ROOT = Path(__file__).parents[2]
 MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]
 STRING = "std_msgs/String"
 
@@ -34,13 +33,8 @@ STRING = "std_msgs/String"
 class OtherOs:
     """A daemon as on another system, with the programs on its sides."""
 
-    def __init__(self, system: str, folder: Path) -> None:
-        self.env = {
-            **os.environ,
-            "HIDDEN_OS": system,
-            "PYTHONPATH": os.pathsep.join([str(ROOT / "tests" / "support" / "other_os"), str(ROOT)]),
-            "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
-        }
+    def __init__(self, system: Literal["windows", "macos"], folder: Path) -> None:
+        self.system, self.env = system, as_on(system)
         self.folder, self.file = folder, folder / "midspan.yaml"
         self.names = Names()
         self.hub, self.web = f"tcp/127.0.0.1:{free_port()}", free_port()
@@ -158,6 +152,6 @@ def stops(other: OtherOs) -> None:
     )
     names = [path.name for path in (other.folder / "state").rglob("*")]
     assert [name for name in names if name.endswith(".sock")] == []
-    if other.env["HIDDEN_OS"] == "windows":
+    if other.system == "windows":
         assert "%43ON.daemon.lock" in names
         assert [name for name in names if not is_windows_name(name)] == []

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import warnings
-from pathlib import PureWindowsPath
+from pathlib import Path, PureWindowsPath
+from typing import Literal
 
 HIDE = """
 import asyncio, concurrent.futures, http.client, logging.handlers, multiprocessing, numpy, os, select, selectors
@@ -41,23 +43,20 @@ def socketpair(*_):
 socket.socket, socket.socketpair = Socket, socketpair
 selectors.DefaultSelector = selectors.SelectSelector
 """
-"""Run this in a process before Midspan is imported."""
+"""Run this in a process before yarp_compat is imported: it then has no libraries that need what is hidden."""
 
-LIBRARIES = """
-import cryptography.x509, numpy, psutil, pydantic, rich.console, rosbags.typesys, ruamel.yaml, xxhash, yaml, zenoh
-import os, types
+ROOT = Path(__file__).parents[2]
 
-whole = types.ModuleType("os")
-vars(whole).update(vars(os))
-for module in (psutil, psutil._common, psutil._pslinux, psutil._psposix):
-    module.os = whole
-"""
-"""Run this before `HIDE` if the bridge itself runs: libraries with a separate implementation for Windows."""
 
-NAME = """
-sys.platform = "win32"
-"""
-"""Run this after `HIDE`: the platform's name, which the bridge checks."""
+def as_on(system: Literal["windows", "macos"]) -> dict[str, str]:
+    """Return an environment in which Midspan's programs run as on another system; see `tests.support.other_os`."""
+    paths = [str(ROOT / "tests" / "support" / "other_os"), str(ROOT)]
+    return {
+        **os.environ,
+        "HIDDEN_OS": system,
+        "PYTHONPATH": os.pathsep.join(paths),
+        "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
+    }
 
 
 def is_windows_name(name: str) -> bool:
