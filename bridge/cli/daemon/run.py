@@ -136,6 +136,7 @@ def _enter_environment(kind: WorkerKind, config: Config, args: argparse.Namespac
 def _go_on_as(command: list[str], env: Mapping[str, str]) -> NoReturn:
     """Replace this process by another Midspan command."""
     if sys.platform == "win32":  # exec would end this process for those that wait for it
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the new process gets a Ctrl-C too; its exit code counts
         sys.exit(subprocess.call(command, env=dict(env)))
     os.execve(command[0], command, dict(env))  # noqa: S606  our own interpreter and module
 
