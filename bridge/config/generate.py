@@ -204,8 +204,9 @@ A list of texts can also be written as one text (`trusted: operator1`), and the 
 
 as the first line of a file, editors check and complete it while you type.
 
-`kill -HUP` (or `systemctl reload midspan`) checks the file and loads it again. A file with a problem changes nothing.
-Only the workers that use changed keys reload or restart. `name` and `state` need a restart of the daemon.
+`midspan reload` (or SIGHUP, or `systemctl reload midspan`) checks the file and loads it again. A file with a problem
+changes nothing. Only the workers that use changed keys reload or restart. `name` and `state` need a restart of the
+daemon.
 """
 
 

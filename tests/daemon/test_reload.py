@@ -6,6 +6,8 @@ import signal
 
 import pytest
 
+from bridge.config.model import Config
+from bridge.daemon.query import reload_daemon
 from tests.peers.daemon.daemon import Daemon, alive
 from tests.support.process import Process
 from tests.support.wait import until
@@ -87,7 +89,14 @@ def test_name_cannot_change_while_running(daemon: Daemon) -> None:
     daemon.wait_ready(process)
     daemon.file.write_text("name: other\nstate: state\n")
     process.signal(signal.SIGHUP)
-    daemon.expect_output(process, "name: changing it from 'test' to 'other' needs a restart of the daemon")
+    rejection = "name: changing it from 'test' to 'other' needs a restart of the daemon"
+    daemon.expect_output(process, rejection)
+    config = Config(name="test", state=daemon.folder / "state")
+    assert rejection in (reload_daemon(config) or "")
+    daemon.configure("ros1: {poll: 1}\n")
+    assert reload_daemon(config) == ""
+    until(lambda: daemon.events("ros1", "reload"), "a request reloads like the signal")
+    assert reload_daemon(config.model_copy(update={"name": "other"})) is None
     assert all(alive(daemon.wait_started(worker)) for worker in WORKERS)
 
 

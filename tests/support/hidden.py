@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import warnings
 from pathlib import Path, PureWindowsPath
-from typing import Literal
 
 HIDE = """
 import asyncio, concurrent.futures, http.client, logging.handlers, multiprocessing, numpy, os, select, selectors
@@ -48,8 +47,8 @@ selectors.DefaultSelector = selectors.SelectSelector
 ROOT = Path(__file__).parents[2]
 
 
-def as_on(system: Literal["windows", "macos"]) -> dict[str, str]:
-    """Return an environment in which Midspan's programs run as on another system; see `tests.support.other_os`."""
+def as_on(system: str) -> dict[str, str]:
+    """Return an environment in which Midspan runs as on ``windows`` or ``macos``; see `tests.support.other_os`."""
     paths = [str(ROOT / "tests" / "support" / "other_os"), str(ROOT)]
     return {
         **os.environ,
