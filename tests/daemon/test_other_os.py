@@ -175,7 +175,7 @@ def assert_stops(other: OtherOs) -> None:
     other.interrupt()
     assert other.process.wait(30) == 0
     assert [pid for pid in workers if psutil.pid_exists(pid)] == []
-    stops = re.findall(r" (\w+): stopping: requested by the daemon", other.output())
+    stops = re.findall(r" (\w+): stopping: (?:requested by the daemon|SIGTERM)", other.output())
     assert set(WORKERS) <= set(stops), "each was asked, and none only killed"
     assert "Traceback" not in other.output()
     names = [path.name for path in (other.folder / "state").rglob("*")]
