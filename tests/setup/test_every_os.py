@@ -1,0 +1,74 @@
+"""The workflow for systems that CI does not have, and the file for launchd: nothing here can run them."""
+
+from __future__ import annotations
+
+import plistlib
+import re
+import shlex
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[2]
+WORKFLOW = ROOT / ".github/workflows/every_os.yml"
+JOB_KEYS = {"needs", "strategy", "runs-on", "timeout-minutes", "defaults", "steps"}
+STEP_KEYS = {"name", "uses", "with", "run", "env"}
+
+
+@pytest.fixture(scope="module")
+def workflow() -> dict[Any, Any]:
+    document: dict[Any, Any] = yaml.safe_load(WORKFLOW.read_text(encoding="utf-8"))
+    return document
+
+
+def steps(workflow: dict[Any, Any]) -> list[dict[str, Any]]:
+    return [step for job in workflow["jobs"].values() for step in job["steps"]]
+
+
+def test_jobs_have_the_keys_of_github(workflow: dict[Any, Any]) -> None:
+    # YAML 1.1 reads the key "on" as true
+    assert set(workflow) == {"name", True, "permissions", "concurrency", "jobs"}
+    assert workflow["permissions"] == {"contents": "read"}
+    for job in workflow["jobs"].values():
+        assert set(job) <= JOB_KEYS
+        assert set([job["needs"]] if "needs" in job else []) <= set(workflow["jobs"])
+        assert job["timeout-minutes"] <= 60
+
+
+def test_each_step_uses_an_action_or_runs_a_valid_script(workflow: dict[Any, Any]) -> None:
+    for step in steps(workflow):
+        assert set(step) <= STEP_KEYS
+        assert ("uses" in step) != ("run" in step), step
+        if "uses" in step:
+            assert re.fullmatch(r"[\w-]+/[\w-]+@(v[0-9]+|[0-9a-f]{40})", step["uses"])
+        else:
+            checked = subprocess.run(["bash", "-n"], input=step["run"], capture_output=True, text=True, check=False)
+            assert (checked.returncode, checked.stderr) == (0, "")
+
+
+def test_expressions_name_what_exists(workflow: dict[Any, Any]) -> None:
+    matrix = workflow["jobs"]["run"]["strategy"]["matrix"]
+    known = {f"matrix.{name}" for name in matrix} | {"github.ref"}
+    expressions = re.findall(r"\$\{\{\s*(.*?)\s*\}\}", WORKFLOW.read_text(encoding="utf-8"))
+    assert expressions
+    assert set(expressions) <= known
+    assert {name.partition("-")[0] for name in matrix["os"]} == {"ubuntu", "windows", "macos"}
+    assert "ubuntu-24.04-arm" in matrix["os"]
+
+
+def test_files_and_targets_of_its_commands_exist(workflow: dict[Any, Any]) -> None:
+    words = [word for step in steps(workflow) for word in shlex.split(step.get("run", ""))]
+    paths = [word for word in words if word.startswith(("tests/", "configs/"))]
+    assert "tests/daemon/test_other_os.py" in paths
+    assert [path for path in paths if not (ROOT / path).exists()] == []
+    assert re.search(r"^dist:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert "MIDSPAN_TEST_SYSTEMS" in (ROOT / "tests/daemon/test_other_os.py").read_text()
+
+
+def test_launchd_gets_a_valid_file() -> None:
+    job = plistlib.loads((ROOT / "packaging/midspan.plist").read_bytes())
+    assert (job["Label"], job["RunAtLoad"], job["KeepAlive"]) == ("midspan", True, True)
+    assert job["ProgramArguments"][1:] == ["run", "--config", "/etc/midspan/midspan.yaml"]
