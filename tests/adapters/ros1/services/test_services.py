@@ -77,7 +77,7 @@ def give_back(master, edge, served, name):
 
 @pytest.fixture
 def rosout(master):
-    """A roscpp node with services: roscore's rosout, which replaces the one of Midspan's own master."""
+    """A roscpp node with services: roscore's rosout, which also replaces the embedded one."""
     if not master.embedded:
         yield
         return
@@ -203,10 +203,10 @@ def test_clients_are_served(master, edge):
             call = peer.ask("call", service="/ours/set", type=SET_BOOL, request={"data": True}, persistent=number > 2)
             assert requests_at(edge, served, number + 1)[number] == ON
             if number % 3 == 1:
-                edge.ask("answer", id=served, number=number, error="the hub says: nö")
+                edge.ask("answer", id=served, number=number, error="the hub refuses: nö")
                 end = peer.ask("result", id=call["id"])
                 assert end["reply"] is None
-                assert "responded with an error: b'the hub says: n" in end["error"]
+                assert "responded with an error: b'the hub refuses: n" in end["error"]
             else:
                 edge.ask("answer", id=served, number=number, reply=reply(True, f"{number}"))
                 end = peer.ask("result", id=call["id"])
