@@ -127,7 +127,7 @@ def test_a_publisher_that_latches_a_moment_after_it_was_registered(master, edge)
 
 
 def test_messages_from_and_to_roscpp_programs(master, edge):
-    # roscore's rosout is a roscpp program: it republishes /rosout on /rosout_agg
+    # roscore's rosout is a roscpp program: it publishes /rosout again on /rosout_agg, as that of the embedded master
     with master.peer("logger") as peer:
         endpoint = edge.endpoint(topic="/rosout_agg", made_by="native")
         assert (endpoint["type"], endpoint["node"]) == ("rosgraph_msgs/Log", "/rosout")

@@ -65,7 +65,7 @@ class RosoutNode:
         self._closed = False
         address = NodeAddress(urlsplit(master_uri).hostname or bind, bind, ":" in bind)
         events = PlainNodeEvents(self._publishers, lambda: None, self._on_shutdown)
-        self._node = PlainNode(NODE, master_uri, address, events, origin="rosout", label="midspan-rosout")
+        self._node = PlainNode(NODE, master_uri, address, events, label="midspan-rosout")
         self.uri = self._node.uri
         self._output = self._node.publish(AGGREGATED, LOG)
         self._node.subscribe(TOPIC, LOG, self._on_log, _MAX_MESSAGE)
