@@ -44,6 +44,22 @@ selectors.DefaultSelector = selectors.SelectSelector
 """
 """Run this in a process before yarp_compat is imported: it then has no libraries that need what is hidden."""
 
+LIBRARIES = """
+import cryptography.x509, numpy, psutil, pydantic, rich.console, rosbags.typesys, ruamel.yaml, xxhash, yaml, zenoh
+import os, types
+
+whole = types.ModuleType("os")
+vars(whole).update(vars(os))
+for module in (psutil, psutil._common, psutil._pslinux, psutil._psposix):
+    module.os = whole
+"""
+"""Run this before `HIDE` if the bridge itself runs in the same process: libraries with a Windows implementation."""
+
+NAME = """
+sys.platform = "win32"
+"""
+"""Run this after `HIDE`: the platform's name, which the bridge checks."""
+
 ROOT = Path(__file__).parents[2]
 
 
