@@ -266,7 +266,6 @@ class McapBag(SpanBag):
         )
 
     def _plain(self, span: FileSpan) -> bytes:
-        """Return a span's records."""
         if not span.chunk:
             return self._read(span.offset, span.length)
         return self._unpacked(span, memoryview(self._read(span.offset + _HEAD.size, span.length)))[0]

@@ -276,7 +276,6 @@ class GatewayDevice(NavigationDevice):
         return [self._places.location(place) for place in (poses or left)]
 
     def _waypoint(self) -> Map2DLocation | None:
-        """Return the next waypoint of the robot."""
         path, robot = (self._waypoints() if self._gateway.driving else []), self._gateway.robot()
         if not path or robot is None:
             return path[0] if path else None

@@ -117,7 +117,6 @@ class OwnLocalizer(PoseSource):
         return memory.recall(name, of_this_run=True) or self._start or memory.recall(name, of_this_run=False)
 
     def _save(self, estimate: PoseEstimate, *, now: bool = False) -> None:
-        """Save the pose of the robot."""
         if estimate.pose is None or estimate.status is not LocalizationStatus.OK:
             return
         try:

@@ -86,7 +86,6 @@ def _settings(text: str) -> dict[str, str]:
 
 
 def _quoted(text: str) -> str:
-    """Quote a text if necessary."""
     if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_.-]*", text):
         return text
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'

@@ -302,7 +302,6 @@ class PortRegistry:
         return self._described(command, plain_name(command.name(1)))
 
     def _described(self, command: Command, name: str) -> list[Any]:
-        """Return the reply about one port."""
         entry = self._ports.get(name)
         if command.bot:
             line = as_bottle(entry.contact) if entry else ["port", ["error", -2, "port not known"]]

@@ -243,7 +243,6 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _without_comment(line: str) -> str:
-    """Return the line without its comment."""
     if "//" not in line and "#" not in line:
         return line
     quoted = False

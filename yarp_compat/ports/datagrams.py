@@ -47,7 +47,6 @@ class DatagramInput(Input):
         self._assembler = Assembler(port.limit)
 
     def _assembler_of(self, sender: tuple[str, int]) -> Assembler:  # noqa: ARG002
-        """Return the assembler of a sender's datagrams."""
         return self._assembler
 
     @override

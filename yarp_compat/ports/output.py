@@ -329,7 +329,6 @@ class Output:
             _log.info("%s -> %s closed with %d unsent messages", self.route.source, self.route.target, lost)
 
     def _on_lost(self) -> None:
-        """Close the lost connection."""
         with self._lock:
             closed = self.closed
             if self._current is not None and not self._current.done:

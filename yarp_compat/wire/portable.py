@@ -69,7 +69,6 @@ class Portable(PortReader, PortWriter):
     TYPE: ClassVar[str] = ""  # the type name that YARP's ports announce; empty if there is none
 
     def _write(self, out: ElementWriter) -> None:
-        """Write the value's elements."""
         raise NotImplementedError(f"{type(self).__name__} has no elements")
 
     def _read(self, source: ElementReader) -> None:
