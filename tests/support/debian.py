@@ -86,8 +86,16 @@ class Root:
         self.folder = folder
         folder.mkdir()
         self._call(["mount", "-t", "tmpfs", "-o", "mode=755", "tmpfs", folder], 10)  # speeds up dpkg and the removal
+        try:
+            self._fill(suite)
+        except BaseException:
+            self.close()
+            raise
+
+    def _fill(self, suite: str) -> None:
+        """Create the system, or unpack the one that was created today."""
+        folder, packed = self.folder, CACHE / f"{suite}.tar"
         CACHE.mkdir(parents=True, exist_ok=True)
-        packed = CACHE / f"{suite}.tar"
         with (CACHE / f"{suite}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             if packed.exists() and packed.stat().st_mtime > time.time() - DAY:
