@@ -24,6 +24,8 @@ from dataclasses import dataclass, field
 Callback = Callable[[], object]
 File = socket.socket | int
 
+_READ, _WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
+
 CALLS_PER_STEP = 1000
 """More calls wait for the next step, so that a flood of them does not delay sockets and timers."""
 
@@ -46,7 +48,7 @@ class _Watch:
 
     @property
     def events(self) -> int:
-        return selectors.EVENT_READ * (self.readable is not None) | selectors.EVENT_WRITE * (self.writable is not None)
+        return _READ * (self.readable is not None) | _WRITE * (self.writable is not None)
 
 
 def _descriptor(file: File) -> int:
@@ -63,6 +65,7 @@ class SelectorLoop:
 
     def __init__(self) -> None:
         self._selector = selectors.DefaultSelector()
+        self._select: Callable[[float | None], list[tuple[selectors.SelectorKey, int]]] = self._selector.select
         self._calls: deque[Callback] = deque()
         self._timers: list[Timer] = []
         self._cancelled = 0
@@ -151,14 +154,21 @@ class SelectorLoop:
 
     def step(self, seconds: float | None = None) -> None:
         """Wait at most this many seconds for something to do, and do it: each ready file, due timer and call once."""
-        self._poll(self._pause(seconds))
-        now = time.monotonic()
-        for _ in range(len(self._timers)):
-            if not self._timers or self._timers[0].due > now:
-                break
-            self._expire(heapq.heappop(self._timers))
-        for _ in range(min(len(self._calls), CALLS_PER_STEP)):
-            self._run(self._calls.popleft())
+        pause = self._pause(seconds) if self._calls or self._timers else seconds
+        for key, events in self._select(pause):
+            watch: _Watch = key.data
+            try:  # another thread may end the callbacks meanwhile
+                if events & _READ and (callback := watch.readable) is not None:
+                    callback()
+                if events & _WRITE and (callback := watch.writable) is not None:
+                    callback()
+            except Exception as err:
+                self._failed(err)
+        if self._timers:
+            self._expire()
+        if self._calls:
+            for _ in range(min(len(self._calls), CALLS_PER_STEP)):
+                self._run(self._calls.popleft())
 
     def _pause(self, seconds: float | None) -> float | None:
         """Return how long to wait for files: until the next timer, and not at all while calls are left."""
@@ -169,23 +179,26 @@ class SelectorLoop:
             return left if seconds is None else min(left, seconds)
         return seconds
 
-    def _poll(self, pause: float | None) -> None:
-        for key, events in self._selector.select(pause):
-            watch: _Watch = key.data
-            if events & selectors.EVENT_READ and watch.readable is not None:
-                self._run(watch.readable)
-            if events & selectors.EVENT_WRITE and watch.writable is not None:
-                self._run(watch.writable)
-
-    def _expire(self, timer: Timer) -> None:
-        callback, timer.callback = timer.callback, None
-        if callback is None:
-            self._cancelled -= 1
-        else:
-            self._run(callback)
+    def _expire(self) -> None:
+        now = time.monotonic()
+        for _ in range(len(self._timers)):
+            if not self._timers or self._timers[0].due > now:
+                return
+            timer = heapq.heappop(self._timers)
+            callback, timer.callback = timer.callback, None
+            if callback is None:
+                self._cancelled -= 1
+            else:
+                self._run(callback)
 
     def _run(self, callback: Callback) -> None:
-        callback()
+        try:
+            callback()
+        except Exception as err:
+            self._failed(err)
+
+    def _failed(self, err: Exception) -> None:
+        raise err
 
     def _woken(self) -> None:
         with contextlib.suppress(BlockingIOError):

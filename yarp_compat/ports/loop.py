@@ -2,36 +2,26 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 import threading
 
-from yarp_compat.overriding import override
-from yarp_compat.selector_loop import Callback, SelectorLoop
+from yarp_compat.selector_loop import Callback
+from yarp_compat.threaded_loop import ThreadedLoop
 
 _log = logging.getLogger("yarp.ports")
 _lock = threading.Lock()
 _shared: PortLoop | None = None
 
 
-class PortLoop(SelectorLoop):
-    """A loop that runs on its own thread and logs the exceptions of callbacks."""
+class PortLoop(ThreadedLoop):
+    """The loop; ``users`` are the open ports."""
 
     def __init__(self) -> None:
-        super().__init__()
-        self._running = True
-        self._over = False
+        # connections closed since the last poll still have their sockets
+        super().__init__("yarp-loop", lambda: self.step(0.0), _log)
         self.users = 0
-        self._thread = threading.Thread(target=self._loop, name="yarp-loop", daemon=True)
-        self._thread.start()
-
-    @override
-    def call_soon(self, callback: Callback) -> None:
-        """Schedule a call on the thread; if the thread has ended, the caller runs it itself."""
-        super().call_soon(callback)
-        if self._over:
-            self._make_calls()
+        self.start()
 
     def run(self, callback: Callback) -> None:
         """Run a callback on the thread and wait until it is done."""
@@ -45,41 +35,6 @@ class PortLoop(SelectorLoop):
 
         self.call_soon(call)
         done.wait()
-
-    @property
-    def is_own_thread(self) -> bool:
-        """Whether the caller is this loop's thread."""
-        return threading.current_thread() is self._thread
-
-    def stop(self) -> None:
-        """End the thread after the calls that are already scheduled."""
-
-        def end() -> None:
-            self._running = False
-
-        self.call_soon(end)
-        if not self.is_own_thread:
-            self._thread.join()
-
-    def _loop(self) -> None:
-        while self._running:
-            self.step()
-        self._poll(0.0)  # connections closed since the last poll still have their sockets
-        self._over = True
-        self._make_calls()
-        self.close()
-
-    def _make_calls(self) -> None:
-        with contextlib.suppress(IndexError):
-            while True:
-                self._run(self._calls.popleft())
-
-    @override
-    def _run(self, callback: Callback) -> None:
-        try:
-            callback()
-        except Exception:
-            _log.exception("a callback of the ports' shared thread failed")
 
 
 def acquire() -> PortLoop:

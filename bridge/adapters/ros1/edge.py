@@ -16,8 +16,8 @@ from bridge.adapters.ros1 import names
 from bridge.adapters.ros1.actions import discovery
 from bridge.adapters.ros1.actions.actions import Ros1Actions
 from bridge.adapters.ros1.actions.network import ActionNetwork
+from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.environment import master_uri
-from bridge.adapters.ros1.epoll_loop import EpollLoop
 from bridge.adapters.ros1.graph.master import Master
 from bridge.adapters.ros1.graph.presence import Ledger, NodeConnections, NodeEntry, others
 from bridge.adapters.ros1.graph.probe import Ros1Context
@@ -61,7 +61,7 @@ class Ros1Edge(SideEdge):
     def __init__(self, config: Config, registry: Registry, state: Path) -> None:
         super().__init__(config, registry)
         self._ledger = Ledger(state)
-        self._pool, self._loop = PeerPool(), EpollLoop()
+        self._pool, self._loop = PeerPool(), ConnectionLoop()
         self._timer = DelayedCalls("midspan-ros1-later")
         self._names = names.NameTable()
         self._lock = threading.Lock()

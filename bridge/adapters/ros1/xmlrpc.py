@@ -12,12 +12,10 @@ import contextlib
 import http
 import logging
 import math
-import selectors
 import socket
-import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 from xmlrpc.client import INTERNAL_ERROR, INVALID_METHOD_PARAMS, METHOD_NOT_FOUND, Fault
 
@@ -32,6 +30,7 @@ from bridge.adapters.ros1.xmlrpc_request import (
     parse_head,
 )
 from bridge.concurrency import WorkerPool
+from yarp_compat.threaded_loop import ThreadedLoop
 
 _log = logging.getLogger(__name__)
 
@@ -61,7 +60,6 @@ class _Connection:
         self.charged = 0
         self.served = False
         self.persistent = True
-        self.events = 0
 
     @property
     def idle(self) -> bool:
@@ -97,18 +95,13 @@ class XmlRpcServer:
         self._failed: set[str] = set()
         self._listener = _listen(address, port)
         self.port: int = self._listener.getsockname()[1]
-        self._selector = selectors.DefaultSelector()
-        self._wake_read, self._wake_write = socket.socketpair()
-        self._wake_read.setblocking(False)
-        self._wake_write.setblocking(False)
-        self._selector.register(self._wake_read, selectors.EVENT_READ)
+        self._loop = ThreadedLoop(name, self._close_sockets, _log)
         self._accepting = self._scarce = False
         self._connections: set[_Connection] = set()
         self._buffered = 0
-        self._responses: deque[tuple[_Connection, bytes]] = deque()
         self._pool = WorkerPool(limits.threads, f"{name}-call")
         self._stopping = False
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._loop.call_soon(self._check)
 
     @property
     def connections(self) -> int:
@@ -116,60 +109,33 @@ class XmlRpcServer:
         return len(self._connections)
 
     def start(self) -> None:
-        self._thread.start()
+        self._loop.start()
 
     def close(self) -> None:
         """Stop serving, and close all connections. Safe to call twice, and in a method that the server calls."""
         self._stopping = True
         self._pool.close()
-        if self._thread.is_alive():
-            self._wake()
-            if self._thread is not threading.current_thread():
-                self._thread.join(_JOIN_SECONDS)
-        elif self._thread.ident is None:
-            self._close_sockets()
+        self._loop.stop(_JOIN_SECONDS)
 
     # -- the thread of the connections ---------------------------------------------------------------------------------
 
-    def _run(self) -> None:
-        self._accept(enabled=True)
-        check = time.monotonic() + _TICK
-        while not self._stopping:
-            for key, events in self._selector.select(_TICK):
-                if key.fileobj is self._listener:
-                    self._accept_clients()
-                elif isinstance(key.data, _Connection):
-                    if key.data in self._connections:  # an earlier event may have closed it
-                        self._on_ready(key.data, events)
-                else:
-                    with contextlib.suppress(BlockingIOError):
-                        self._wake_read.recv(4096)
-            self._send_responses()
-            if (now := time.monotonic()) >= check:
-                check = now + _TICK
-                self._expire(now)
-        self._send_responses()
-        self._close_sockets()
+    def _check(self) -> None:
+        now = time.monotonic()
+        for connection in [c for c in self._connections if c.deadline <= now]:
+            self._close(connection)
+        self._accept(enabled=not self._stopping)
+        self._loop.call_later(_TICK, self._check)
 
     def _close_sockets(self) -> None:
         for connection in list(self._connections):
             self._close(connection)
+        self._accept(enabled=False)
         self._listener.close()
-        self._selector.close()
-        self._wake_read.close()
-        self._wake_write.close()
-
-    def _wake(self) -> None:
-        with contextlib.suppress(OSError):  # full: it wakes anyway; closed: the server ended meanwhile
-            self._wake_write.send(b"w")
 
     def _accept(self, *, enabled: bool) -> None:
         if enabled != self._accepting:
             self._accepting = enabled
-            if enabled:
-                self._selector.register(self._listener, selectors.EVENT_READ)
-            else:
-                self._selector.unregister(self._listener)
+            self._loop.watch(self._listener, self._accept_clients if enabled else None)
 
     def _accept_clients(self) -> None:
         while len(self._connections) < self._limits.connections or self._close_idle():
@@ -186,7 +152,10 @@ class XmlRpcServer:
             _configure(sock)
             connection = _Connection(sock, time.monotonic() + self._limits.seconds)
             self._connections.add(connection)
-            self._watch(connection, selectors.EVENT_READ)
+            try:
+                self._loop.watch(sock, partial(self._on_readable, connection))
+            except OSError:  # the system cannot watch more
+                self._close(connection)
         self._accept(enabled=False)
 
     def _close_idle(self) -> bool:
@@ -195,38 +164,26 @@ class XmlRpcServer:
             self._close(min(idle, key=lambda connection: connection.idle_since))
         return bool(idle)
 
-    def _expire(self, now: float) -> None:
-        for connection in [c for c in self._connections if c.deadline <= now]:
-            self._close(connection)
-        self._accept(enabled=True)
-
-    def _watch(self, connection: _Connection, events: int) -> None:
-        if events == connection.events:
-            return
-        if not connection.events:
-            self._selector.register(connection.sock, events, connection)
-        elif not events:
-            self._selector.unregister(connection.sock)
-        else:
-            self._selector.modify(connection.sock, events, connection)
-        connection.events = events
-
     def _close(self, connection: _Connection) -> None:
-        self._watch(connection, 0)
+        self._loop.unwatch(connection.sock)
         self._connections.discard(connection)
         self._buffered -= connection.charged
         connection.charged = 0
         connection.sock.close()
         self._accept(enabled=not self._stopping and not self._scarce)
 
-    def _on_ready(self, connection: _Connection, events: int) -> None:
+    def _on_readable(self, connection: _Connection) -> None:
         try:
-            if events & selectors.EVENT_WRITE:
-                self._send(connection)
-            elif self._receive(connection):
+            if self._receive(connection):
                 self._advance(connection)
         except HttpError as err:
             self._reject(connection, err.status)
+        except OSError:
+            self._close(connection)
+
+    def _on_writable(self, connection: _Connection) -> None:
+        try:
+            self._send(connection)
         except OSError:
             self._close(connection)
 
@@ -270,7 +227,7 @@ class XmlRpcServer:
         del connection.received[: head.length]
         connection.head, connection.served, connection.persistent = None, True, head.persistent
         connection.deadline = math.inf
-        self._watch(connection, 0)
+        self._loop.watch(connection.sock)
         self._pool.submit(lambda: self._serve(connection, body))
 
     def _reject(self, connection: _Connection, status: http.HTTPStatus) -> None:
@@ -279,26 +236,21 @@ class XmlRpcServer:
         line = f"HTTP/1.1 {status.value} {status.phrase}\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
         self._respond(connection, line.encode())
 
-    def _send_responses(self) -> None:
-        while self._responses:
-            connection, response = self._responses.popleft()
-            connection.served = False
-            if connection in self._connections:
-                self._respond(connection, response)
+    def _on_result(self, connection: _Connection, response: bytes) -> None:
+        connection.served = False
+        if connection in self._connections:
+            self._respond(connection, response)
 
     def _respond(self, connection: _Connection, response: bytes) -> None:
         connection.outgoing = memoryview(response)
         connection.deadline = time.monotonic() + self._limits.seconds + len(response) / SLOWEST
-        try:
-            self._send(connection)
-        except OSError:
-            self._close(connection)
+        self._on_writable(connection)
 
     def _send(self, connection: _Connection) -> None:
         with contextlib.suppress(BlockingIOError):
             connection.outgoing = connection.outgoing[connection.sock.send(connection.outgoing) :]
         if connection.outgoing:
-            self._watch(connection, selectors.EVENT_WRITE)
+            self._loop.watch(connection.sock, None, partial(self._on_writable, connection))
             return
         if not connection.persistent:
             self._close(connection)
@@ -308,7 +260,7 @@ class XmlRpcServer:
         connection.charged = left
         connection.idle_since = time.monotonic()
         connection.deadline = connection.idle_since + self._limits.seconds if left else math.inf
-        self._watch(connection, selectors.EVENT_READ)
+        self._loop.watch(connection.sock, partial(self._on_readable, connection))
         try:
             self._advance(connection)  # the next request may have arrived already
         except HttpError as err:
@@ -325,8 +277,7 @@ class XmlRpcServer:
             response = encode_response(self._fault(method, err))
         option = "" if connection.persistent else "Connection: close\r\n"
         head = f"HTTP/1.1 200 OK\r\n{option}Content-Type: text/xml\r\nContent-Length: {len(response)}\r\n\r\n"
-        self._responses.append((connection, head.encode() + response))
-        self._wake()
+        self._loop.call_soon(lambda: self._on_result(connection, head.encode() + response))
 
     def _call(self, method: str, params: Sequence[Any]) -> object:
         if method == "system.multicall":

@@ -64,10 +64,10 @@ def _greeting() -> Subject:
 
 def _frames() -> Subject:
     """A publisher's messages received on a connection."""
-    from bridge.adapters.ros1 import epoll_loop
+    from bridge.adapters.ros1 import connection_loop
     from bridge.adapters.ros1.topics import connection as module
 
-    epoll_loop.keep_alive = lambda _sock: None  # type: ignore[assignment]  # a socket pair is no TCP connection
+    connection_loop.keep_alive = lambda _sock: None  # type: ignore[assignment]  # a socket pair is no TCP connection
 
     def frame(size: int) -> bytes:
         return struct.pack("<I", size) + bytes(range(256)) * (size // 256) + bytes(size % 256)
@@ -153,13 +153,13 @@ def _xmlrpc() -> Subject:
 
 def _slave() -> Subject:
     """Calls of this node's slave API: each has a reply of three values, or a fault."""
-    from bridge.adapters.ros1.epoll_loop import EpollLoop
+    from bridge.adapters.ros1.connection_loop import ConnectionLoop
     from bridge.adapters.ros1.node.slave import SlaveApi, SlaveEvents, SlaveState
     from bridge.adapters.ros1.topics.book import TopicBook
     from bridge.adapters.ros1.xmlrpc_request import DEFAULT_LIMITS, decode_call, encode_response
     from bridge.messages.transcode.conversion import SideType
 
-    book = TopicBook(EpollLoop(), lambda: "/node", "robot", lambda: None, lambda: None)
+    book = TopicBook(ConnectionLoop(), lambda: "/node", "robot", lambda: None, lambda: None)
     book.publish("/chatter", SideType("std_msgs/String", "0" * 32, "string data\n"), latched=True)
     state = SlaveState(lambda: "/node", lambda: "http://x:1/", "http://m:1/", lambda: ("x", 2), book, lambda: [0, 0, 0])
     api = SlaveApi(state, SlaveEvents(lambda: None, lambda: True, lambda _: None))

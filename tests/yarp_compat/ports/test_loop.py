@@ -53,4 +53,4 @@ def test_exceptions_are_logged_and_delay_no_other_callback(caplog: pytest.LogCap
     loop.call_soon(start)
     assert done.wait(10.0)
     loop.stop()
-    assert caplog.text.count("a callback of the ports' shared thread failed") == 2
+    assert caplog.text.count("a callback of the thread yarp-loop failed") == 2

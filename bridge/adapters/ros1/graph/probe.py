@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
-from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.graph.state import Registration
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD, Header, connect
 from bridge.adapters.ros1.peer_pool import PeerPool
@@ -50,7 +50,7 @@ class Ros1Context:
     """
 
     pool: PeerPool
-    loop: EpollLoop
+    loop: ConnectionLoop
     timer: DelayedCalls
     book: TopicBook
     node: Callable[[], str]

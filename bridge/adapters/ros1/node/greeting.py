@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 
 from typing_extensions import override
 
-from bridge.adapters.ros1.epoll_loop import EpollLoop, PolledConnection
+from bridge.adapters.ros1.connection_loop import ConnectionLoop, PolledConnection, receive_now
 from bridge.adapters.ros1.handshake import MAX_HEADER, decode, encode
 from bridge.adapters.ros1_peers import DeadlineSocket, Ros1ProtocolError
 from bridge.concurrency import DelayedCalls, WorkerPool
@@ -33,7 +33,6 @@ _MAX_BYTES = 32 * 2**20
 _ACCEPTED_AT_ONCE = 64
 _ADMITTED_AT_ONCE = 16
 _PAUSE = 0.5
-_NOW = getattr(socket, "MSG_DONTWAIT", 0)
 _LENGTH = struct.Struct("<I")
 
 Admit = Callable[[DeadlineSocket, Mapping[str, str]], str]
@@ -43,7 +42,7 @@ Admit = Callable[[DeadlineSocket, Mapping[str, str]], str]
 class TcprosServer(PolledConnection):
     """Listens on a socket, and calls ``admit`` with each peer that has sent its header."""
 
-    def __init__(self, listener: socket.socket, loop: EpollLoop, timer: DelayedCalls, admit: Admit) -> None:
+    def __init__(self, listener: socket.socket, loop: ConnectionLoop, timer: DelayedCalls, admit: Admit) -> None:
         self.port = int(listener.getsockname()[1])
         super().__init__(listener)
         self._sock.setblocking(False)
@@ -150,7 +149,7 @@ class _Greeting(PolledConnection):
     def on_ready(self) -> Callable[[], None] | None:
         """Receive a part of the header, and not a byte after it."""
         try:
-            data = self._sock.recv(min(self._size - len(self._buffer), 65536), _NOW)
+            data = receive_now(self._sock, min(self._size - len(self._buffer), 65536))
         except BlockingIOError:
             return None
         except OSError:

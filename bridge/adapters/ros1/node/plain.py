@@ -8,7 +8,7 @@ from functools import partial
 from threading import Lock
 from typing import NamedTuple
 
-from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.handshake import Header, connect
 from bridge.adapters.ros1.node.address import NodeAddress
 from bridge.adapters.ros1.node.greeting import TcprosServer
@@ -83,7 +83,7 @@ class PlainNode:
         self._lock = Lock()
         self._subscriptions: dict[str, _Subscription] = {}
         self._closed = False
-        self._loop = EpollLoop(label)
+        self._loop = ConnectionLoop(label)
         self._timer = DelayedCalls(f"{label}-timer")
         self._pool = WorkerPool(_THREADS, f"{label}-connect")
         self._book = TopicBook(self._loop, lambda: name, origin, lambda: None, events.changed)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from typing_extensions import override
 
-from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.graph.probe import Ros1Context
 from bridge.adapters.ros1.graph.state import Registration
 from bridge.adapters.ros1.handshake import connect_service
@@ -75,7 +75,9 @@ class _ServerConnection(ServiceConnection):
 
     head = 5
 
-    def __init__(self, sock: socket.socket, link: Registration, owner: Ros1Caller, loop: EpollLoop, limit: int) -> None:
+    def __init__(
+        self, sock: socket.socket, link: Registration, owner: Ros1Caller, loop: ConnectionLoop, limit: int
+    ) -> None:
         super().__init__(sock, loop, limit)
         self.link = link
         self._owner = owner

@@ -17,7 +17,7 @@ from typing import ClassVar
 
 from typing_extensions import override
 
-from bridge.adapters.ros1.epoll_loop import EpollLoop, PolledConnection
+from bridge.adapters.ros1.connection_loop import ConnectionLoop, PolledConnection, receive_now, send_now
 
 _log = logging.getLogger(__name__)
 
@@ -26,10 +26,12 @@ LENGTH = struct.Struct("<I")
 _CHUNK = 64 * 1024
 """Size limit of messages that the loop's thread reads; larger ones would delay other connections."""
 
+_MAX_AHEAD = 4096
+"""Size limit of what a peer sends during a call, before the reply; the rest stays in its socket."""
+
 _TRUSTED = 16 * 2**20
 """Bytes that are allocated on announcement; more only as they arrive."""
 
-_NOW = socket.MSG_DONTWAIT
 _STOPS = "was closed because the bridge is stopping"
 
 
@@ -39,12 +41,12 @@ class ServiceConnection(PolledConnection):
     head: ClassVar[int]
     """Bytes before a message's body; the last four of them are the body's length."""
 
-    def __init__(self, sock: socket.socket, loop: EpollLoop, limit: int) -> None:
+    def __init__(self, sock: socket.socket, loop: ConnectionLoop, limit: int) -> None:
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         super().__init__(sock)
         self._loop, self._limit = loop, limit
         self._over = False
-        self._buffer = b""
+        self._buffer = self._ahead = b""
         self._size = 0
         self._skip = 0
         self._sending = False
@@ -101,7 +103,7 @@ class ServiceConnection(PolledConnection):
             if self._over:
                 return False
             try:
-                sent = self._sock.sendmsg(parts, [], _NOW)
+                sent = send_now(self._sock, *parts)
             except BlockingIOError:
                 sent = 0
             except OSError:
@@ -136,7 +138,7 @@ class ServiceConnection(PolledConnection):
             if self._sending:
                 return False
         try:
-            self._sock.recv(1, _NOW | socket.MSG_PEEK)
+            receive_now(self._sock, 1, socket.MSG_PEEK)
         except BlockingIOError:
             return True
         except OSError:
@@ -159,7 +161,7 @@ class ServiceConnection(PolledConnection):
         """Read available data, up to the end of one message; called on the reading thread."""
         wanted = self._skip or (self._size if len(self._buffer) >= self.head else self.head) - len(self._buffer)
         try:
-            data = self._sock.recv(min(wanted, _CHUNK), _NOW)
+            data = self._receive(min(wanted, _CHUNK))
         except BlockingIOError:
             return
         except OSError as err:
@@ -175,6 +177,36 @@ class ServiceConnection(PolledConnection):
         else:
             self._buffer += data
             self._advance()
+
+    def read_ahead(self) -> None:
+        """Buffer what the peer sends during a call, so that the end of the connection is noticed behind it."""
+        try:
+            data = receive_now(self._sock, _MAX_AHEAD - len(self._ahead))
+        except BlockingIOError:
+            return
+        except OSError as err:
+            self.end(f"broke off: {err}")
+            return
+        if not data:
+            self.end("left")
+            return
+        self._ahead += data
+        if len(self._ahead) == _MAX_AHEAD:
+            self._loop.pause(self)
+        if self.listens:  # since the reply was sent meanwhile
+            self.ready()
+
+    def resume(self) -> None:
+        """Read messages again, from any thread."""
+        self._loop.listen(self, data=True)
+        if self._ahead:
+            self._loop.call_ready(self)
+
+    def _receive(self, count: int) -> bytes:
+        if not self._ahead:
+            return receive_now(self._sock, count)
+        data, self._ahead = self._ahead[:count], self._ahead[count:]
+        return data
 
     def _advance(self) -> None:
         if len(self._buffer) == self.head:
@@ -200,7 +232,8 @@ class ServiceConnection(PolledConnection):
 
     def _read_large(self) -> None:
         """Read one large body, and return the connection to the loop."""
-        left, parts = self._size - self.head, []
+        parts = [self._receive(self._size - self.head)] if self._ahead else []
+        left = self._size - self.head - sum(map(len, parts))
         try:
             while left:
                 data = self._sock.recv(min(left, _TRUSTED), socket.MSG_WAITALL)

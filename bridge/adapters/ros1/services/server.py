@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import logging
-import select
 import socket
 import threading
 from collections.abc import Callable, Iterable
 
 from typing_extensions import override
 
-from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.graph.probe import Ros1Context
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD, Header, encode
 from bridge.adapters.ros1.services.connection import LENGTH, ServiceConnection
@@ -32,26 +31,22 @@ class _ClientConnection(ServiceConnection):
     head = 4
 
     def __init__(
-        self, sock: socket.socket, server: Ros1Server, loop: EpollLoop, limit: int, *, persistent: bool
+        self, sock: socket.socket, server: Ros1Server, loop: ConnectionLoop, limit: int, *, persistent: bool
     ) -> None:
         super().__init__(sock, loop, limit)
         self._server, self._persistent = server, persistent
         self._state = threading.Lock()
         self._turn = self._left = 0
         self._waits = False
-        self._busy = False
         self._abandon: Abandon | None = None
 
     @override
     def ready(self) -> None:
-        """Read a request; during a call, only check whether the client has left."""
-        if not self._busy:
+        """Read a request; during a call, only notice whether the client has left."""
+        if self.listens:
             super().ready()
         else:
-            poll = select.poll()
-            poll.register(self, select.POLLRDHUP)
-            if poll.poll(0):
-                self.end("left")
+            self.read_ahead()
 
     def close(self, why: str) -> None:
         """End a pending call with an error, and close."""
@@ -70,7 +65,7 @@ class _ClientConnection(ServiceConnection):
         with self._state:
             self._turn += 1
             turn = self._turn
-            self._waits = self._busy = True
+            self._waits = True
         self._loop.listen(self, data=False)
         if not self._server.is_open:
             self._done(turn, CallError(self._server.gone))
@@ -95,7 +90,6 @@ class _ClientConnection(ServiceConnection):
     @override
     def _skipped(self, size: int) -> None:
         # only now: closing a connection with unread bytes would discard the error
-        self._busy = True
         self._loop.listen(self, data=False)
         self._reply(CallError(f"the request has {size} bytes, limits.message allows {self._limit}"))
 
@@ -127,8 +121,7 @@ class _ClientConnection(ServiceConnection):
     @override
     def _sent(self) -> None:
         if self._persistent:
-            self._busy = False
-            self._loop.listen(self, data=True)
+            self.resume()
         else:
             self.cut()
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from threading import Lock
 from typing import Any
 
-from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.handshake import Header, encode
 from bridge.adapters.ros1.topics.connection import PublisherConnection
 from bridge.adapters.ros1.topics.publication import ANY, Publication, figure
@@ -53,7 +53,7 @@ class TopicBook:
     """
 
     def __init__(
-        self, loop: EpollLoop, node: Callable[[], str], origin: str, changed: Callable[[], None],
+        self, loop: ConnectionLoop, node: Callable[[], str], origin: str, changed: Callable[[], None],
         found: Callable[[], None],
     ) -> None:  # fmt: skip
         self._loop, self._node, self._origin = loop, node, origin

@@ -6,7 +6,7 @@ import itertools
 import socket
 from typing import Any, ClassVar
 
-from bridge.adapters.ros1.epoll_loop import PolledConnection
+from bridge.adapters.ros1.connection_loop import PolledConnection
 
 _numbers = itertools.count(1)
 

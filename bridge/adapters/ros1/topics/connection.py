@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import select
 import socket
 import struct
 import threading
@@ -12,7 +11,7 @@ from collections.abc import Callable
 
 from typing_extensions import override
 
-from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.connection_loop import ConnectionLoop, is_readable, receive_now
 from bridge.adapters.ros1.topics.bus import TopicConnection
 from bridge.adapters.ros1_peers import DeadlineSocket, Ros1ProtocolError
 
@@ -43,7 +42,7 @@ class PublisherConnection(TopicConnection):
 
     def __init__(
         self, sock: DeadlineSocket, topic: str, uri: str, deliver: Callable[[bytes], None],
-        ended: Callable[[str], None], refused: Refused, limit: int = MAX_MESSAGE, loop: EpollLoop | None = None,
+        ended: Callable[[str], None], refused: Refused, limit: int = MAX_MESSAGE, loop: ConnectionLoop | None = None,
     ) -> None:  # fmt: skip
         super().__init__(sock, uri)  # its lock decides which thread closes the socket
         self.dropped = 0
@@ -74,7 +73,7 @@ class PublisherConnection(TopicConnection):
         with self._lock:  # prevents closing the socket meanwhile
             if self.done:
                 return False
-            return not self._started or self._midway or bool(self._taken) or _is_readable(self._sock)
+            return not self._started or self._midway or bool(self._taken) or is_readable(self._sock)
 
     def close(self) -> None:
         """Stop reading; nothing is delivered from now on."""
@@ -135,7 +134,7 @@ class PublisherConnection(TopicConnection):
 
     def _take_small(self) -> bool:
         """Deliver small messages; return whether a large one is next. Raises `BlockingIOError` without data."""
-        more = self._sock.recv(_CHUNK, socket.MSG_DONTWAIT)
+        more = receive_now(self._sock, _CHUNK)
         if not more:
             raise ConnectionResetError(_CLOSED)
         self._midway = True
@@ -217,9 +216,3 @@ class PublisherConnection(TopicConnection):
             data = self._sock.recv(count, socket.MSG_WAITALL)
             parts.append(data)
         return b"".join(parts) if data else None
-
-
-def _is_readable(sock: socket.socket) -> bool:
-    poll = select.poll()
-    poll.register(sock, select.POLLIN)
-    return bool(poll.poll(0))

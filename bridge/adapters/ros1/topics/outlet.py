@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 from typing_extensions import override
 
+from bridge.adapters.ros1.connection_loop import receive_now, send_now
 from bridge.adapters.ros1.topics.bus import TopicConnection
 
 _log = logging.getLogger(__name__)
@@ -23,7 +24,8 @@ MAX_MESSAGES = 20_000
 """Limit of queued messages for one subscriber, over all sources."""
 
 _LENGTH = struct.Struct("<I")
-_NOW = getattr(socket, "MSG_DONTWAIT", 0)
+_MAX_UNEXPECTED = 64 * 1024
+"""Bytes that a subscriber may send after its header; TCPROS has none, and they are discarded."""
 
 
 class SubscriberConnection(TopicConnection):
@@ -48,7 +50,7 @@ class SubscriberConnection(TopicConnection):
         self._condition = threading.Condition()
         self._queue: deque[tuple[str, bytes]] = deque()
         self._waiting: Counter[str] = Counter()
-        self._bytes = 0
+        self._bytes = self._unexpected = 0
         self._rest: bytes | memoryview = b""
         self._writing = False
         self._thread: threading.Thread | None = None
@@ -68,7 +70,7 @@ class SubscriberConnection(TopicConnection):
                 return True
             header = _LENGTH.pack(len(payload))
             try:
-                sent = self._sock.sendmsg([header, payload], [], _NOW)
+                sent = send_now(self._sock, header, payload)
             except BlockingIOError:
                 sent = 0
             except OSError:
@@ -97,8 +99,16 @@ class SubscriberConnection(TopicConnection):
             self._condition.notify()
 
     @override
-    def on_ready(self) -> Callable[[], None]:
-        return self.abandon
+    def on_ready(self) -> Callable[[], None] | None:
+        """Discard what the subscriber sends; return how to handle the end of the connection."""
+        try:
+            data = receive_now(self._sock, _MAX_UNEXPECTED)
+        except BlockingIOError:
+            return None
+        except OSError:
+            return self.abandon
+        self._unexpected += len(data)
+        return self.abandon if not data or self._unexpected > _MAX_UNEXPECTED else None
 
     @override
     def abandon(self) -> None:

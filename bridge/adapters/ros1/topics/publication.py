@@ -12,7 +12,7 @@ from collections.abc import Callable
 from threading import Lock
 from typing import Any
 
-from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD, Header, encode
 from bridge.adapters.ros1.topics.outlet import SubscriberConnection
 from bridge.adapters.ros1_peers import DeadlineSocket
@@ -34,7 +34,7 @@ class Publication:
     """
 
     def __init__(
-        self, topic: str, side_type: SideType, node: Callable[[], str], origin: str, loop: EpollLoop,
+        self, topic: str, side_type: SideType, node: Callable[[], str], origin: str, loop: ConnectionLoop,
         changed: Callable[[], None],
     ) -> None:  # fmt: skip
         self.topic, self.side_type = topic, side_type

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 
 import pytest
 
-from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.handshake import MAX_HEADER, encode, read_header
 from bridge.adapters.ros1.node import greeting
 from bridge.adapters.ros1.node.greeting import TcprosServer
@@ -24,7 +24,7 @@ class Bench:
     """A server that replies with the received header, and rejects peers whose header has the field ``reject``."""
 
     def __init__(self) -> None:
-        self.loop, self.timer = EpollLoop("test-greet"), DelayedCalls("test-later")
+        self.loop, self.timer = ConnectionLoop("test-greet"), DelayedCalls("test-later")
         self.server = TcprosServer(socket.create_server(("127.0.0.1", 0)), self.loop, self.timer, self.admit)
         self.peers = contextlib.ExitStack()
 

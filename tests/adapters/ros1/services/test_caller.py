@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.graph.state import Registration
 from bridge.adapters.ros1.handshake import decode, encode
 from bridge.adapters.ros1.peer_pool import PeerPool
@@ -70,7 +70,7 @@ class Bench:
     """A caller and its surroundings."""
 
     def __init__(self) -> None:
-        self.loop, self.pool, self.doubts = EpollLoop("test-calls"), PeerPool(), []
+        self.loop, self.pool, self.doubts = ConnectionLoop("test-calls"), PeerPool(), []
         context: Any = SimpleNamespace(loop=self.loop, pool=self.pool, node=lambda: "/me", limit=LIMIT)
         self.caller = Ros1Caller(context, "/serve", TYPE, self.doubted, lambda _caller: None)
 

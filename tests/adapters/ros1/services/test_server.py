@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.handshake import decode, encode
 from bridge.adapters.ros1.services.server import MAX_CLIENTS, ServiceServers
 from bridge.adapters.ros1_peers import DeadlineSocket
@@ -50,7 +50,7 @@ class Bench:
     """A node's services, and clients of them over real sockets."""
 
     def __init__(self, limit: int) -> None:
-        self.loop, self.changes, self.handler = EpollLoop("test-serving"), 0, Handler()
+        self.loop, self.changes, self.handler = ConnectionLoop("test-serving"), 0, Handler()
         context: Any = SimpleNamespace(loop=self.loop, node=lambda: "/midspan", origin="robot", limit=limit)
         self.servers = ServiceServers(context, self.changed)
         self.server = self.servers.open("/serve", TYPE, self.handler)
@@ -281,6 +281,24 @@ def test_a_client_that_leaves_with_unread_data(bench):
     client.sock.close()
     until(lambda: bench.handler.abandoned == [0], "the call is abandoned")
     assert bench.handler.requests == [b"long"]
+
+
+@pytest.mark.parametrize("size", [100, 4096, 10_000, 200_000])
+def test_a_request_of_any_size_may_arrive_during_a_call(bench, size):
+    """The first bytes are buffered, so that the end of the connection is noticed; the rest stays in the socket."""
+    bench.handler.at_once = False
+    client = bench.open()
+    client.send(b"first")
+    bench.handler.wait(1)
+    body = bytes(range(250)) * (size // 250) + bytes(size % 250)
+    sending = threading.Thread(target=lambda: (client.send(body), client.send(b"third")))
+    sending.start()
+    for n, request in enumerate((b"first", body, b"third")):
+        bench.handler.wait(n + 1)
+        assert (len(bench.handler.requests), bench.handler.requests[n]) == (n + 1, request)
+        bench.handler.dones[n](request[::-1])
+        assert client.reply() == (1, request[::-1])
+    sending.join()
 
 
 @pytest.mark.parametrize("bench", [40 * LIMIT], indirect=True)

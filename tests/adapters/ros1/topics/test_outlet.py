@@ -1,11 +1,13 @@
 """Connections to subscribers: slow ones lose only their own messages, and delay no others."""
 
+import contextlib
 import socket
 import struct
 import threading
 
 import pytest
 
+from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.topics import outlet
 from bridge.adapters.ros1.topics.outlet import SubscriberConnection
 from tests.support.wait import until
@@ -56,6 +58,32 @@ def test_a_fast_subscriber_needs_no_thread(pair):
         assert pair.message() == b"%d" % n
     assert pair.threads() == []
     assert pair.outlet.dropped == 0
+
+
+@pytest.fixture
+def loop(pair):
+    """A loop that watches the connection."""
+    loop = ConnectionLoop("test-watch")
+    pair.outlet._ended = lambda outlet: (loop.remove(outlet), outlet.close())
+    loop.add(pair.outlet)
+    yield loop
+    loop.stop()
+
+
+def test_data_of_a_subscriber_is_discarded_and_its_end_noticed_behind_it(pair, loop):
+    pair.subscriber.sendall(b"unexpected")
+    until(lambda: pair.outlet._unexpected == 10, "the loop has read it")
+    assert pair.outlet.send(b"on", "a", 1)
+    assert pair.message() == b"on"
+    pair.subscriber.close()
+    until(lambda: pair.outlet.done, "its end is noticed")
+
+
+def test_a_subscriber_that_sends_without_end_is_disconnected(pair, loop):
+    """Its data would keep the loop busy."""
+    with contextlib.suppress(ConnectionError):
+        pair.subscriber.sendall(bytes(10_000_000))
+    until(lambda: pair.outlet.done, "it is disconnected")
 
 
 def test_large_messages_arrive_complete(pair):

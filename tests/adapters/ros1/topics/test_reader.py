@@ -9,7 +9,7 @@ import threading
 
 import pytest
 
-from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.connection_loop import ConnectionLoop, is_readable
 from bridge.adapters.ros1.topics import connection as module
 from bridge.adapters.ros1.topics.connection import PublisherConnection
 from bridge.adapters.ros1_peers import DeadlineSocket
@@ -65,7 +65,7 @@ def limit():
 
 @pytest.fixture(params=[False, True], ids=["alone", "intake"])
 def connection(request, limit):
-    loop = EpollLoop() if request.param else None
+    loop = ConnectionLoop() if request.param else None
     connection = Connection(loop, limit)
     yield connection
     connection.reader.close()
@@ -168,10 +168,10 @@ def test_an_undelivered_message_is_unread(connection):
     until(lambda: connection.messages == [b"one"], "it is delivered", 40)
     until(lambda: not reader.unread, "nothing is left", 40)
     publisher.sendall(frame(b"two")[:5])
-    until(lambda: reader.unread and not module._is_readable(reader._sock), "half a message has been read", 40)
+    until(lambda: reader.unread and not is_readable(reader._sock), "half a message has been read", 40)
     publisher.sendall(frame(b"two")[5:] + frame(b"x" * 100_000)[:50_000])
     until(lambda: connection.messages == [b"one", b"two"], "the other half has arrived", 40)
-    until(lambda: reader.unread and not module._is_readable(reader._sock), "half of a large one has been read", 40)
+    until(lambda: reader.unread and not is_readable(reader._sock), "half of a large one has been read", 40)
     publisher.sendall(frame(b"x" * 100_000)[50_000:])
     until(lambda: len(connection.messages) == 3, "it is delivered", 40)
     until(lambda: not reader.unread, "nothing is left", 40)

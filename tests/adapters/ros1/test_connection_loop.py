@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import selectors
 import socket
 import struct
 import threading
@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.connection_loop import ConnectionLoop, PolledConnection, receive_now
 from bridge.adapters.ros1.topics.connection import PublisherConnection
 from bridge.adapters.ros1_peers import DeadlineSocket
 from tests.support.wait import until
@@ -21,11 +21,31 @@ def frame(payload: bytes) -> bytes:
     return struct.pack("<I", len(payload)) + payload
 
 
+class Listener(PolledConnection):
+    """A connection that only notices its end; it reads ``ahead`` and then pauses, as a busy service connection does."""
+
+    def __init__(self, sock: socket.socket, loop: ConnectionLoop) -> None:
+        super().__init__(sock)
+        self.listens = False
+        self.loop, self.calls, self.ended = loop, 0, threading.Event()
+
+    def on_ready(self) -> Callable[[], None] | None:
+        self.calls += 1
+        if self.listens and not receive_now(self._sock, 100):
+            return self.abandon
+        self.loop.pause(self)
+        return None
+
+    def abandon(self) -> None:
+        self._sock.close()
+        self.ended.set()
+
+
 class Crowd:
     """Publishers, and the readers of one loop at their other ends."""
 
     def __init__(self) -> None:
-        self.loop = EpollLoop()
+        self.loop = ConnectionLoop()
         self.heard: list[tuple[int, bytes]] = []
         self.threads: set[str] = set()
         self.ended: list[tuple[int, str]] = []
@@ -64,8 +84,12 @@ def pair() -> tuple[socket.socket, socket.socket]:
         return client, listener.accept()[0]
 
 
-@pytest.fixture
-def crowd() -> Iterator[Crowd]:
+SELECTORS = ("EpollSelector", "KqueueSelector", "PollSelector", "SelectSelector")
+
+
+@pytest.fixture(params=[name for name in SELECTORS if hasattr(selectors, name)])
+def crowd(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Crowd]:
+    monkeypatch.setattr(selectors, "DefaultSelector", getattr(selectors, request.param))
     crowd = Crowd()
     yield crowd
     for reader in crowd.readers:
@@ -131,15 +155,15 @@ def test_without_a_thread_for_a_large_message_the_connection_ends(
 
 def test_the_loop_stops_while_messages_arrive(crowd: Crowd, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its thread notices the stop before it is woken."""
-    publisher, write = crowd.add(), os.eventfd_write
+    publisher, wake = crowd.add(), crowd.loop.wake
     thread = crowd.thread()
 
-    def slow(descriptor: int, value: int) -> None:
+    def slow() -> None:
         publisher.sendall(frame(b"x"))
         thread.join(0.2)
-        write(descriptor, value)
+        wake()
 
-    monkeypatch.setattr(os, "eventfd_write", slow)
+    monkeypatch.setattr(crowd.loop, "wake", slow)
     crowd.loop.stop()
     assert not thread.is_alive()
 
@@ -184,3 +208,62 @@ def test_data_after_the_end_is_not_read(crowd: Crowd) -> None:
     assert [reader.done for reader in crowd.readers] == [True, True]
     assert late.recv(1) == b"", "it is closed"
     assert not crowd.ended
+
+
+def test_a_paused_connection_is_not_called_until_it_is_read_again(crowd: Crowd) -> None:
+    """Its waiting data would otherwise keep the thread busy."""
+    ours, theirs = pair()
+    source = Listener(ours, crowd.loop)
+    assert crowd.loop.add(source)
+    with theirs:
+        theirs.sendall(b"early")
+        until(lambda: source.calls == 1, "it is called")
+        staying = crowd.add()
+        staying.sendall(frame(b"on"))
+        until(lambda: crowd.heard == [(0, b"on")], "another one is read")
+        assert source.calls == 1
+        crowd.loop.listen(source, data=True)
+        crowd.loop.pause(source)  # a thread that was late: it has no effect
+        until(lambda: source.calls == 2, "it is called again")
+    assert source.ended.wait(20)
+
+
+def test_a_connection_that_raises_is_closed(crowd: Crowd, caplog: pytest.LogCaptureFixture) -> None:
+    class Broken(Listener):
+        def on_ready(self) -> None:
+            raise ZeroDivisionError
+
+    ours, theirs = pair()
+    source = Broken(ours, crowd.loop)
+    assert crowd.loop.add(source)
+    with theirs:
+        theirs.sendall(b"x")
+        assert source.ended.wait(20)
+    staying = crowd.add()
+    staying.sendall(frame(b"on"))
+    until(lambda: crowd.heard == [(0, b"on")], "the loop goes on")
+    assert caplog.text.count("reading a ROS 1 connection failed") == 1
+
+
+def test_threads_that_open_and_close_connections_do_not_disturb_others(crowd: Crowd) -> None:
+    """`select` fails for a descriptor that was closed while it waits."""
+    staying = crowd.add()
+
+    def churn() -> None:
+        for _ in range(100):
+            ours, theirs = pair()
+            source = Listener(ours, crowd.loop)
+            assert crowd.loop.add(source)
+            crowd.loop.remove(source)
+            source.abandon()
+            theirs.close()
+
+    threads = [threading.Thread(target=churn) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for n in range(100):
+        staying.sendall(frame(bytes([n])))
+        until(lambda n=n: crowd.heard[-1:] == [(0, bytes([n]))], "it is read", every=0.001)  # type: ignore[misc]
+    for thread in threads:
+        thread.join()
+    assert len(crowd.heard) == 100
