@@ -1,8 +1,8 @@
 """The status documents of workers, hosted modules and the daemon.
 
 A worker responds to the verb ``status`` of the control plane with a `WorkerStatus`, the router with a `RouterStatus`, a
-module with a `ModuleStatus`. The daemon sends a `DaemonStatus` on its socket. As JSON, a status has the keys that were
-set (`Part.document`).
+module with a `ModuleStatus`. A side responds to ``connections`` with a list of `ConnectionStatus`. The daemon sends a
+`DaemonStatus` on its socket. As JSON, a status has the keys that were set (`Part.document`).
 
 Documents come from workers of any release: `read_status` and `read_daemon_status` keep unknown keys, use the defaults
 for missing ones, and omit values of the wrong type, which they list in ``error``.
@@ -147,6 +147,27 @@ class PortStatus(Part):
     replies: Text = ""
     profile: Text = ""
     peers: list[PeerStatus] = []
+
+
+class ConnectionStatus(Part):
+    """A connection of Midspan's ROS 1 node to another node.
+
+    Attributes:
+        node: the other node's name, or its XML-RPC address if the master does not list it.
+        host: the other end of the connection, with the port.
+        direction: ``in`` from a publisher, ``out`` to a subscriber.
+        bytes: of all messages so far.
+        dropped: messages that the subscriber missed, or that were too large to receive.
+    """
+
+    topic: Text = ""
+    node: Text = ""
+    host: Text = ""
+    direction: Text = ""
+    transport: Text = ""
+    bytes: Int = 0
+    messages: Int = 0
+    dropped: Int = 0
 
 
 class Lease(Part):
@@ -349,6 +370,12 @@ def read_status(value: object, daemon: str, worker: str, error: str = "") -> Sta
         return document
     errors = filter(None, (document.error, f"{INVALID}: {trouble}"))
     return document.model_copy(update={"error": "; ".join(errors)})
+
+
+def read_connections(value: object) -> list[ConnectionStatus]:
+    """Return the connections that a worker responded with."""
+    entries = value if isinstance(value, list) else []
+    return [_read(ConnectionStatus, entry)[0] for entry in entries if isinstance(entry, Mapping)]
 
 
 def read_daemon_status(value: Mapping[str, Any]) -> DaemonStatus:

@@ -206,6 +206,7 @@ class NetworkBridge:
         verbs: dict[str, Handler] = {
             "status": lambda _params: self._status(),
             "explain": lambda params: self._running().explain(str(params.get("topic", ""))),
+            "connections": lambda _params: [c.document() for c in self._running().edge.connections()],
             "tap": lambda params: self._running().tap(str(params.get("topic", "")), float(params.get("seconds", 10.0))),
             "time": lambda _params: {"time_ns": time.time_ns()},
         }

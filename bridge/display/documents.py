@@ -9,8 +9,8 @@ from rich.table import Table
 from rich.text import Text
 
 from bridge.doctor.causes import cause, same_for
-from bridge.status import PeerStatus, PortStatus, RouteStatus, StatusDocument
-from bridge.text import arrow, clean, duration, milliseconds, plural, rate
+from bridge.status import ConnectionStatus, PeerStatus, PortStatus, RouteStatus, StatusDocument
+from bridge.text import arrow, clean, duration, milliseconds, plural, rate, side_name, size
 
 
 def routes_table(documents: Iterable[StatusDocument], *, errors: bool = True) -> Table:
@@ -133,6 +133,17 @@ def port_lines(port: PortStatus) -> list[str]:
         if peer.generation_cure:
             lines.append(clean(f"        cure: {peer.generation_cure}"))
     return lines
+
+
+def connection_line(side: str, whose: str, connection: ConnectionStatus) -> str:
+    """Return a sentence: ``Connection of ROS 1 to /viewer at 10.0.0.5:41234 (TCPROS, /scan): 12 messages, 4.1 kB``."""
+    preposition = "from" if connection.direction == "in" else "to"
+    dropped = f", {connection.dropped} dropped" if connection.dropped else ""
+    return (
+        f"Connection of {side_name(side)}{whose} {preposition} {connection.node} at {connection.host}"
+        f" ({connection.transport}, {connection.topic}): {plural(connection.messages, 'message')},"
+        f" {size(connection.bytes)}{dropped}."
+    )
 
 
 def connected_lines(ports: Iterable[PortStatus]) -> list[str]:

@@ -18,6 +18,7 @@ from bridge.hub.graph.tokens import Origin
 from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
+from bridge.status import ConnectionStatus
 
 if TYPE_CHECKING:
     from bridge.config.sections.routing import ParameterRule
@@ -298,6 +299,10 @@ class Edge(ABC):
     def details(self) -> dict[str, Any]:
         """Return further entries of the side's status document."""
         return {}
+
+    def connections(self) -> list[ConnectionStatus]:
+        """Return the side's connections to other nodes, if it makes them itself."""
+        return []
 
     def warnings(self) -> list[str]:
         """Return problems of the side beyond single routes, for people; for example incompatible QoS."""

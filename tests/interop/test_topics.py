@@ -157,6 +157,24 @@ def test_every_direction_without_the_lane(deployment: Deployment) -> None:
         assert deployment.command("explain", topic).stdout.count("over zenoh, as this worker has no lane") == 2
 
 
+def test_explain_lists_the_connections_of_ros1(shared: Deployment) -> None:
+    ros1, ros2 = shared.ros1(), shared.ros2()
+    for topic, direction, sender, receiver in (
+        ("/connected/in", "in", ros1, ros2), ("/connected/out", "out", ros2, ros1)
+    ):  # fmt: skip
+        subscription = receiver.subscribe(topic, STRING)
+        cross(sender, sender.advertise(topic, STRING), receiver, subscription, {"data": "x" * 100})
+        (connection,) = json.loads(shared.command("explain", topic, "--json").stdout)["connections"]
+        kind = "publishers" if direction == "in" else "subscribers"
+        names = [name for name in shared.master.state()[kind][topic] if name != "/midspan"]
+        assert names == [connection["node"]]
+        assert (connection["direction"], connection["transport"]) == (direction, "TCPROS")
+        assert connection["host"].startswith("127.0.0.1:")
+        assert connection["bytes"] == connection["messages"] * 108 > 0
+        text = shared.command("explain", topic).stdout
+        assert f"{connection['node']} at {connection['host']} (TCPROS, {topic}): " in text
+
+
 def test_a_start_pose_without_covariance_reaches_a_localizer_with_one(shared: Deployment) -> None:
     """Real amcl (1.17.3) uses zero covariances literally, and puts all particles on one point."""
     start = {"pose": {"pose": {"orientation": {"w": 1.0}}, "covariance": [0.0] * 36}}

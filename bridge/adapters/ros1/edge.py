@@ -37,6 +37,7 @@ from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
 from bridge.routing.edge import Deliver, EdgeCaller, EdgeListener, EdgePublisher, EdgeServer, EdgeSubscription, Endpoint
+from bridge.status import ConnectionStatus
 
 if TYPE_CHECKING:
     from bridge.adapters.ros1.parameters.follower import ParameterSharing
@@ -337,5 +338,18 @@ class Ros1Edge(SideEdge):
         return ParameterServer(self._master.uri, self._caller, self._node.uri, self._ledger.owner)
 
     @override
+    def connections(self) -> list[ConnectionStatus]:
+        """Return the connections of all topics, to publishers and subscribers."""
+        look = self._look
+        nodes = {p.uri: p.node for p in look.publishers} if look is not None else {}
+        directions = {"i": "in", "o": "out"}
+        return [
+            ConnectionStatus(
+                topic=topic, node=nodes.get(c.peer, c.peer), host=c.host, direction=directions[c.direction],
+                transport=c.transport, bytes=c.bytes, messages=c.messages, dropped=c.dropped,
+            )
+            for topic, c in self._book.connections()
+        ]  # fmt: skip
+
     def details(self) -> dict[str, Any]:
         return {} if self._parameters is None else {"parameters": self._parameters.details()}

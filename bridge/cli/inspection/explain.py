@@ -18,7 +18,7 @@ from bridge.client.session import ASK_SECONDS, Client
 from bridge.client.status import daemon_names
 from bridge.config.model import Config
 from bridge.config.sections.routing import Rule
-from bridge.display.documents import drops_text, port_lines, way_text
+from bridge.display.documents import connection_line, drops_text, port_lines, way_text
 from bridge.doctor import hub_problems
 from bridge.doctor.hub_problems import Note, absence
 from bridge.hub.control import WorkerAnswer
@@ -26,7 +26,7 @@ from bridge.hub.graph import HubEndpoint
 from bridge.hub.namesakes import DaemonNames
 from bridge.messages.actions import split
 from bridge.routing.rules import ENTRY, RuleSet
-from bridge.status import PortStatus, RouteStatus, StatusDocument, read_status
+from bridge.status import ConnectionStatus, PortStatus, RouteStatus, StatusDocument, read_connections, read_status
 from bridge.text import arrow, clean, duration, plural, rate, side_name
 
 _VERDICTS = {
@@ -54,13 +54,14 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """Decisions on one topic with their routes' status, and its endpoints, notes and YARP ports."""
+    """Decisions on one topic with their routes' status, and its endpoints, notes, YARP ports and connections."""
 
     topic: str
     decisions: Sequence[tuple[Decision, RouteStatus | None]]
     endpoints: Sequence[HubEndpoint]
     notes: Sequence[Note]
     ports: Sequence[PortStatus] = ()
+    connections: Sequence[tuple[WorkerAnswer, ConnectionStatus]] = ()
 
 
 def run(args: argparse.Namespace) -> int:
@@ -76,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
 
 def explain(client: Client, topic: str) -> Explanation:
     """Gather the decisions, endpoints and problems of a topic; raises `CliError` if the name is unknown."""
-    answers, documents, namesakes = _asked(client)
+    answers, documents, namesakes, connected = _asked(client)
     everything = decisions_in(answers)
     decisions = _decisions(everything, topic)
     names = {topic} | {d.hub_topic for d in decisions if d.decision == "bridged"}
@@ -94,21 +95,23 @@ def explain(client: Client, topic: str) -> Explanation:
         return Explanation(topic, (), (), [Note(f"nobody has the name {topic} now"), *planner, *ruled, *silent])
     paired = [(decision, _route(decision, documents)) for decision in decisions]
     names |= {d.topic for d in decisions}
+    connections = _connections(connected, names)
     notes = [*silent, *_hub_notes(topic, endpoints), *_warnings(names, documents)]
     if decisions or endpoints:  # nothing is decided of a port, such as a module's
         notes += _worker_notes(decisions, documents, {(answer.daemon, answer.worker) for answer in answers})
     notes += [Note(refusal.text, refusal.cure) for refusal in refusals(client, documents) if refusal.topic in names]
-    return Explanation(topic, paired, endpoints, [*planner, *notes, *namesakes], ports)
+    return Explanation(topic, paired, endpoints, [*planner, *notes, *namesakes], ports, connections)
 
 
-def _asked(client: Client) -> tuple[list[WorkerAnswer], list[StatusDocument], list[Note]]:
-    """Return the sides' answers to ``explain``, all status documents, and notes on daemons with one name.
+def _asked(client: Client) -> tuple[list[WorkerAnswer], list[StatusDocument], list[Note], list[WorkerAnswer]]:
+    """Return the sides' decisions, all status documents, notes on daemons with one name, and the sides' connections.
 
-    A worker that hangs delays both answers.
+    A worker that hangs delays all answers.
     """
-    with ThreadPoolExecutor(2) as pool:
+    with ThreadPoolExecutor(3) as pool:
         decisions = pool.submit(client.ask, "explain", {"topic": ""})
         status = pool.submit(client.ask, "status")
+        connections = pool.submit(client.ask, "connections")
         client.settle()
         names = daemon_names(client, status.result())
         documents = [
@@ -116,7 +119,7 @@ def _asked(client: Client) -> tuple[list[WorkerAnswer], list[StatusDocument], li
             for answer in names.apply(status.result())
             if isinstance(answer.value, dict)
         ]
-        return names.apply(decisions.result()), documents, _namesakes(names)
+        return names.apply(decisions.result()), documents, _namesakes(names), names.apply(connections.result())
 
 
 def _namesakes(names: DaemonNames) -> list[Note]:
@@ -140,6 +143,17 @@ def _decisions(everything: Sequence[Decision], topic: str) -> list[Decision]:
     for name in sorted(renamed):
         decisions += [d for d in known_as(name) if d.direction == "out" and d not in decisions]
     return decisions
+
+
+def _connections(answers: Sequence[WorkerAnswer], names: set[str]) -> list[tuple[WorkerAnswer, ConnectionStatus]]:
+    """Return the connections of topics with one of the names, also those of an action's topics on ROS 1."""
+    actions = {split(name)[0] for name in names if split(name)[1]}
+    return [
+        (answer, connection)
+        for answer in answers
+        for connection in read_connections(answer.value)
+        if connection.topic in names or connection.topic.rpartition("/")[0] in actions
+    ]
 
 
 def _silent(client: Client, documents: Sequence[StatusDocument]) -> list[Note]:
@@ -226,6 +240,9 @@ def _sentences(explanation: Explanation) -> list[str]:
         lines += _hub_lines(explanation)
     for port in explanation.ports:
         lines += port_lines(port)
+    for answer, connection in explanation.connections:
+        whose = f" (daemon {answer.daemon})" if several else ""
+        lines.append(clean(connection_line(answer.worker, whose, connection)))
     for note in explanation.notes:
         lines.append(f"Note: {clean(note.text)}.")
         if note.cure:
@@ -287,6 +304,10 @@ def _as_json(explanation: Explanation) -> dict[str, Any]:
         ],
         "hub": [endpoint_json(endpoint) for endpoint in explanation.endpoints],
         "ports": [port.document() for port in explanation.ports],
+        "connections": [
+            {"daemon": answer.daemon, "worker": answer.worker, **connection.document()}
+            for answer, connection in explanation.connections
+        ],
         "notes": [dataclasses.asdict(note) for note in explanation.notes],
     }
 

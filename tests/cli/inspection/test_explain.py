@@ -68,6 +68,29 @@ def test_the_cure_of_a_denied_topic_is_not_another_rule(
     assert "add one that allows it" not in done.out
 
 
+def test_connections_of_ros1_are_listed(
+    midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    engine(network, registry, closing)
+    reader = {
+        "topic": "/fine", "node": "/talker", "host": "10.0.0.5:41234", "direction": "in", "transport": "TCPROS",
+        "bytes": 4100, "messages": 12, "dropped": 0,
+    }  # fmt: skip
+    writer = {**reader, "node": "/viewer\x1b", "direction": "out", "messages": 1, "dropped": 3}
+    invalid = {"topic": "/fine", "node": 5, "messages": "many"}
+    other = {**reader, "topic": "/fine/goal"}
+    connections = [reader, writer, invalid, other, None]
+    closing.append(FakeWorker(network, "ros1", explain=[], status={"side": "ros1"}, connections=connections))
+    lines = midspan("explain", "/fine").out.splitlines()
+    assert "Connection of ROS 1 from /talker at 10.0.0.5:41234 (TCPROS, /fine): 12 messages, 4.1 kB." in lines
+    assert any(line.endswith(" (TCPROS, /fine): 1 message, 4.1 kB, 3 dropped.") for line in lines)
+    assert "\x1b" not in "".join(lines)
+    document = midspan("explain", "/fine", "--json").json()
+    assert document["connections"][0] == {"daemon": "robot1", "worker": "ros1", **reader}
+    assert [connection["topic"] for connection in document["connections"]] == ["/fine"] * 3
+    assert midspan("explain", "/old", "--json").json()["connections"] == []
+
+
 def test_explain_omits_workers_without_a_decision(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
 ) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.handshake import Header, encode
+from bridge.adapters.ros1.topics.bus import TopicConnection
 from bridge.adapters.ros1.topics.connection import PublisherConnection
 from bridge.adapters.ros1.topics.publication import ANY, Publication, figure
 from bridge.adapters.ros1_peers import DeadlineSocket
@@ -157,8 +158,11 @@ class TopicBook:
 
     def bus_info(self) -> list[Any]:
         """Return the connections as ``getBusInfo`` does."""
-        published = [c.bus_info(p.topic) for p in self._publications() for c in p.connections]
-        return [*published, *(c.bus_info(s.topic) for s in self._entries() for c in s.connections)]
+        return [connection.bus_info(topic) for topic, connection in self.connections()]
+
+    def connections(self) -> list[tuple[str, TopicConnection]]:
+        """Return the connections with their topics."""
+        return [(entry.topic, c) for entry in (*self._publications(), *self._entries()) for c in entry.connections]
 
     def _publications(self) -> list[Publication]:
         with self._lock:

@@ -19,21 +19,29 @@ class TopicConnection(PolledConnection):
         peer: the node of a subscriber, or the XML-RPC address of a publisher.
         bytes: number of bytes of messages so far, with their lengths.
         messages: number of messages so far.
+        dropped: number of messages that were not delivered.
         done: whether it has ended.
     """
 
     direction: ClassVar[str]
     """``i`` for a connection to a publisher, ``o`` for one to a subscriber."""
 
+    transport: ClassVar[str] = "TCPROS"
+
     def __init__(self, sock: socket.socket, peer: str) -> None:
         self.id, self.peer = next(_numbers), peer
-        self.bytes = self.messages = 0
+        self.bytes = self.messages = self.dropped = 0
         self.done = False
         self._far, self._near = sock.getpeername(), sock.getsockname()
         super().__init__(sock)
 
+    @property
+    def host(self) -> str:
+        """The peer's address and port."""
+        return f"[{self._far[0]}]:{self._far[1]}" if ":" in self._far[0] else f"{self._far[0]}:{self._far[1]}"
+
     def bus_info(self, topic: str) -> list[Any]:
         """Return an entry of ``getBusInfo``; the last text is as ``rosnode info`` parses it."""
         place = f"[{self._far[0]}:{self._far[1]} on socket {self.fileno()}]"
-        text = f"TCPROS connection on port {self._near[1]} to {place}"
-        return [self.id, self.peer, self.direction, "TCPROS", topic, not self.done, text]
+        text = f"{self.transport} connection on port {self._near[1]} to {place}"
+        return [self.id, self.peer, self.direction, self.transport, topic, not self.done, text]

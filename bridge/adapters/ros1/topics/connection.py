@@ -45,7 +45,6 @@ class PublisherConnection(TopicConnection):
         ended: Callable[[str], None], refused: Refused, limit: int = MAX_MESSAGE, loop: ConnectionLoop | None = None,
     ) -> None:  # fmt: skip
         super().__init__(sock, uri)  # its lock decides which thread closes the socket
-        self.dropped = 0
         self._deliver, self._ended, self._refused, self._limit = deliver, ended, refused, limit
         self._loop, self._taken = loop, b""
         self._started = self._midway = False

@@ -45,7 +45,6 @@ class SubscriberConnection(TopicConnection):
         super().__init__(sock, node)
         self.listens = False
         self._sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self.dropped = 0
         self._name, self._ended = name, ended
         self._condition = threading.Condition()
         self._queue: deque[tuple[str, bytes]] = deque()
