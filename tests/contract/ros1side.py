@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import Any, ClassVar
 
 from bridge.adapters.ros1.environment import worker_environment
 from bridge.config.model import Config
@@ -21,6 +21,7 @@ class Ros1Side(Side):
     has_services = True
     tells_empty_types = True
     embedded = EMBEDDED
+    any_os: ClassVar[bool] = False
 
     def __init__(self, _hubs: HubNetwork) -> None:
         super().__init__()
@@ -37,7 +38,7 @@ class Ros1Side(Side):
         return peer
 
     def bridge(self, config: Config) -> WorkerProcess:
-        worker = WorkerProcess("ros1", config, worker_environment(config, os.environ))
+        worker = WorkerProcess("ros1", config, worker_environment(config, os.environ), any_os=self.any_os)
         self._open.append(worker)
         return worker
 
@@ -57,3 +58,9 @@ class EmbeddedMasterSide(Ros1Side):
     """Midspan's own master per test."""
 
     embedded = True
+
+
+class Ros1AnyOsSide(Ros1Side):
+    """The same, with a worker that has nothing of what Windows and macOS lack: no epoll, fork, AF_UNIX or SIGHUP."""
+
+    any_os = True

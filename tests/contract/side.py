@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Protocol
 
 from bridge.config.model import Config
 from tests.peers.peer import stop_all
+from tests.support.hidden import HIDE, LIBRARIES, NAME
 from tests.support.process import Process
 from tests.support.wait import until
 
@@ -26,6 +27,11 @@ OWN_FOLDER = Path(__file__).parent / "own"
 PEER_FOLDERS = (CUSTOM_FOLDER, OWN_FOLDER)
 IMPORTS = ("bridge.cli.daemon.run", "bridge.daemon.worker_main", "bridge.adapters.worker")
 """The imports of a worker of each side."""
+
+MAIN = """
+from bridge.cli.main import main
+sys.exit(main())
+"""
 
 CUSTOM_TYPES = ("contract_msgs/Thing", "octomap_msgs/Octomap", "own_msgs/Ping")
 
@@ -98,14 +104,15 @@ class WorkerProcess:
     """``midspan worker SIDE --supervised`` under the test's control."""
 
     def __init__(
-        self, side: str, config: Config, env: Mapping[str, str], states: Collection[str] = ("running",)
-    ) -> None:
-        self.process = Process(
-            [sys.executable, "-m", "bridge.cli.main", "worker", side, "--supervised"],
-            env,
-            pipes=True,
-            imports=[*IMPORTS, f"bridge.adapters.{side}.edge"],
-        )
+        self, side: str, config: Config, env: Mapping[str, str], states: Collection[str] = ("running",), *,
+        any_os: bool = False,
+    ) -> None:  # fmt: skip
+        words = ["worker", side, "--supervised"]
+        if any_os:  # without what Windows lacks
+            self.process = Process([sys.executable, "-c", LIBRARIES + HIDE + NAME + MAIN, *words], env, pipes=True)
+        else:
+            imports = [*IMPORTS, f"bridge.adapters.{side}.edge"]
+            self.process = Process([sys.executable, "-m", "bridge.cli.main", *words], env, pipes=True, imports=imports)
         self._send({"config": json.loads(config.model_dump_json(by_alias=True))})
         until(lambda: self.beat()["state"] in states, f"{side} worker runs", 20, every=0)
 

@@ -14,10 +14,11 @@ for name in ("fcntl", "pwd", "grp", "resource", "termios", "tty", "pty", "syslog
     sys.modules[name] = None
 for module, names in (
     (os, "fork forkpty getuid geteuid getgid getpgid killpg setsid mkfifo uname register_at_fork wait nice pipe2 "
-         "fchmod sched_getaffinity getloadavg statvfs sysconf pread pwrite writev sendfile O_NONBLOCK O_CLOEXEC"),
+         "fchmod sched_getaffinity getloadavg statvfs sysconf pread pwrite writev sendfile eventfd "
+         "memfd_create pidfd_open O_NONBLOCK O_CLOEXEC"),
     (signal, "SIGHUP SIGKILL SIGUSR1 SIGUSR2 SIGPIPE SIGCHLD SIGQUIT SIGALRM pthread_sigmask sigwait alarm setitimer"),
     (socket, "AF_UNIX SO_REUSEPORT MSG_DONTWAIT MSG_NOSIGNAL CMSG_LEN send_fds recv_fds TCP_QUICKACK"),
-    (select, "poll epoll"),
+    (select, "poll epoll POLLIN POLLRDHUP EPOLLIN EPOLLRDHUP"),
     (time, "clock_gettime clock_settime pthread_getcpuclockid"),
 ):
     for name in names.split():
