@@ -15,11 +15,11 @@ import xmlrpc.client
 from collections.abc import Sequence
 from typing import Any
 from urllib.parse import urlsplit
-from xml.parsers.expat import ExpatError
 
 from typing_extensions import override
 
 from bridge import resources
+from bridge.adapters.ros1.xmlrpc_request import decode_response
 
 
 class Ros1Error(Exception):
@@ -121,11 +121,6 @@ MAX_NODE_ANSWER = 2**16
 """The same for a node, which any program may register; valid responses are short."""
 
 _PIECE = 64 * 1024
-
-_NO_XMLRPC = (
-    ExpatError, xmlrpc.client.Error, ArithmeticError, AttributeError, LookupError, TypeError, ValueError,
-)  # fmt: skip
-"""Exceptions that Python's XML-RPC parser raises for invalid documents."""
 
 Call = tuple[str, tuple[Any, ...]]
 
@@ -243,12 +238,11 @@ class XmlRpcClient:
 
     def _parse(self, answer: bytes) -> Any:
         try:
-            values, _ = xmlrpc.client.loads(answer)
+            return decode_response(answer)
         except xmlrpc.client.Fault as err:
-            raise RefusedError(err.faultString) from None
-        except _NO_XMLRPC as err:
+            raise RefusedError(str(err.faultString)) from None
+        except ValueError as err:
             raise Ros1ProtocolError(f"{self.uri} does not respond with XML-RPC: {err}") from None
-        return values[0] if values else None
 
 
 class _Answers(list[Any]):

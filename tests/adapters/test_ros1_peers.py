@@ -105,7 +105,17 @@ def test_truncated_responses_are_refused(length):
         ros1_peers.ask(f"http://{host}:{port}/", 2.0, "getPid", "/me")
 
 
-@pytest.mark.parametrize("body", [b"<bigdecimal></bigdecimal>", b"<a", b"<value><array><data>" * 1000, b"\xff\xfe"])
+def response(value: bytes) -> bytes:
+    return b"<methodResponse><params><param>" + value + b"</param></params></methodResponse>"
+
+
+DEEP = response(b"<value><array><data>" * 1200 + b"</data></array></value>" * 1200)
+BOMB = b'<!DOCTYPE b [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>' + response(b"<value>&b;</value>")
+
+
+@pytest.mark.parametrize(
+    "body", [b"<bigdecimal></bigdecimal>", b"<a", b"<value><array><data>" * 1000, b"\xff\xfe", DEEP, BOMB]
+)
 def test_responses_without_xmlrpc_are_refused(body):
     def serve(sock) -> None:
         sock.recv(65536)

@@ -27,6 +27,7 @@ from bridge.adapters.ros1.xmlrpc_request import (
     Limits,
     decode_call,
     encode_response,
+    encode_responses,
     parse_head,
 )
 from bridge.concurrency import WorkerPool
@@ -272,7 +273,10 @@ class XmlRpcServer:
         method = ""
         try:
             method, params = decode_call(body, self._limits)
-            response = encode_response(self._call(method, params))
+            if method == "system.multicall":
+                response = encode_responses(map(self._call_one, _calls(params)), self._limits)
+            else:
+                response = encode_response(self._call(method, params))
         except Exception as err:
             response = encode_response(self._fault(method, err))
         option = "" if connection.persistent else "Connection: close\r\n"
@@ -280,8 +284,6 @@ class XmlRpcServer:
         self._loop.call_soon(lambda: self._on_result(connection, head.encode() + response))
 
     def _call(self, method: str, params: Sequence[Any]) -> object:
-        if method == "system.multicall":
-            return [self._call_one(call) for call in params[0]]
         function = self._methods.get(method)
         if function is None:
             raise Fault(METHOD_NOT_FOUND, f'method "{method}" is not supported')
@@ -302,10 +304,18 @@ class XmlRpcServer:
     def _fault(self, method: str, err: Exception) -> Fault:
         if isinstance(err, Fault):
             return err
-        if method in self._methods and method not in self._failed:  # once for each: clients can cause it at any rate
+        known = isinstance(method, str) and method in self._methods
+        if known and method not in self._failed:  # once for each: clients can cause it at any rate
             self._failed.add(method)
             _log.warning("%s: %s failed", self._name, method, exc_info=err)
         return Fault(INTERNAL_ERROR, f"{type(err).__name__}: {err}")
+
+
+def _calls(params: Sequence[Any]) -> list[Any]:
+    """Return the calls of ``system.multicall``: one that iterated over a text would make a call for each character."""
+    if len(params) != 1 or not isinstance(params[0], list):
+        raise Fault(INVALID_METHOD_PARAMS, "TypeError: system.multicall has one parameter, a list of calls")
+    return list(params[0])
 
 
 def _listen(address: str, port: int) -> socket.socket:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import http
+import re
 import xmlrpc.client
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 from xml.parsers import expat
@@ -12,6 +14,8 @@ from typing_extensions import override
 
 _PATHS = ("/", "/RPC2")
 """Python's clients replace an empty path by /RPC2."""
+
+_NO_XML = re.compile(r"[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 _INVALID = (expat.ExpatError, xmlrpc.client.Error, ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
 """Exceptions that Python's XML-RPC parser raises for invalid documents."""
@@ -30,6 +34,7 @@ class Limits:
         values: number of values in one request.
         seconds: for a whole request to arrive, and for a whole response to be accepted; longer for large ones.
         threads: that make calls.
+        response: bytes of the response to one request.
     """
 
     connections: int = 1024
@@ -40,6 +45,7 @@ class Limits:
     values: int = 200_000
     seconds: float = 10.0
     threads: int = 4
+    response: int = 64 * 2**20
 
 
 DEFAULT_LIMITS = Limits()
@@ -78,6 +84,34 @@ class _Decoder(xmlrpc.client.Unmarshaller):
 def decode_call(body: bytes, limits: Limits) -> tuple[str, tuple[Any, ...]]:
     """Return method and parameters of a request; raises `xmlrpc.client.Fault` if it is invalid."""
     decoder = _Decoder(limits)
+    try:
+        params = _parse(decoder, body)
+    except _INVALID as err:
+        raise xmlrpc.client.Fault(xmlrpc.client.NOT_WELLFORMED_ERROR, f"not an XML-RPC request: {err}") from None
+    method = decoder.getmethodname()
+    if not isinstance(method, str):
+        raise xmlrpc.client.Fault(xmlrpc.client.INVALID_XMLRPC, "not an XML-RPC request: it names no method")
+    return method, params
+
+
+def decode_response(body: bytes, depth: int = DEFAULT_LIMITS.depth) -> Any:
+    """Return the value of a response; raises its `xmlrpc.client.Fault`, or `ValueError` if it is invalid."""
+    try:
+        values = _parse(xmlrpc.client.Unmarshaller(), body)
+    except xmlrpc.client.Fault:
+        raise
+    except _INVALID as err:
+        raise ValueError(err) from None
+    level: list[Any] = [values]
+    for _ in range(depth + 2):  # comparing and printing deeper values would fail
+        level = [item for part in level for item in (part.values() if isinstance(part, dict) else part)]
+        level = [item for item in level if isinstance(item, list | dict)]
+        if not level:
+            return values[0] if values else None
+    raise ValueError(f"values are nested deeper than {depth} levels")
+
+
+def _parse(decoder: xmlrpc.client.Unmarshaller, body: bytes) -> tuple[Any, ...]:
     decoder.xml("", None)  # the parser decodes
     parser = expat.ParserCreate()
     parser.buffer_text = True
@@ -85,15 +119,8 @@ def decode_call(body: bytes, limits: Limits) -> tuple[str, tuple[Any, ...]]:
     parser.EndElementHandler = decoder.end
     parser.CharacterDataHandler = decoder.data
     parser.StartDoctypeDeclHandler = _refuse_doctype
-    try:
-        parser.Parse(body, True)
-        params = decoder.close()
-    except _INVALID as err:
-        raise xmlrpc.client.Fault(xmlrpc.client.NOT_WELLFORMED_ERROR, f"not an XML-RPC request: {err}") from None
-    method = decoder.getmethodname()
-    if not isinstance(method, str):
-        raise xmlrpc.client.Fault(xmlrpc.client.INVALID_XMLRPC, "not an XML-RPC request: it names no method")
-    return method, params
+    parser.Parse(body, True)
+    return tuple(decoder.close())
 
 
 def _refuse_doctype(*_: object) -> None:
@@ -148,8 +175,29 @@ def parse_head(data: bytes, limit: int) -> Head:
     return Head(int(size), persistent, fields.get("expect", "").lower() == "100-continue")
 
 
+_HEAD = "<?xml version='1.0'?>\n<methodResponse>\n<params>\n<param>\n"
+_TAIL = "</param>\n</params>\n</methodResponse>\n"
+
+
 def encode_response(result: object) -> bytes:
     """Return the XML of a response; raises `TypeError` or `OverflowError` if XML-RPC lacks the value's type."""
     fault = isinstance(result, xmlrpc.client.Fault)
-    text = xmlrpc.client.dumps(result if fault else (result,), methodresponse=True)  # type: ignore[arg-type]
-    return text.encode("utf-8", "xmlcharrefreplace")
+    return _encode(xmlrpc.client.dumps(result if fault else (result,), methodresponse=True))  # type: ignore[arg-type]
+
+
+def encode_responses(results: Iterable[object], limits: Limits) -> bytes:
+    """Return the XML of a response that is a list of results, of which no more are computed beyond the limit."""
+    parts, size = [], 0
+    for result in results:
+        part = encode_response(result)[len(_HEAD) : -len(_TAIL)]
+        size += len(part)
+        if size > limits.response:
+            raise xmlrpc.client.Fault(xmlrpc.client.INTERNAL_ERROR, f"the response exceeds {limits.response} bytes")
+        parts.append(part)
+    values = b"".join(parts)
+    return f"{_HEAD}<value><array><data>\n".encode() + values + f"</data></array></value>\n{_TAIL}".encode()
+
+
+def _encode(text: str) -> bytes:
+    """Replace what XML cannot represent: connected nodes may have any bytes in their names."""
+    return _NO_XML.sub("\ufffd", text).encode()

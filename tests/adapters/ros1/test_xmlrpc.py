@@ -16,11 +16,19 @@ from typing import Any
 import pytest
 
 from bridge.adapters.ros1.xmlrpc import XmlRpcServer
-from bridge.adapters.ros1.xmlrpc_request import Limits
+from bridge.adapters.ros1.xmlrpc_request import Limits, decode_response, encode_response, encode_responses
 from tests.support.wait import until
 
 LIMITS = Limits(
-    connections=600, body=100_000, buffered=250_000, head=2000, depth=10, values=500, seconds=1.0, threads=2
+    connections=600,
+    body=100_000,
+    buffered=250_000,
+    head=2000,
+    depth=10,
+    values=500,
+    seconds=1.0,
+    threads=2,
+    response=1_000_000,
 )
 ADD = xmlrpc.client.dumps((1, 2), "add").encode()
 MANY = 500
@@ -30,14 +38,25 @@ class Served:
     """A server whose method ``wait`` blocks until it is released."""
 
     def __init__(self) -> None:
+        self.large = 0
         self.release = threading.Event()
         self.waiting = threading.Event()
         self.server = XmlRpcServer(
-            {"add": lambda a, b: a + b, "echo": lambda value: value, "wait": self._wait, "fail": self._fail},
+            {
+                "large": self._large,
+                "add": lambda a, b: a + b,
+                "echo": lambda value: value,
+                "wait": self._wait,
+                "fail": self._fail,
+            },
             limits=LIMITS,
         )
         self.server.start()
         self.uri = f"http://127.0.0.1:{self.server.port}/"
+
+    def _large(self) -> str:
+        self.large += 1
+        return "x" * 100_000
 
     def _wait(self) -> int:
         self.waiting.set()
@@ -155,6 +174,47 @@ def test_multicall(proxy: xmlrpc.client.ServerProxy):
         5,
         xmlrpc.client.INVALID_METHOD_PARAMS,
     ]
+
+
+def test_multicall_makes_no_calls_for_the_characters_of_a_text(served: Served):
+    """Otherwise a request of a megabyte had a response of hundreds."""
+    for params in (("x" * 90_000,), ({"a": 1},), ([], [])):
+        body = xmlrpc.client.dumps(params, "system.multicall").encode()
+        response = served.post(body)
+        assert "list of calls" in fault_of(lambda response=response: xmlrpc.client.loads(response)).faultString
+        assert len(response) < 1000
+
+
+def test_a_method_of_any_type_is_a_fault_of_that_call(proxy: xmlrpc.client.ServerProxy):
+    calls = [{"methodName": name, "params": [1, 2]} for name in ("add", 5, [1], {"a": 1}, "", "add")]
+    results = getattr(proxy, "system.multicall")([*calls, 7, "add", {}])
+    assert (results[0], results[5]) == ([3], [3])
+    assert all("faultCode" in result for result in (*results[1:5], *results[6:]))
+
+
+def test_the_response_to_many_calls_is_limited(served: Served):
+    """A small request could cause a response that fills the memory."""
+    calls = [{"methodName": "large", "params": []} for _ in range(100)]
+    body = xmlrpc.client.dumps((calls,), "system.multicall").encode()
+    assert "exceeds 1000000 bytes" in fault_of(lambda: xmlrpc.client.loads(served.post(body))).faultString
+    assert served.large < 20
+    assert b"<int>3</int>" in served.post(ADD)
+
+
+@pytest.mark.parametrize("text", ["\0\x1b", "\ud800", "\uffff", "\x7f\n\r\t"], ids=ascii)
+def test_a_response_is_xml_whatever_its_texts_contain(text: str):
+    """A connected node's name, which `getBusInfo` returns, may have any bytes."""
+    value = decode_response(encode_response([text, {text: text}]))
+    assert len(value[0]) == len(text)
+    assert decode_response(encode_responses([[text]], LIMITS)) == [[value[0]]]
+
+
+def test_the_rest_of_a_body_that_is_longer_than_announced_is_no_request(served: Served):
+    with served.connect() as sock, sock.makefile("rb") as responses:
+        sock.sendall(b"POST / HTTP/1.1\r\nContent-Length: %d\r\n\r\n" % len(ADD) + ADD + b"<more/>\r\n\r\n")
+        assert b"200" in responses.readline()
+        assert b" 400 " in responses.read()
+    until(lambda: served.server.connections == 0, "the connection is closed")
 
 
 def call_with(value: str) -> bytes:

@@ -19,7 +19,7 @@ from typing import NamedTuple
 from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry, is_alive, removal_calls
 from bridge.adapters.ros1.graph.state import MasterReader, MasterState, Registration
 from bridge.adapters.ros1.node.node import Ros1Node
-from bridge.adapters.ros1_peers import Call, Ros1Error, UnreachableError, XmlRpcClient, ask
+from bridge.adapters.ros1_peers import Call, Ros1Error, Ros1ProtocolError, UnreachableError, XmlRpcClient, ask
 
 _log = logging.getLogger(__name__)
 
@@ -129,6 +129,9 @@ class Master:
                 look = self._turn()
             except Ros1Error as err:
                 self._failed(err)
+            except Exception as err:
+                _log.exception("the state of the ROS 1 master cannot be used")
+                self._failed(Ros1ProtocolError(f"{self.uri} has a state that cannot be used: {type(err).__name__}"))
             else:
                 self._failures, self.trouble, self._answered = 0, "", time.monotonic()
                 self._seen(look)
