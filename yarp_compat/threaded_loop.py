@@ -9,6 +9,7 @@ import selectors
 import sys
 import threading
 
+from yarp_compat.overriding import override
 from yarp_compat.selector_loop import Callback, File, SelectorLoop
 
 _log = logging.getLogger(__name__)
@@ -66,6 +67,7 @@ class ThreadedLoop(SelectorLoop):
         if started and not self.is_own_thread:
             self._thread.join(seconds)
 
+    @override
     def watch(self, file: File, readable: Callback | None = None, writable: Callback | None = None) -> None:
         """Replace the callbacks of a file; raises `OSError` if the system cannot watch so many."""
         with self._lock:
@@ -74,12 +76,14 @@ class ThreadedLoop(SelectorLoop):
             super().watch(file, readable, writable)
             self._changed()
 
+    @override
     def unwatch(self, file: File) -> bool:
         """End all callbacks of a file, before it is closed; return whether there were any."""
         with self._lock:
             self._changes += 1
             return super().unwatch(file)
 
+    @override
     def call_soon(self, callback: Callback) -> None:
         """Schedule a call on the thread; if the thread has ended, the caller runs it itself."""
         super().call_soon(callback)
@@ -125,5 +129,6 @@ class ThreadedLoop(SelectorLoop):
             while True:
                 self._run(self._calls.popleft())
 
+    @override
     def _failed(self, err: Exception) -> None:
         self._logger.error("a callback of the thread %s failed", self._thread.name, exc_info=err)

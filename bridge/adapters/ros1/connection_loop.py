@@ -14,6 +14,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
 
+from typing_extensions import override
+
 from yarp_compat.threaded_loop import ThreadedLoop
 
 _log = logging.getLogger(__name__)
@@ -140,6 +142,7 @@ class ConnectionLoop(ThreadedLoop):
                 del self._sources[number]
                 self.unwatch(number)
 
+    @override
     def stop(self, seconds: float | None = _JOIN_SECONDS) -> None:
         """Stop reading, and abandon all sources. Safe to call twice."""
         super().stop(seconds)

@@ -351,5 +351,6 @@ class Ros1Edge(SideEdge):
             for topic, c in self._book.connections()
         ]  # fmt: skip
 
+    @override
     def details(self) -> dict[str, Any]:
         return {} if self._parameters is None else {"parameters": self._parameters.details()}

@@ -162,7 +162,8 @@ class TopicBook:
 
     def connections(self) -> list[tuple[str, TopicConnection]]:
         """Return the connections with their topics."""
-        return [(entry.topic, c) for entry in (*self._publications(), *self._entries()) for c in entry.connections]
+        entries: list[Publication | SubscribedTopic] = [*self._publications(), *self._entries()]
+        return [(entry.topic, connection) for entry in entries for connection in entry.connections]
 
     def _publications(self) -> list[Publication]:
         with self._lock:
