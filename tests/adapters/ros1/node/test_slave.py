@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,7 +13,7 @@ from xmlrpc.client import Binary, Fault, ServerProxy
 import pytest
 
 from bridge.adapters.ros1.edge import Ros1Edge
-from bridge.adapters.ros1.handshake import connect
+from bridge.adapters.ros1.handshake import connect, encode
 from bridge.adapters.ros1.topics.publication import figure
 from bridge.config.model import Config
 from bridge.config.sections.ros import Ros1Section
@@ -188,3 +189,24 @@ def test_an_unknown_method_is_a_fault(node: Node) -> None:
     with pytest.raises(Fault, match="not supported"):
         node.call("getEverything")
     assert node.value("getPid") == os.getpid()
+
+
+def test_an_unusable_state_of_the_master_does_not_end_its_watch(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[int] = []
+
+    def fail() -> None:
+        calls.append(1)
+        raise RecursionError
+
+    assert node.edge._master is not None
+    monkeypatch.setattr(node.edge._master, "_turn", fail)
+    until(lambda: len(calls) >= 2, "the master is read again")
+
+
+def test_a_subscribers_name_of_any_bytes_does_not_prevent_tools(node: Node) -> None:
+    publisher = node.edge.advertise("/bytes", node.registry.ros1("std_msgs/String"), Qos())
+    with socket.create_connection(("127.0.0.1", node.node.port), 20) as sock:
+        sock.sendall(encode({"callerid": "/odd\0\x1b", "topic": "/bytes", "md5sum": "*", "type": "*"}))
+        until(lambda: any(c.topic == "/bytes" for c in node.edge.connections()), "it is connected")
+        assert "/odd\ufffd\ufffd" in [entry[1] for entry in node.value("getBusInfo")]
+    publisher.close()
