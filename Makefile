@@ -60,11 +60,13 @@ bench-peers: setup ## install the libraries that the benchmarks compare with
 bench: bench-peers ## every benchmark, one after the other
 	@set -e; for file in $$(grep -l __main__ benchmarks/*.py); do echo "== $$file"; $(BIN)/python $$file; done
 
-dist: setup ## wheels and source distributions of midspan and yarp-compat, into dist/ (Linux)
-	@$(BIN)/python scripts/dist.py
+arch = $(if $(ARCH),--arch '$(ARCH)')
 
-deb: dist ## Debian packages for Debian 12 and Ubuntu 24.04, into dist/ (ARGS=bookworm for one)
-	@$(BIN)/python scripts/deb.py $(ARGS)
+dist: setup ## wheels and source distributions of midspan and yarp-compat, into dist/ (Linux; ARCH=arm64)
+	@$(BIN)/python scripts/dist.py $(arch)
+
+deb: dist ## Debian packages for Debian 12 and Ubuntu 24.04, into dist/ (ARGS=bookworm for one, ARCH=arm64)
+	@$(BIN)/python scripts/deb.py $(arch) $(ARGS)
 
 screenshots: ## update the docs' screenshots of the console; ARGS=FOLDER: all views, for inspection
 	@$(MAKE) -s setup BROWSER=yes

@@ -2,7 +2,8 @@
 
 The package has a private environment below /opt/midspan, laid out as a virtual environment of the release's Python.
 Compiled files are for that Python, so each release has its own package; pip finds wheels for a Python that is not
-installed on this machine. The units, the configuration and the user are those of `midspan install`.
+installed on this machine, and for another processor. The units, the configuration and the user are those of `midspan
+install`. Each package has a bill of materials next to it (`scripts.sbom`), and two builds have the same bytes.
 """
 
 from __future__ import annotations
@@ -11,14 +12,13 @@ import argparse
 import gzip
 import hashlib
 import importlib.metadata
-import os
 import re
 import shutil
 import sys
 import tomllib
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from email.utils import formatdate
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,8 @@ sys.path.insert(0, str(ROOT))
 
 from bridge.cli.main import VERBS, build_parser  # noqa: E402
 from bridge.daemon.install import UNITS  # noqa: E402
-from scripts import dist, lock, manual  # noqa: E402
+from scripts import dist, lock, manual, processor, sbom  # noqa: E402
+from scripts.reproducible import epoch  # noqa: E402
 
 EXTRAS = ("ros2", "web", "foxglove")
 """Without the simulator: DART adds a quarter of the size, and requires OpenGL's libraries on the robot."""
@@ -59,8 +60,10 @@ class Release:
 RELEASES = {"bookworm": Release("~deb12", 11, 36), "noble": Release("~ubuntu24.04", 12, 39)}
 
 
-def libraries() -> list[str]:
+def libraries(arch: str) -> list[str]:
     """Return the locked libraries of Midspan and its extras, in the installed versions (tests/setup/test_lock.py)."""
+    linux = lock.SYSTEMS[0]
+    system = replace(linux, environment={**linux.environment, "platform_machine": processor.MACHINES[arch]})
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     wanted = [*project["dependencies"], *(text for extra in EXTRAS for text in project["optional-dependencies"][extra])]
     installed: dict[str, dict[str, Any]] = {
@@ -71,33 +74,55 @@ def libraries() -> list[str]:
         }
         for distribution in importlib.metadata.distributions()
     }
-    versions, missing = lock.reached(wanted, installed, lock.SYSTEMS[0])
+    versions, missing = lock.reached(wanted, installed, system)
     if missing:
         raise RuntimeError(f"not installed here: {', '.join(missing)}; 'make setup' installs the locked versions")
     return [f"{name}=={version}" for name, version in sorted(versions.items())]
 
 
-def stage(release: Release, wheels: Sequence[Path], root: Path) -> None:
-    """Write all files of the package into a folder; the wheels are those of Midspan and yarp-compat."""
+def stage(release: Release, wheels: Sequence[Path], root: Path, arch: str = "amd64") -> list[sbom.Component]:
+    """Write all files of the package into a folder, and return its components.
+
+    Args:
+        release: the target release.
+        wheels: those of Midspan and yarp-compat.
+        root: the folder.
+        arch: Debian's name of the processor.
+    """
     got = root.with_name(f"{root.name}-wheels")
     site = root / PRIVATE / "lib" / f"python3.{release.python}" / "site-packages"
-    for wheel in (*_download(release, got), *wheels):
+    components = []
+    for wheel in (*_download(release, got, arch), *wheels):
         _unpack(wheel, site, root / PRIVATE)
+        components.append(sbom.with_digest(sbom.of_wheel(wheel), wheel))
     shutil.rmtree(got)
     foreign = [file.name for file in site.rglob("*.cpython-*.so") if f".cpython-3{release.python}-" not in file.name]
     if foreign:
         raise RuntimeError(f"built for another Python than 3.{release.python}: {', '.join(sorted(foreign))}")
+    foreign = [file.name for file in (root / PRIVATE).rglob("*.so*") if not _runs_on(file, arch)]
+    if foreign:
+        raise RuntimeError(f"built for another processor than {arch}: {', '.join(sorted(foreign))}")
     _environment(release, root)
     _system_files(root)
+    return components
 
 
-def _download(release: Release, to: Path) -> list[Path]:
+def _runs_on(library: Path, arch: str) -> bool:
+    """Return whether a compiled file is for a processor; also if it is not compiled, such as a linker's script."""
+    with library.open("rb") as file:
+        header = file.read(20)
+    return header[:4] != b"\x7fELF" or int.from_bytes(header[18:20], "little") == processor.ELF[arch]
+
+
+def _download(release: Release, to: Path, arch: str) -> list[Path]:
     """Download wheels for the release's Python by pip; pure libraries with only a source release are built here."""
     pip = [sys.executable, "-m", "pip", "-q", "--disable-pip-version-check"]
     command = [*pip, "download", "--no-deps", "-d", str(to), "--implementation", "cp"]
     command += ["--python-version", f"3.{release.python}"]
     tags = ["manylinux2014", *(f"manylinux_2_{minor}" for minor in range(5, release.glibc + 1))]
-    dist.run([*command, *(option for tag in tags for option in ("--platform", f"{tag}_x86_64")), *libraries()], ROOT)
+    for tag in tags:
+        command += ["--platform", f"{tag}_{processor.MACHINES[arch]}"]
+    dist.run([*command, *libraries(arch)], ROOT)
     for source in to.glob("*.tar.gz"):
         dist.run([*pip, "wheel", "--no-deps", "-w", str(to), str(source)], ROOT)
     return sorted(to.glob("*.whl"))
@@ -172,7 +197,9 @@ def _write_packed(path: Path, text: str) -> None:
     _parent(path).write_bytes(gzip.compress(text.encode(), mtime=0))
 
 
-def pack(release: Release, root: Path, to: Path, version: str | None = None, *, quick: bool = False) -> Path:
+def pack(
+    release: Release, root: Path, to: Path, version: str | None = None, *, arch: str = "amd64", quick: bool = False
+) -> Path:
     """Build the package from the files; return its path.
 
     Args:
@@ -180,6 +207,7 @@ def pack(release: Release, root: Path, to: Path, version: str | None = None, *, 
         root: folder of the files; their modes are set, and dpkg's control files are added.
         to: folder for the package.
         version: without the release's suffix; default: this checkout's.
+        arch: Debian's name of the processor.
         quick: whether to compress less.
     """
     full = f"{version or dist.version()}{release.suffix}"
@@ -197,11 +225,12 @@ def pack(release: Release, root: Path, to: Path, version: str | None = None, *, 
     size = sum(path.stat().st_size for path in files) // 1024
     python = f"python3 (>= 3.{release.python}), python3 (<< 3.{release.python + 1})"
     text = (_SOURCE / "control").read_text("utf-8")
-    for mark, value in (("VERSION", full), ("SIZE", str(size)), ("PYTHON", python)):
+    values = {"VERSION": full, "ARCH": arch, "SIZE": str(size), "PYTHON": python}
+    for mark, value in values.items():
         text = text.replace(f"@{mark}@", value)
     _write(control / "control", text)
     to.mkdir(parents=True, exist_ok=True)
-    package = to / f"midspan_{full}_amd64.deb"
+    package = to / f"midspan_{full}_{arch}.deb"
     command = ["dpkg-deb", "--root-owner-group", *(["-Zgzip", "-z1"] if quick else ["-Zxz"])]
     dist.run([*command, "--build", str(root), str(package)], to)
     return package
@@ -215,17 +244,28 @@ def _runs(file: Path) -> bool:
 def _changelog(version: str) -> str:
     maintainer = re.search(r"^Maintainer: (.+)$", (_SOURCE / "control").read_text("utf-8"), re.MULTILINE)
     assert maintainer is not None
-    dated = formatdate(float(os.environ.get("SOURCE_DATE_EPOCH") or (ROOT / "CHANGELOG.md").stat().st_mtime))
+    dated = formatdate(epoch())
     return f"midspan ({version}) stable; urgency=medium\n\n  * See CHANGELOG.md.\n\n -- {maintainer[1]}  {dated}\n"
 
 
-def own_wheels(folder: Path) -> list[Path]:
+def own_wheels(folder: Path, arch: str) -> list[Path]:
     """Return Midspan's compiled wheel and that of yarp-compat in a folder, of this checkout's version."""
     version = dist.version()
-    wheels = [*folder.glob(f"midspan-{version}-cp311-abi3-*.whl"), *folder.glob(f"yarp_compat-{version}-*.whl")]
+    compiled = f"midspan-{version}-cp311-abi3-*_{processor.MACHINES[arch]}.whl"
+    wheels = [*folder.glob(compiled), *folder.glob(f"yarp_compat-{version}-*.whl")]
     if len(wheels) != 2:
-        raise RuntimeError(f"no wheels of {version} in {folder}: run 'make dist'")
+        raise RuntimeError(f"no wheels of {version} for {arch} in {folder}: run 'make dist ARCH={arch}'")
     return wheels
+
+
+def write_sbom(package: Path, components: Sequence[sbom.Component]) -> Path:
+    """Write a package's bill of materials next to it."""
+    name, version, arch = package.stem.split("_")
+    purl = f"pkg:deb/{name}@{version}?arch={arch}"
+    described = {"type": "application", "bom-ref": purl, "name": name, "version": version, "purl": purl}
+    file = package.with_suffix(".cdx.json")
+    file.write_text(sbom.document(sbom.with_digest(described, package), components), encoding="utf-8")
+    return file
 
 
 def main() -> int:
@@ -233,15 +273,17 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Build the Debian packages.")
     parser.add_argument("release", nargs="*", default=sorted(RELEASES), help="default: all")
     parser.add_argument("--folder", type=Path, default=ROOT / "dist", help="folder of the wheels and the packages")
+    processor.add_option(parser)
     args = parser.parse_args()
     work = ROOT / "build" / "deb"
     try:
         for name in args.release:
             shutil.rmtree(work, ignore_errors=True)
-            dist.report(f"the package for {name} (two minutes)")
-            stage(RELEASES[name], own_wheels(args.folder), work)
-            package = pack(RELEASES[name], work, args.folder.absolute())
-            sys.stdout.write(f"{package.stat().st_size / 1e6:6.2f} MB  {package}\n")
+            dist.report(f"the package for {name} on {args.arch} (two minutes)")
+            components = stage(RELEASES[name], own_wheels(args.folder, args.arch), work, args.arch)
+            package = pack(RELEASES[name], work, args.folder.absolute(), arch=args.arch)
+            for file in (package, write_sbom(package, components)):
+                sys.stdout.write(f"{file.stat().st_size / 1e6:6.2f} MB  {file}\n")
     except (RuntimeError, KeyError) as err:
         sys.exit(f"deb: {err}")
     finally:

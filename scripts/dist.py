@@ -9,20 +9,27 @@ two with the same files would overwrite each other, and uninstalling one would b
 contain `yarp-compat`, but requires it in the same version.
 
 Each distribution is laid out in a separate folder, from the files that git tracks. The wheels are built from the source
-distribution, with the installed setuptools and Cython.
+distribution, with the installed setuptools and Cython. Each wheel has a bill of materials (`scripts.sbom`), two builds
+have the same bytes (`scripts.reproducible`), and ``--arch`` compiles the kernels for another processor.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.metadata
 import os
 import re
 import shutil
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from scripts import processor, sbom
+from scripts.reproducible import epoch, mode, repack_sdist, rewrite_wheel
 
 ROOT = Path(__file__).resolve().parents[1]
 VERSION_LINE = re.compile(r'^__version__ = "(.+)"$', re.MULTILINE)
@@ -46,7 +53,8 @@ def copy_tracked(names: Iterable[str], to: Path) -> None:
     for name in filter(None, listed.split("\0")):
         if (ROOT / name).is_file():
             (to / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(ROOT / name, to / name)
+            shutil.copyfile(ROOT / name, to / name)
+            (to / name).chmod(mode((ROOT / name).stat().st_mode))
 
 
 def replaced(text: str, old: str, new: str) -> str:
@@ -83,9 +91,15 @@ def lay_out_yarp_compat(folder: Path) -> None:
 
 def build_sdist(source: Path, to: Path) -> Path:
     """Build the source distribution of a folder; return its file."""
-    hook = "import sys; from setuptools import build_meta; print(build_meta.build_sdist(sys.argv[1]))"
-    printed = run([sys.executable, "-c", hook, str(to)], source)
-    return to / printed.splitlines()[-1]
+    sdist = to / _hook("build_sdist", to, source)
+    repack_sdist(sdist)
+    return sdist
+
+
+def _hook(name: str, to: Path, source: Path, environ: Mapping[str, str] | None = None) -> str:
+    """Call a hook of the build backend in a source folder; return the name of the built file."""
+    code = f"import sys; from setuptools import build_meta; print(build_meta.{name}(sys.argv[1]))"
+    return run([sys.executable, "-c", code, str(to)], source, environ).splitlines()[-1]
 
 
 def build_wheel(sdist: Path, to: Path, work: Path, environ: Mapping[str, str]) -> Path:
@@ -93,10 +107,7 @@ def build_wheel(sdist: Path, to: Path, work: Path, environ: Mapping[str, str]) -
     shutil.unpack_archive(sdist, work)
     (source,) = work.iterdir()
     to.mkdir(parents=True, exist_ok=True)
-    command = [sys.executable, "-m", "pip", "wheel", "-q", "--disable-pip-version-check", "--no-deps"]
-    run([*command, "--no-build-isolation", "--use-pep517", "-w", str(to), str(source)], work, environ)
-    (wheel,) = to.glob("*.whl")
-    return wheel
+    return to / _hook("build_wheel", to, source, environ)
 
 
 def repaired(wheel: Path, to: Path, tools: Path) -> Path:
@@ -125,16 +136,24 @@ def repaired(wheel: Path, to: Path, tools: Path) -> Path:
 def run(command: list[str], folder: Path, environ: Mapping[str, str] | None = None) -> str:
     """Run a command, and return its output; raises `RuntimeError` with the end of the output if it fails."""
     done = subprocess.run(
-        command, cwd=folder, env={**os.environ, **(environ or {})}, capture_output=True, text=True, check=False
-    )
+        command, cwd=folder, env={**os.environ, "SOURCE_DATE_EPOCH": str(epoch()), **(environ or {})},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
     if done.returncode:
         end = "\n".join((done.stdout + done.stderr).splitlines()[-30:])
         raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}:\n{end}")
     return done.stdout
 
 
-def build(to: Path, work: Path) -> list[Path]:
-    """Build all distributions; return their files."""
+def finish(wheel: Path, contained: Sequence[sbom.Component]) -> Path:
+    """Add the bill of materials to a wheel, and normalize it."""
+    described = sbom.of_wheel(wheel)
+    rewrite_wheel(wheel, {f"sboms/{described['name']}.cdx.json": sbom.document(described, contained)})
+    return wheel
+
+
+def build_pure(work: Path) -> list[Path]:
+    """Build the source distributions and the wheels for any system; those of `midspan` are the last two."""
     built = []
     for name, lay_out in (("yarp_compat", lay_out_yarp_compat), ("midspan", lay_out_midspan)):
         source = work / name / "source"
@@ -142,12 +161,21 @@ def build(to: Path, work: Path) -> list[Path]:
         lay_out(source)
         sdist = build_sdist(source, work / name)
         report(f"{name}: the wheel for any system")
-        pure = build_wheel(sdist, work / name / "pure", work / name / "pure-source", {"MIDSPAN_PURE": "1"})
-        built += [sdist, pure]
-        if name == "midspan":
-            report("midspan: the wheel with compiled kernels (half a minute)")
-            plain = build_wheel(sdist, work / name / "plain", work / name / "plain-source", {"MIDSPAN_PURE": ""})
-            built.append(repaired(plain, work / name / "repaired", work / "tools"))
+        wheel = build_wheel(sdist, work / name / "pure", work / name / "pure-source", {"MIDSPAN_PURE": "1"})
+        built += [sdist, finish(wheel, sbom.definitions() if name == "midspan" else [])]
+    return built
+
+
+def build(to: Path, work: Path, arch: str = "") -> list[Path]:
+    """Build all distributions, with kernels compiled for a processor; return their files."""
+    compiler = {"MIDSPAN_PURE": "", **processor.environ(arch or processor.native())}
+    built = build_pure(work)
+    report("midspan: the wheel with compiled kernels (half a minute)")
+    sdist, folder = built[-2], work / "midspan"
+    plain = build_wheel(sdist, folder / "plain", folder / "plain-source", compiler)
+    wheel = repaired(plain, folder / "repaired", work / "tools")
+    cython = sbom.compiled_in(importlib.metadata.version("cython"))
+    built.append(finish(wheel, [*sbom.definitions(), cython]))
     to.mkdir(parents=True, exist_ok=True)
     return [Path(shutil.copy(file, to / file.name)) for file in built]
 
@@ -161,13 +189,14 @@ def main() -> int:
     """Build the distributions, and list the files."""
     parser = argparse.ArgumentParser(description="Build the wheels and source distributions.")
     parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "dist", help="target folder; default: dist/")
+    processor.add_option(parser)
     args = parser.parse_args()
     if sys.platform != "linux":
         sys.exit("the wheels are built only on Linux: auditwheel, which makes them portable, runs only there")
     work = ROOT / "build" / "dist"
     shutil.rmtree(work, ignore_errors=True)
     try:
-        files = build(args.folder.absolute(), work)
+        files = build(args.folder.absolute(), work, args.arch)
     except RuntimeError as err:
         sys.exit(f"dist: {err}")
     finally:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import platform
 import sys
 from collections.abc import Mapping
 from functools import cache
@@ -27,8 +28,10 @@ def missing() -> str:
     """Return why dartpy is missing, "" if it is installed; it is not imported."""
     if importlib.util.find_spec(_PACKAGE) is not None:
         return ""
-    published = sys.platform == "linux" and sys.version_info < (3, 14)
-    cure = "pip install dartpy" if published else "it is published only for Linux with Python 3.10 to 3.13"
+    wheels = sys.platform == "linux" and platform.machine() in ("x86_64", "aarch64") and sys.version_info < (3, 14)
+    systems = "Linux on x86-64 and arm64 with Python 3.10 to 3.13"
+    elsewhere = f"it is published only for {systems}; run 'midspan sim' on such a machine in the same hub"
+    cure = "pip install 'midspan[sim]'" if wheels else elsewhere
     return f"the simulator needs dartpy, which is not installed: {cure}"
 
 

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import re
 import shutil
 import sys
+import zipfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
+from email import message_from_bytes
 from pathlib import Path
 
 import pytest
+from packaging.utils import canonicalize_name
 
-from scripts import deb, dist, manual
+from scripts import deb, dist, manual, processor, sbom
 from tests.peers.ros1.network import ROS1_CORE, ROS1_PYTHON, ros1_environment
 from tests.setup.machine import ROOT
 from tests.support.debian import Tree
@@ -52,6 +57,80 @@ def test_ros1_is_only_suggested() -> None:
     fields = dict(line.split(": ", 1) for line in control.splitlines() if ": " in line and line[0] != " ")
     assert "python3-rospy" in fields["Suggests"]
     assert not [name for name in ("Depends", "Recommends") if "rospy" in fields[name]]
+
+
+def wheel(folder: Path, name: str, metadata: str) -> Path:
+    """Write a wheel that contains only its metadata."""
+    file = folder / f"{name}-1.0-py3-none-any.whl"
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr(f"{name}-1.0.dist-info/METADATA", f"Name: {name}\nVersion: 1.0\n{metadata}\n")
+    return file
+
+
+def test_the_bill_of_materials_next_to_a_package_names_each_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1767225600")
+    files = [
+        wheel(tmp_path, "Some_Library", "License-Expression: MIT"),
+        wheel(tmp_path, "another", "Classifier: License :: OSI Approved :: BSD License"),
+        wheel(tmp_path, "third", "License: Zlib"),
+        wheel(tmp_path, "without", ""),
+    ]
+    package = tmp_path / "midspan_1.0~deb12_arm64.deb"
+    package.write_bytes(b"package")
+    written = deb.write_sbom(package, [sbom.with_digest(sbom.of_wheel(file), file) for file in files])
+    assert written.name == "midspan_1.0~deb12_arm64.cdx.json"
+    document = json.loads(written.read_text(encoding="utf-8"))
+    assert document["metadata"]["timestamp"] == "2026-01-01T00:00:00Z"
+    assert document["metadata"]["component"]["purl"] == "pkg:deb/midspan@1.0~deb12?arch=arm64"
+    assert document["metadata"]["component"]["hashes"] == [
+        {"alg": "SHA-256", "content": hashlib.sha256(b"package").hexdigest()}
+    ]
+    parts = {part["purl"]: part for part in document["components"]}
+    assert list(parts) == [f"pkg:pypi/{name}@1.0" for name in ("another", "some-library", "third", "without")]
+    assert parts["pkg:pypi/some-library@1.0"]["licenses"] == [{"expression": "MIT"}]
+    assert parts["pkg:pypi/another@1.0"]["licenses"] == [{"license": {"name": "BSD License"}}]
+    assert parts["pkg:pypi/third@1.0"]["licenses"] == [{"license": {"name": "Zlib"}}]
+    assert "licenses" not in parts["pkg:pypi/without@1.0"]
+    content = hashlib.sha256(files[3].read_bytes()).hexdigest()
+    assert parts["pkg:pypi/without@1.0"]["hashes"] == [{"alg": "SHA-256", "content": content}]
+
+
+@pytest.mark.parametrize(("number", "arch"), [(62, "amd64"), (183, "arm64")])
+def test_a_library_for_another_processor_is_rejected(
+    number: int, arch: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also a library without the processor in its name."""
+    file = tmp_path / "foreign-1.0-py3-none-any.whl"
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("foreign-1.0.dist-info/METADATA", "Name: foreign\nVersion: 1.0\n")
+        archive.writestr("foreign/libf.so.1", b"\x7fELF" + bytes(14) + number.to_bytes(2, "little"))
+        archive.writestr("foreign/script.so", b"INPUT(libf.so.1)")
+
+    def download(_: deb.Release, to: Path, __: str) -> list[Path]:
+        to.mkdir()
+        return [file]
+
+    monkeypatch.setattr(deb, "_download", download)
+    monkeypatch.setattr(deb, "_system_files", lambda _: None)
+    deb.stage(deb.RELEASES["bookworm"], (), tmp_path / "right", arch)
+    (other,) = set(processor.ELF) - {arch}
+    with pytest.raises(RuntimeError, match=rf"built for another processor than {other}: libf\.so\.1$"):
+        deb.stage(deb.RELEASES["bookworm"], (), tmp_path / "wrong", other)
+
+
+def test_a_package_for_another_processor_has_its_libraries_and_wheel(tmp_path: Path) -> None:
+    arm, here = deb.libraries("arm64"), deb.libraries("amd64")
+    assert {text for text in here if text.startswith("ros-jazzy-rclpy")}, "ROS 2 has wheels for x86-64"
+    assert not [text for text in arm if text.startswith("ros-")]
+    assert set(arm) <= set(here)
+    version = dist.version()
+    for name in (f"midspan-{version}-cp311-abi3-linux_x86_64.whl", f"yarp_compat-{version}-py3-none-any.whl"):
+        (tmp_path / name).touch()
+    assert len(deb.own_wheels(tmp_path, "amd64")) == 2
+    with pytest.raises(RuntimeError, match="run 'make dist ARCH=arm64'"):
+        deb.own_wheels(tmp_path, "arm64")
 
 
 @dataclass
@@ -97,8 +176,12 @@ def packages(release: deb.Release, folder: Path) -> list[Path]:
         dist.build_wheel(dist.build_sdist(source, folder / name), folder / name / "wheel", folder / name / "build", {})
     wheels = [*folder.glob("*/wheel/*.whl")]
     root = folder / "root"
-    deb.stage(release, wheels, root)
+    components = deb.stage(release, wheels, root)
     first = deb.pack(release, root, folder / "packages", quick=True)
+    listed = json.loads(deb.write_sbom(first, components).read_text(encoding="utf-8"))["components"]
+    metadata = [message_from_bytes(file.read_bytes()) for file in root.rglob("*.dist-info/METADATA")]
+    contained = sorted(f"{canonicalize_name(message['Name'])} {message['Version']}" for message in metadata)
+    assert [f"{part['name']} {part['version']}" for part in listed] == contained
     (module,) = root.glob("opt/midspan/lib/*/site-packages/bridge/__init__.py")
     module.write_text(dist.VERSION_LINE.sub(f'__version__ = "{NEXT}"', module.read_text()))
     return [first, deb.pack(release, root, folder / "packages", NEXT, quick=True)]

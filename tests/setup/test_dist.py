@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import importlib.metadata
+import json
+import os
 import re
 import signal
 import subprocess
+import sysconfig
 import tarfile
+import time
 import tomllib
 import zipfile
 from collections.abc import Sequence
@@ -13,13 +20,14 @@ from contextlib import ExitStack
 from email import message_from_string
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import pytest
 import yaml
 from packaging.requirements import Requirement
 
 from bridge import kernels
-from scripts import dist
+from scripts import dist, processor, reproducible
 from tests.peers.yarp.programs import Definitions, Names, YarpProgram
 from tests.peers.zenoh.programs import Ros2ddsBridge, Router
 from tests.setup.installed import Installed
@@ -131,6 +139,107 @@ def test_the_metadata_of_the_distributions(files: Sequence[Path]) -> None:
             assert set(metadata.get_all("Provides-Extra", [])) == {"ros2", "sim", "web", "foxglove", "demo"}
             wanted = set(required(metadata.get_all("Requires-Dist", []), "demo"))
             assert {"dartpy", "ros-jazzy-rclpy", "starlette", "uvicorn", "zenoh-ros2-sdk"} <= wanted
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_a_second_build_elsewhere_has_the_same_bytes(
+    files: Sequence[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another folder, umask and time zone."""
+    monkeypatch.setenv("TZ", "Asia/Tokyo")
+    source = tmp_path / "another folder"
+    source.mkdir()
+    before = os.umask(0o077)
+    try:
+        dist.lay_out_yarp_compat(source)
+        sdist = dist.build_sdist(source, tmp_path)
+        wheel = dist.finish(dist.build_wheel(sdist, tmp_path / "wheel", tmp_path / "work", {}), [])
+    finally:
+        os.umask(before)
+    for again in (sdist, wheel):
+        assert again.read_bytes() == only(files, again.name).read_bytes()
+    with zipfile.ZipFile(only(files, COMPILED)) as archive:
+        assert {info.date_time for info in archive.infolist()} == {time.gmtime(reproducible.epoch())[:6]}
+        assert {info.external_attr >> 16 for info in archive.infolist()} <= {0o100644, 0o100755}
+
+
+def test_the_time_of_all_files_is_the_commits_or_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
+    commit = subprocess.run(["git", "show", "-s", "--format=%ct"], cwd=ROOT, capture_output=True, check=True, text=True)
+    assert reproducible.epoch() == int(commit.stdout)
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1767225600")
+    assert reproducible.epoch() == 1767225600
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
+    with pytest.raises(RuntimeError, match="'yesterday'; it must be seconds since 1970"):
+        reproducible.epoch()
+
+
+def bill(wheel: Path) -> dict[str, Any]:
+    """Return a wheel's bill of materials."""
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = (name for name in archive.namelist() if ".dist-info/sboms/" in name)
+        return json.loads(archive.read(name))
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_each_wheel_lists_what_it_contains_besides_its_own_code(files: Sequence[Path]) -> None:
+    """PEP 770: Cython's code in compiled kernels, and the message definitions of other packages."""
+    packages = {p.name for p in (ROOT / "bridge/interfaces/definitions").iterdir() if p.is_dir()}
+    packages |= {p.name for p in (ROOT / "bridge/messages/definitions").glob("ros?/*") if p.is_dir()}
+    definitions = sorted(packages - {"midspan_msgs"})
+    cython = f"pkg:pypi/cython@{importlib.metadata.version('cython')}"
+    for pattern, name, wanted in (
+        (COMPAT, "yarp-compat", []),
+        (PURE, "midspan", definitions),
+        (COMPILED, "midspan", ["cython", *definitions]),
+    ):
+        document = bill(only(files, pattern))
+        described = document["metadata"]["component"]
+        assert (document["bomFormat"], document["specVersion"]) == ("CycloneDX", "1.6")
+        assert described["purl"] == f"pkg:pypi/{name}@{dist.version()}"
+        assert described["licenses"] == [{"expression": "Apache-2.0"}]
+        assert sorted({part["name"] for part in document["components"]}) == wanted
+        assert (cython in {part["bom-ref"] for part in document["components"]}) == (pattern == COMPILED)
+        refs = [part["bom-ref"] for part in document["components"]]
+        assert len(refs) == len(set(refs))
+        assert [entry["ref"] for entry in document["dependencies"]] == [described["bom-ref"], *refs]
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_the_record_of_a_wheel_has_the_digest_of_each_file(files: Sequence[Path]) -> None:
+    for wheel in (only(files, pattern) for pattern in (COMPILED, PURE, COMPAT)):
+        with zipfile.ZipFile(wheel) as archive:
+            (record,) = (name for name in archive.namelist() if name.endswith(".dist-info/RECORD"))
+            rows = [line.rsplit(",", 2) for line in archive.read(record).decode().splitlines()]
+            assert [row[0] for row in rows] == archive.namelist()
+            for name, digest, size in rows[:-1]:
+                data = archive.read(name)
+                encoded = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).decode().rstrip("=")
+                assert (digest, size) == (f"sha256={encoded}", str(len(data)))
+            assert rows[-1] == [record, "", ""]
+
+
+OTHER = next(name for name in processor.MACHINES if name != processor.native())
+"""A processor that this machine does not have."""
+
+
+def test_building_for_another_processor_names_the_missing_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sysconfig, "get_path", lambda _: "/usr/include/python3.11")
+    monkeypatch.setenv("PATH", "/nothing")
+    with pytest.raises(RuntimeError, match=f"needs the compiler {processor.MACHINES[OTHER]}-linux-gnu-gcc") as error:
+        processor.environ(OTHER)
+    assert f"dpkg --add-architecture {OTHER}" in str(error.value)
+    assert f"apt-get install crossbuild-essential-{OTHER} libpython3-dev:{OTHER}" in str(error.value)
+    assert processor.environ(processor.native()) == {}
+
+
+def test_building_for_another_processor_needs_debians_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sysconfig, "get_path", lambda _: "/opt/python/include/python3.11")
+    with pytest.raises(RuntimeError, match="make setup PYTHON=/usr/bin/python3"):
+        processor.environ(OTHER)
 
 
 def required(requirements: Sequence[str], extra: str) -> list[str]:

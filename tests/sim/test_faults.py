@@ -65,3 +65,23 @@ def test_a_missing_opengl_library_is_reported_with_its_package(monkeypatch: pyte
     monkeypatch.setattr("importlib.import_module", refuse)
     with pytest.raises(SimError, match="apt install libgl1"):
         environment.dartpy.__wrapped__()
+
+
+@pytest.mark.parametrize(
+    ("system", "processor", "version", "cure"),
+    [
+        ("linux", "x86_64", (3, 13), "pip install 'midspan[sim]'"),
+        ("linux", "aarch64", (3, 11), "pip install 'midspan[sim]'"),
+        ("linux", "aarch64", (3, 14), "run 'midspan sim' on such a machine in the same hub"),
+        ("linux", "riscv64", (3, 11), "run 'midspan sim' on such a machine in the same hub"),
+        ("darwin", "arm64", (3, 11), "run 'midspan sim' on such a machine in the same hub"),
+    ],
+)
+def test_a_machine_without_dart_names_what_to_do(
+    system: str, processor: str, version: tuple[int, int], cure: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    monkeypatch.setattr("sys.platform", system)
+    monkeypatch.setattr("platform.machine", lambda: processor)
+    monkeypatch.setattr("sys.version_info", version)
+    assert environment.missing().endswith(cure)
