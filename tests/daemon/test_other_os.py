@@ -20,9 +20,15 @@ import psutil
 import pytest
 import yaml
 
+from bridge.adapters.ros1.program import Ros1Program
+from tests.contract.plainside import PlainPeer
+from tests.contract.side import PeerLike
+from tests.peers.peer import Peer
+from tests.peers.ros1.network import ROS1_PEER, ROS1_PYTHON, ros1_environment
 from tests.peers.yarp.programs import Definitions, Names, YarpProgram
 from tests.peers.zenoh.programs import Ros2ddsBridge
 from tests.support.hidden import as_on, is_windows_name
+from tests.support.missing import has_ros1
 from tests.support.ports import free_port
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
@@ -30,7 +36,7 @@ from tests.support.wait import until
 SYSTEMS = os.environ.get("MIDSPAN_TEST_SYSTEMS", "windows,macos").split(",")
 MIDSPAN = [sys.executable, "-P", "-m", "bridge.cli.main"]
 STRING = "std_msgs/String"
-WORKERS = ("router", "yarp", "zenoh", "modules", "web")
+WORKERS = ("router", "ros1_master", "ros1", "yarp", "zenoh", "modules", "web")
 
 
 class OtherOs:
@@ -41,7 +47,7 @@ class OtherOs:
         self.env = as_on(system) if system in ("windows", "macos") else dict(os.environ)
         self.folder, self.file, self.log = folder, folder / "midspan.yaml", Path(log.name)
         self.names = Names()
-        self.hub, self.web = f"tcp/127.0.0.1:{free_port()}", free_port()
+        self.hub, self.web, self.ros1 = f"tcp/127.0.0.1:{free_port()}", free_port(), free_port()
         self.configure()
         self.process = subprocess.Popen(
             [*MIDSPAN, "run", "--config", str(self.file)],
@@ -55,7 +61,7 @@ class OtherOs:
             "name": "CON",
             "state": str(self.folder / "state"),
             "hub": {"listen": self.hub, "shared_memory": False},
-            "ros1": {"enabled": False},
+            "ros1": {"master": "embedded", "listen": f"127.0.0.1:{self.ros1}", "poll": 0.1},
             "ros2": {"enabled": False},
             "yarp": {"nameserver": "site", "address": self.names.endpoint, "poll": 0.1},
             "zenoh": {"router": self.hub, "dialects": [{"dialect": "ros2dds"}]},
@@ -86,6 +92,14 @@ class OtherOs:
         """Return the processes of all starts of a worker."""
         return [int(pid) for pid in re.findall(rf" {worker} started as process (\d+)", self.output())]
 
+    def ros1_program(self, name: str) -> PeerLike:
+        """Start a rospy program; on systems without ROS 1, one on Midspan's own node."""
+        uri = f"http://127.0.0.1:{self.ros1}/"
+        if has_ros1():
+            env = {**ros1_environment(uri), "ROS_HOME": str(self.folder), "ROS_LOG_DIR": str(self.folder / "log")}
+            return Peer(ROS1_PEER, ROS1_PYTHON, env, name)
+        return PlainPeer(Ros1Program(name, master=uri), uri)
+
     def interrupt(self) -> None:
         """Send a Ctrl-C; to another process group, Windows can only send Ctrl-Break."""
         self.process.send_signal(getattr(signal, "CTRL_BREAK_EVENT", signal.SIGINT))
@@ -98,7 +112,7 @@ class OtherOs:
                 self.process.wait(10)
             self.process.kill()
             self.process.wait()
-        for pid in self.pids("router")[-1:]:
+        for pid in [*self.pids("router")[-1:], *self.pids("ros1_master")[-1:]]:
             with contextlib.suppress(psutil.Error):
                 psutil.Process(pid).kill()
         self.names.stop()
@@ -130,21 +144,27 @@ def test_the_daemon_works(other: OtherOs) -> None:
 
 
 def assert_crosses(other: OtherOs, word: str) -> None:
-    """A YARP program's messages reach zenoh."""
+    """A YARP program's messages reach zenoh and ROS 1."""
     program = YarpProgram(other.names, f"/{word}", Definitions(()))
-    bridge = Ros2ddsBridge(other.hub, Messages(ros1=False))
+    receivers: dict[str, PeerLike] = {
+        "zenoh": Ros2ddsBridge(other.hub, Messages(ros1=False)),
+        "ROS 1": other.ros1_program(word),
+    }
     try:
-        publisher, subscription = program.advertise(f"/{word}", STRING), bridge.subscribe(f"/{word}", STRING)
+        publisher = program.advertise(f"/{word}", STRING)
+        for name, receiver in receivers.items():
+            subscription = receiver.subscribe(f"/{word}", STRING)
 
-        def arrived() -> bool:
-            program.publish(publisher, {"data": word})
-            return bridge.wait(subscription, 1, 0.2) != []
+            def arrived(receiver: PeerLike = receiver, subscription: int = subscription) -> bool:
+                program.publish(publisher, {"data": word})
+                return receiver.wait(subscription, 1, 0.2) != []
 
-        until(arrived, "zenoh receives it", 40, every=0.1)
-        assert bridge.wait(subscription, 1)[0] == {"data": word}
+            until(arrived, f"{name} receives it", 40, every=0.1)
+            assert receiver.wait(subscription, 1)[0] == {"data": word}
     finally:
         program.stop()
-        bridge.stop()
+        for receiver in receivers.values():
+            receiver.stop()
 
 
 def assert_reloads(other: OtherOs) -> None:
