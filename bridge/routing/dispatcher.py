@@ -1,4 +1,4 @@
-"""Threads that carry messages from the hub to a side, the most urgent class first.
+"""The queues of routes to a side, and the threads that empty them, the most urgent class first.
 
 zenoh's receiving thread queues large messages, and messages that arrive while their route is publishing, and wakes a
 dispatcher: publishing an image may take milliseconds. It publishes small messages itself: no edge waits for a peer, and
@@ -15,8 +15,9 @@ from collections.abc import Callable
 from queue import SimpleQueue
 from typing import Any
 
+from bridge.hub.endpoints.subscription import HubSample
 from bridge.progress import StepWatch
-from bridge.routing.limits import Priority
+from bridge.routing.limits import BULK, QUEUE_BYTES, Priority
 
 _log = logging.getLogger(__name__)
 _ORDER = (Priority.COMMAND, Priority.STATE, Priority.STREAM)
@@ -82,3 +83,73 @@ class Dispatcher:
             else:
                 continue
             self.here(work)
+
+
+class RouteQueue:
+    """One route's messages on their way to the side, published in order and one at a time.
+
+    `receive` publishes a small message at once, unless an earlier one is queued or being published elsewhere. Other
+    messages are queued for a dispatcher; from the first large one on, for ``bulk``. A full queue drops its oldest
+    messages.
+
+    Locks: ``publishing`` is held while a message is published, by this queue and by the route's own calls. ``_lock``
+    guards the queue and the state behind ``admits``. A thread that holds ``_lock`` never waits for ``publishing``, so
+    one that holds ``publishing`` may wait for ``_lock``.
+
+    Attributes:
+        priority, depth: class and maximum number of the queued messages; the engine's loop sets them.
+    """
+
+    def __init__(
+        self, small: Dispatcher, bulk: Dispatcher, publish: Callable[[HubSample], None], dropped: Callable[[], None],
+        admits: Callable[[HubSample], bool] | None = None,
+    ) -> None:  # fmt: skip
+        self.priority, self.depth = Priority.STREAM, 1
+        self.publishing = threading.Lock()
+        self._dispatcher, self._bulk = small, bulk
+        self._publish, self._dropped, self._admits = publish, dropped, admits
+        self._lock = threading.Lock()
+        self._messages: deque[HubSample] = deque()
+        self._bytes = 0
+
+    def receive(self, sample: HubSample) -> None:
+        """Publish or queue a message; runs on zenoh's receiving thread."""
+        size = len(sample.payload)
+        with self._lock:
+            if self._admits is not None and not self._admits(sample):
+                return
+            at_once = size <= BULK and not self._messages and self.publishing.acquire(blocking=False)
+            if not at_once:
+                self._append(sample, size)
+            dispatcher = self._dispatcher
+        if not at_once:
+            dispatcher.submit(self.priority, self._next)
+            return
+        try:
+            dispatcher.here(self._publish, sample)
+        finally:
+            self.publishing.release()
+
+    def _append(self, sample: HubSample, size: int) -> None:
+        self._messages.append(sample)
+        self._bytes += size
+        while len(self._messages) > self.depth or (self._bytes > QUEUE_BYTES and len(self._messages) > 1):
+            self._bytes -= len(self._messages.popleft().payload)
+            self._dropped()
+        if size > BULK and len(self._messages) == 1:
+            self._dispatcher = self._bulk
+
+    def _next(self) -> None:
+        with self.publishing:
+            with self._lock:
+                if not self._messages:
+                    return
+                sample = self._messages.popleft()
+                self._bytes -= len(sample.payload)
+            self._publish(sample)
+
+    def clear(self) -> None:
+        """Drop all queued messages."""
+        with self._lock:
+            self._messages.clear()
+            self._bytes = 0

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
 
 from typing_extensions import override
 
@@ -18,43 +15,80 @@ from bridge.messages.errors import MessageError
 from bridge.messages.transcode.conversion import Conversion
 from bridge.routing.backlog import Backlog
 from bridge.routing.decision import OWN_NETWORK, RouteDecision, RouteKey, hub_groups
+from bridge.routing.dispatcher import RouteQueue
 from bridge.routing.edge import EdgePublisher, Endpoint
 from bridge.routing.election import Outcome
 from bridge.routing.gates import ExitGate, may_carry, may_leave
-from bridge.routing.limits import BULK, MAX_PENDING, QUEUE_BYTES, QUEUE_DEPTH, Priority, combined_qos, stream_depth
+from bridge.routing.hub_end import Demand, HubSource, HubSources, RouteSubscription, StreamDemand
+from bridge.routing.limits import MAX_PENDING, QUEUE_BYTES, QUEUE_DEPTH, Priority, combined_qos, stream_depth
 from bridge.routing.rewrites import TF_TYPE, StaticTransforms, with_spread
 from bridge.routing.route import EngineContext, RouteSet, TopicRoute
 from bridge.routing.rules import RoutePolicy
-from bridge.routing.stall import AgeGate
 from bridge.status import RouteStatus
 
 PENDING_SECONDS = 2.0
 """Seconds for which a message from an unknown publisher is held."""
 
-UNHEARD = 10.0
-"""Seconds without a subscriber on the side after which a fast stream stays on the hub."""
-
-QUICK = 5.0
-"""Messages per second from which a stream counts as fast: a new subscriber misses some of them anyway. Rarer messages
-may be events, which a new subscriber must not miss."""
-
 _STATIC = "static transforms"
 
 
-@dataclass(slots=True)
-class _Source:
-    endpoint: HubEndpoint
-    latched: bool
-    age: AgeGate
+class SidePublishers:
+    """A route's publishers on the side: ``latched`` retains the last messages of each source, ``volatile`` none.
+
+    Each is None until a source needs it. Only the engine's loop opens and closes them; any thread may publish.
+    """
+
+    def __init__(self, advertise: Callable[[Qos], EdgePublisher]) -> None:
+        self._advertise = advertise
+        self.latched: EdgePublisher | None = None
+        self.volatile: EdgePublisher | None = None
+
+    def open_latched(self, depth: int) -> None:
+        """Open the publisher for latched sources, if it is not open."""
+        if self.latched is None:
+            self.latched = self._open(Durability.TRANSIENT_LOCAL, depth)
+
+    def open_volatile(self, depth: int) -> None:
+        """Open the publisher for the other sources, if it is not open."""
+        if self.volatile is None:
+            self.volatile = self._open(Durability.VOLATILE, depth)
+
+    def _open(self, durability: Durability, depth: int) -> EdgePublisher:
+        # Reliable writers match reliable and best-effort readers.
+        return self._advertise(Qos(Reliability.RELIABLE, durability, depth=min(max(depth, 1), 1000)))
+
+    def drop_source(self, gid: bytes) -> None:
+        """Drop the messages that are retained for a source."""
+        if self.latched is not None:
+            self.latched.drop_source(gid.hex())
+
+    @property
+    def dropped(self) -> int:
+        """Number of messages that the slowest subscriber of the side missed."""
+        return max((p.dropped for p in (self.latched, self.volatile) if p is not None), default=0)
+
+    def close(self) -> None:
+        """Close both."""
+        for publisher in (self.latched, self.volatile):
+            if publisher is not None:
+                publisher.close()
+        self.latched = self.volatile = None
 
 
 class HubToSideRoute(TopicRoute):
     """One topic and type of the hub, published on the side.
 
     Each latched hub publisher stays a separate source on the side. Samples of publishers that the engine did not name
-    (from this same network, or not yet known) do not pass. ``origin`` is that of the topic's first publisher, None for
-    a native program of the hub. A fast stream without a subscriber on the side stays on the hub. ``pending``: messages
-    that are held until their publisher is known.
+    (from this same network, or not yet known) do not pass. A fast stream without a subscriber on the side stays on the
+    hub.
+
+    The engine's loop calls `update` and replaces the sources; samples arrive on zenoh's receiving threads. Both publish
+    only while they hold ``queue.publishing``; the backlogs have their own locks.
+
+    Attributes:
+        origin: that of the topic's first publisher, None for a native program of the hub.
+        queue: the messages on their way to the side.
+        pending: messages that are held until their publisher is known.
     """
 
     direction = "out"
@@ -66,26 +100,17 @@ class HubToSideRoute(TopicRoute):
         super().__init__(key, (key.topic, side_topic), with_spread(conversion, key.topic), policy, context)
         self.origin = origin
         self._lease = context.lease
-        self._dispatcher = context.small
         self._followed: tuple[Sequence[HubEndpoint], ...] = ()
-        self._sources: dict[bytes, _Source] = {}
-        self._refused: frozenset[bytes] = frozenset()
-        self._waiting: dict[bytes, HubEndpoint] = {}
-        self._waiting_latched = Backlog[HubSample](QUEUE_DEPTH[Priority.STATE], QUEUE_BYTES, self.crowded_out)
-        self._natives: dict[str, _Source] = {}
-        self._queue: deque[HubSample] = deque()
-        self._queued_bytes = 0
-        self._lock = threading.Lock()
-        self._publishing = threading.Lock()
+        self._sources = HubSources()
+        self._subscription = RouteSubscription(self._subscribe)
+        self._demand = StreamDemand()
+        self._publishers = SidePublishers(self._advertise)
+        admits = None if self._limit is None else self._admits
+        self.queue = RouteQueue(context.small, context.bulk, self.handle, self.crowded_out, admits)
         self.pending = Backlog[HubSample](MAX_PENDING, QUEUE_BYTES, self.crowded_out)
-        self._latched: EdgePublisher | None = None
-        self._volatile: EdgePublisher | None = None
-        self._subscription: HubSubscription | None = None
-        self._depth = 1
-        self._subscribed = 0.0
-        self._since, self._messages_then = time.monotonic(), 0
-        self._heard = self._unheard = False
-        self._lost_before = self._by_lane_before = 0
+        self._waiting_latched = Backlog[HubSample](QUEUE_DEPTH[Priority.STATE], QUEUE_BYTES, self.crowded_out)
+
+    # -- the engine's loop ---------------------------------------------------------------------------------------------
 
     def update(
         self, allowed: Sequence[HubEndpoint], refused: Sequence[HubEndpoint], waiting: Sequence[HubEndpoint] = ()
@@ -100,200 +125,135 @@ class HubToSideRoute(TopicRoute):
             self._followed = ()  # in case the update fails
             self._follow(allowed, refused, waiting)
             self._followed = followed
-        self._follow_listeners(allowed)
+        self._follow_demand(allowed)
         self._release_latched()
         self._retry_pending()
 
     def _follow(
         self, allowed: Sequence[HubEndpoint], refused: Sequence[HubEndpoint], waiting: Sequence[HubEndpoint]
     ) -> None:
-        current = {e.gid: e for e in allowed}
-        for departed in [g for g in self._sources if g not in current]:
-            source = self._sources.pop(departed)
-            if source.latched and self._latched is not None and self._static is None:
-                self._latched.drop_source(departed.hex())
-        for gid, endpoint in current.items():
-            if gid not in self._sources:
-                self._sources[gid] = _Source(endpoint, self.latches(endpoint.qos), AgeGate())
-        self._refused = frozenset(e.gid for e in refused)
-        self._waiting = {e.gid: e for e in waiting}
-        # Some participants (zenoh-ros2-sdk) put an invented GID in their samples.
-        self._natives = {s.endpoint.zid: s for s in self._sources.values() if s.endpoint.origin is None}
-        self._advertise()
-        if allowed and not self._unheard:
-            self._subscribe(combined_qos([e.qos for e in allowed]))
+        before = self._sources.allowed
+        self._sources = self._sources.updated(allowed, refused, waiting, self.latches)
+        for gid in before.keys() - self._sources.allowed.keys():
+            if before[gid].latched and self._static is None:
+                self._publishers.drop_source(gid)
+        self._open_publishers(self._sources.allowed.values())
+        if allowed and self._demand.state is not Demand.PAUSED:
+            self._receive_from(allowed)
 
-    def _follow_listeners(self, allowed: Sequence[HubEndpoint]) -> None:
-        """Keep a fast stream on the hub while it has no subscriber on the side; subscribe with the first one."""
-        volatile = self._volatile if self._priority is Priority.STREAM and self._latched is None else None
-        before, wanted = self._heard, volatile is None or volatile.has_subscribers
-        self._heard = wanted
-        seconds, messages = time.monotonic() - self._since, self.counters.messages - self._messages_then
-        if before or seconds > UNHEARD:  # a subscriber of the last check may have left just now
-            self._since, self._messages_then = time.monotonic(), self.counters.messages
-        if wanted and self._unheard:
-            self._unheard = False
-            if allowed:
-                self._subscribe(combined_qos([e.qos for e in allowed]))
-        elif (
-            not wanted
-            and not before
-            and seconds > UNHEARD
-            and messages > QUICK * seconds
-            and self._subscription is not None
-        ):
-            self._unheard = True
-            self._leave_hub()
-
-    def _leave_hub(self) -> None:
-        if self._subscription is not None:
-            self._lost_before += self._subscription.lost
-            self._by_lane_before += self._subscription.by_lane
-            self._subscription.close()
-            self._subscription = None
-
-    def _advertise(self) -> None:
-        latched = any(s.latched for s in self._sources.values())
-        self._priority = self.priority_of(latched=latched)
-        self._depth = self.policy.depth or QUEUE_DEPTH[self._priority]
-        if latched and self._latched is None:
-            if self.hub_type == TF_TYPE:
+    def _open_publishers(self, sources: Iterable[HubSource]) -> None:
+        latched = [s.endpoint.qos.depth for s in sources if s.latched]
+        volatile = [s.endpoint.qos.depth for s in sources if not s.latched]
+        self._priority = self.queue.priority = self.priority_of(latched=bool(latched))
+        self.queue.depth = self.policy.depth or QUEUE_DEPTH[self._priority]
+        if latched:
+            if self._static is None and self._publishers.latched is None and self.hub_type == TF_TYPE:
                 self._static = StaticTransforms()
-            depth = 1 if self._static else max(s.endpoint.qos.depth for s in self._sources.values() if s.latched)
-            self._latched = self._advertise_as(Durability.TRANSIENT_LOCAL, depth)
-        if self._volatile is None and any(not s.latched for s in self._sources.values()):
-            reported = max(s.endpoint.qos.depth for s in self._sources.values() if not s.latched)
-            depth = max(stream_depth(self.conversion.source.definition), reported)
-            self._volatile = self._advertise_as(Durability.VOLATILE, 1 if self._priority is Priority.COMMAND else depth)
+            self._publishers.open_latched(1 if self._static else max(latched))
+        if volatile and self._publishers.volatile is None:
+            depth = max(stream_depth(self.conversion.source.definition), *volatile)
+            self._publishers.open_volatile(1 if self._priority is Priority.COMMAND else depth)
 
-    def _advertise_as(self, durability: Durability, depth: int) -> EdgePublisher:
-        # Reliable writers match reliable and best-effort readers.
-        qos = self.policy.override(Qos(Reliability.RELIABLE, durability, depth=min(max(depth, 1), 1000)))
-        return self._context.edge.advertise(self.side_topic, self.conversion.target, qos)
+    def _advertise(self, qos: Qos) -> EdgePublisher:
+        return self._context.edge.advertise(self.side_topic, self.conversion.target, self.policy.override(qos))
 
-    def _subscribe(self, qos: Qos) -> None:
+    def _follow_demand(self, allowed: Sequence[HubEndpoint]) -> None:
+        """Keep a fast stream on the hub while it has no subscriber on the side; subscribe with the first one."""
+        streams = self._priority is Priority.STREAM and self._publishers.latched is None
+        volatile = self._publishers.volatile if streams else None
+        wanted = volatile is None or volatile.has_subscribers
+        before = self._demand.state
+        demand = self._demand.update(self.counters.messages, wanted=wanted, subscribed=self._subscription.open)
+        if demand is Demand.PAUSED:
+            self._subscription.close()
+        elif before is Demand.PAUSED and allowed:
+            self._receive_from(allowed)
+
+    def _receive_from(self, publishers: Sequence[HubEndpoint]) -> None:
+        qos = combined_qos([e.qos for e in publishers])
         if self._priority is Priority.COMMAND:
             qos = Qos(qos.reliability, Durability.VOLATILE, depth=1)
-        if self._subscription is not None and qos.durability is self._qos.durability:
-            return
-        self._leave_hub()
-        self._qos = qos
-        self._subscribed = time.monotonic()
+        if self._subscription.request(qos):
+            self._qos = qos
+
+    def _subscribe(self, qos: Qos) -> HubSubscription:
         source = self.conversion.source
-        self._subscription = self._context.hub.subscription(
-            self.hub_topic, source.name, self.key.type_id, qos, self.received, self._refused_by_hub
+        return self._context.hub.subscription(
+            self.hub_topic, source.name, self.key.type_id, qos, self.queue.receive, self._refused_by_hub
         )
+
+    def _release_latched(self) -> None:
+        if self._lease.over:
+            return
+        sources = self._sources
+        for waiting in self._waiting_latched.pop_matching(lambda w: w.source not in sources.waiting):
+            source = sources.allowed.get(waiting.message.gid)
+            if source is not None:
+                with self.queue.publishing:
+                    self._publish(waiting.message, source)
+
+    def _retry_pending(self) -> None:
+        before = time.monotonic() - PENDING_SECONDS
+        sources = self._sources
+        for pending in self.pending.pop_matching(lambda _: True):
+            sample = pending.message
+            source = sources.of(sample)
+            endpoint = sources.waiting.get(sample.gid)
+            if source is not None:
+                if not self.over_rate(latched=source.latched):
+                    with self.queue.publishing:
+                        self._publish(sample, source)
+            elif endpoint is not None:
+                if self.latches(endpoint.qos):
+                    self._store(sample, endpoint)
+            elif sample.gid not in sources.refused and pending.since > before:
+                self.pending.put_back(pending)
+            elif sample.gid not in sources.refused:
+                self.counters.dropped("unknown")
+
+    # -- samples -------------------------------------------------------------------------------------------------------
 
     def _refused_by_hub(self, reason: str, why: str) -> None:
         """Count a sample without a valid attachment, or too large; runs on zenoh's receiving thread."""
         self.bad(why, reason)
 
-    def received(self, sample: HubSample) -> None:
-        """Publish a small message, append a large one and wake; runs on zenoh's receiving thread.
-
-        Messages stay in order: nothing is published here while one is queued or being published elsewhere.
-        """
-        size = len(sample.payload)
-        with self._lock:
-            if self._limit is not None:
-                known = self._source_of(sample)
-                if known is not None and self.over_rate(latched=known.latched):
-                    return
-            at_once = size <= BULK and not self._queue and self._publishing.acquire(blocking=False)
-            if not at_once:
-                self._append(sample, size)
-            dispatcher = self._dispatcher
-        if not at_once:
-            dispatcher.submit(self._priority, self._next)
-            return
-        try:
-            dispatcher.here(self.handle, sample)
-        finally:
-            self._publishing.release()
-
-    def _append(self, sample: HubSample, size: int) -> None:
-        self._queue.append(sample)
-        self._queued_bytes += size
-        while len(self._queue) > self._depth or (self._queued_bytes > QUEUE_BYTES and len(self._queue) > 1):
-            self._queued_bytes -= len(self._queue.popleft().payload)
-            self.counters.dropped("queue")
-        if size > BULK and len(self._queue) == 1:
-            self._dispatcher = self._context.bulk
-
-    def _next(self) -> None:
-        with self._publishing:
-            with self._lock:
-                if not self._queue:
-                    return
-                sample = self._queue.popleft()
-                self._queued_bytes -= len(sample.payload)
-            self.handle(sample)
-
-    def _source_of(self, sample: HubSample) -> _Source | None:
-        known = self._sources.get(sample.gid)
-        if known is not None or sample.gid in self._refused or sample.gid in self._waiting:
-            return known
-        return self._natives.get(sample.zid) if sample.zid else next(iter(self._natives.values()), None)
+    def _admits(self, sample: HubSample) -> bool:
+        source = self._sources.of(sample)
+        return source is None or not self.over_rate(latched=source.latched)
 
     def handle(self, sample: HubSample) -> None:
         """Publish a message on the side, or hold it until its publisher is known."""
-        source = self._sources.get(sample.gid) or self._source_of(sample)
+        sources = self._sources
+        source = sources.allowed.get(sample.gid) or sources.of(sample)
         if source is not None:
             self._publish(sample, source)
             return
-        waiting = self._waiting.get(sample.gid)
+        waiting = sources.waiting.get(sample.gid)
         if waiting is not None:
             if self.latches(waiting.qos):
-                self._keep(sample, waiting)
-        elif sample.gid not in self._refused:
-            if self._priority is Priority.COMMAND:  # never kept for later
+                self._store(sample, waiting)
+        elif sample.gid not in sources.refused:
+            if self._priority is Priority.COMMAND:  # never stored for later
                 self.counters.dropped("unknown")
             else:
                 self.pending.add(sample.gid, sample, len(sample.payload))
             self._context.wake()
 
-    def _keep(self, sample: HubSample, endpoint: HubEndpoint) -> None:
+    def _store(self, sample: HubSample, endpoint: HubEndpoint) -> None:
         depth = min(max(endpoint.qos.depth, 1), MAX_PENDING)
         self._waiting_latched.keep(sample.gid, sample, len(sample.payload), depth)
 
-    def _release_latched(self) -> None:
-        if self._lease.over:
-            return
-        for waiting in self._waiting_latched.pop_matching(lambda w: w.source not in self._waiting):
-            source = self._sources.get(waiting.message.gid)
-            if source is not None:
-                with self._publishing:
-                    self._publish(waiting.message, source)
-
-    def _retry_pending(self) -> None:
-        before = time.monotonic() - PENDING_SECONDS
-        for pending in self.pending.pop_matching(lambda _: True):
-            sample = pending.message
-            source = self._source_of(sample)
-            endpoint = self._waiting.get(sample.gid)
-            if source is not None:
-                if not self.over_rate(latched=source.latched):
-                    with self._publishing:
-                        self._publish(sample, source)
-            elif endpoint is not None:
-                if self.latches(endpoint.qos):
-                    self._keep(sample, endpoint)
-            elif sample.gid not in self._refused and pending.since > before:
-                self.pending.put_back(pending)
-            elif sample.gid not in self._refused:
-                self.counters.dropped("unknown")
-
-    def _publish(self, sample: HubSample, source: _Source) -> None:
+    def _publish(self, sample: HubSample, source: HubSource) -> None:
         if self._lease.over:
             if source.latched:
-                self._keep(sample, source.endpoint)
+                self._store(sample, source.endpoint)
             else:
                 self.counters.dropped("standby")
             return
         if self._priority is Priority.COMMAND and self._stale(sample, source):
             self.counters.dropped("stale")
             return
-        publisher = self._latched if source.latched else self._volatile
+        publisher = self._publishers.latched if source.latched else self._publishers.volatile
         if publisher is None:
             self.counters.dropped("unknown")
             return
@@ -312,35 +272,28 @@ class HubToSideRoute(TopicRoute):
         self.counters.crossed(len(data))
         # The age of a message cached for late joiners is not a latency. The system clock may be set meanwhile.
         latency = time.time_ns() - sample.source_time_ns
-        if time.monotonic() - latency / 1e9 >= self._subscribed:
+        if time.monotonic() - latency / 1e9 >= self._subscription.since:
             self.counters.latency(latency)
 
-    def _stale(self, sample: HubSample, source: _Source) -> bool:
+    def _stale(self, sample: HubSample, source: HubSource) -> bool:
         timeout = self.policy.timeout
         return self._context.stall_detector.stood_still(timeout) or source.age.age(sample.source_time_ns) > timeout
 
-    @override
-    def close(self, why: str = "") -> None:  # only pending calls need the reason
-        self._leave_hub()
-        for publisher in (self._latched, self._volatile):
-            if publisher is not None:
-                publisher.close()
-        self._latched = self._volatile = None
-        with self._lock:
-            self._queue.clear()
-            self._queued_bytes = 0
+    def close(self, why: str = "") -> None:  # noqa: ARG002 - only pending calls need the reason
+        """Close the endpoints on both networks."""
+        self._subscription.close()
+        self._publishers.close()
+        self.queue.clear()
 
     @override
     def status(self) -> RouteStatus:
-        transport, by_lane = ("", ""), self._by_lane_before
-        if (subscription := self._subscription) is not None:
-            self.counters.missed(self._lost_before + subscription.lost, subscription.losses)
-            transport, by_lane = (subscription.way, subscription.why), by_lane + subscription.by_lane
-        publishers = [p for p in (self._latched, self._volatile) if p is not None]
-        self.counters.drops["slow"] = max((p.dropped for p in publishers), default=0)
-        status = self.describe(len(self._sources), transport, by_lane)
-        unheard = self._unheard and status.state == "active"
-        return status.model_copy(update={"state": "unheard"}) if unheard else status
+        """Return the route for the status document."""
+        if (losses := self._subscription.losses()) is not None:
+            self.counters.missed(*losses)
+        self.counters.drops["slow"] = self._publishers.dropped
+        status = self.describe(len(self._sources.allowed), *self._subscription.status())
+        paused = self._demand.state is Demand.PAUSED and status.state == "active"
+        return status.model_copy(update={"state": "unheard"}) if paused else status
 
 
 class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):

@@ -6,17 +6,17 @@ from typing import Any
 
 import pytest
 
-from bridge.routing import engine, hub_to_side
+from bridge.routing import engine, hub_end
 from tests.contract.hubside import HubSide
 from tests.contract.side import Bridge, Side
 from tests.support.wait import until
 
 STRING = "std_msgs/String"
 SOON = 2.0
-"""Replaces `bridge.routing.hub_to_side.UNHEARD` and the engine's poll period (s), if the worker is in this process."""
+"""Replaces `bridge.routing.hub_end.UNHEARD` and the engine's poll period (s), if the worker is in this process."""
 
 PERIOD = 0.05
-"""Seconds between two messages, far below `bridge.routing.hub_to_side.QUICK`."""
+"""Seconds between two messages, far below `bridge.routing.hub_end.QUICK`."""
 
 
 def _route(far: HubSide, topic: str) -> dict[str, Any]:
@@ -28,7 +28,7 @@ def _route(far: HubSide, topic: str) -> dict[str, Any]:
 
 @pytest.fixture(autouse=True)
 def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hub_to_side, "UNHEARD", SOON)
+    monkeypatch.setattr(hub_end, "UNHEARD", SOON)
     monkeypatch.setattr(engine, "_POLL", SOON)
 
 

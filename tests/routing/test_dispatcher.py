@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
 import pytest
+import zenoh
 
-from bridge.routing.dispatcher import Dispatcher
-from bridge.routing.limits import Priority
+from bridge.hub.endpoints.subscription import HubSample
+from bridge.routing import dispatcher as dispatcher_module
+from bridge.routing.dispatcher import Dispatcher, RouteQueue
+from bridge.routing.limits import BULK, Priority
 from tests.support.wait import until
 
 
@@ -47,3 +51,116 @@ def test_work_that_fails_stops_nothing() -> None:
         assert done.wait(40)
     finally:
         dispatcher.stop()
+
+
+class Queued:
+    """A queue whose messages a test publishes, on dispatchers without a thread."""
+
+    def __init__(self, admits: Callable[[HubSample], bool] | None = None) -> None:
+        self.published: list[int] = []
+        self.dropped = 0
+        self.small, self.bulk = Waiting("small"), Waiting("bulk")
+        self.queue = RouteQueue(self.small, self.bulk, self._publish, self._drop, admits)
+        self.queue.depth = 3
+
+    def _publish(self, sample: HubSample) -> None:
+        assert self.queue.publishing.locked()
+        self.published.append(sample.sequence)
+
+    def _drop(self) -> None:
+        self.dropped += 1
+
+    def receive(self, *numbers: int, size: int = 1) -> None:
+        for number in numbers:
+            self.queue.receive(HubSample(zenoh.ZBytes(bytes(size)), number, 0, b"g", "z"))
+
+
+class Waiting(Dispatcher):
+    """Stores the submitted calls until the test runs them."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.calls: list[tuple[Priority, Callable[[], None]]] = []
+
+    def submit(self, priority: Priority, work: Callable[[], None]) -> None:
+        self.calls.append((priority, work))
+
+    def run(self) -> None:
+        calls, self.calls = self.calls, []
+        for _, work in calls:
+            work()
+
+
+def test_small_message_is_published_on_the_receiving_thread() -> None:
+    place = Queued()
+    place.receive(1, 2)
+    assert (place.published, place.small.calls, place.bulk.calls) == ([1, 2], [], [])
+    assert not place.queue.publishing.locked()
+
+
+def test_message_received_while_another_is_published_is_queued_in_order_and_in_its_class() -> None:
+    place = Queued()
+    place.queue.priority = Priority.COMMAND
+    with place.queue.publishing:
+        place.receive(1, 2)
+    place.receive(3)
+    assert place.published == [], "a later message does not overtake"
+    assert [priority for priority, _ in place.small.calls] == [Priority.COMMAND] * 3
+    place.small.run()
+    assert place.published == [1, 2, 3]
+    place.receive(4)
+    assert place.published == [1, 2, 3, 4]
+
+
+def test_full_queue_drops_its_oldest_messages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dispatcher_module, "QUEUE_BYTES", 100)
+    place = Queued()
+    with place.queue.publishing:
+        place.receive(1, 2, 3, 4, 5)
+        assert place.dropped == 2
+        place.receive(6, 7, size=99)
+    place.small.run()
+    assert (place.published, place.dropped) == ([7], 6), "the newest message does not count against the bytes"
+
+
+def test_large_message_moves_the_route_to_the_bulk_dispatcher() -> None:
+    place = Queued()
+    place.receive(1)
+    place.receive(2, size=BULK + 1)
+    place.receive(3)
+    assert (len(place.small.calls), len(place.bulk.calls)) == (0, 2)
+    place.bulk.run()
+    assert place.published == [1, 2, 3]
+
+
+def test_message_over_the_rate_is_neither_published_nor_queued() -> None:
+    place = Queued(lambda sample: sample.sequence % 2 == 0)
+    place.receive(1, 2)
+    with place.queue.publishing:
+        place.receive(3, 4)
+    place.small.run()
+    assert (place.published, place.dropped) == ([2, 4], 0)
+
+
+def test_cleared_queue_publishes_nothing() -> None:
+    place = Queued()
+    with place.queue.publishing:
+        place.receive(1)
+    place.queue.clear()
+    place.small.run()
+    assert place.published == []
+
+
+def test_failed_publish_does_not_block_the_next_message() -> None:
+    published: list[int] = []
+
+    def publish(sample: HubSample) -> None:
+        if sample.sequence == 1:
+            raise OSError("the side has no memory")
+        published.append(sample.sequence)
+
+    small = Waiting("small")
+    queue = RouteQueue(small, small, publish, lambda: None)
+    for number in (1, 2):
+        queue.receive(HubSample(zenoh.ZBytes(b"x"), number, 0, b"g", "z"))
+    assert (published, small.calls) == ([2], [])

@@ -29,6 +29,7 @@ JOINT = cast(
     "Any",
     SimpleNamespace(
         small=None,
+        bulk=None,
         hold=None,
         lease=None,
         hub=SimpleNamespace(max_payload=1000),

@@ -21,12 +21,12 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion, SideType
-from bridge.routing import hub_to_side, stall
+from bridge.routing import hub_end, stall
 from bridge.routing.counters import Counters
 from bridge.routing.decision import RouteKey
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.edge import Endpoint, Kind, MadeBy
-from bridge.routing.hub_to_side import HubToSideRoute
+from bridge.routing.hub_to_side import HubToSideRoute, SidePublishers
 from bridge.routing.limits import BULK_DEPTH, STREAM_DEPTH, Priority, RateLimit, default_priority, stream_depth
 from bridge.routing.peer_watch import Lease
 from bridge.routing.rewrites import TF_TYPE, StaticTransforms
@@ -338,7 +338,7 @@ def test_fast_stream_is_unsubscribed_ten_seconds_after_its_last_subscriber(
     monkeypatch: pytest.MonkeyPatch, count: int
 ) -> None:
     now = [100.0]
-    monkeypatch.setattr(hub_to_side, "time", SimpleNamespace(monotonic=lambda: now[0], time_ns=lambda: 1))
+    monkeypatch.setattr(hub_end, "time", SimpleNamespace(monotonic=lambda: now[0]))
     registry, network, topic = Registry(), FakeNetwork(), "/stream"
     type_ = registry.ros2(STRING)
     publisher = HubEndpoint(
@@ -442,7 +442,7 @@ def test_a_rate_means_the_same_in_both_directions(priority: str, latched: bool, 
         )
         to_side.update([this, replace(this, gid=b"o" * 16, qos=other)], [])
         for number in range(3):
-            to_side.received(HubSample(zenoh.ZBytes(line("here")), number, number, GID, "z"))
+            to_side.queue.receive(HubSample(zenoh.ZBytes(line("here")), number, number, GID, "z"))
         to_side.close()
     for route in (to_hub, to_side):
         assert (route.counters.messages, route.counters.drops["rate"]) == ((1, 2) if thinned else (3, 0))
@@ -516,3 +516,44 @@ def test_latency_is_measured_after_the_system_clock_was_set(monkeypatch: pytest.
         route.close()
     assert len(latencies) == 2
     assert all(0 <= latency < 10e9 for latency in latencies)
+
+
+class OpenedPublisher:
+    """A publisher that the route opened on the side."""
+
+    def __init__(self, qos: Qos) -> None:
+        self.qos, self.dropped, self.departed, self.closed = qos, 0, list[str](), False
+        self.has_subscribers = True
+
+    def send(self, payload: bytes, source: str) -> None:
+        raise AssertionError(payload, source)
+
+    def drop_source(self, source: str) -> None:
+        self.departed.append(source)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_side_publishers_open_once_each_and_report_the_slowest_subscriber() -> None:
+    opened: list[OpenedPublisher] = []
+
+    def advertise(qos: Qos) -> OpenedPublisher:
+        opened.append(OpenedPublisher(qos))
+        return opened[-1]
+
+    publishers = SidePublishers(advertise)
+    publishers.drop_source(GID)
+    assert (publishers.latched, publishers.volatile, publishers.dropped) == (None, None, 0)
+    for depth in (0, 5):
+        publishers.open_latched(depth)
+        publishers.open_volatile(100 * depth + 5000)
+    assert [(p.qos.durability, p.qos.depth) for p in opened] == [
+        (Durability.TRANSIENT_LOCAL, 1), (Durability.VOLATILE, 1000)
+    ]  # fmt: skip
+    opened[0].dropped, opened[1].dropped = 3, 2
+    publishers.drop_source(GID)
+    assert (publishers.dropped, opened[0].departed, opened[1].departed) == (3, [GID.hex()], [])
+    publishers.close()
+    assert [p.closed for p in opened] == [True, True]
+    assert (publishers.latched, publishers.volatile) == (None, None)

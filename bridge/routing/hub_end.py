@@ -1,0 +1,148 @@
+"""The parts of a route to the side at its end on the hub: the publishers there, the subscription, and the demand."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum, auto
+
+from bridge.hub.endpoints.subscription import HubSample, HubSubscription
+from bridge.hub.graph import HubEndpoint
+from bridge.hub.wire.qos import Durability, Qos
+from bridge.routing.stall import AgeGate
+
+UNHEARD = 10.0
+"""Seconds without a subscriber on the side after which a fast stream stays on the hub."""
+
+QUICK = 5.0
+"""Messages per second from which a stream counts as fast: a new subscriber misses some of them anyway. Rarer messages
+may be events, which a new subscriber must not miss."""
+
+
+@dataclass(slots=True)
+class HubSource:
+    """A publisher on the hub whose messages pass; ``age`` judges their time stamps."""
+
+    endpoint: HubEndpoint
+    latched: bool
+    age: AgeGate
+
+
+@dataclass(frozen=True, slots=True)
+class HubSources:
+    """The engine's classification of a topic's publishers on the hub. Immutable, so threads need no lock to read it.
+
+    Attributes:
+        allowed: publishers whose messages pass, by GID.
+        refused: GIDs of those whose messages do not.
+        waiting: publishers that may pass later, by GID.
+        natives: programs that are not workers, by session: some (zenoh-ros2-sdk) put an invented GID in their samples.
+    """
+
+    allowed: Mapping[bytes, HubSource] = field(default_factory=dict)
+    refused: frozenset[bytes] = frozenset()
+    waiting: Mapping[bytes, HubEndpoint] = field(default_factory=dict)
+    natives: Mapping[str, HubSource] = field(default_factory=dict)
+
+    def updated(
+        self, allowed: Sequence[HubEndpoint], refused: Sequence[HubEndpoint], waiting: Sequence[HubEndpoint],
+        latches: Callable[[Qos], bool],
+    ) -> HubSources:  # fmt: skip
+        """Return the next classification; publishers that are still allowed keep their `HubSource`."""
+        sources = {e.gid: self.allowed.get(e.gid) or HubSource(e, latches(e.qos), AgeGate()) for e in allowed}
+        natives = {s.endpoint.zid: s for s in sources.values() if s.endpoint.origin is None}
+        return HubSources(sources, frozenset(e.gid for e in refused), {e.gid: e for e in waiting}, natives)
+
+    def of(self, sample: HubSample) -> HubSource | None:
+        """Return the publisher of a sample; None if it may not pass, or is not known."""
+        source = self.allowed.get(sample.gid)
+        if source is not None or sample.gid in self.refused or sample.gid in self.waiting:
+            return source
+        return self.natives.get(sample.zid) if sample.zid else next(iter(self.natives.values()), None)
+
+
+class RouteSubscription:
+    """A route's subscription on the hub, which may be closed and opened again; its counts continue.
+
+    Only the engine's loop opens and closes it; any thread may read.
+    """
+
+    def __init__(self, subscribe: Callable[[Qos], HubSubscription]) -> None:
+        self._subscribe = subscribe
+        self._current: HubSubscription | None = None
+        self._durability: Durability | None = None
+        self._lost_before = self._by_lane_before = 0
+        self.since = 0.0
+        """Time of the last opening (monotonic seconds)."""
+
+    @property
+    def open(self) -> bool:
+        """Whether the route subscribes now."""
+        return self._current is not None
+
+    def request(self, qos: Qos) -> bool:
+        """Subscribe with a QoS, unless a subscription of the same durability exists; return whether it is new."""
+        if self._current is not None and qos.durability is self._durability:
+            return False
+        self.close()
+        self._durability = qos.durability
+        self.since = time.monotonic()  # before the first message arrives
+        self._current = self._subscribe(qos)
+        return True
+
+    def close(self) -> None:
+        """Close the subscription, if any."""
+        if self._current is not None:
+            self._lost_before += self._current.lost
+            self._by_lane_before += self._current.by_lane
+            self._current.close()
+            self._current = None
+
+    def status(self) -> tuple[tuple[str, str], int]:
+        """Return the transport with the reason for zenoh, and how many samples used the lane."""
+        current = self._current
+        if current is None:
+            return ("", ""), self._by_lane_before
+        return (current.way, current.why), self._by_lane_before + current.by_lane
+
+    def losses(self) -> tuple[int, Callable[[], str]] | None:
+        """Return the number of lost samples, and a function that explains them; None while closed."""
+        current = self._current
+        return None if current is None else (self._lost_before + current.lost, current.losses)
+
+
+class Demand(Enum):
+    """Whether the side has subscribers to a stream; ``PAUSED``: it has none, and the stream stays on the hub."""
+
+    WANTED = auto()
+    UNWANTED = auto()
+    PAUSED = auto()
+
+
+class StreamDemand:
+    """Decides when a stream stays on the hub: if it is fast, and the side has no subscriber for `UNHEARD` seconds.
+
+    Used only by the engine's loop; any thread may read ``state``. WANTED and UNWANTED lead to each other, UNWANTED to
+    PAUSED, and PAUSED to WANTED.
+    """
+
+    def __init__(self) -> None:
+        self.state = Demand.UNWANTED
+        self._since, self._messages_then = time.monotonic(), 0
+
+    def update(self, messages: int, *, wanted: bool, subscribed: bool) -> Demand:
+        """Return the state at a check.
+
+        ``messages`` have crossed so far; ``wanted``: the side has a subscriber; ``subscribed``: the route receives.
+        """
+        seconds, count = time.monotonic() - self._since, messages - self._messages_then
+        if self.state is Demand.WANTED or seconds > UNHEARD:  # a subscriber of the last check may have left just now
+            self._since, self._messages_then = time.monotonic(), messages
+        if wanted:
+            self.state = Demand.WANTED
+        elif self.state is Demand.WANTED:
+            self.state = Demand.UNWANTED
+        elif subscribed and seconds > UNHEARD and count > QUICK * seconds:
+            self.state = Demand.PAUSED
+        return self.state
