@@ -1,4 +1,4 @@
-"""Thousands of endpoints created and closed on each side: what the daemon retains of them, which should be nothing.
+"""Thousands of endpoints created and closed on each side; the daemon should retain nothing of them.
 
 Real rospy, rclpy and zenoh programs create and close publishers and subscriptions in batches of a hundred. Each
 endpoint carries a message before it is closed, and is closed with a last message in flight. Printed are the slope of

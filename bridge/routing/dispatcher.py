@@ -86,7 +86,7 @@ class Dispatcher:
 
 
 class RouteQueue:
-    """One route's messages on their way to the side, published in order and one at a time.
+    """The queue of one route to the side, whose messages are published in order and one at a time.
 
     `receive` publishes a small message at once, unless an earlier one is queued or being published elsewhere. Other
     messages are queued for a dispatcher; from the first large one on, for ``bulk``. A full queue drops its oldest

@@ -87,7 +87,7 @@ class HubToSideRoute(TopicRoute):
 
     Attributes:
         origin: that of the topic's first publisher, None for a native program of the hub.
-        queue: the messages on their way to the side.
+        queue: publishes or queues each message that arrives.
         pending: messages that are held until their publisher is known.
     """
 

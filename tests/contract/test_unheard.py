@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from bridge.routing import engine, hub_end
+from bridge.routing import check_loop, hub_end
 from tests.contract.hubside import HubSide
 from tests.contract.side import Bridge, Side
 from tests.support.wait import until
@@ -29,7 +29,7 @@ def _route(far: HubSide, topic: str) -> dict[str, Any]:
 @pytest.fixture(autouse=True)
 def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hub_end, "UNHEARD", SOON)
-    monkeypatch.setattr(engine, "_POLL", SOON)
+    monkeypatch.setattr(check_loop, "POLL", SOON)
 
 
 def test_a_high_rate_topic_crosses_from_its_first_subscriber_on(side: Side, bridge: Bridge, far: HubSide) -> None:

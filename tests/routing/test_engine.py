@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
+from typing import cast
 
 import pytest
 
 from bridge.config.sections.routing import RoutingSection
+from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from bridge.routing.edge import Endpoint
-from bridge.routing.engine import Engine
+from bridge.routing.engine import Engine, NetworkTokens
 from bridge.routing.stall import StallDetector
 from tests.peers.fake import FakeEdge, FakeNetwork
 from tests.peers.hub.network import HubNetwork
@@ -46,3 +49,32 @@ def test_busy_loop_is_no_suspension(monkeypatch: pytest.MonkeyPatch) -> None:
         finally:
             edge.go_on.set()
             engine.stop()
+
+
+class RecordingHub:
+    """Records the tokens that a session announces."""
+
+    def __init__(self) -> None:
+        self.graph = self
+        self.members = set[str]()
+        self.origins = list[Origin | None]()
+
+    def set_origin(self, origin: Origin | None) -> None:
+        self.origins.append(origin)
+
+    def announce_member(self, member: str) -> Callable[[], None]:
+        assert member not in self.members
+        self.members.add(member)
+        return lambda: self.members.remove(member)
+
+
+def test_tokens_name_the_network_and_its_current_members() -> None:
+    hub = RecordingHub()
+    tokens = NetworkTokens(cast("Hub", hub), "ros1", "robot")
+    assert tokens.network is None
+    tokens.change("master-1")
+    tokens.change(None)
+    assert hub.origins == [Origin("ros1", "master-1", "robot"), None]
+    for members in ({"a", "b"}, {"b", "c"}, set[str]()):
+        tokens.announce_members(frozenset(members))
+        assert hub.members == members

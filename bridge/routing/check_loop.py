@@ -1,0 +1,86 @@
+"""The thread that checks both graphs of an engine when they change, and from time to time."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+from bridge.progress import StepWatch
+
+_log = logging.getLogger(__name__)
+
+TICK = 1.0
+"""Seconds between two ticks."""
+
+POLL = 10.0
+"""Seconds until a check without a wake-up, in case a notification is missed."""
+
+_SHARE, _LONGEST = 1000, 60.0
+"""The pause is at least 1000 times the last cost (0.1 % of a core), for at most a minute."""
+
+_RETRY = 2.0
+_SETTLE = 0.02
+_STEP_SECONDS = 3.0
+"""Seconds without progress after which a check hangs."""
+
+
+class CheckLoop:
+    """Runs ``check`` when woken and at least every minute, and ``tick`` each second, on its own thread.
+
+    ``check`` returns whether to repeat it soon: refused routes may work by then. If it fails, the thread ends after a
+    call of ``failed``. Any thread may call `wake`.
+    """
+
+    def __init__(
+        self, side: str, check: Callable[[], bool], tick: Callable[[], None], failed: Callable[[str], None]
+    ) -> None:
+        self._side = side
+        self._check, self._tick, self._failed = check, tick, failed
+        self._wake, self._stopping = threading.Event(), threading.Event()
+        self._beat = time.monotonic()
+        self._step = StepWatch(_STEP_SECONDS)
+        self._thread = threading.Thread(target=self._run, name=f"midspan-{side}-engine", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread, with a check at once."""
+        self._thread.start()
+
+    def wake(self) -> None:
+        """Schedule a check."""
+        self._wake.set()
+
+    def stop(self) -> None:
+        """End the thread after the current check, and wait up to three seconds for it."""
+        self._stopping.set()
+        self._wake.set()
+        if self._thread.is_alive():
+            self._thread.join(3.0)
+
+    def alive(self) -> str:
+        """Return a text about a long check, or ""; raises `TimeoutError` if it hangs."""
+        return self._step.judge(f"the {self._side} engine's loop", self._beat)
+
+    def _run(self) -> None:
+        self._step.begin()
+        tick = check = 0.0
+        while not self._stopping.is_set():
+            woken = self._wake.wait(max(0.0, min(tick, check) - time.monotonic()))
+            now = time.monotonic()
+            if woken or now >= check:
+                self._wake.clear()
+                cost = time.thread_time()
+                try:
+                    again = self._check()
+                except Exception as err:
+                    _log.exception("%s: following the graphs failed", self._side)
+                    self._failed(f"following the graphs failed: {err}")
+                    return
+                cost = time.thread_time() - cost
+                check = now + (_RETRY if again else max(POLL, min(_SHARE * cost, _LONGEST)))
+                self._stopping.wait(_SETTLE)
+            if now >= tick:
+                tick = now + TICK
+                self._tick()
+            self._beat = time.monotonic()

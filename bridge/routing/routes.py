@@ -1,0 +1,79 @@
+"""All routes of one side: topics and services, in both directions."""
+
+from __future__ import annotations
+
+from bridge.routing.decision import RouteDecision
+from bridge.routing.election import Outcome
+from bridge.routing.gates import EntryGate, ExitGate
+from bridge.routing.hub_to_side import HubToSideTopics
+from bridge.routing.route import EngineContext, Route
+from bridge.routing.rules import RuleSet
+from bridge.routing.services.hub_to_side import HubToSideServices
+from bridge.routing.services.side_to_hub import SideToHubServices
+from bridge.routing.side_to_hub import SideToHubTopics
+
+
+class EngineRoutes:
+    """The routes of one side, and the rules that they follow. Only the engine's loop changes the routes.
+
+    Attributes:
+        rules: used from the next check on; any thread may replace them.
+        topics_to_hub: the routes of the side's topics.
+    """
+
+    def __init__(self, context: EngineContext, daemon: str, rules: RuleSet) -> None:
+        self.rules = rules
+        self._edge, self._graph, self._daemon = context.edge, context.hub.graph, daemon
+        self.topics_to_hub, self._topics_to_side = SideToHubTopics(context), HubToSideTopics(context)
+        self._services_to_hub, self._services_to_side = SideToHubServices(context), HubToSideServices(context)
+        self._sets = (self._services_to_hub, self._services_to_side, self.topics_to_hub, self._topics_to_side)
+
+    def all(self) -> list[Route]:
+        """Return all current routes."""
+        return [route for routes in self._sets for route in routes.routes()]
+
+    def follow(self, outcome: Outcome, *, joined: bool) -> list[RouteDecision]:
+        """Bring the routes in line with both graphs, the rules and the election; return the decision on each name.
+
+        ``joined`` is whether the side's network is available.
+        """
+        rules, decisions, endpoints = self.rules, list[RouteDecision](), self._edge.endpoints()
+        self._services_to_hub.close_departed(endpoints)
+        self._services_to_side.close_departed()
+        if joined:
+            entry = EntryGate(rules, self._edge.side, endpoints)
+            self.topics_to_hub.follow(entry, endpoints, decisions)
+            if self._edge.services:
+                self._services_to_hub.follow(entry, endpoints, decisions)
+        leaving = ExitGate(rules, self._edge.side, self._daemon, self._graph.endpoints())
+        self._topics_to_side.follow(leaving, decisions, outcome)
+        if self._edge.services:
+            self._services_to_side.follow(leaving, endpoints, decisions, outcome)
+        return decisions
+
+    def stand_by(self, why: str) -> list[RouteDecision]:
+        """Close all routes; return a decision on each name that could have one."""
+        decisions, endpoints = list[RouteDecision](), self._edge.endpoints()
+        for routes in self._sets:
+            if self._edge.services or routes.kind == "topic":
+                routes.stand_by(endpoints, decisions, why)
+        return decisions
+
+    def leave_network(self) -> None:
+        """Close the routes to the hub: the network of their endpoints is unavailable, or another one."""
+        self._services_to_hub.close(f"the {self._edge.side} network of the server is unavailable")
+        self.topics_to_hub.close()
+
+    def close(self) -> None:
+        """Close all routes."""
+        for routes in self._sets:
+            routes.close()
+
+    def warnings(self) -> list[str]:
+        """Return the fields of messages that do not cross."""
+        return sorted({
+            f"{route.side_topic}: {', '.join(route.conversion.left_out)} does not cross: this machine's"
+            f" {route.hub_type} has no such field (the publisher's md5 is {route.conversion.source.type_id})"
+            for route in self.topics_to_hub.routes()
+            if route.conversion.left_out
+        })  # fmt: skip

@@ -1,0 +1,107 @@
+"""The thread that checks an engine's graphs."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from bridge.routing import check_loop
+from bridge.routing.check_loop import CheckLoop
+from tests.support.wait import until
+
+
+@contextmanager
+def running(
+    check: Callable[[], bool], tick: Callable[[], None] = lambda: None, failed: Callable[[str], None] = pytest.fail
+) -> Iterator[CheckLoop]:
+    loop = CheckLoop("test", check, tick, failed)
+    loop.start()
+    try:
+        yield loop
+    finally:
+        loop.stop()
+
+
+def test_checks_at_the_start_and_when_woken() -> None:
+    checks = list[None]()
+    with running(lambda: bool(checks.append(None))) as loop:
+        until(lambda: len(checks) == 1, "the first check")
+        loop.wake()
+        until(lambda: len(checks) == 2, "the check after the wake-up")
+        assert loop.alive() == ""
+    loop.wake()
+    assert len(checks) == 2, "a stopped loop does not check"
+
+
+def test_wake_up_during_a_check_leads_to_another_check() -> None:
+    checks, inside, proceed = list[None](), threading.Event(), threading.Event()
+
+    def check() -> bool:
+        checks.append(None)
+        inside.set()
+        return not proceed.wait(40)
+
+    with running(check) as loop:
+        assert inside.wait(40)
+        loop.wake()
+        proceed.set()
+        until(lambda: len(checks) == 2, "another check")
+
+
+@pytest.mark.parametrize("again", [True, False])
+def test_check_with_refused_routes_is_repeated_soon(monkeypatch: pytest.MonkeyPatch, again: bool) -> None:
+    monkeypatch.setattr(check_loop, "_RETRY", 0.01)
+    monkeypatch.setattr(check_loop, "TICK", 0.01)
+    checks, ticks = list[None](), list[None]()
+
+    def check() -> bool:
+        checks.append(None)
+        return again
+
+    with running(check, lambda: ticks.append(None)):
+        until(lambda: len(ticks) > 10, "ten ticks")
+    assert (len(checks) > 3) is again
+
+
+def test_missed_notification_is_recovered_after_the_poll_period(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(check_loop, "POLL", 0.05)
+    checks = list[None]()
+    with running(lambda: bool(checks.append(None))):
+        until(lambda: len(checks) > 3, "checks without a wake-up")
+
+
+def test_failed_check_ends_the_thread_with_its_reason() -> None:
+    reasons = list[str]()
+
+    def check() -> bool:
+        raise ValueError("no such graph")
+
+    with running(check, failed=reasons.append):
+        until(lambda: reasons, "the failure")
+        until(lambda: all(t.name != "midspan-test-engine" for t in threading.enumerate()), "the thread ends")
+    assert reasons == ["following the graphs failed: no such graph"]
+
+
+def test_hanging_check_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(check_loop, "_STEP_SECONDS", 0.1)
+    inside, proceed = threading.Event(), threading.Event()
+
+    def check() -> bool:
+        inside.set()
+        return not proceed.wait(40)
+
+    with running(check) as loop:
+        assert inside.wait(40)
+
+        def hangs() -> bool:
+            try:
+                loop.alive()
+            except TimeoutError as err:
+                return "the test engine's loop hangs" in str(err)
+            return False
+
+        until(hangs, "the hang is reported")
+        proceed.set()
