@@ -23,6 +23,7 @@ from bridge.hub.daemons import DaemonIdentity
 from bridge.hub.endpoints.calls import Call
 from bridge.hub.endpoints.keyspace import KeySpace
 from bridge.hub.endpoints.lane_subscription import LaneSubscription
+from bridge.hub.endpoints.latched_subscription import LatchedSubscription
 from bridge.hub.endpoints.publisher import EndpointContext, HubPublisher, PublisherOptions
 from bridge.hub.endpoints.services import HubClient, HubServer
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription, Refused
@@ -333,9 +334,11 @@ class Hub:
         with self._lock:
             token = self._token(EndpointKind.SUBSCRIPTION, topic, type_name, type_hash, qos)
             key = subscription_key(self.domain, topic, type_name, type_hash)
+            if qos.latched:
+                return self._keep(LatchedSubscription(self._context, token, key, topic, qos, callback, refused))
             lane = self._joined.lane
-            if lane is None or qos.latched:
-                return self._keep(HubSubscription(self._context, token, key, topic, qos, callback, refused))
+            if lane is None:
+                return self._keep(HubSubscription(self._context, token, key, topic, callback, refused))
             kinds = type_name, type_hash
             return self._keep(LaneSubscription(self._context, lane, token, key, topic, kinds, qos, callback, refused))
 

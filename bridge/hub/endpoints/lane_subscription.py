@@ -95,7 +95,7 @@ class LaneSubscription(HubSubscription):
         self._heard: set[str] = set()
         self._early: dict[bytes, float] = {}
         self._large = 0
-        super().__init__(context, token, key, topic, qos, callback, on_refused)
+        super().__init__(context, token, key, topic, callback, on_refused)
         self.why = "the graph is not evaluated yet"
         lane.add(self)
 
@@ -106,28 +106,25 @@ class LaneSubscription(HubSubscription):
         for inlet in tuple(self._inlets):
             inlet.leave(self)
 
-    @override
-    def _undeclare(self) -> None:
+    def _declare(self, context: EndpointContext, key: str) -> Callable[[], None]:
+        self._subscriber = subscribe(context.session, key, self._on_sample, context.reach)
+        return self._undeclare_current
+
+    def _undeclare_current(self) -> None:
         with self._switching:
             undeclare(self._subscriber)
 
     # -- messages ------------------------------------------------------------------------------------------------------
 
-    @override
-    def _make_room(self) -> None:
-        super()._make_room()
-        self._early = {gid: since for gid, since in self._early.items() if gid in self.sources}
-
-    @override
     def _on_sample(self, sample: zenoh.Sample) -> None:
-        message = self._read(sample)
+        message = self._reader.read(sample)
         if message is None:
             return
         with self._delivery:
             with self._lock:
                 source = self.sources.get(message.gid)
                 if source is None or not source.zid:
-                    source = self._source(message, sample)
+                    source = self.sources.of(message, sample)
                 message.zid = source.zid
                 if self._leaving:
                     self._heard.add(source.zid)
@@ -139,23 +136,22 @@ class LaneSubscription(HubSubscription):
 
     def heard(self, inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
         """Handle a message from a lane."""
-        if self._closed:
+        if self._reader.closed:
             return
         sequence, time_ns, gid = attached
-        if len(payload) > self._limit:
-            self._refuse("large", f"message of {len(payload)} bytes, the limit is {self._limit}")
+        if len(payload) > self._reader.limit:
+            self._reader.refuse("large", f"message of {len(payload)} bytes, the limit is {self._reader.limit}")
             return
         message = HubSample(zenoh.ZBytes(payload), sequence, time_ns, gid, inlet.zid)
         with self._delivery:
             with self._lock:
                 source = self.sources.get(gid)
                 if source is None:
-                    source = self._new_source(gid)
-                    source.zid = inlet.zid
+                    source = self.sources.add(gid, inlet.zid)
                 joined = self._joined.get(gid)
-                before = self._held, source.sequence
+                before = self.sources.held_bytes, source.sequence
                 ready = self._in_turn(source, message, first=0 if joined is None else joined.mark)
-                self.by_lane += bool(ready) or (self._held, source.sequence) != before
+                self.by_lane += bool(ready) or (self.sources.held_bytes, source.sequence) != before
             for ready_message in ready:
                 self._callback(ready_message)
 
@@ -165,21 +161,20 @@ class LaneSubscription(HubSubscription):
         if not source.paired:
             gap = source.accept(message)
             if gap:
-                self._missed(gap, message)
+                self._losses.add(gap, message)
             return [] if gap is None else [message]
         if number in source.held:  # both transports have reached this number, so no earlier message is missing
             return self._up_to(source, message.gid, number)
         if last is not None and number <= last:
             return []
         early = number > last + 1 if last is not None else first > 0
-        if early and self._both(message.gid) and self._hold(source, message):
+        if early and self._both(message.gid) and self.sources.hold(source, message):
             self._early.setdefault(message.gid, time.monotonic())
             self._lane.calls.after(_EARLY_SECONDS, self._release_due, once=True)
             return []
         if not source.held:
             return self._deliverable(source, message)
-        source.held[number] = message
-        self._held += self._weight(message)
+        self.sources.hold_anyway(source, message)
         return self._up_to(source, message.gid, number)
 
     def _both(self, gid: bytes) -> bool:
@@ -191,9 +186,7 @@ class LaneSubscription(HubSubscription):
         for held in sorted(source.held):
             if held > number and held != (source.sequence or 0) + 1:
                 break
-            message = source.held.pop(held)
-            self._held -= self._weight(message)
-            ready += self._deliverable(source, message)
+            ready += self._deliverable(source, self.sources.pop_held(source, held))
         if source.held:
             self._early[gid] = time.monotonic()
         else:
@@ -206,7 +199,7 @@ class LaneSubscription(HubSubscription):
             if message.sequence <= last:
                 return []
             if message.sequence > last + 1:
-                self._missed(message.sequence - last - 1, message)
+                self._losses.add(message.sequence - last - 1, message)
         source.sequence, source.time_ns = message.sequence, message.source_time_ns
         return [message]
 
@@ -228,11 +221,14 @@ class LaneSubscription(HubSubscription):
         """Deliver the messages whose time is over."""
         with self._delivery:
             ready: list[HubSample] = []
-            if self._closed:
+            if self._reader.closed:
                 return
             with self._lock:
                 for gid in [gid for gid in self._early if self._due(gid) <= now]:
-                    source = self.sources[gid]
+                    source = self.sources.get(gid)
+                    if source is None or not source.held:  # dropped, as there were too many publishers
+                        del self._early[gid]
+                        continue
                     ready += self._up_to(source, gid, max(source.held))
             for message in ready:
                 self._callback(message)
@@ -247,8 +243,7 @@ class LaneSubscription(HubSubscription):
                 self._joined[gid] = _Joined(inlet, sequence, time.monotonic())
             source = self.sources.get(gid)
             if source is None:
-                source = self._new_source(gid)
-                source.zid = inlet.zid
+                source = self.sources.add(gid, inlet.zid)
             source.paired = True
         self._lane.wake(self)
 
@@ -284,7 +279,7 @@ class LaneSubscription(HubSubscription):
 
     def settle(self) -> bool:
         """Continue the switch to the wanted transport; return whether to check again soon."""
-        if self._closed:
+        if self._reader.closed:
             return False
         for inlet in [inlet for inlet in self._inlets if not inlet.alive]:
             self._drop(inlet)
@@ -389,16 +384,16 @@ class LaneSubscription(HubSubscription):
     def _listen(self, *, everywhere: bool) -> None:
         """Subscribe on zenoh to all sessions, or only to this one if it has several nodes."""
         with self._switching:
-            if self._closed or everywhere == self._everywhere:
+            if self._reader.closed or everywhere == self._everywhere:
                 return
             before = self._subscriber
             if everywhere:
                 with self._lock:
                     self._everywhere = True
-                self._subscriber = subscribe(self._session, self.key, self._came, self._reach)
+                self._subscriber = subscribe(self._session, self.key, self._on_sample, self._reach)
                 self._declared = time.monotonic()
             elif self._reach == zenoh.Locality.ANY:
-                self._subscriber = subscribe(self._session, self.key, self._came, zenoh.Locality.SESSION_LOCAL)
+                self._subscriber = subscribe(self._session, self.key, self._on_sample, zenoh.Locality.SESSION_LOCAL)
             if not (everywhere and self._reach != zenoh.Locality.ANY):
                 undeclare(before)
             if not everywhere:

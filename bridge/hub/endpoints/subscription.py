@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from functools import partial
 from threading import Lock
 
 import zenoh
 
-from bridge.hub.endpoints.latched import LatchedHistory
-from bridge.hub.endpoints.publisher import NO_LANE, EndpointContext, cache_depth
+from bridge.hub.endpoints.publisher import NO_LANE, EndpointContext
 from bridge.hub.errors import HubWireError
+from bridge.hub.graph import HubGraph
 from bridge.hub.wire.keys import unpack_attachment
-from bridge.hub.wire.qos import Qos, Reliability
 from bridge.hub.zenoh_compat import keep_thread_state, subscribe, undeclare
 from bridge.resources import LARGE_MESSAGES
 
@@ -22,8 +22,6 @@ _MAX_SOURCES = 4096
 _SPARED = 64
 """Maximum number of publishers that are remembered although they are not on the graph."""
 _MAX_GAP = 1_000_000
-_MAX_HELD = 1000
-"""Maximum number of held samples of one publisher, beyond its history."""
 
 MAX_HELD_BYTES = 256 << 20
 """Maximum bytes of one subscription's held samples, with `OVERHEAD` for each of them."""
@@ -95,17 +93,166 @@ class PublisherState:
         return missing if missing < _MAX_GAP else 0
 
 
-class HubSubscription:
-    """Receives one topic; made by `bridge.hub.session.Hub.subscription`.
+class PublisherStates(dict[bytes, PublisherState]):
+    """A subscription's state of each publisher, by GID; of publishers that have left, only the newest are stored.
+
+    Not thread-safe: the lock of the subscription guards it, with the states and the held samples.
 
     Attributes:
-        lost: samples that publishers numbered and that never came.
-        refused: samples left out: without a fitting attachment, or too large.
+        held_bytes: bytes of all held samples, with `OVERHEAD` for each of them.
+    """
+
+    def __init__(self, graph: HubGraph) -> None:
+        super().__init__()
+        self._graph = graph
+        self._room = 2 * _SPARED
+        self.held_bytes = 0
+
+    def of(self, message: HubSample, sample: zenoh.Sample) -> PublisherState:
+        """Return the state of a sample's publisher; set the session of both."""
+        source = self.get(message.gid) or self.add(message.gid)
+        if not source.zid:
+            info = sample.source_info
+            source.zid = self._graph.zid_of(message.gid) if info is None else str(info.source_id.zid)
+        message.zid = source.zid
+        return source
+
+    def add(self, gid: bytes, zid: str = "") -> PublisherState:
+        """Return the state of a new publisher."""
+        if len(self) >= self._room:
+            self._make_room()
+        source = self[gid] = PublisherState(zid)
+        return source
+
+    def _make_room(self) -> None:
+        """Drop publishers that have left; some participants (zenoh-ros2-sdk) were never on the graph."""
+        departed = [gid for gid, source in self.items() if not source.held and not self._graph.zid_of(gid)]
+        for gid in departed[:-_SPARED]:
+            del self[gid]
+        while len(self) >= _MAX_SOURCES:
+            self.pop_all_held(self.pop(next(iter(self))))
+        self._room = min(2 * (len(self) + _SPARED), _MAX_SOURCES)
+
+    def hold(self, source: PublisherState, message: HubSample) -> bool:
+        """Hold a sample; return False if the limits are reached."""
+        if message.sequence in source.held:
+            return True
+        if self.held_bytes + len(message.payload) + OVERHEAD > MAX_HELD_BYTES:
+            return False
+        self.hold_anyway(source, message)
+        return True
+
+    def hold_anyway(self, source: PublisherState, message: HubSample) -> None:
+        """Hold a sample beyond the limits, for a moment."""
+        source.held[message.sequence] = message
+        self.held_bytes += len(message.payload) + OVERHEAD
+
+    def pop_held(self, source: PublisherState, number: int) -> HubSample:
+        """Remove and return one held sample."""
+        message = source.held.pop(number)
+        self.held_bytes -= len(message.payload) + OVERHEAD
+        return message
+
+    def pop_all_held(self, source: PublisherState) -> list[HubSample]:
+        """Remove and return the held samples of a publisher, in order."""
+        return [self.pop_held(source, number) for number in sorted(source.held)]
+
+
+class Losses:
+    """Counts the samples that were numbered but never arrived, by publisher and session.
+
+    Not thread-safe: the lock of the subscription guards it.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._sources: Counter[tuple[bytes, str]] = Counter()
+
+    def add(self, count: int, message: HubSample) -> None:
+        """Count the samples missing before one that has arrived."""
+        self.count += count
+        self._sources[message.gid, message.zid] += count
+        while len(self._sources) > _SPARED:
+            del self._sources[next(iter(self._sources))]
+
+    def sources(self) -> dict[tuple[bytes, str], int]:
+        """Return a copy of the counts by publisher and session."""
+        return dict(self._sources)
+
+
+class SampleReader:
+    """Reads the samples that zenoh delivers to one subscription, and refuses those that it must not deliver.
+
+    Any number of threads may read at once. Only `close` uses the lock, so it never waits for a callback.
+
+    Attributes:
+        limit: bytes of the largest message.
+        refused: number of samples without a valid attachment, or too large.
+        closed: whether it reads no samples any longer.
+    """
+
+    def __init__(self, topic: str, own: Collection[bytes], limit: int, on_refused: Refused | None) -> None:
+        self._topic, self._own, self.limit, self._on_refused = topic, own, limit, on_refused
+        self.refused = 0
+        self.closed = False
+        self._closing = Lock()
+
+    def close(self) -> bool:
+        """Read no further samples; return whether this is the first call."""
+        with self._closing:
+            before, self.closed = self.closed, True
+        return not before
+
+    def read(self, sample: zenoh.Sample) -> HubSample | None:
+        """Return a sample, still without its session; None if it must not be delivered."""
+        keep_thread_state()
+        if self.closed:
+            return None
+        payload, attached = sample.payload, sample.attachment
+        size = len(payload)
+        if not size and sample.kind != zenoh.SampleKind.PUT:
+            return None
+        if attached is None:
+            self.refuse("bad", "a sample without rmw_zenoh's attachment")
+            return None
+        if size > self.limit:
+            self.refuse("large", f"message of {size} bytes, the limit is {self.limit}")
+            return None
+        LARGE_MESSAGES.passed(size)
+        try:
+            sequence, time_ns, gid = unpack_attachment(attached.to_bytes())
+        except HubWireError as err:
+            self.refuse("bad", str(err))
+            return None
+        if gid in self._own:
+            return None
+        return HubSample(payload, sequence, time_ns, gid, "")
+
+    def refuse(self, reason: str, why: str) -> None:
+        """Count a refused sample, and report it; see `Refused`."""
+        level = logging.DEBUG if self.refused or self._on_refused is not None else logging.WARNING
+        self.refused += 1
+        _log.log(level, "%s: sample refused: %s", self._topic, why)
+        if self._on_refused is not None:
+            self._on_refused(reason, why)
+
+
+class HubSubscription:
+    """Receives one topic; made by `bridge.hub.session.Hub.subscription`. This class is for volatile topics.
+
+    Locks: ``_lock`` guards ``sources`` and the losses. `close` never acquires it: its caller may hold a lock that the
+    callback waits for.
+
+    Attributes:
+        sources: the state of each publisher.
         way: ``lane`` or ``zenoh``.
         why: the reason if it is not the lane, otherwise "".
-        by_lane: samples that came by the lane.
-        sources: the publishers that it heard, by GID; of those that left the newest.
+        by_lane: samples that arrived over the lane.
     """
+
+    way = "zenoh"
+    why = NO_LANE
+    by_lane = 0
 
     def __init__(
         self,
@@ -113,190 +260,64 @@ class HubSubscription:
         token: str,
         key: str,
         topic: str,
-        qos: Qos,
         callback: Callable[[HubSample], None],
         on_refused: Refused | None = None,
     ) -> None:
         self.topic = topic
-        self.lost = self.refused = self.by_lane = 0
-        self.way = "zenoh"
-        self.why = "a latched topic" if qos.latched else NO_LANE
-        self._graph, self._limit, self._on_close = context.graph, context.limit, context.closed
-        self._own = context.own
-        self._depth = cache_depth(qos)
-        self._recovers = qos.latched and qos.reliability is Reliability.RELIABLE
-        self._callback, self._on_refused = callback, on_refused
-        self._lost_from: Counter[tuple[bytes, str]] = Counter()
-        self.sources: dict[bytes, PublisherState] = {}
-        self._room = 2 * _SPARED
-        self._asked: Counter[str] = Counter()
-        self._held = 0
-        # never acquired by `close`, whose caller may hold a lock that the callback waits for
+        self._graph, self._on_close = context.graph, context.closed
+        self._callback = callback
+        self._reader = SampleReader(topic, context.own, context.limit, on_refused)
         self._lock = Lock()
-        self._closing = Lock()
-        self._closed = False
-        self._history = LatchedHistory(
-            context.session, key, self._depth, self, context.asking, context.heartbeats,
-            reach=context.reach, recovers=self._recovers,
-        )  # fmt: skip
-        # direct: without a thread per subscription; zenoh's receiving thread only appends and wakes
-        self._came = self._on_latched if qos.latched else self._on_sample
-        self._subscriber = subscribe(context.session, key, self._came, context.reach)
-        if qos.latched:
-            self._history.open()
+        self.sources = PublisherStates(context.graph)
+        self._losses = Losses()
+        self._undeclare = self._declare(context, key)
         self._withdraw = context.graph.announce(token)
+
+    def _declare(self, context: EndpointContext, key: str) -> Callable[[], None]:
+        """Subscribe on zenoh; return a function that ends it.
+
+        The callback is direct, without a thread per subscription: zenoh's receiving thread only appends and wakes.
+        """
+        return partial(undeclare, subscribe(context.session, key, self._on_sample, context.reach))
 
     def close(self) -> None:
         """Stop receiving. Safe to call twice."""
-        with self._closing:
-            closed, self._closed = self._closed, True
-        if not closed:
+        if self._reader.close():
             self._withdraw()
             self._undeclare()
-            self._history.close()
             self._on_close(self)
 
-    def _undeclare(self) -> None:
-        undeclare(self._subscriber)
-
-    # -- volatile ------------------------------------------------------------------------------------------------------
-
     def _on_sample(self, sample: zenoh.Sample) -> None:
-        message = self._read(sample)
+        message = self._reader.read(sample)
         if message is None:
             return
         # zenoh may call from several threads at once, one per link
         with self._lock:
             source = self.sources.get(message.gid)
             if source is None or not source.zid:
-                source = self._source(message, sample)
+                source = self.sources.of(message, sample)
             message.zid = source.zid
             gap = source.accept(message)
             if gap is None:
                 return
             if gap:
-                self._missed(gap, message)
+                self._losses.add(gap, message)
         self._callback(message)
 
-    # -- latched -------------------------------------------------------------------------------------------------------
+    @property
+    def refused(self) -> int:
+        """Samples that were left out: without a valid attachment, or too large."""
+        return self._reader.refused
 
-    def _on_latched(self, sample: zenoh.Sample) -> None:
-        message = self._read(sample)
-        if message is None:
-            return
-        self._history.saw(sample.source_info)
-        with self._lock:
-            source = self._source(message, sample)
-            zid, gap = source.zid, source.gap(message)
-            if gap is None:
-                return
-            # of a publisher with a history of one, only the newest sample counts
-            deep = self._depth > 1 and len(source.held) < self._depth + _MAX_HELD
-            # a live sample may arrive before its publisher's token, which triggers the query
-            past = gap > 0 if source.sequence is not None else message.sequence > 1
-            missing = deep and past and bool(zid) and (self._recovers or source.sequence is None)
-            if not ((missing or (deep and self._asked[zid])) and self._hold(source, message)):
-                self._release(source)
-                self._deliver(source, message)
-            missing = missing and not self._asked[zid]
-        if missing:
-            self._history.ask_session(zid)
-
-    def asked(self, zid: str) -> None:
-        """Handle the start of a query for the samples that a session's publishers store; see `LatchedHistory`."""
-        with self._lock:
-            self._asked[zid] += 1
-
-    def on_stored(self, sample: zenoh.Sample) -> None:
-        """Handle one of the samples that a publisher stores; see `LatchedHistory`."""
-        message = self._read(sample)
-        if message is None:
-            return
-        self._history.saw(sample.source_info)
-        with self._lock:
-            source = self._source(message, sample)
-            if source.gap(message) is None:
-                return
-            if not self._hold(source, message):
-                self._refuse("large", f"more than {MAX_HELD_BYTES} bytes are stored for late joiners")
-
-    def done(self, zid: str) -> None:
-        """Handle the end of a query; see `LatchedHistory`."""
-        with self._lock:
-            self._asked[zid] -= 1
-            if self._asked[zid] > 0:
-                return
-            del self._asked[zid]
-            for source in self.sources.values():
-                if source.held and not self._asked[source.zid]:
-                    self._release(source)
-
-    def _hold(self, source: PublisherState, message: HubSample) -> bool:
-        """Hold a sample; return False if the limits are reached."""
-        size = self._weight(message)
-        if self._held + size > MAX_HELD_BYTES or message.sequence in source.held:
-            return message.sequence in source.held
-        source.held[message.sequence] = message
-        self._held += size
-        return True
-
-    def _take_held(self, source: PublisherState) -> dict[int, HubSample]:
-        held, source.held = source.held, {}
-        self._held -= sum(map(self._weight, held.values()))
-        return held
-
-    @staticmethod
-    def _weight(message: HubSample) -> int:
-        return len(message.payload) + OVERHEAD
-
-    def _release(self, source: PublisherState) -> None:
-        held = self._take_held(source)
-        for sequence in sorted(held):
-            self._deliver(source, held[sequence])
-
-    def _deliver(self, source: PublisherState, message: HubSample) -> None:
-        gap = None if self._closed else source.accept(message)
-        if gap is not None:
-            if gap:
-                self._missed(gap, message)
-            self._callback(message)
-
-    # -- both ----------------------------------------------------------------------------------------------------------
-
-    def _read(self, sample: zenoh.Sample) -> HubSample | None:
-        keep_thread_state()
-        if self._closed:
-            return None
-        payload, attached = sample.payload, sample.attachment
-        size = len(payload)
-        if not size and sample.kind != zenoh.SampleKind.PUT:
-            return None
-        if attached is None:
-            self._refuse("bad", "a sample without rmw_zenoh's attachment")
-            return None
-        if size > self._limit:
-            self._refuse("large", f"message of {size} bytes, the limit is {self._limit}")
-            return None
-        LARGE_MESSAGES.passed(size)
-        try:
-            sequence, time_ns, gid = unpack_attachment(attached.to_bytes())
-        except HubWireError as err:
-            self._refuse("bad", str(err))
-            return None
-        if gid in self._own:
-            return None
-        return HubSample(payload, sequence, time_ns, gid, "")
-
-    def _missed(self, count: int, message: HubSample) -> None:
-        self.lost += count
-        self._lost_from[message.gid, message.zid] += count
-        while len(self._lost_from) > _SPARED:
-            del self._lost_from[next(iter(self._lost_from))]
+    @property
+    def lost(self) -> int:
+        """Samples that publishers numbered and that never arrived."""
+        return self._losses.count
 
     def losses(self) -> str:
         """Return why messages were lost and what to do, "" if none were."""
         with self._lock:
-            lost = dict(self._lost_from)
+            lost = self._losses.sources()
         if not lost:
             return ""
         names = {endpoint.gid: endpoint.node for endpoint in self._graph.publishers(self.topic)}
@@ -308,35 +329,3 @@ class HubSubscription:
             places[names.get(gid) or " or ".join(sessions.get(zid, [])) or zid or "an unknown node"] += count
         text = ", ".join(f"{count} from {place}" for place, count in places.items())
         return f"lost on the hub's links, which were busy for too long: {text}; {_CURE}"
-
-    def _source(self, message: HubSample, sample: zenoh.Sample) -> PublisherState:
-        source = self.sources.get(message.gid)
-        if source is None:
-            source = self._new_source(message.gid)
-        if not source.zid:
-            info = sample.source_info
-            source.zid = self._graph.zid_of(message.gid) if info is None else str(info.source_id.zid)
-        message.zid = source.zid
-        return source
-
-    def _new_source(self, gid: bytes) -> PublisherState:
-        if len(self.sources) >= self._room:
-            self._make_room()
-        source = self.sources[gid] = PublisherState("")
-        return source
-
-    def _make_room(self) -> None:
-        """Drop publishers that have left; some participants (zenoh-ros2-sdk) were never on the graph."""
-        departed = [gid for gid, source in self.sources.items() if not source.held and not self._graph.zid_of(gid)]
-        for gid in departed[:-_SPARED]:
-            del self.sources[gid]
-        while len(self.sources) >= _MAX_SOURCES:
-            self._take_held(self.sources.pop(next(iter(self.sources))))
-        self._room = min(2 * (len(self.sources) + _SPARED), _MAX_SOURCES)
-
-    def _refuse(self, reason: str, why: str) -> None:
-        level = logging.DEBUG if self.refused or self._on_refused is not None else logging.WARNING
-        self.refused += 1
-        _log.log(level, "%s: sample refused: %s", self.topic, why)
-        if self._on_refused is not None:
-            self._on_refused(reason, why)

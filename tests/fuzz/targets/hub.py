@@ -168,6 +168,7 @@ def _samples() -> Subject:
     import zenoh
 
     from bridge.hub.endpoints import subscription as module
+    from bridge.hub.endpoints.latched_subscription import LatchedSubscription
     from bridge.hub.endpoints.publisher import EndpointContext
     from bridge.hub.endpoints.subscription import HubSubscription
     from bridge.hub.wire.keys import pack_attachment
@@ -190,8 +191,15 @@ def _samples() -> Subject:
         qos = Qos(durability=Durability.TRANSIENT_LOCAL if data[:1] == b"1" else Durability.VOLATILE, depth=5)
         some: Any = Nothing()
         context = EndpointContext(some, some, set(), some, 1000, some, some, some, lambda _closed: None)
-        subscription = HubSubscription(context, "t", "k", "/t", qos, received.append)
-        hear = subscription._on_latched if qos.latched else subscription._on_sample
+        actions: dict[bytes, Any] = {}
+        if qos.latched:
+            latched = LatchedSubscription(context, "t", "k", "/t", qos, received.append)
+            actions = {
+                b"c": latched.on_stored, b"d": lambda _: latched.done("0"), b"a": lambda _: latched.asked("0"),
+            }  # fmt: skip
+            subscription: HubSubscription = latched
+        else:
+            subscription = HubSubscription(context, "t", "k", "/t", received.append)
         count = 0
         for at in range(1, min(len(data), 1000), 34):
             attached, how = data[at : at + 33], data[at + 33 : at + 34]
@@ -199,17 +207,10 @@ def _samples() -> Subject:
                 kind=put, payload=b"x", source_info=None, attachment=SimpleNamespace(to_bytes=lambda a=attached: a),
             )  # fmt: skip
             count += 1
-            if how in (b"c", b"d", b"a"):
-                {
-                    b"c": subscription.on_stored,
-                    b"d": lambda _: subscription.done("0"),
-                    b"a": lambda _: subscription.asked("0"),
-                }[how](sample)  # type: ignore[operator]
-            else:
-                hear(sample)  # type: ignore[arg-type]
+            actions.get(how, subscription._on_sample)(sample)
         assert len(received) <= count
         kept = [message for source in subscription.sources.values() for message in source.held.values()]
-        assert subscription._held == len(kept) * (1 + module.OVERHEAD) <= module.MAX_HELD_BYTES
+        assert subscription.sources.held_bytes == len(kept) * (1 + module.OVERHEAD) <= module.MAX_HELD_BYTES
         assert 0 <= subscription.lost <= 1_000_000 * count
 
     def encoded(sequence: int, time_ns: int, how: bytes = b".") -> bytes:

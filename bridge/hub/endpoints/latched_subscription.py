@@ -1,0 +1,120 @@
+"""A subscription to a latched topic: it also requests the samples that the topic's publishers cache."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+import zenoh
+
+from bridge.hub.endpoints.latched import LatchedHistory
+from bridge.hub.endpoints.publisher import EndpointContext, cache_depth
+from bridge.hub.endpoints.subscription import MAX_HELD_BYTES, HubSample, HubSubscription, PublisherState, Refused
+from bridge.hub.wire.qos import Qos, Reliability
+
+_MAX_HELD = 1000
+"""Maximum number of held samples of one publisher, beyond its history."""
+
+
+class LatchedSubscription(HubSubscription):
+    """Receives one latched topic.
+
+    While a session is queried for its cached samples, its live samples are held, so that the history comes first. A
+    reliable subscription also queries a session after a gap in its samples.
+
+    ``_lock`` also guards the counts of unfinished queries, and is held during the callback, which keeps the order.
+    """
+
+    why = "a latched topic"
+
+    def __init__(
+        self,
+        context: EndpointContext,
+        token: str,
+        key: str,
+        topic: str,
+        qos: Qos,
+        callback: Callable[[HubSample], None],
+        on_refused: Refused | None = None,
+    ) -> None:
+        self._depth = cache_depth(qos)
+        self._recovers = qos.reliability is Reliability.RELIABLE
+        self._asked: Counter[str] = Counter()  # by session
+        self._history = LatchedHistory(
+            context.session, key, self._depth, self, context.asking, context.heartbeats,
+            reach=context.reach, recovers=self._recovers,
+        )  # fmt: skip
+        super().__init__(context, token, key, topic, callback, on_refused)
+
+    def _declare(self, context: EndpointContext, key: str) -> Callable[[], None]:
+        end = super()._declare(context, key)
+        self._history.open()
+
+        def undeclare_all() -> None:
+            end()
+            self._history.close()
+
+        return undeclare_all
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        message = self._reader.read(sample)
+        if message is None:
+            return
+        self._history.saw(sample.source_info)
+        with self._lock:
+            source = self.sources.of(message, sample)
+            zid, gap = source.zid, source.gap(message)
+            if gap is None:
+                return
+            # of a publisher with a history of one, only the newest sample counts
+            deep = self._depth > 1 and len(source.held) < self._depth + _MAX_HELD
+            # a live sample may arrive before its publisher's token, which triggers the query
+            past = gap > 0 if source.sequence is not None else message.sequence > 1
+            missing = deep and past and bool(zid) and (self._recovers or source.sequence is None)
+            if not ((missing or (deep and self._asked[zid])) and self.sources.hold(source, message)):
+                self._release(source)
+                self._deliver(source, message)
+            missing = missing and not self._asked[zid]
+        if missing:
+            self._history.ask_session(zid)
+
+    def asked(self, zid: str) -> None:
+        """Handle the start of a query for the samples that a session's publishers store; see `LatchedHistory`."""
+        with self._lock:
+            self._asked[zid] += 1
+
+    def on_stored(self, sample: zenoh.Sample) -> None:
+        """Handle one of the samples that a publisher stores; see `LatchedHistory`."""
+        message = self._reader.read(sample)
+        if message is None:
+            return
+        self._history.saw(sample.source_info)
+        with self._lock:
+            source = self.sources.of(message, sample)
+            if source.gap(message) is None:
+                return
+            if not self.sources.hold(source, message):
+                self._reader.refuse("large", f"more than {MAX_HELD_BYTES} bytes are stored for late joiners")
+
+    def done(self, zid: str) -> None:
+        """Handle the end of a query; see `LatchedHistory`."""
+        with self._lock:
+            self._asked[zid] -= 1
+            if self._asked[zid] > 0:
+                return
+            del self._asked[zid]
+            for source in self.sources.values():
+                if source.held and not self._asked[source.zid]:
+                    self._release(source)
+
+    def _release(self, source: PublisherState) -> None:
+        if source.held:
+            for message in self.sources.pop_all_held(source):
+                self._deliver(source, message)
+
+    def _deliver(self, source: PublisherState, message: HubSample) -> None:
+        gap = None if self._reader.closed else source.accept(message)
+        if gap is not None:
+            if gap:
+                self._losses.add(gap, message)
+            self._callback(message)
