@@ -10,63 +10,131 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from threading import Lock
 
 import zenoh
 from typing_extensions import override
 
+from bridge.hub.endpoints.lane_state import Lanes, LeavingStep, ZenohSubscriber
 from bridge.hub.endpoints.publisher import EndpointContext
-from bridge.hub.endpoints.subscription import HubSample, HubSubscription, PublisherState, Refused
+from bridge.hub.endpoints.subscription import (
+    HubSample,
+    HubSubscription,
+    Losses,
+    PublisherState,
+    PublisherStates,
+    Refused,
+)
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.lane.inlet import Inlet
 from bridge.hub.lane.lane import Lane
 from bridge.hub.lane.wire import BOUND
 from bridge.hub.wire.keys import ANY_HASH
 from bridge.hub.wire.qos import History, Qos
-from bridge.hub.zenoh_compat import subscribe, undeclare
 
-_EARLY_SECONDS = 0.1
+EARLY_SECONDS = 0.1
 """Seconds for which a message is held for earlier ones on the other transport."""
 
-_LEAVING_SECONDS = 5.0
-"""The same while a lane is being closed: it still delivers all earlier messages, and ends with its fence.
-
-Not for a subscription of depth 1, such as those of velocity commands, which must never wait: its newest message counts.
-"""
-
-_CAUGHT_SECONDS = 1.0
-"""Seconds after a mark, after which all earlier messages have arrived."""
+LEAVING_SECONDS = 5.0
+"""The same while a lane is being left: it still delivers all earlier messages, and ends with its fence."""
 
 _UNANSWERED_SECONDS = 1.0
-_SPARED_MARKS = 64
 
 
-@dataclass(slots=True)
-class _Joined:
-    """A publisher that sends all messages after ``mark`` on a lane."""
+class Sequencer:
+    """Merges the messages of a topic that arrive over two transports, by their numbers.
 
-    inlet: Inlet
-    mark: int
-    since: float
-    caught: bool = False
+    Duplicates are dropped, and a message that arrives early is held for a moment. Not thread-safe: the lock of the
+    subscription guards it, with the arguments.
 
+    Args:
+        both: returns whether the messages of a publisher (by GID) may arrive over either transport.
+        leaves: returns whether the lane of a publisher is being left.
 
-@dataclass(slots=True)
-class _Leaving:
-    """A lane that is being closed.
-
-    ``passed`` is the time when its session knew of the subscriber on zenoh (0.0: not yet), ``fenced`` the time when the
-    fence was sent, ``ended`` whether it came back.
+    Attributes:
+        early: since when messages of a publisher are held.
     """
 
-    passed: float = 0.0
-    fenced: float = 0.0
-    ended: bool = False
+    def __init__(
+        self, sources: PublisherStates, losses: Losses, both: Callable[[bytes], bool], leaves: Callable[[bytes], bool]
+    ) -> None:
+        self._sources, self._losses = sources, losses
+        self._both, self._leaves = both, leaves
+        self.early: dict[bytes, float] = {}
+
+    def accept(self, source: PublisherState, message: HubSample, first: int) -> list[HubSample]:
+        """Return the messages to deliver now; ``first`` earlier messages may arrive over the other transport."""
+        number, last = message.sequence, source.sequence
+        if last is not None and number == last + 1 and not source.held:
+            source.sequence, source.time_ns = number, message.source_time_ns
+            return [message]
+        if not source.paired:
+            gap = source.accept(message)
+            if gap:
+                self._losses.add(gap, message)
+            return [] if gap is None else [message]
+        if number in source.held:  # both transports have reached this number, so no earlier message is missing
+            return self._up_to(source, message.gid, number)
+        if last is not None and number <= last:
+            return []
+        early = number > last + 1 if last is not None else first > 0
+        if early and self._both(message.gid) and self._sources.hold(source, message):
+            self.early.setdefault(message.gid, time.monotonic())
+            return []
+        if not source.held:
+            return self._deliverable(source, message)
+        self._sources.hold_anyway(source, message)
+        return self._up_to(source, message.gid, number)
+
+    def _up_to(self, source: PublisherState, gid: bytes, number: int) -> list[HubSample]:
+        """Return the held messages up to a number, and those that follow it without a gap."""
+        ready: list[HubSample] = []
+        for held in sorted(source.held):
+            if held > number and held != (source.sequence or 0) + 1:
+                break
+            ready += self._deliverable(source, self._sources.pop_held(source, held))
+        if source.held:
+            self.early[gid] = time.monotonic()
+        else:
+            self.early.pop(gid, None)
+        return ready
+
+    def _deliverable(self, source: PublisherState, message: HubSample) -> list[HubSample]:
+        last = source.sequence
+        if last is not None:
+            if message.sequence <= last:
+                return []
+            if message.sequence > last + 1:
+                self._losses.add(message.sequence - last - 1, message)
+        source.sequence, source.time_ns = message.sequence, message.source_time_ns
+        return [message]
+
+    def _due(self, gid: bytes) -> float:
+        return self.early[gid] + (LEAVING_SECONDS if self._leaves(gid) else EARLY_SECONDS)
+
+    def due(self) -> float | None:
+        """Return when to call `release` next (monotonic seconds), None while nothing is held."""
+        return min(map(self._due, self.early), default=None)
+
+    def release(self, now: float) -> list[HubSample]:
+        """Return the messages that were held for the maximum time."""
+        ready: list[HubSample] = []
+        for gid in [gid for gid in self.early if self._due(gid) <= now]:
+            source = self._sources.get(gid)
+            if source is None or not source.held:  # dropped, as there were too many publishers
+                del self.early[gid]
+            else:
+                ready += self._up_to(source, gid, max(source.held))
+        return ready
 
 
 class LaneSubscription(HubSubscription):
-    """Receives one topic that is not latched."""
+    """Receives one topic that is not latched.
+
+    Locks, in the order in which a thread may acquire them: ``_delivery`` is held while messages are put in order and
+    delivered, so that two transports deliver in order; ``_lock`` also guards the lanes and the sequencer. Only the
+    lane's thread chooses the transport.
+    """
 
     def __init__(
         self,
@@ -80,39 +148,33 @@ class LaneSubscription(HubSubscription):
         callback: Callable[[HubSample], None],
         on_refused: Refused | None = None,
     ) -> None:
-        self._lane = lane
-        self._session, self._reach = context.session, context.reach
-        self._type, self._hash = type_names
-        self._newest_counts = qos.history is History.KEEP_LAST and qos.depth <= 1
         self.key = key
+        self._lane, self._type_names = lane, type_names
+        # the newest message of a topic of depth 1, such as velocity commands, never waits for a lane that is left
+        self._patient = qos.history is not History.KEEP_LAST or qos.depth > 1
         self._delivery = Lock()
-        self._switching = Lock()
-        self._everywhere = True
-        self._declared = time.monotonic()
-        self._joined: dict[bytes, _Joined] = {}
-        self._inlets: dict[Inlet, float] = {}
-        self._leaving: dict[Inlet, _Leaving] = {}
-        self._heard: set[str] = set()
-        self._early: dict[bytes, float] = {}
-        self._large = 0
+        self._lanes = Lanes()
+        self._large = False
         super().__init__(context, token, key, topic, callback, on_refused)
         self.why = "the graph is not evaluated yet"
         lane.add(self)
 
-    @override
+    def _declare(self, context: EndpointContext, key: str) -> Callable[[], None]:
+        self._sequencer = Sequencer(self.sources, self._losses, self._both, self._leaves)
+        self._zenoh = ZenohSubscriber(context, key, self._on_sample, self._lock)
+        return self._zenoh.close
+
     def close(self) -> None:
         self._lane.remove(self)
         super().close()
-        for inlet in tuple(self._inlets):
+        for inlet in tuple(self._lanes.inlets):
             inlet.leave(self)
 
-    def _declare(self, context: EndpointContext, key: str) -> Callable[[], None]:
-        self._subscriber = subscribe(context.session, key, self._on_sample, context.reach)
-        return self._undeclare_current
+    def _both(self, gid: bytes) -> bool:
+        return self._zenoh.everywhere and gid in self._lanes.joined
 
-    def _undeclare_current(self) -> None:
-        with self._switching:
-            undeclare(self._subscriber)
+    def _leaves(self, gid: bytes) -> bool:
+        return self._patient and self._lanes.is_leaving(gid)
 
     # -- messages ------------------------------------------------------------------------------------------------------
 
@@ -126,9 +188,11 @@ class LaneSubscription(HubSubscription):
                 if source is None or not source.zid:
                     source = self.sources.of(message, sample)
                 message.zid = source.zid
-                if self._leaving:
-                    self._heard.add(source.zid)
-                ready = self._in_turn(source, message, first=0)
+                if self._lanes.leaving:
+                    self._lanes.received.add(source.zid)
+                ready = self._sequencer.accept(source, message, first=0)
+                if not ready:
+                    self._schedule()
             for deliverable in ready:
                 self._callback(deliverable)
         if len(message.payload) > BOUND:
@@ -136,11 +200,12 @@ class LaneSubscription(HubSubscription):
 
     def heard(self, inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
         """Handle a message from a lane."""
-        if self._reader.closed:
+        reader = self._reader
+        if reader.closed:
             return
         sequence, time_ns, gid = attached
-        if len(payload) > self._reader.limit:
-            self._reader.refuse("large", f"message of {len(payload)} bytes, the limit is {self._reader.limit}")
+        if len(payload) > reader.limit:
+            reader.refuse("large", f"message of {len(payload)} bytes, the limit is {reader.limit}")
             return
         message = HubSample(zenoh.ZBytes(payload), sequence, time_ns, gid, inlet.zid)
         with self._delivery:
@@ -148,88 +213,34 @@ class LaneSubscription(HubSubscription):
                 source = self.sources.get(gid)
                 if source is None:
                     source = self.sources.add(gid, inlet.zid)
-                joined = self._joined.get(gid)
-                before = self.sources.held_bytes, source.sequence
-                ready = self._in_turn(source, message, first=0 if joined is None else joined.mark)
-                self.by_lane += bool(ready) or (self.sources.held_bytes, source.sequence) != before
+                joined = self._lanes.joined.get(gid)
+                ready = self._sequencer.accept(source, message, first=0 if joined is None else joined.mark)
+                if ready:
+                    self.by_lane += 1
+                elif source.held.get(sequence) is message:
+                    self.by_lane += 1
+                    self._schedule()
             for ready_message in ready:
                 self._callback(ready_message)
 
-    def _in_turn(self, source: PublisherState, message: HubSample, first: int) -> list[HubSample]:
-        """Return the messages to deliver now; ``first`` earlier messages may arrive over the other transport."""
-        number, last = message.sequence, source.sequence
-        if not source.paired:
-            gap = source.accept(message)
-            if gap:
-                self._losses.add(gap, message)
-            return [] if gap is None else [message]
-        if number in source.held:  # both transports have reached this number, so no earlier message is missing
-            return self._up_to(source, message.gid, number)
-        if last is not None and number <= last:
-            return []
-        early = number > last + 1 if last is not None else first > 0
-        if early and self._both(message.gid) and self.sources.hold(source, message):
-            self._early.setdefault(message.gid, time.monotonic())
-            self._lane.calls.after(_EARLY_SECONDS, self._release_due, once=True)
-            return []
-        if not source.held:
-            return self._deliverable(source, message)
-        self.sources.hold_anyway(source, message)
-        return self._up_to(source, message.gid, number)
-
-    def _both(self, gid: bytes) -> bool:
-        return self._everywhere and gid in self._joined
-
-    def _up_to(self, source: PublisherState, gid: bytes, number: int) -> list[HubSample]:
-        """Return the held messages up to a number, and those that follow it without a gap."""
-        ready: list[HubSample] = []
-        for held in sorted(source.held):
-            if held > number and held != (source.sequence or 0) + 1:
-                break
-            ready += self._deliverable(source, self.sources.pop_held(source, held))
-        if source.held:
-            self._early[gid] = time.monotonic()
-        else:
-            self._early.pop(gid, None)
-        return ready
-
-    def _deliverable(self, source: PublisherState, message: HubSample) -> list[HubSample]:
-        last = source.sequence
-        if last is not None:
-            if message.sequence <= last:
-                return []
-            if message.sequence > last + 1:
-                self._losses.add(message.sequence - last - 1, message)
-        source.sequence, source.time_ns = message.sequence, message.source_time_ns
-        return [message]
+    def _schedule(self) -> None:
+        if self._sequencer.early:
+            self._lane.calls.after(EARLY_SECONDS, self._release_due, once=True)
 
     def _release_due(self) -> None:
         """Deliver the messages that were held for the maximum time."""
-        self._release_due_at(time.monotonic())
+        self._release(time.monotonic())
         with self._lock:
-            due = min(map(self._due, self._early), default=None)
+            due = self._sequencer.due()
         if due is not None:
             self._lane.calls.after(due - time.monotonic(), self._release_due, once=True)
 
-    def _due(self, gid: bytes) -> float:
-        """Return when the messages of a publisher are held no longer."""
-        joined = self._joined.get(gid)
-        leaves = joined is not None and joined.inlet in self._leaving and not self._newest_counts
-        return self._early[gid] + (_LEAVING_SECONDS if leaves else _EARLY_SECONDS)
-
-    def _release_due_at(self, now: float) -> None:
-        """Deliver the messages whose time is over."""
+    def _release(self, now: float) -> None:
         with self._delivery:
-            ready: list[HubSample] = []
             if self._reader.closed:
                 return
             with self._lock:
-                for gid in [gid for gid in self._early if self._due(gid) <= now]:
-                    source = self.sources.get(gid)
-                    if source is None or not source.held:  # dropped, as there were too many publishers
-                        del self._early[gid]
-                        continue
-                    ready += self._up_to(source, gid, max(source.held))
+                ready = self._sequencer.release(now)
             for message in ready:
                 self._callback(message)
 
@@ -238,9 +249,7 @@ class LaneSubscription(HubSubscription):
     def marked(self, inlet: Inlet, gid: bytes, sequence: int) -> None:
         """Handle a mark: the publisher sends messages after this number on the lane."""
         with self._lock:
-            joined = self._joined.get(gid)
-            if joined is None or joined.inlet is not inlet:
-                self._joined[gid] = _Joined(inlet, sequence, time.monotonic())
+            self._lanes.mark(inlet, gid, sequence)
             source = self.sources.get(gid)
             if source is None:
                 source = self.sources.add(gid, inlet.zid)
@@ -248,32 +257,27 @@ class LaneSubscription(HubSubscription):
         self._lane.wake(self)
 
     def fenced(self, inlet: Inlet) -> None:
-        """Handle a returned fence: the closing lane has delivered everything."""
+        """Handle a returned fence: the lane that is being left has delivered everything."""
         with self._lock:
-            leaving = self._leaving.get(inlet)
-            if leaving is not None:
-                leaving.ended = True
+            self._lanes.fenced(inlet)
         self._lane.wake(self)
 
     def grown(self) -> None:
         """Handle a message that is too large for the lane."""
         if not self._large:
-            self._large = BOUND
+            self._large = True
             self._lane.wake(self)
 
     def parted(self, inlet: Inlet) -> None:
         """Handle the end of a connection."""
-        if inlet in self._inlets:
+        if inlet in self._lanes.inlets:
             self._drop(inlet)
             self._lane.wake(self)
 
     def _drop(self, inlet: Inlet) -> None:
         with self._lock:
-            self._inlets.pop(inlet, None)
-            self._leaving.pop(inlet, None)
-            for gid in [gid for gid, joined in self._joined.items() if joined.inlet is inlet]:
-                del self._joined[gid]
-        self._release_due_at(math.inf)
+            self._lanes.drop(inlet)
+        self._release(math.inf)
 
     # -- the choice ----------------------------------------------------------------------------------------------------
 
@@ -281,7 +285,7 @@ class LaneSubscription(HubSubscription):
         """Continue the switch to the wanted transport; return whether to check again soon."""
         if self._reader.closed:
             return False
-        for inlet in [inlet for inlet in self._inlets if not inlet.alive]:
+        for inlet in [inlet for inlet in self._lanes.inlets if not inlet.alive]:
             self._drop(inlet)
         publishers = self._publishers()
         reason = self._why_zenoh(publishers)
@@ -299,14 +303,15 @@ class LaneSubscription(HubSubscription):
     @property
     def settled(self) -> bool:
         """Whether messages arrive over only one transport."""
-        return not self._everywhere if self.way == "lane" else not self._inlets
+        return not self._zenoh.everywhere if self.way == "lane" else not self._lanes.inlets
 
     def _publishers(self) -> list[HubEndpoint]:
-        """Return the publishers of the topic, without those of its own session."""
+        """Return the topic's publishers in other sessions."""
+        type_name, type_hash = self._type_names
         return [
             endpoint
             for endpoint in self._graph.publishers(self.topic)
-            if endpoint.type_name == self._type and self._hash in (ANY_HASH, endpoint.type_hash) and not endpoint.own
+            if endpoint.type_name == type_name and type_hash in (ANY_HASH, endpoint.type_hash) and not endpoint.own
         ]
 
     def _why_zenoh(self, publishers: list[HubEndpoint]) -> str:
@@ -322,80 +327,51 @@ class LaneSubscription(HubSubscription):
         return ""
 
     def _to_lane(self, publishers: list[HubEndpoint], inlets: set[Inlet]) -> bool:
-        now = time.monotonic()
+        now, lanes = time.monotonic(), self._lanes
         with self._lock:
-            self._leaving.clear()
-            self._prune_marks(publishers)
-        for inlet in inlets - self._inlets.keys():
-            self._inlets[inlet] = now
+            lanes.leaving.clear()
+            lanes.prune({publisher.gid for publisher in publishers})
+        for inlet in inlets - lanes.inlets.keys():
+            lanes.inlets[inlet] = now
             inlet.join(self)
         with self._lock:
             missing = [publisher for publisher in publishers if not self._caught(publisher.gid, now)]
         if not missing:
-            self._listen(everywhere=False)
+            self._zenoh.listen(everywhere=False)
             self.way, self.why = "lane", ""
             return False
-        self._listen(everywhere=True)
+        self._zenoh.listen(everywhere=True)
         self.way, self.why = "zenoh", "switching to the lane"
         for publisher in missing:
             late = next(inlet for inlet in inlets if inlet.zid == publisher.zid)
             if not late.answered and now - late.since > _UNANSWERED_SECONDS:
                 self._lane.refuse(late, "it does not respond on its lane")
-            elif publisher.gid not in self._joined and now - self._inlets.get(late, now) > _UNANSWERED_SECONDS:
-                self._inlets[late] = now
+            elif publisher.gid not in lanes.joined and now - lanes.inlets.get(late, now) > _UNANSWERED_SECONDS:
+                lanes.inlets[late] = now
                 late.join(self)  # once more, for another mark
         return True
 
-    def _prune_marks(self, publishers: list[HubEndpoint]) -> None:
-        """Drop the marks of publishers that left, once there are many."""
-        if len(self._joined) > 2 * len(publishers) + _SPARED_MARKS:
-            present = {publisher.gid for publisher in publishers}
-            self._joined = {gid: joined for gid, joined in self._joined.items() if gid in present}
-
     def _caught(self, gid: bytes, now: float) -> bool:
-        """Return whether all messages that a publisher sent only on zenoh have arrived."""
-        joined = self._joined.get(gid)
-        if joined is None:
-            return False
-        last = self.sources[gid].sequence if gid in self.sources else None
-        joined.caught = joined.caught or (last or 0) >= joined.mark or now - joined.since > _CAUGHT_SECONDS
-        return joined.caught
+        source = self.sources.get(gid)
+        return self._lanes.caught(gid, None if source is None else source.sequence, now)
 
     def _to_zenoh(self, why: str) -> bool:
-        self._listen(everywhere=True)
+        self._zenoh.listen(everywhere=True)
         self.way, self.why = "zenoh", why
-        now = time.monotonic()
-        for inlet in tuple(self._inlets):
+        now, lanes = time.monotonic(), self._lanes
+        for inlet in tuple(lanes.inlets):
             with self._lock:
-                leaving = self._leaving.setdefault(inlet, _Leaving())
-            if leaving.ended:
+                step = lanes.leave(inlet)
+            if step is LeavingStep.ENDED:
                 inlet.leave(self)
                 self._drop(inlet)
-            elif not leaving.passed:
-                if self._lane.passed(inlet.zid, self._declared):
-                    leaving.passed = now
+            elif step is LeavingStep.DECLARED:
+                if self._lane.passed(inlet.zid, self._zenoh.declared):
                     with self._lock:
-                        self._heard.discard(inlet.zid)
-            elif not leaving.fenced and (inlet.zid in self._heard or now - leaving.passed > _CAUGHT_SECONDS):
-                leaving.fenced = now
-                inlet.fence(self)
-        return bool(self._inlets)
-
-    def _listen(self, *, everywhere: bool) -> None:
-        """Subscribe on zenoh to all sessions, or only to this one if it has several nodes."""
-        with self._switching:
-            if self._reader.closed or everywhere == self._everywhere:
-                return
-            before = self._subscriber
-            if everywhere:
+                        lanes.known(inlet, now)
+            else:
                 with self._lock:
-                    self._everywhere = True
-                self._subscriber = subscribe(self._session, self.key, self._on_sample, self._reach)
-                self._declared = time.monotonic()
-            elif self._reach == zenoh.Locality.ANY:
-                self._subscriber = subscribe(self._session, self.key, self._on_sample, zenoh.Locality.SESSION_LOCAL)
-            if not (everywhere and self._reach != zenoh.Locality.ANY):
-                undeclare(before)
-            if not everywhere:
-                with self._lock:
-                    self._everywhere = False
+                    fence = lanes.fence(inlet, now)
+                if fence:
+                    inlet.fence(self)
+        return bool(lanes.inlets)

@@ -130,7 +130,7 @@ def test_message_that_is_still_on_a_closing_lane_is_received_before_later_ones(
     until(lambda: ours.way()[0] == "both", "the subscription on zenoh is known")
     ours.put(b"last")
     try:
-        until(lambda: chosen._early or len(subscriber.samples) > 1, "the last message arrives over zenoh")
+        until(lambda: chosen._sequencer.early or len(subscriber.samples) > 1, "the last message arrives over zenoh")
         held = time.monotonic()
         if depth == 1:
             subscriber.expect(large, "last", seconds=3)

@@ -1,0 +1,174 @@
+"""State of a subscription that switches between lane and zenoh: its lanes, and its subscriber on zenoh."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from enum import Enum, auto
+from functools import partial
+from threading import Lock
+
+import zenoh
+
+from bridge.hub.endpoints.publisher import EndpointContext
+from bridge.hub.lane.inlet import Inlet
+from bridge.hub.zenoh_compat import subscribe, undeclare
+
+CAUGHT_SECONDS = 1.0
+"""Seconds after a mark, after which all earlier messages have arrived."""
+
+_SPARED_MARKS = 64
+
+
+@dataclass(slots=True)
+class Joined:
+    """A publisher that sends all messages after ``mark`` on a lane."""
+
+    inlet: Inlet
+    mark: int
+    since: float
+    caught: bool = False
+
+
+class LeavingStep(Enum):
+    """The steps until a lane is left; each leads only to the next one."""
+
+    DECLARED = auto()
+    """The subscriber on zenoh is declared; the other session may not know it yet."""
+    KNOWN = auto()
+    """The session knows the subscriber; its messages arrive over both."""
+    FENCED = auto()
+    """A fence was sent."""
+    ENDED = auto()
+    """The fence has returned, so the lane has delivered everything."""
+
+
+@dataclass(slots=True)
+class Leaving:
+    """A lane that is being left, and when its step began."""
+
+    step: LeavingStep = LeavingStep.DECLARED
+    since: float = 0.0
+
+
+class Lanes:
+    """The lanes of one subscription. The subscription's lock guards them; only the choosing thread adds to ``inlets``.
+
+    Attributes:
+        inlets: each lane, with the time when it was last joined.
+        joined: the publishers that send on a lane, by GID.
+        leaving: the lanes that are being left.
+        received: sessions whose messages have arrived over zenoh since a lane is being left.
+    """
+
+    def __init__(self) -> None:
+        self.inlets: dict[Inlet, float] = {}
+        self.joined: dict[bytes, Joined] = {}
+        self.leaving: dict[Inlet, Leaving] = {}
+        self.received: set[str] = set()
+
+    def mark(self, inlet: Inlet, gid: bytes, sequence: int) -> None:
+        """Note that a publisher sends all messages after a number on a lane; a repeated mark changes nothing."""
+        joined = self.joined.get(gid)
+        if joined is None or joined.inlet is not inlet:
+            self.joined[gid] = Joined(inlet, sequence, time.monotonic())
+
+    def leave(self, inlet: Inlet) -> LeavingStep:
+        """Begin to leave a lane, or return how far this is; one that has ended meanwhile is left."""
+        return self.leaving.setdefault(inlet, Leaving()).step if inlet in self.inlets else LeavingStep.ENDED
+
+    def known(self, inlet: Inlet, now: float) -> None:
+        """Note that the session of a lane knows the subscriber on zenoh: wait for a message over zenoh."""
+        if inlet in self.leaving:
+            self.leaving[inlet] = Leaving(LeavingStep.KNOWN, now)
+            self.received.discard(inlet.zid)
+
+    def fence(self, inlet: Inlet, now: float) -> bool:
+        """Return whether to send a fence now: a message has arrived over zenoh, or none for a second."""
+        leaving = self.leaving.get(inlet)
+        if leaving is None or leaving.step is not LeavingStep.KNOWN:
+            return False
+        due = inlet.zid in self.received or now - leaving.since > CAUGHT_SECONDS
+        if due:
+            self.leaving[inlet] = Leaving(LeavingStep.FENCED, now)
+        return due
+
+    def fenced(self, inlet: Inlet) -> None:
+        """Note that the fence has returned. One of an earlier attempt to leave the lane does not count."""
+        leaving = self.leaving.get(inlet)
+        if leaving is not None and leaving.step is LeavingStep.FENCED:
+            leaving.step = LeavingStep.ENDED
+
+    def drop(self, inlet: Inlet) -> None:
+        """Remove a lane that has ended, with its publishers."""
+        self.inlets.pop(inlet, None)
+        self.leaving.pop(inlet, None)
+        self.joined = {gid: joined for gid, joined in self.joined.items() if joined.inlet is not inlet}
+
+    def prune(self, present: Collection[bytes]) -> None:
+        """Drop the marks of publishers that left, once there are many; ``present`` are the others."""
+        if len(self.joined) > 2 * len(present) + _SPARED_MARKS:
+            self.joined = {gid: joined for gid, joined in self.joined.items() if gid in present}
+
+    def is_leaving(self, gid: bytes) -> bool:
+        """Return whether the lane of a publisher is being left."""
+        joined = self.joined.get(gid)
+        return joined is not None and joined.inlet in self.leaving
+
+    def caught(self, gid: bytes, last: int | None, now: float) -> bool:
+        """Return whether all messages that a publisher sent only on zenoh have arrived, up to the number ``last``."""
+        joined = self.joined.get(gid)
+        if joined is None:
+            return False
+        joined.caught = joined.caught or (last or 0) >= joined.mark or now - joined.since > CAUGHT_SECONDS
+        return joined.caught
+
+
+class ZenohSubscriber:
+    """A subscriber on zenoh: everywhere, or only in its own session, which may have several nodes.
+
+    ``_switching`` serializes the changes. ``lock``, that of the subscription, guards ``everywhere``: a thread with
+    ``_switching`` may acquire it, but not the reverse.
+
+    Attributes:
+        everywhere: whether messages of other sessions may arrive.
+        declared: time of the last declaration everywhere (monotonic seconds).
+    """
+
+    def __init__(
+        self, context: EndpointContext, key: str, callback: Callable[[zenoh.Sample], None], lock: Lock
+    ) -> None:
+        self._declare = partial(subscribe, context.session, key, callback)
+        self._reach = context.reach
+        self._lock = lock
+        self._switching = Lock()
+        self._closed = False
+        self.everywhere = True
+        self.declared = time.monotonic()
+        self._subscriber = self._declare(self._reach)
+
+    def listen(self, *, everywhere: bool) -> None:
+        """Receive from all sessions, or only from this one if it has several nodes."""
+        with self._switching:
+            if self._closed or everywhere == self.everywhere:
+                return
+            before = self._subscriber
+            if everywhere:
+                with self._lock:
+                    self.everywhere = True
+                self._subscriber = self._declare(self._reach)
+                self.declared = time.monotonic()
+            elif self._reach == zenoh.Locality.ANY:
+                self._subscriber = self._declare(zenoh.Locality.SESSION_LOCAL)
+            if not (everywhere and self._reach != zenoh.Locality.ANY):
+                undeclare(before)
+            if not everywhere:
+                with self._lock:
+                    self.everywhere = False
+
+    def close(self) -> None:
+        """Stop receiving."""
+        with self._switching:
+            self._closed = True
+            undeclare(self._subscriber)
