@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from starlette.websockets import WebSocketState
 
-from bridge.web import page
+from bridge.web import outbox, page
 from bridge.web.serving.access import EVERYBODY
 from bridge.web.verbs.verbs import VerbError
 
@@ -67,7 +67,7 @@ def test_a_page_that_reads_no_replies_is_closed() -> None:
 
     asyncio.run(serve())
     assert socket.closed == 1008
-    assert page.MOST_REPLIES <= socket.asked <= 2 * page.MOST_REPLIES
+    assert outbox.MOST_REPLIES <= socket.asked <= 2 * outbox.MOST_REPLIES
 
 
 class RecordingHold:
