@@ -128,8 +128,8 @@ class Lanes:
 class ZenohSubscriber:
     """A subscriber on zenoh: everywhere, or only in its own session, which may have several nodes.
 
-    ``_switching`` serializes the changes. ``lock``, that of the subscription, guards ``everywhere``: a thread with
-    ``_switching`` may acquire it, but not the reverse.
+    ``_switching`` serializes the changes. ``lock``, that of the subscription, guards ``everywhere``. A thread
+    that holds ``_switching`` may acquire ``lock``, but not the reverse.
 
     Attributes:
         everywhere: whether messages of other sessions may arrive.
