@@ -23,7 +23,7 @@ from bridge.hub.daemons import DaemonIdentity
 from bridge.hub.endpoints.calls import Call
 from bridge.hub.endpoints.keyspace import KeySpace
 from bridge.hub.endpoints.lane_subscription import LaneSubscription
-from bridge.hub.endpoints.latched_subscription import LatchedSubscription
+from bridge.hub.endpoints.latched_subscription import LatchedHubSubscription
 from bridge.hub.endpoints.publisher import EndpointContext, HubPublisher, PublisherOptions
 from bridge.hub.endpoints.services import HubClient, HubServer
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription, Refused
@@ -335,7 +335,7 @@ class Hub:
             token = self._token(EndpointKind.SUBSCRIPTION, topic, type_name, type_hash, qos)
             key = subscription_key(self.domain, topic, type_name, type_hash)
             if qos.latched:
-                return self._keep(LatchedSubscription(self._context, token, key, topic, qos, callback, refused))
+                return self._keep(LatchedHubSubscription(self._context, token, key, topic, qos, callback, refused))
             lane = self._joined.lane
             if lane is None:
                 return self._keep(HubSubscription(self._context, token, key, topic, callback, refused))

@@ -18,7 +18,7 @@ Post = Callable[[Callable[[], Any]], None]
 """Runs an action on the module's thread."""
 
 
-class Outbox:
+class PageOutbox:
     """Messages for one page: all replies in order, and of each feed and the commanded velocity only the newest.
 
     The module's thread calls `changed`, `held` and `refuse`, so a feed's watcher and a manual driver is the outbox of a

@@ -12,7 +12,7 @@ from typing import Any
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from bridge.web.feeds.feed import Feed, Feeds
-from bridge.web.outbox import MOST_ACTIONS, MOST_REPLIES, Outbox, Post, PostedActions
+from bridge.web.outbox import MOST_ACTIONS, MOST_REPLIES, PageOutbox, Post, PostedActions
 from bridge.web.serving.access import Grant
 from bridge.web.serving.login import who
 from bridge.web.verbs.hold import HandDriving
@@ -41,7 +41,7 @@ class PageCalls:
         self._pending: set[asyncio.Task[None]] = set()
         self._stops: set[asyncio.Task[None]] = set()
 
-    def begin(self, number: int, verb: str, args: dict[str, Any], outbox: Outbox) -> None:
+    def begin(self, number: int, verb: str, args: dict[str, Any], outbox: PageOutbox) -> None:
         """Begin a call, whose reply goes to the outbox; refuse it if too many are pending."""
         stops = self._verbs.is_stop(verb)
         most = MOST_STOPS if stops else MOST_CALLS
@@ -53,7 +53,7 @@ class PageCalls:
             calls.add(call)
             call.add_done_callback(calls.discard)
 
-    async def _run(self, number: int, verb: str, args: dict[str, Any], outbox: Outbox) -> None:
+    async def _run(self, number: int, verb: str, args: dict[str, Any], outbox: PageOutbox) -> None:
         try:
             value = await asyncio.wrap_future(self._verbs.begin(verb, args, self._who))
         except VerbError as err:
@@ -89,7 +89,7 @@ class Page:
     ) -> None:
         self._socket, self._grant, self._feeds, self._verbs, self._hold = socket, grant, feeds, verbs, hold
         user = who(grant, f"{socket.client.host}:{socket.client.port}" if socket.client else "a page")
-        self._outbox = Outbox(user)
+        self._outbox = PageOutbox(user)
         self._outbox.queue({**hello, "role": grant.role, "who": grant.name})
         self._actions = PostedActions(post)
         self._post = post

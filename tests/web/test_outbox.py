@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from bridge.web import outbox as module
-from bridge.web.outbox import Outbox, PostedActions
+from bridge.web.outbox import PageOutbox, PostedActions
 
 
 class Socket:
@@ -23,11 +23,11 @@ class Socket:
         self.texts.append(text)
 
 
-def sent(prepare: Callable[[Outbox], None], *then: Callable[[Outbox], None]) -> list[str]:
+def sent(prepare: Callable[[PageOutbox], None], *then: Callable[[PageOutbox], None]) -> list[str]:
     """Return the messages that a page receives; each step of ``then`` follows when all previous ones are sent."""
 
     async def send() -> list[str]:
-        box, socket = Outbox("somebody"), Socket()
+        box, socket = PageOutbox("somebody"), Socket()
         sender = asyncio.create_task(box.send_to(cast("Any", socket)))
         prepare(box)
         socket.proceed.set()
@@ -42,7 +42,7 @@ def sent(prepare: Callable[[Outbox], None], *then: Callable[[Outbox], None]) -> 
 
 
 def test_replies_are_sent_in_order_and_of_values_only_the_newest() -> None:
-    def prepare(box: Outbox) -> None:
+    def prepare(box: PageOutbox) -> None:
         for number in (1, 2):
             box.changed("map", number, f"map {number}")
             box.held(number, 0, 0)
@@ -53,7 +53,7 @@ def test_replies_are_sent_in_order_and_of_values_only_the_newest() -> None:
 
 
 def test_next_value_waits_until_the_page_has_drawn_the_last_one() -> None:
-    steps: list[Callable[[Outbox], None]] = [
+    steps: list[Callable[[PageOutbox], None]] = [
         lambda box: box.changed("map", 2, "two"),
         lambda box: box.drawn("map", 7),
         lambda box: box.changed("other", 1, "another feed"),
@@ -71,7 +71,7 @@ def test_value_of_a_feed_that_is_no_longer_watched_is_not_sent() -> None:
 
 def test_outbox_is_full_if_the_page_reads_no_replies() -> None:
     async def fill() -> list[bool]:
-        box, full = Outbox("somebody"), list[bool]()
+        box, full = PageOutbox("somebody"), list[bool]()
         for number in range(module.MOST_REPLIES + 1):
             full.append(box.full)
             box.queue({"id": number})
@@ -82,8 +82,8 @@ def test_outbox_is_full_if_the_page_reads_no_replies() -> None:
 
 
 def test_refusals_after_the_server_has_ended_are_dropped() -> None:
-    async def make() -> Outbox:
-        return Outbox("somebody")
+    async def make() -> PageOutbox:
+        return PageOutbox("somebody")
 
     box = asyncio.run(make())
     box.refuse("the planner drives")

@@ -16,7 +16,7 @@ _MAX_HELD = 1000
 """Maximum number of held samples of one publisher, beyond its history."""
 
 
-class LatchedSubscription(HubSubscription):
+class LatchedHubSubscription(HubSubscription):
     """Receives one latched topic.
 
     While a session is queried for its cached samples, its live samples are held, so that the history comes first. A

@@ -168,7 +168,7 @@ def _samples() -> Subject:
     import zenoh
 
     from bridge.hub.endpoints import subscription as module
-    from bridge.hub.endpoints.latched_subscription import LatchedSubscription
+    from bridge.hub.endpoints.latched_subscription import LatchedHubSubscription
     from bridge.hub.endpoints.publisher import EndpointContext
     from bridge.hub.endpoints.subscription import HubSubscription
     from bridge.hub.wire.keys import pack_attachment
@@ -193,7 +193,7 @@ def _samples() -> Subject:
         context = EndpointContext(some, some, set(), some, 1000, some, some, some, lambda _closed: None)
         actions: dict[bytes, Any] = {}
         if qos.latched:
-            latched = LatchedSubscription(context, "t", "k", "/t", qos, received.append)
+            latched = LatchedHubSubscription(context, "t", "k", "/t", qos, received.append)
             actions = {
                 b"c": latched.on_stored, b"d": lambda _: latched.done("0"), b"a": lambda _: latched.asked("0"),
             }  # fmt: skip
