@@ -68,19 +68,49 @@ _HUB_ALONE = 3.0
 """Seconds after which a session without links counts as the only one on its hub."""
 
 
+class HubViews:
+    """The hub as its session sees it: which networks its workers join, and when all of them are known."""
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+        self._linked: float | None = None
+        self.restart(time.monotonic())
+
+    def restart(self, now: float, settling: float = _HUB_LINKED) -> None:
+        """Wait for the first link again, and from then on for ``settling`` seconds."""
+        self._started, self._linked, self._settling = now, None, settling
+
+    def now(self, now: float) -> HubView:
+        """Return the view at a time on the monotonic clock."""
+        graph = self._hub.graph
+        if self._linked is None and self._hub.linked():
+            self._linked = now
+        since = self._started + _HUB_ALONE if self._linked is None else self._linked + self._settling
+        members = graph.members()
+        # A worker that does not list its network's members, such as a foreign one, counts as a network by itself.
+        sessions = frozenset(graph.origins())
+        silent = sessions - members.keys()
+        if silent:
+            silent &= {e.zid for e in graph.publishers()}
+        networks = join(members | dict.fromkeys(silent, frozenset()))
+        return HubView(sessions | {self._hub.zid}, networks, settled=now > since)
+
+
 class PeerWatch:
-    """A thread that exchanges records with the other workers, decides by `Election`, and holds the ``lease``."""
+    """A thread that exchanges records with the other workers, decides by `Election`, and holds the ``lease``.
+
+    Only this thread writes; other threads read the outcome and the lease, each of which is replaced as a whole.
+    """
 
     def __init__(self, edge: Edge, hub: Hub, daemon: str, changed: Callable[[], None]) -> None:
-        self._edge, self._hub, self._changed = edge, hub, changed
+        self._edge, self._changed = edge, changed
+        self._views = HubViews(hub)
         self._election = Election(hub.zid, daemon, process_name(), lambda record: has_ended(record.process))
         self.lease = Lease()
         self._outcome = Outcome()
         self.changes = 0  #: how often this worker became active or stopped being active
         self._outcome_before_hang: Outcome | None = None
-        self._started = self._since = self._turned = time.monotonic()
-        self._linked: float | None = None
-        self._settling = _HUB_LINKED
+        self._since = self._turned = time.monotonic()
         self._due = 0.0
         self._step = StepWatch(_TURN_SECONDS)
         self._wake = threading.Event()
@@ -94,7 +124,8 @@ class PeerWatch:
 
     def start(self) -> None:
         """Start the thread; call it after the start of the edge."""
-        self._started = self._since = self._turned = time.monotonic()
+        self._since = self._turned = now = time.monotonic()
+        self._views.restart(now)
         self._thread.start()
 
     def wake(self) -> None:
@@ -140,10 +171,10 @@ class PeerWatch:
             self._election.lapse(now, same_term=alone)
             self._since = now
             if hang > _LINKS_LAST:
-                self._started, self._linked, self._settling = now, None, _HUB_AGAIN
+                self._views.restart(now, _HUB_AGAIN)
         self._turned = now
         record, urgent = self._election.turn(
-            now, time.time_ns(), self._edge.sightings(), self._view(now), settled=self._edge.settled(self._since)
+            now, time.time_ns(), self._edge.sightings(), self._views.now(now), settled=self._edge.settled(self._since)
         )
         decided = self._election.outcome
         if urgent or now >= self._due:
@@ -174,20 +205,6 @@ class PeerWatch:
             if self._outcome_before_hang is None
             else replace(self._outcome_before_hang, waiting=decided.waiting)
         )
-
-    def _view(self, now: float) -> HubView:
-        graph = self._hub.graph
-        if self._linked is None and self._hub.linked():
-            self._linked = now
-        since = self._started + _HUB_ALONE if self._linked is None else self._linked + self._settling
-        members = graph.members()
-        # A worker that does not list its network's members, such as a foreign one, counts as a network by itself.
-        sessions = frozenset(graph.origins())
-        silent = sessions - members.keys()
-        if silent:
-            silent &= {e.zid for e in graph.publishers()}
-        networks = join(members | dict.fromkeys(silent, frozenset()))
-        return HubView(sessions | {self._hub.zid}, networks, settled=now > since)
 
     def _log_change(self, outcome: Outcome) -> None:
         before, now = self._outcome.standing_by, outcome.standing_by

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
 from bridge.routing import peer_watch
 from bridge.routing.edge import Sighting
 from bridge.routing.election import Claim, Record
-from bridge.routing.peer_watch import PeerWatch
+from bridge.routing.peer_watch import HubViews, PeerWatch
 
 
 class World:
@@ -119,3 +119,42 @@ def test_lone_worker_releases_its_routes_to_a_newcomer(monkeypatch: pytest.Monke
     world.run(2.0)
     assert world.watch.outcome.active
     assert world.watch.outcome.term > before.term, "its routes are created again"
+
+
+class LinkedHub:
+    """A hub with the members of two networks, and a foreign worker that lists none."""
+
+    zid = "a"
+
+    def __init__(self) -> None:
+        self.graph = self
+        self.is_linked = False
+
+    def linked(self) -> bool:
+        return self.is_linked
+
+    def members(self) -> dict[str, frozenset[str]]:
+        return {"b": frozenset({"b", "c"})}
+
+    def origins(self) -> list[str]:
+        return ["b", "foreign", "silent"]
+
+    def publishers(self) -> list[Any]:
+        return [SimpleNamespace(zid="foreign")]
+
+
+def test_hub_counts_as_known_a_second_after_the_first_link_or_three_without_one() -> None:
+    hub = LinkedHub()
+    views = HubViews(cast("Any", hub))
+    views.restart(100.0)
+    assert [views.now(now).settled for now in (100.1, 103.0, 103.1)] == [False, False, True]
+    hub.is_linked = True
+    assert [views.now(now).settled for now in (104.0, 105.0, 105.1)] == [False, False, True]
+    views.restart(200.0, 2.5)
+    assert [views.now(now).settled for now in (200.0, 202.5, 202.6)] == [False, False, True]
+
+
+def test_worker_that_lists_no_members_is_a_network_by_itself_if_it_publishes() -> None:
+    view = HubViews(cast("Any", LinkedHub())).now(100.0)
+    assert view.sessions == {"a", "b", "foreign", "silent"}
+    assert set(view.networks) == {frozenset({"b", "c"}), frozenset({"foreign"})}
