@@ -227,7 +227,7 @@ class Hub:
         self.zid, self.graph, self.mesh = session.zid, session.graph, session.mesh
         self.domain = settings.domain
         self.max_payload = settings.max_payload
-        self._joined, self._session = session, session.zenoh
+        self._joined = session
         self._lock = RLock()
         self._closed = False
         self._endpoints: set[HubPublisher | HubSubscription | HubServer | HubClient] = set()
@@ -235,13 +235,10 @@ class Hub:
         self._spaces: list[KeySpace] = []
         self._origin: tuple[Origin, Callable[[], None]] | None = None
         self._node = NodeToken(settings.domain, self.zid, str(next(session.ids)), settings.namespace, settings.node)
-        self._control = Control(self._session, settings.domain, settings.daemon, settings.worker, settings.identity)
-        self._executor = SerialExecutor("hub-executor")
-        self._asking = SerialExecutor("hub-asking")
-        self._heartbeats = DelayedCalls("hub-heartbeats")
+        self._control = Control(session.zenoh, settings.domain, settings.daemon, settings.worker, settings.identity)
         self._context = EndpointContext(
-            self._session, session.reach, self._own, self.graph, settings.max_payload, self._executor, self._asking,
-            self._heartbeats, self._remove, session.lane,
+            session.zenoh, session.reach, self._own, self.graph, settings.max_payload, SerialExecutor("hub-executor"),
+            SerialExecutor("hub-asking"), DelayedCalls("hub-heartbeats"), self._remove, session.lane,
         )  # fmt: skip
         session.add(self)
         self._withdraw = self.graph.announce(node_key(self._node))
@@ -286,13 +283,13 @@ class Hub:
     def linked(self) -> bool:
         """Whether the session has a link to any other session on the hub."""
         self._check_open()
-        info = self._session.info
+        info = self._joined.zenoh.info
         return bool(info.routers_zid() or info.peers_zid())
 
     def neighbours(self) -> set[str]:
         """Return the sessions with a direct link to this one, all of this machine's programs."""
         self._check_open()
-        return {str(zid) for zid in self._session.info.peers_zid()}
+        return {str(zid) for zid in self._joined.zenoh.info.peers_zid()}
 
     def publisher(
         self,
@@ -368,7 +365,7 @@ class Hub:
         """Return plain zenoh keys below a prefix; they close with the session at the latest."""
         with self._lock:
             self._check_open()
-            space = KeySpace(self._session, prefix, self.max_payload)
+            space = KeySpace(self._joined.zenoh, prefix, self.max_payload)
             self._spaces.append(space)
             return space
 
@@ -396,9 +393,9 @@ class Hub:
             endpoint.close()
         for space in self._spaces:
             space.close()
-        self._executor.close()
-        self._asking.close()
-        self._heartbeats.close(1.0)
+        self._context.executor.close()
+        self._context.asking.close()
+        self._context.heartbeats.close(1.0)
         self._control.close()
         self._withdraw()
         self._joined.nodes.discard(self)
