@@ -266,13 +266,14 @@ _TAP_ANSWER = 2.0
 
 
 class SideToHubTopics(RouteSet[RouteKey, SideToHubRoute]):
-    """Follows the side's publishers; any thread may call `tap`."""
+    """Follows the side's publishers; any thread may call `tap`, and waits for ``_changed`` until its route exists."""
 
     direction = "in"
 
     def __init__(self, context: EngineContext) -> None:
         super().__init__(context)
         self._taps: dict[str, float] = {}
+        self._changed = threading.Condition()
 
     @override
     def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:
@@ -291,6 +292,8 @@ class SideToHubTopics(RouteSet[RouteKey, SideToHubRoute]):
         taken = {route.hub_topic: key for key, route in self._routes.items()}
         for key, publishers in wanted.items():
             self._follow(key, publishers, gate, taken, decisions)
+        with self._changed:
+            self._changed.notify_all()
 
     def _follow(
         self, key: RouteKey, endpoints: list[Endpoint], gate: EntryGate, taken: dict[str, RouteKey],
@@ -336,13 +339,14 @@ class SideToHubTopics(RouteSet[RouteKey, SideToHubRoute]):
         ):
             return {}
         self._taps[topic] = time.monotonic() + min(seconds, 60.0)
-        self._context.wake()
-        deadline = time.monotonic() + _TAP_ANSWER
-        while time.monotonic() < deadline:
-            route = next((r for r in self.routes() if r.side_topic == topic), None)
-            if route is not None:
-                target = route.conversion.target
-                key = topic_key(self._context.hub.domain, route.hub_topic, target.name, target.type_id)
-                return {"topic": route.hub_topic, "type": target.name, "hash": target.type_id, "key": key}
-            time.sleep(0.02)
-        return {}
+        with self._changed:
+            self._context.wake()
+            route = self._changed.wait_for(lambda: self._route_of(topic), _TAP_ANSWER)
+        if route is None:
+            return {}
+        target = route.conversion.target
+        key = topic_key(self._context.hub.domain, route.hub_topic, target.name, target.type_id)
+        return {"topic": route.hub_topic, "type": target.name, "hash": target.type_id, "key": key}
+
+    def _route_of(self, topic: str) -> SideToHubRoute | None:
+        return next((route for route in self.routes() if route.side_topic == topic), None)

@@ -9,10 +9,11 @@ from typing import cast
 import pytest
 
 from bridge.config.sections.routing import RoutingSection
-from bridge.hub.graph.tokens import Origin
+from bridge.hub.graph.tokens import TAPS, Origin
 from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
-from bridge.routing.edge import Endpoint
+from bridge.routing.edge import Endpoint, MadeBy
 from bridge.routing.engine import Engine, NetworkTokens
 from bridge.routing.stall import StallDetector
 from tests.peers.fake import FakeEdge, FakeNetwork
@@ -78,3 +79,20 @@ def test_tokens_name_the_network_and_its_current_members() -> None:
     for members in ({"a", "b"}, {"b", "c"}, set[str]()):
         tokens.announce_members(frozenset(members))
         assert hub.members == members
+
+
+def test_tap_shows_a_topic_that_does_not_cross_under_another_name() -> None:
+    network = FakeNetwork()
+    network.write_on("/secret", "std_msgs/msg/String", Qos(), MadeBy.NATIVE, "/node")
+    rules = RoutingSection.model_validate({"rules": [{"topic": "/secret", "deny": True}]})
+    with HubNetwork() as hubs, Hub.open(hubs.settings("tap")) as hub:
+        engine = Engine(FakeEdge(network, Registry()), hub, rules, "tap", pytest.fail)
+        engine.start()
+        try:
+            until(engine.decisions, "the first check")
+            assert engine.tap("/missing", 10.0) == {}
+            answers = [engine.tap("/secret", 10.0) for _ in range(2)]
+        finally:
+            engine.stop()
+    assert [answer["topic"] for answer in answers] == [f"{TAPS}fake/secret"] * 2
+    assert answers[0]["type"] == "std_msgs/msg/String"
