@@ -117,7 +117,8 @@ def test_message_that_is_still_on_a_closing_lane_is_received_before_later_ones(
     subscriber, ours, gate = Subscriber(reader, "/t", Qos(depth=depth)), advertise(writer, "/t"), threading.Event()
     chosen = subscription(subscriber)
     goes_by(subscriber, "lane")
-    receive = chosen.heard
+    receive, grown, both_put = chosen.heard, chosen.grown, threading.Event()
+    monkeypatch.setattr(chosen, "grown", lambda: both_put.wait(60) and grown())  # both messages are on the lane
 
     def slow(inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
         assert payload != b"late" or gate.wait(60)
@@ -127,6 +128,7 @@ def test_message_that_is_still_on_a_closing_lane_is_received_before_later_ones(
     large = "x" * (3 * BOUND)
     for text in (large, "late"):
         ours.put(text.encode())
+    both_put.set()
     until(lambda: ours.way()[0] == "both", "the subscription on zenoh is known")
     ours.put(b"last")
     try:
