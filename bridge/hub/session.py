@@ -227,7 +227,7 @@ class Hub:
         self.zid, self.graph, self.mesh = session.zid, session.graph, session.mesh
         self.domain = settings.domain
         self.max_payload = settings.max_payload
-        self._joined = session
+        self._joined, self._session = session, session.zenoh
         self._lock = RLock()
         self._closed = False
         self._endpoints: set[HubPublisher | HubSubscription | HubServer | HubClient] = set()
@@ -235,9 +235,9 @@ class Hub:
         self._spaces: list[KeySpace] = []
         self._origin: tuple[Origin, Callable[[], None]] | None = None
         self._node = NodeToken(settings.domain, self.zid, str(next(session.ids)), settings.namespace, settings.node)
-        self._control = Control(session.zenoh, settings.domain, settings.daemon, settings.worker, settings.identity)
+        self._control = Control(self._session, settings.domain, settings.daemon, settings.worker, settings.identity)
         self._context = EndpointContext(
-            session.zenoh, session.reach, self._own, self.graph, settings.max_payload, SerialExecutor("hub-executor"),
+            self._session, session.reach, self._own, self.graph, settings.max_payload, SerialExecutor("hub-executor"),
             SerialExecutor("hub-asking"), DelayedCalls("hub-heartbeats"), self._remove, session.lane,
         )  # fmt: skip
         session.add(self)
@@ -283,13 +283,13 @@ class Hub:
     def linked(self) -> bool:
         """Whether the session has a link to any other session on the hub."""
         self._check_open()
-        info = self._joined.zenoh.info
+        info = self._session.info
         return bool(info.routers_zid() or info.peers_zid())
 
     def neighbours(self) -> set[str]:
         """Return the sessions with a direct link to this one, all of this machine's programs."""
         self._check_open()
-        return {str(zid) for zid in self._joined.zenoh.info.peers_zid()}
+        return {str(zid) for zid in self._session.info.peers_zid()}
 
     def publisher(
         self,
@@ -365,7 +365,7 @@ class Hub:
         """Return plain zenoh keys below a prefix; they close with the session at the latest."""
         with self._lock:
             self._check_open()
-            space = KeySpace(self._joined.zenoh, prefix, self.max_payload)
+            space = KeySpace(self._session, prefix, self.max_payload)
             self._spaces.append(space)
             return space
 
