@@ -279,15 +279,14 @@ class HubToSideRoute(TopicRoute):
         timeout = self.policy.timeout
         return self._context.stall_detector.stood_still(timeout) or source.age.age(sample.source_time_ns) > timeout
 
-    def close(self, why: str = "") -> None:  # noqa: ARG002 - only pending calls need the reason
-        """Close the endpoints on both networks."""
+    @override
+    def close(self, why: str = "") -> None:  # only pending calls need the reason
         self._subscription.close()
         self._publishers.close()
         self.queue.clear()
 
     @override
     def status(self) -> RouteStatus:
-        """Return the route for the status document."""
         if (losses := self._subscription.losses()) is not None:
             self.counters.missed(*losses)
         self.counters.drops["slow"] = self._publishers.dropped

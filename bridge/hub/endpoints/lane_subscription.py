@@ -159,6 +159,7 @@ class LaneSubscription(HubSubscription):
         self.why = "the graph is not evaluated yet"
         lane.add(self)
 
+    @override
     def _declare(self, context: EndpointContext, key: str) -> Callable[[], None]:
         self._sequencer = Sequencer(self.sources, self._losses, self._both, self._leaves)
         self._zenoh = ZenohSubscriber(context, key, self._on_sample, self._lock)
@@ -178,6 +179,7 @@ class LaneSubscription(HubSubscription):
 
     # -- messages ------------------------------------------------------------------------------------------------------
 
+    @override
     def _on_sample(self, sample: zenoh.Sample) -> None:
         message = self._reader.read(sample)
         if message is None:

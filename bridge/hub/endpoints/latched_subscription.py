@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 
 import zenoh
+from typing_extensions import override
 
 from bridge.hub.endpoints.latched import LatchedHistory
 from bridge.hub.endpoints.publisher import EndpointContext, cache_depth
@@ -46,6 +47,7 @@ class LatchedHubSubscription(HubSubscription):
         )  # fmt: skip
         super().__init__(context, token, key, topic, callback, on_refused)
 
+    @override
     def _declare(self, context: EndpointContext, key: str) -> Callable[[], None]:
         end = super()._declare(context, key)
         self._history.open()
@@ -56,6 +58,7 @@ class LatchedHubSubscription(HubSubscription):
 
         return undeclare_all
 
+    @override
     def _on_sample(self, sample: zenoh.Sample) -> None:
         message = self._reader.read(sample)
         if message is None:
