@@ -14,7 +14,7 @@ import logging
 import math
 import socket
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 from xmlrpc.client import INTERNAL_ERROR, INVALID_METHOD_PARAMS, METHOD_NOT_FOUND, Fault
@@ -38,6 +38,10 @@ _log = logging.getLogger(__name__)
 Method = Callable[..., object]
 
 _PIECE = 64 * 1024
+_SMALL = 4096
+_METHOD = slice(0, 256)
+"""Part of a request that contains the method's name, as the clients of ROS 1 write it."""
+
 _BACKLOG = 512
 _TICK = 1.0
 _JOIN_SECONDS = 1.0
@@ -80,6 +84,8 @@ class XmlRpcServer:
         port: 0 for any free one.
         name: of its threads.
         limits: see `Limits`.
+        quick: names of methods that never block. Small calls of them are made on the connections' thread, since two
+            changes of threads cost more than such a call.
 
     Attributes:
         port: on which it listens.
@@ -90,8 +96,9 @@ class XmlRpcServer:
 
     def __init__(
         self, methods: Mapping[str, Method], address: str = "127.0.0.1", port: int = 0, *,
-        name: str = "midspan-xmlrpc", limits: Limits = DEFAULT_LIMITS,
+        name: str = "midspan-xmlrpc", limits: Limits = DEFAULT_LIMITS, quick: Collection[str] = (),
     ) -> None:  # fmt: skip
+        self._quick = tuple(f"<methodName>{method}</methodName>".encode() for method in quick)
         self._methods, self._limits, self._name = methods, limits, name
         self._failed: set[str] = set()
         self._listener = _listen(address, port)
@@ -229,7 +236,10 @@ class XmlRpcServer:
         connection.head, connection.served, connection.persistent = None, True, head.persistent
         connection.deadline = math.inf
         self._loop.watch(connection.sock)
-        self._pool.submit(lambda: self._serve(connection, body))
+        if len(body) <= _SMALL and any(name in body[_METHOD] for name in self._quick):
+            self._serve(connection, body)
+        else:
+            self._pool.submit(lambda: self._serve(connection, body))
 
     def _reject(self, connection: _Connection, status: http.HTTPStatus) -> None:
         connection.persistent = False
@@ -267,7 +277,7 @@ class XmlRpcServer:
         except HttpError as err:
             self._reject(connection, err.status)
 
-    # -- the threads of the pool ---------------------------------------------------------------------------------------
+    # -- the threads of the pool; for quick calls, that of the connections ---------------------------------------------
 
     def _serve(self, connection: _Connection, body: bytes) -> None:
         method = ""

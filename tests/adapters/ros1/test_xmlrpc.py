@@ -37,7 +37,7 @@ MANY = 500
 class Served:
     """A server whose method ``wait`` blocks until it is released."""
 
-    def __init__(self) -> None:
+    def __init__(self, quick: tuple[str, ...] = ()) -> None:
         self.large = 0
         self.release = threading.Event()
         self.waiting = threading.Event()
@@ -50,6 +50,7 @@ class Served:
                 "fail": self._fail,
             },
             limits=LIMITS,
+            quick=quick,
         )
         self.server.start()
         self.uri = f"http://127.0.0.1:{self.server.port}/"
@@ -404,3 +405,24 @@ def test_ipv6():
 def test_a_port_in_use_is_an_error(served: Served):
     with pytest.raises(OSError, match="in use"):
         XmlRpcServer({}, port=served.server.port)
+
+
+def test_quick_calls_are_answered_while_all_threads_are_busy():
+    served = Served(quick=("echo",))
+    echo, large = (xmlrpc.client.dumps((value,), "echo").encode() for value in ("x", "x" * 5000))
+    try:
+        with ThreadPoolExecutor(5) as pool:
+            waiting = [pool.submit(served.post, xmlrpc.client.dumps((), "wait").encode()) for _ in range(2)]
+            until(lambda: served.server.connections == 2 and served.waiting.is_set(), "both threads make a call")
+            assert xmlrpc.client.loads(served.post(echo)) == (("x",), None)
+            assert xmlrpc.client.loads(served.post(echo.replace(b"\n", b""))) == (("x",), None)
+            others = [pool.submit(served.post, body) for body in (ADD, large)]
+            assert xmlrpc.client.loads(served.post(echo)) == (("x",), None)
+            assert not any(call.done() for call in others), "a large call, or one of another method, needs a thread"
+            served.release.set()
+            assert [xmlrpc.client.loads(call.result(20))[0] for call in [*waiting, *others]] == [
+                (1,), (1,), (3,), ("x" * 5000,)
+            ]  # fmt: skip
+    finally:
+        served.release.set()
+        served.server.close()

@@ -20,6 +20,12 @@ _log = logging.getLogger("midspan.ros1.master")
 _LIMITS = Limits(connections=2048, body=32 * 2**20, buffered=128 * 2**20, values=1_000_000)
 """``rosparam load`` sends a whole file, with a robot's description, in one request."""
 
+_QUICK = (
+    "registerPublisher", "unregisterPublisher", "registerSubscriber", "unregisterSubscriber", "registerService",
+    "unregisterService", "lookupService", "lookupNode", "setParam", "hasParam", "searchParam", "getUri", "getPid",
+)  # fmt: skip
+"""Methods whose replies are short, unlike those of ``getParam`` or ``getSystemState``."""
+
 _DISTRIBUTION = {"/rosdistro": "noetic\n", "/rosversion": "1.16.0\n"}
 """Parameters that roscore sets, the last release's values."""
 
@@ -53,7 +59,9 @@ class EmbeddedMaster:
         self.calls = NodeCalls(lambda subscriber, key: self.api.drop_param_subscriber(subscriber, key))
         self._writer: saved.StateWriter | None = None
         self.api = MasterApi("", self.calls, self._on_change, shut_down)
-        self._server = XmlRpcServer(self.api.methods, address, port, name="midspan-ros1-master", limits=_LIMITS)
+        self._server = XmlRpcServer(
+            self.api.methods, address, port, name="midspan-ros1-master", limits=_LIMITS, quick=_QUICK
+        )
         host = f"[{address}]" if ":" in address else address
         self.uri = self.api.uri = uri or f"http://{host}:{self._server.port}/"
         self._address, self._state, self._has_rosout = address, state, rosout
