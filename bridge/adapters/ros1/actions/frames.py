@@ -242,7 +242,8 @@ class FrameGuard:
             return body, ""
         body = without_slashes(body, frames_in(schema, body))
         trouble = self._frames.trouble(frames_in(schema, body)) if self._topics else ""
-        if trouble and time.monotonic() < min(self._heard + KNOW_SECONDS, self._opened + SILENT_SECONDS):
+        deadline = self._heard + KNOW_SECONDS if self._frames else self._opened + SILENT_SECONDS
+        if trouble and time.monotonic() < deadline:
             return body, None
         return body, trouble if self._frames else ""
 

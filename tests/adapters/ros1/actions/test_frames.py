@@ -155,6 +155,16 @@ def test_a_guard_waits_for_transforms(monkeypatch):
     assert side.guard.warnings() == []
 
 
+def test_the_first_transform_may_arrive_long_after_the_action_opened(monkeypatch):
+    side = Side(monkeypatch)
+    side.guard.open("me")
+    side.now += 3 * frames_module.SILENT_SECONDS
+    side.heard["/tf"](transforms((b"odom", b"base")), "", None)
+    assert side.check(b"map") is None, "the frame may be in the next message"
+    side.now += frames_module.KNOW_SECONDS + 0.1
+    assert "map" in side.check(b"map")
+
+
 def test_a_side_without_transforms_accepts_all_frames(monkeypatch):
     side = Side(monkeypatch)
     side.guard.open("me")
