@@ -5,6 +5,7 @@ move_base keeps such a goal ACTIVE forever, also if its frame begins with a slas
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import struct
 import threading
@@ -23,6 +24,7 @@ from bridge.messages.transcode.conversion import SideType
 TF_TYPES = ("tf2_msgs/TFMessage", "tf/tfMessage")
 
 MAX_FRAMES = 100_000
+"""Beyond this number, every frame is accepted: a frame of ``/tf_static`` that was dropped would not be sent again."""
 
 _HEADER = "std_msgs/Header"
 _LENGTH = struct.Struct("<I")
@@ -132,15 +134,15 @@ class KnownFrames:
 
     def __init__(self) -> None:
         self._known: set[bytes] = set()
+        self._full = False
 
     def learn(self, payload: bytes) -> None:
         """Learn the frames of a TFMessage; ignore anything else."""
-        try:
-            self._known.update(_transform_frames(payload))
-        except struct.error:
+        if self._full:
             return
-        if len(self._known) > MAX_FRAMES:
-            self._known.clear()
+        with contextlib.suppress(struct.error):
+            self._known.update(_transform_frames(payload))
+        self._full = len(self._known) > MAX_FRAMES
 
     def __bool__(self) -> bool:
         """Return whether any transform has been received."""
@@ -151,7 +153,7 @@ class KnownFrames:
         for _, frame, where, pose in frames:
             if not frame and pose:
                 return f"{where} is empty"
-            if frame and frame not in self._known:
+            if frame and frame not in self._known and not self._full:
                 name = frame.decode(errors="replace")
                 return f"no transform on /tf or /tf_static has the frame {name!r} of {where}"
         return ""
@@ -204,28 +206,32 @@ class FrameGuard:
             if not self._users:
                 self._opened, self._heard, self._frames = time.monotonic(), float("inf"), KnownFrames()
             self._users.add(user)
-        self._follow()
+            self._follow()
 
     def close(self, user: object) -> None:
         """Stop receiving transforms, unless there are other users."""
         with self._lock:
             self._users.discard(user)
-        self._follow()
+            removed = self._follow()
+        for subscription in removed:
+            subscription.close()
 
     def seen(self, look: MasterState | None) -> None:
         """Adopt the master's state: topics with transforms are recognized by type, not by name."""
         topics = sorted(t for t, kind in look.types.items() if kind in TF_TYPES) if look is not None else []
-        self._topics = frozenset(topics[:_MAX_TOPICS])
-        self._follow()
-
-    def _follow(self) -> None:
         with self._lock:
-            wanted = self._topics if self._users and self._network.check_frames else frozenset()
-            removed = [self._subscriptions.pop(topic) for topic in self._subscriptions.keys() - wanted]
-            for topic in wanted - self._subscriptions.keys():
-                self._subscriptions[topic] = self._network.subscribe(topic, _TF, self._on_transforms, "_frames")
+            self._topics = frozenset(topics[:_MAX_TOPICS])
+            removed = self._follow()
         for subscription in removed:
             subscription.close()
+
+    def _follow(self) -> list[TopicSubscription]:
+        """Subscribe to missing topics; return the superfluous subscriptions, to be closed without the lock."""
+        wanted = self._topics if self._users and self._network.check_frames else frozenset()
+        removed = [self._subscriptions.pop(topic) for topic in self._subscriptions.keys() - wanted]
+        for topic in wanted - self._subscriptions.keys():
+            self._subscriptions[topic] = self._network.subscribe(topic, _TF, self._on_transforms, "_frames")
+        return removed
 
     def _on_transforms(self, payload: bytes, _source: str, _time: int | None) -> None:
         self._frames.learn(payload)

@@ -165,6 +165,44 @@ def test_the_first_transform_may_arrive_long_after_the_action_opened(monkeypatch
     assert "map" in side.check(b"map")
 
 
+def test_an_action_that_opens_while_the_last_one_closes_subscribes_again(monkeypatch):
+    """Latched transforms are received only by a new subscription."""
+    side = Side(monkeypatch)
+    side.guard.open("old")
+    side.heard["/tf"](transforms((b"map", b"odom")), "", None)
+    side.heard.clear()
+
+    class Interrupted:
+        """A lock; the other action opens as soon as it is first released."""
+
+        released = False
+
+        def __enter__(self) -> None:
+            """Do nothing: the test has one thread."""
+
+        def __exit__(self, *_: object) -> None:
+            if not self.released:
+                self.released = True
+                side.guard.open("new")
+
+    monkeypatch.setattr(side.guard, "_lock", Interrupted())
+    side.guard.close("old")
+    assert set(side.heard) == {"/tf", "/old"}
+
+
+def test_after_too_many_frames_every_frame_is_accepted(monkeypatch):
+    monkeypatch.setattr(frames_module, "MAX_FRAMES", 3)
+    frames = KnownFrames()
+    frames.learn(transforms((b"map", b"odom"), (b"odom", b"laser")))
+    assert frames.trouble(frames_in(SCHEMA, goal(b"mpa")))
+    frames.learn(transforms((b"map", b"x1"), (b"map", b"x2")))
+    frames.learn(transforms((b"odom", b"base")))
+    assert frames
+    for name in (b"laser", b"base", b"mpa"):
+        assert frames.trouble(frames_in(SCHEMA, goal(name))) == ""
+    assert "empty" in frames.trouble(frames_in(SCHEMA, goal(b"")))
+
+
 def test_a_side_without_transforms_accepts_all_frames(monkeypatch):
     side = Side(monkeypatch)
     side.guard.open("me")
