@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
-from bridge.messages.definitions.schema import Schema
+from bridge.messages.definitions.schema import Schema, Shape
 from bridge.messages.values import HEADER
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.framing import Buffer
@@ -48,8 +48,9 @@ class Codec(ABC):
 
 
 def has_header(schema: Schema) -> bool:
-    """Return whether messages of a ROS 2 type begin with a header."""
-    return bool(schema.root.fields) and schema.root.fields[0].type.base in _HEADERS
+    """Return whether messages of a ROS 2 type begin with a header; a list of headers is none."""
+    first = schema.root.fields[0].type if schema.root.fields else None
+    return first is not None and first.base in _HEADERS and first.shape is Shape.SINGLE
 
 
 def stamp_of(cdr: bytes) -> int:

@@ -185,3 +185,15 @@ def test_values_without_a_yarp_form_are_reported() -> None:
     registry.learn_ros2("y_msgs/msg/Wide", "wstring data")
     with pytest.raises(MessageTypeError, match="wstring"):
         BottleCodec(registry, "y_msgs/msg/Wide", "", Profile.YARP3)
+
+
+@pytest.mark.parametrize(("shape", "count"), [("[]", 1), ("[]", 0), ("[2]", 2), ("[<=3]", 2)])
+def test_a_list_of_headers_at_the_beginning_is_not_the_messages_stamp(shape: str, count: int) -> None:
+    registry = Registry()
+    name = "y_msgs/msg/Headers"
+    registry.learn_ros2(name, f"std_msgs/Header{shape} headers")
+    known = BottleCodec(registry, name, "", Profile.YARP3)
+    cdr = from_json(registry, name, {"headers": [{"frame_id": "map"}] * count})
+    message = known.to_yarp(cdr)
+    assert message.stamp_ns is None
+    assert known.to_hub(b"".join(message.payload), Profile.YARP3, 3_000_000_004) == cdr
