@@ -66,14 +66,14 @@ class FieldsCodec(Codec):
 
     def __init__(self, schema: Schema, entries: Sequence[BottleEntry], profile: Profile, frame: str = "") -> None:
         self._schema, self._profile, self._frame = schema, profile, frame
-        self._stamped = has_header(schema)
+        self._header = schema.root.fields[0].name if has_header(schema) else ""
         self._entries = [(entry, _resolve(schema, entry)) for entry in entries]
 
     @override
     def to_yarp(self, cdr: bytes) -> EncodedMessage:
         message = MessageReader(self._schema, cdr).message()
         values = [_get(message, entry, kind) for entry, kind in self._entries]
-        return EncodedMessage(encode_parts(values, self._profile), (stamp_of(cdr) or None) if self._stamped else None)
+        return EncodedMessage(encode_parts(values, self._profile), (stamp_of(cdr) or None) if self._header else None)
 
     @override
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
@@ -85,9 +85,9 @@ class FieldsCodec(Codec):
                 f"the Bottle has {len(values)} values, not the {len(self._entries)} of ({wanted}): {shown(values)}"
             )
         message: dict[str, Any] = {}
-        if self._stamped:
-            _assign(message, ("header", "frame_id"), self._frame)
-            _assign(message, ("header", "stamp"), _time(self.now_ns() if stamp_ns is None else stamp_ns))
+        if self._header:
+            _assign(message, (self._header, "frame_id"), self._frame)
+            _assign(message, (self._header, "stamp"), _time(self.now_ns() if stamp_ns is None else stamp_ns))
         for (entry, kind), value in zip(self._entries, values, strict=True):
             if kind is None:
                 _compare(entry, value)

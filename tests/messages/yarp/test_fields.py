@@ -137,3 +137,12 @@ def test_missing_field(entry: str, error: str) -> None:
 def test_invalid_entries_are_rejected(entry: str) -> None:
     with pytest.raises(ValueError, match="is not a field"):
         BottleEntry.parse(entry)
+
+
+def test_the_envelope_stamps_a_header_of_any_name() -> None:
+    registry = Registry()
+    name = "y_msgs/msg/Reading"
+    registry.learn_ros2(name, "std_msgs/Header h\nfloat64 value")
+    known = FieldsCodec(registry.schema(name), [BottleEntry.parse("value")], Profile.YARP3, "lab")
+    message = to_json(registry, name, known.to_hub(binary.encode([1.5], Profile.YARP3), None, 3_000_000_004))
+    assert message == {"h": {"stamp": {"sec": 3, "nanosec": 4}, "frame_id": "lab"}, "value": 1.5}
