@@ -135,8 +135,7 @@ class _Writer:
         if kind.shape is Shape.SEQUENCE:
             self.out.append(struct.pack("<I", len(value)))
         if isinstance(value, np.ndarray) and kind.base.startswith("float") and value.dtype.kind in "fi":
-            with np.errstate(over="ignore", invalid="ignore"):
-                self.out.append(value.astype(dtype(kind.base)).tobytes())
+            self.out.append(floats(kind.base, value, where).tobytes())
             return
         for number, item in enumerate(value.tolist() if isinstance(value, np.ndarray) else value):
             self._element(kind.element, item, f"{where}[{number}]")
@@ -152,6 +151,18 @@ class _Writer:
             self.out.append(struct.pack("<I", len(content)) + content)
         else:
             self.out.append(pack_number(kind.base, value, where, _SIGNED.get(kind.base, STRUCT_FORMATS[kind.base])))
+
+
+def floats(base: str, values: np.ndarray, where: str) -> np.ndarray:
+    """Convert numbers to a type of floats; raises `ConversionError` with the first finite one beyond its range."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        converted = values.astype(dtype(base))
+    if converted.dtype.itemsize < values.dtype.itemsize:
+        beyond = np.isinf(converted) & np.isfinite(values)
+        if beyond.any():
+            first = int(beyond.argmax())
+            raise wrong(f"{where}[{first}]", base, values[first].item())
+    return converted
 
 
 def pack_number(base: str, value: Any, where: str, code: str) -> bytes:

@@ -19,7 +19,7 @@ from typing_extensions import override
 from bridge.messages.definitions.schema import PRIMITIVE_SIZES, TIME_TYPES, FieldType, Schema, Shape
 from bridge.messages.errors import ConversionError, MessageTypeError
 from bridge.messages.values import MessageReader, MessageWriter, dtype, wrong
-from bridge.messages.yarp.bottle import decode_arrays, shown
+from bridge.messages.yarp.bottle import decode_arrays, floats, shown
 from bridge.messages.yarp.codec import Codec, EncodedMessage, has_header, split_time, stamp_of
 from yarp_compat.wire.binary import encode_parts
 from yarp_compat.wire.framing import Buffer
@@ -175,7 +175,7 @@ def _items(entry: BottleEntry, kind: FieldType, value: Any) -> Any:
     if isinstance(value, bytes) and PRIMITIVE_SIZES.get(kind.base) == 1:
         return np.frombuffer(value, dtype(kind.base))
     if isinstance(value, np.ndarray):
-        return value if kind.base.startswith("float") else value.tolist()
+        return floats(kind.base, value, entry.text) if kind.base.startswith("float") else value.tolist()
     if isinstance(value, list):
         return value
     raise wrong(entry.text, "a list", value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from typing import Any
 
@@ -197,3 +198,15 @@ def test_a_list_of_headers_at_the_beginning_is_not_the_messages_stamp(shape: str
     message = known.to_yarp(cdr)
     assert message.stamp_ns is None
     assert known.to_hub(b"".join(message.payload), Profile.YARP3, 3_000_000_004) == cdr
+
+
+def test_a_double_beyond_float32_in_a_list_is_refused_with_its_index() -> None:
+    name = "sensor_msgs/msg/LaserScan"
+    empty = codec(name).to_hub(payload(name, {}), None, None)
+    scan = binary.decode(b"".join(codec(name).to_yarp(empty).payload), Profile.YARP3)
+    allowed = [*scan[:8], [1.5, math.inf, math.nan, 3.0e38], *scan[9:]]
+    result = codec(name).to_hub(binary.encode(allowed, Profile.YARP4), Profile.YARP4, None)
+    assert to_json(REGISTRY, name, result)["ranges"][1:3] == ["Infinity", "NaN"]
+    wrong = [*scan[:8], [1.5, math.inf, -1e39], *scan[9:]]
+    with pytest.raises(ConversionError, match=r"ranges\[2\] is float32, not -1e\+39"):
+        codec(name).to_hub(binary.encode(wrong, Profile.YARP4), Profile.YARP4, None)

@@ -146,3 +146,11 @@ def test_the_envelope_stamps_a_header_of_any_name() -> None:
     known = FieldsCodec(registry.schema(name), [BottleEntry.parse("value")], Profile.YARP3, "lab")
     message = to_json(registry, name, known.to_hub(binary.encode([1.5], Profile.YARP3), None, 3_000_000_004))
     assert message == {"h": {"stamp": {"sec": 3, "nanosec": 4}, "frame_id": "lab"}, "value": 1.5}
+
+
+def test_a_double_beyond_float32_is_refused_in_lists_as_elsewhere() -> None:
+    name = "sensor_msgs/msg/LaserScan"
+    with pytest.raises(ConversionError, match=r"range_max is float32, not 1e\+39"):
+        back(codec(name, "range_max"), name, [1e39])
+    with pytest.raises(ConversionError, match=r"ranges\[1\] is float32, not 1e\+39"):
+        back(codec(name, "ranges"), name, [[math.inf, 1e39]])
