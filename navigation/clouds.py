@@ -16,13 +16,13 @@ MOST_POINTS = 4_000_000
 """Larger clouds are rejected: a scanner with 128 lines and a 4-megapixel depth camera have fewer points."""
 
 FARTHEST = 1e9
-"""Meters from which a value is not a point: some sensors report the largest float32 for "no echo"."""
+"""Coordinates of this many meters or more are not points: some sensors report the largest float32 for "no echo"."""
 
 Points = NDArray[np.float32]
 
 
 def read_points(message: Mapping[str, Any], most: int = MOST_POINTS) -> Points:
-    """Return the points of a ``PointCloud2`` nearer than ``FARTHEST``, (n, 3) meters in its frame.
+    """Return the points of a ``PointCloud2``, (n, 3) meters in its frame, without coordinates of `FARTHEST` or more.
 
     Raises `CloudError` if the cloud has more than ``most`` points, or its data does not match its description.
     """
@@ -36,13 +36,13 @@ def read_points(message: Mapping[str, Any], most: int = MOST_POINTS) -> Points:
     with np.errstate(over="ignore", invalid="ignore"):
         for axis, name in enumerate("xyz"):
             points[:, axis] = cells[name].ravel()
-    x, y, z = (np.abs(points) < FARTHEST).T  # three times as fast as all(axis=1); NaN is not
+    x, y, z = (np.abs(points) < FARTHEST).T  # three times as fast as all(axis=1); NaN compares false
     near = x & y & z
     return points if near.all() else points[near]
 
 
 def placed(points: Points, at: Transform) -> Points:
-    """Transform points (n, 3) of a frame whose pose in another one is `at` into that one."""
+    """Transform points (n, 3) into another frame; `at` is the pose of their own frame in it."""
     x, y, z, w = at.rotation
     turned = np.array([
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),

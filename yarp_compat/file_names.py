@@ -1,4 +1,4 @@
-"""Names of files from users, programs and configurations on Windows, which forbids many.
+"""File names that come from users, programs and configurations: Windows forbids many of them.
 
 There ``a:b`` is a hidden stream of ``a``, ``CON.mcap`` is the console, and ``floor.`` loses its dot, all without an
 error. Code that derives a file name from such a name rejects `forbidden` ones if the user can choose another name, and

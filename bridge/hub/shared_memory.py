@@ -1,9 +1,9 @@
-"""The shared memory that remains of killed zenoh sessions.
+"""The shared memory that killed zenoh sessions leave behind.
 
 zenoh 1.10 keeps a session's shared memory in files ``<number>.zenoh``. Each process that uses such a file holds a lock
 on it (flock). `clean` removes the unlocked ones, as zenoh does when it uses shared memory itself. But a session that
-received from a killed one keeps that one's pool until it closes (zenoh 1.10), so each killed sender would cost another
-pool until the memory is full.
+received messages from another one keeps the sender's pool until it closes itself, even if the sender was killed (zenoh
+1.10). So each killed sender would take up another pool, until the memory is full.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def clean(folder: Path = FOLDER) -> int:
 
 
 def orphans(folder: Path = FOLDER, proc: Path = Path("/proc")) -> int:
-    """Return the least number of pools of killed sessions that running processes keep.
+    """Return a lower bound for the number of killed sessions' pools that running processes keep.
 
     Each process creates at most one pool.
     """

@@ -154,10 +154,10 @@ class MessageWriter:
             return
         items = self.items(kind, value, where)
         if kind.shape is Shape.ARRAY and len(items) != kind.length:
-            raise ConversionError(f"{where} has {kind.length} elements, not {len(items)}")
+            raise ConversionError(f"{where} must have {kind.length} elements, not {len(items)}")
         if kind.shape is Shape.SEQUENCE:
             if kind.length and len(items) > kind.length:
-                raise ConversionError(f"{where} has at most {kind.length} elements, not {len(items)}")
+                raise ConversionError(f"{where} must have at most {kind.length} elements, not {len(items)}")
             self.number("uint32", len(items), where)
         if isinstance(items, bytes):
             self.data += items

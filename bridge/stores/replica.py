@@ -114,8 +114,8 @@ class Replica:
             known = self._known.get((kind, name))
             return known is not None and known.size is not None
 
-    def still(self) -> threading.RLock:
-        """Return a lock that blocks other writers while it is held."""
+    def locked(self) -> threading.RLock:
+        """Return a lock that blocks other threads' reads and writes while it is held."""
         return self._lock
 
     def remembers(self, kind: str, name: str) -> bool:
@@ -124,7 +124,7 @@ class Replica:
             return (kind, name) in self._known
 
     def versions(self) -> Mapping[Key, tuple[ChangeStamp, int]]:
-        """Return every key's stamp and the size of its value, including tombstones."""
+        """Return each key's stamp and the size of its value, including tombstones that are not expired."""
         oldest = self._oldest()
         with self._lock:
             return {
@@ -152,7 +152,8 @@ class Replica:
         with self._lock:
             self._check_open()
             known = self._known.get(entry.key)
-            if not entry.version.seen:  # from a plain zenoh program: it overwrites the current version
+            # from a plain zenoh program, which has no versions: it counts as a change of the current one
+            if not entry.version.seen:
                 before = None if known is None else known.version
                 version = follow(before, entry.version.stamp, entry.version.origin)
                 entry = replace(entry, version=version)
@@ -172,13 +173,13 @@ class Replica:
 
         Callbacks run one after the other on the replica's own thread, and must not block.
         """
-        return self._joined(self._watches, (frozenset(kinds), on_change))
+        return self._add_callback(self._watches, (frozenset(kinds), on_change))
 
     def on_write(self, send: SendEntries) -> Callable[[], None]:
         """Pass local changes to ``send``, on the writer's thread, until the returned function is called."""
-        return self._joined(self._senders, send)
+        return self._add_callback(self._senders, send)
 
-    def _joined(self, callbacks: list[T], callback: T) -> Callable[[], None]:
+    def _add_callback(self, callbacks: list[T], callback: T) -> Callable[[], None]:
         with self._lock:
             callbacks.append(callback)
 
@@ -207,7 +208,10 @@ class Replica:
             }
 
     def close(self) -> None:
-        """Close the file, after calling back for pending changes. Safe to call twice."""
+        """Close the file, then call back for pending changes. Safe to call twice.
+
+        A callback that reads the store then fails, since it is closed.
+        """
         with self._lock:
             if self._closed:
                 return

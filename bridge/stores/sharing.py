@@ -201,7 +201,7 @@ class StoreSync:
             changes[key] = body, KINDS[kind].encoding
         if start != len(question.body):
             raise StoreError("the values do not have the stated lengths")
-        with self._replica.still():
+        with self._replica.locked():
             versions = self._replica.versions() if stamps else {}
             now = {text: versions.get(key_of(text)) for text in stamps}
             stale = stamps != {text: known and list(astuple(known[0])) for text, known in now.items()}

@@ -107,7 +107,7 @@ class Store:
 
     def delete(self, kind: ValueKind[Any], name: str) -> bool:
         """Delete a value; return whether it existed."""
-        with self.replica.still():
+        with self.replica.locked():
             exists = self.replica.has(kind.name, name)
             if exists:
                 self.write([Write(kind, name, None)])
@@ -121,7 +121,7 @@ class Store:
 
     def rename(self, kind: ValueKind[Any], old: str, new: str) -> None:
         """Rename a value; raises `StoreError` if the old name does not exist or the new one does."""
-        with self.replica.still():
+        with self.replica.locked():
             self.write(rename_writes(self, kind, old, new))
 
     def write(self, writes: Sequence[Write[Any]]) -> None:
@@ -169,5 +169,5 @@ def write_all(replica: Replica, changes: Mapping[Key, Body | None]) -> None:
         for (kind, name), body in changes.items()
         if not body and kind in _COMPANIONS
     }
-    with replica.still():
+    with replica.locked():
         replica.write({key: body for key, body in (companions | dict(changes)).items() if body or replica.has(*key)})

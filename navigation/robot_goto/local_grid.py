@@ -20,8 +20,8 @@ NEAR = 1.5  # meters around the robot within which `unsure` returns cells
 class LocalGrid:
     """A window of 5 m around the robot, in a frame in which it moves smoothly (the odometry's).
 
-    Observations are valid for ``memory`` seconds. The cells within the robot's ``radius`` (meters) are free; its lasers
-    are ``aside`` meters from its center.
+    Observations are valid for ``memory`` seconds. Unknown cells within 0.7 times the robot's ``radius`` (meters) become
+    free; its lasers are ``aside`` meters from its center.
     """
 
     def __init__(self, memory: float, radius: float, aside: float) -> None:
@@ -32,7 +32,7 @@ class LocalGrid:
     def clear(self) -> None:
         """Drop all observations."""
         self._grid = RollingGrid(SIDE, RESOLUTION, self._memory)
-        # the newest scan's echoes: x, y, and 1 for a recently occupied cell; then the other sensors' obstacles
+        # the newest scan's echoes: x, y, and 1 for a new object, else 0; then the other sensors' obstacles
         self.points = np.empty((0, 3))
         self.count = 0  # the number of valid rows
         self.scanned: float | None = None  # the time of the scan, seconds; None before the first
@@ -56,7 +56,7 @@ class LocalGrid:
         self.set_others(self._others)
 
     def set_others(self, places: NDArray[np.float64]) -> None:
-        """Replace the obstacles of other sensors than the laser: (n, 2) x and y."""
+        """Replace the obstacles from sensors other than the laser: (n, 2) x and y."""
         self._others, self.count = places, self._echoes + len(places)
         if len(self.points) < self.count:
             self.points = np.concatenate((self.points[: self._echoes], np.empty((2 * len(places), 3))))
@@ -64,9 +64,9 @@ class LocalGrid:
         self.points[self._echoes : self.count, 2] = 0.0
 
     def unsure(self, at: Pose, now: float) -> tuple[NDArray[np.float64], int]:
-        """Return nearby cells that the newest scan did not see and that are not free: (n, 3), and their number.
+        """Return nearby cells that are not free and have no echo of the newest scan, and their number n.
 
-        The third value is `OCCUPIED` or `UNKNOWN`.
+        Only the first n rows are valid: x, y, and `OCCUPIED` or `UNKNOWN`.
         """
         scanned = NEVER - 1.0 if self.scanned is None else self.scanned
         count = self._grid.near(now, at.x, at.y, NEAR, scanned, self._cells)
@@ -83,7 +83,7 @@ class LocalGrid:
         return out
 
     def occupancy(self, now: float) -> NDArray[np.int8]:
-        """Return all cells with ROS's values: 0 free, 100 occupied, -1 unknown; rows go up."""
+        """Return all cells with ROS's values: 0 free, 100 occupied, -1 unknown; the first row has the lowest y."""
         states = self.states(now)
         return np.where(states == UNKNOWN, -1, np.where(states == OCCUPIED, 100, 0)).astype(np.int8)
 

@@ -73,7 +73,7 @@ BAD = [
     ("std_msgs/msg/String", {"data": 5}, "data is text"),
     ("std_msgs/msg/String", {"data": "\ud800"}, "cannot be encoded"),
     ("std_msgs/msg/UInt8MultiArray", {"data": "***"}, "not base64"),
-    ("geometry_msgs/msg/PoseWithCovariance", {"covariance": [1.0]}, "covariance has 36 elements, not 1"),
+    ("geometry_msgs/msg/PoseWithCovariance", {"covariance": [1.0]}, "covariance must have 36 elements, not 1"),
 ]
 
 

@@ -29,8 +29,8 @@ def rclpy(items: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return _batch(Path(sys.executable), "ros2/rclpy_peer.py", items, None)
 
 
-def text(content: bytes) -> str:
-    """Bytes as JSON carries them."""
+def base64_text(content: bytes) -> str:
+    """Return bytes as base64, since JSON has no bytes."""
     return base64.b64encode(content).decode()
 
 

@@ -265,7 +265,7 @@ def test_the_number_of_tombstones_is_limited(make: Make) -> None:
     assert sorted(name for _, name in make().replica.versions()) == ["3", "4", "5"]
 
 
-def test_a_second_process_cannot_open_the_file(make: Make, tmp_path: Path) -> None:
+def test_a_second_replica_cannot_open_the_file(make: Make, tmp_path: Path) -> None:
     make()
     with pytest.raises(StoreError, match="in use by another process"):
         Replica(tmp_path / "one.sqlite", "two")

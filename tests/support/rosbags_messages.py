@@ -1,4 +1,7 @@
-"""Messages as dicts of their fields, by rosbags: ROS 1 bytes, CDR, md5 and RIHS01 independent of Midspan's code."""
+"""Messages as dicts of their fields, encoded by the library rosbags.
+
+It computes ROS 1 bytes, CDR, md5 and RIHS01 without Midspan's code.
+"""
 
 from __future__ import annotations
 

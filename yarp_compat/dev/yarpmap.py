@@ -3,8 +3,8 @@
 Keys: ``MapName``, and ``YarpMapData`` (the image) or ``RosMapData`` (the YAML file) or both; ``resolution`` and
 ``origin (x y theta)`` override the YAML file.
 
-YARP reads the yaw of a YAML file as its theta, though its maps rotate in the opposite direction. For both YARP and map
-servers to read a rotated map correctly, the ``.map`` file gets YARP's ``origin``, and the YAML file ROS's.
+YARP takes the yaw of a YAML file as theta unchanged, although YARP's maps rotate in the opposite direction. For both
+YARP and map servers to read a rotated map correctly, the ``.map`` file gets YARP's ``origin``, and the YAML file ROS's.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def save_yarp(grid: MapContents, path: str | Path) -> None:
 
 
 def _settings(text: str) -> dict[str, str]:
-    """Return the first value of each key: its whole line, as YARP writes names of several words without quotes."""
+    """Return the first value of each key: the rest of the key's line, as YARP does not quote names of several words."""
     settings: dict[str, str] = {}
     for line in text.split("\n"):
         match = _LINE.match(line)
@@ -101,7 +101,10 @@ def _flags(path: Path) -> NDArray[np.uint8]:
 
 
 def _occupancy(path: Path, header: RosMapHeader, *, has_flags: bool) -> NDArray[np.uint8]:
-    """Return the occupancy of an image: in YARP's grays if the map has an image of flags, else as map servers do."""
+    """Return the occupancy in an image.
+
+    It is decoded by YARP's grays if the map has an image of flags, else as map servers do.
+    """
     pixels = mapfile.read_image(path)
     if has_flags and pixels.ndim == 2 and pixels.dtype == np.uint8 and header.mode == "trinary" and not header.negate:
         return mapflag.lookup(pixels, mapflag.OCCUPANCIES)

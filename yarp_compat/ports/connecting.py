@@ -212,8 +212,9 @@ class ConnectingPort(PortBase):
     def _refuse_modifiers(self, sock: socket.socket, opened: Opening) -> None:
         """Close a connection that requires carrier modifiers: its messages would be wrong without them.
 
-        Text carriers, which people type on, get an answer. C++ ports ignore the content of the answer, and ``yarp
-        connect`` fails only if the connection closes without one (``TcpCarrier::expectReplyToHeader``, 3.9 and 4.0).
+        Text carriers, on which people type, get an error text. Other carriers get no answer: C++ ports ignore its
+        content, and ``yarp connect`` fails only if the connection closes without an answer
+        (``TcpCarrier::expectReplyToHeader``, 3.9 and 4.0).
         """
         with sock:
             if opened.carrier.text:

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 _LONG = 1.0
-"""Least seconds between two reads of the master after which the watch for other workers is notified."""
+"""Seconds. After a longer gap between two reads of the master, the watch for other workers is notified."""
 
 
 class Ros1Edge(SideEdge):
@@ -190,7 +190,7 @@ class Ros1Edge(SideEdge):
 
     @override
     def settled(self, since: float) -> bool:
-        """Return whether the master was read since then and has this node's entry, which later nodes read."""
+        """Return whether the master was read since then, and has this node's entry, by which later nodes find it."""
         if self._settled < since:
             self._wake_master()
             return False
@@ -222,7 +222,8 @@ class Ros1Edge(SideEdge):
             return
         if listed is not None and not self._joined:
             self._joined = True
-            if not self._config.routing.parameters:  # a killed worker with rules may have left copies
+            # an earlier worker that had parameter rules and was killed may have left copies
+            if not self._config.routing.parameters:
                 self._parameter_server().close()
         look = self._standing.update(listed)
         changed = look is not self._look
@@ -320,7 +321,7 @@ class Ros1Edge(SideEdge):
     def carry_parameters(
         self, rules: Sequence[ParameterRule], hub: Hub, active: Callable[[], bool]
     ) -> Callable[[], None]:
-        """Share parameters between the master's parameter server and the hub, until the returned call."""
+        """Share parameters between the master's parameter server and the hub, until the returned function is called."""
         self._parameters = None
         if not rules or self._node is None or self._master is None:
             return super().carry_parameters(rules, hub, active)

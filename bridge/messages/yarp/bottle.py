@@ -1,8 +1,8 @@
 """The default content of a port: the Bottle that YARP's own converter creates from a ROS message.
 
-It has ROS 1's fields, as that converter supports no others: a header has its ``seq``, which ROS 2's lacks. Bottles
-written by hand are accepted, too, with integers for floats, lists of one type, and blobs, if each list has the right
-number of values, and the values fit; errors name the field.
+It has the fields of the ROS 1 type, the only ones that YARP's converter supports: its header has ``seq``, which ROS 2's
+header lacks. Bottles written by hand are accepted, too. They may have integers for floats, typed lists and blobs; but
+each list must have the right number of values, and each value must fit. Errors name the field.
 """
 
 from __future__ import annotations
@@ -88,7 +88,10 @@ def ros1_schema(name: str, definition: str) -> Schema:
 
 
 def decode_arrays(data: Buffer, profile: Profile | None) -> Any:
-    """Decode a Bottle, with lists of numbers as arrays, also itself; raises `ConversionError` for other bytes."""
+    """Decode a Bottle; lists of numbers, also the whole Bottle if it is one, become arrays.
+
+    Raises `ConversionError` for other bytes.
+    """
     try:
         return binary.decode_arrays(data, profile)
     except WireError as err:
@@ -131,7 +134,7 @@ class _Writer:
         if not isinstance(value, list | tuple | np.ndarray):
             raise wrong(where, "a list", value)
         if kind.shape is Shape.ARRAY and len(value) != kind.length:
-            raise ConversionError(f"{where} has {kind.length} elements, not {len(value)}")
+            raise ConversionError(f"{where} must have {kind.length} elements, not {len(value)}")
         if kind.shape is Shape.SEQUENCE:
             self.out.append(struct.pack("<I", len(value)))
         if isinstance(value, np.ndarray) and kind.base.startswith("float") and value.dtype.kind in "fi":
@@ -166,7 +169,11 @@ def floats(base: str, values: np.ndarray, where: str) -> np.ndarray:
 
 
 def pack_number(base: str, value: Any, where: str, code: str) -> bytes:
-    """Encode a number; a negative value of an unsigned type has the same bits, as written by YARP."""
+    """Encode a number.
+
+    A negative value for an unsigned type is encoded with its own bits, as YARP writes large unsigned values as negative
+    ones.
+    """
     if isinstance(value, np.generic):
         value = value.item()
     if base == "bool":

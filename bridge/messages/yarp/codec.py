@@ -30,9 +30,12 @@ class EncodedMessage(NamedTuple):
 
 
 class Codec(ABC):
-    """Converts messages of one type in one content and profile. Methods may be called from any thread."""
+    """Converts messages of one ROS type to and from one content of a port (such as a Bottle).
 
-    # returns the stamp for a message without one whose ROS type needs one
+    It uses one YARP dialect (`Profile`). Methods may be called from any thread.
+    """
+
+    # returns the time with which to stamp a message that has no stamp, if its ROS type needs one
     now_ns: Callable[[], int] = staticmethod(time.time_ns)
 
     @abstractmethod
@@ -43,7 +46,7 @@ class Codec(ABC):
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
         """Convert a port's message for the hub; raises `ConversionError`, which names the fault and the field.
 
-        The sender's profile is None if the bytes must show it; ``stamp_ns`` is the time in the envelope.
+        The sender's profile is None if it must be recognized from the bytes; ``stamp_ns`` is the time in the envelope.
         """
 
 
@@ -86,7 +89,10 @@ class Missing:
 
 
 class NaturalType(Protocol):
-    """A pair of types. Both methods may raise `ConversionError`; `to_ros` also raises the errors of a `Reader`."""
+    """A YARP type and the ROS type that it stands for.
+
+    Both methods may raise `ConversionError`; `to_ros` also raises the errors of an `ElementReader`.
+    """
 
     def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
         """Write the YARP type."""

@@ -120,7 +120,7 @@ def test_no_message_arrives_twice_if_publishers_have_different_qos(
 
     until(warm, "messages of all three publishers arrive")
     expected = []
-    # One at a time: of a burst, best effort and a history of ten may lose some on a busy machine.
+    # One at a time: on a busy machine, best effort or a history of ten may lose messages of a burst.
     for number in range(20):
         for endpoint in publishers:
             expected.append(f"{endpoint}-{number}")

@@ -16,7 +16,7 @@ from bridge.messages.errors import ConversionError, MessageTypeError
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from tests.messages.samples import sample
-from tests.peers.codecs import genpy, needs_genpy, rclpy, text
+from tests.peers.codecs import base64_text, genpy, needs_genpy, rclpy
 
 PARTS = ("SendGoal", "GetResult", "FeedbackMessage")
 MESSAGES = ("SendGoal_Request", "SendGoal_Response", "GetResult_Request", "GetResult_Response", "FeedbackMessage")
@@ -70,7 +70,7 @@ def test_cdr_bytes_are_those_of_rclpy(registry: Registry):
     for name in [f"{action}_{part}" for action in ros2_actions() for part in MESSAGES]:
         for length in (0, 2):
             values = sample(registry.schema(name), length)
-            items.append({"type": name, "values": values, "cdr": text(from_json(registry, name, values))})
+            items.append({"type": name, "values": values, "cdr": base64_text(from_json(registry, name, values))})
     for item, answer in zip(items, rclpy(items), strict=True):
         name, ours = item["type"], base64.b64decode(item["cdr"])
         assert answer.get("same"), (name, answer)
@@ -117,7 +117,9 @@ def test_ros1_bytes_are_those_of_genpy(registry: Registry):
                     assert (definition.count(text_field), ros1[1:5]) == (1, no_text)
                     ros1 = ros1[:1] + ros1[5:]
                 plain = definition.replace(text_field, "")
-                items.append({"type": f"{base}_{part}", "definition": plain, "values": values, "ros1": text(ros1)})
+                items.append(
+                    {"type": f"{base}_{part}", "definition": plain, "values": values, "ros1": base64_text(ros1)}
+                )
     assert len(items) > 200
     for item, cdr, to_hub, answer in zip(items, cdrs, backs, genpy(items), strict=True):
         assert answer.get("same"), (item["type"], answer)
@@ -218,7 +220,7 @@ def test_the_topics_of_an_action(registry: Registry):
             "type": topic.name,
             "definition": topic.definition,
             "values": {},
-            "ros1": text(bytes(200)),
+            "ros1": base64_text(bytes(200)),
         }
         for topic in (derived.goal, derived.result, derived.feedback)
     ])  # fmt: skip

@@ -17,7 +17,7 @@ from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import ServiceConversion
 from tests.messages.samples import GENPY, sample
-from tests.peers.codecs import genpy, needs_genpy, rclpy, text
+from tests.peers.codecs import base64_text, genpy, needs_genpy, rclpy
 
 KNOWN_MD5 = {  # seen on the wire of a running navigation stack
     "nav_msgs/GetMap": "6cdd0a18e0aff5b0a3ca2326a89b54ff",
@@ -90,7 +90,7 @@ def test_ros1_bytes_are_those_of_rospy(registry: Registry):
                 cdrs.append(from_json(registry, part, values))
                 backs.append(to_hub)
                 ros1 = part.replace(conversion.hub.name, name.replace("/", "/srv/"))
-                items.append({"type": ros1, "definition": "", "values": values, "ros1": text(to_side(cdrs[-1]))})
+                items.append({"type": ros1, "definition": "", "values": values, "ros1": base64_text(to_side(cdrs[-1]))})
     for item, cdr, to_hub, answer in zip(items, cdrs, backs, genpy(items), strict=True):
         assert answer.get("same"), (item["type"], answer)
         assert answer["bytes"] == item["ros1"], item["type"]
@@ -105,7 +105,7 @@ def test_cdr_bytes_are_those_of_rclpy(registry: Registry):
             for length in (0, 1, 3):
                 values = sample(registry.schema(f"{name}_{part}"), length)
                 cdr = from_json(registry, f"{name}_{part}", values)
-                items.append({"type": f"{name}_{part}", "values": values, "cdr": text(cdr)})
+                items.append({"type": f"{name}_{part}", "values": values, "cdr": base64_text(cdr)})
     for item, answer in zip(items, rclpy(items), strict=True):
         name, ours = item["type"], base64.b64decode(item["cdr"])
         assert answer.get("same"), (name, answer)

@@ -57,7 +57,8 @@ def test_compiled_and_uncompiled_leaves_are_equal():
     maps = [made(CELL, 10_000) for made in (VoxelMap, Uncompiled)]
     for each in maps:
         each.insert(points, origin, 1.1, 5.0)
-    one, other = map(ours, maps)  # Python's numbers are finer than C's, so that a ray may pass a corner at another side
+    # Python computes in double precision, C partly in single: a ray may pass a corner on the other side
+    one, other = map(ours, maps)
     assert len(one.keys() ^ other.keys()) < 0.01 * len(one)
     assert {k for k, v in one.items() if v > 0} == {k for k, v in other.items() if v > 0}
     slow = uncompiled("navigation.algorithms.voxel_leaves").leaves(maps[0].blocks, maps[0].values)
@@ -93,15 +94,15 @@ def test_a_point_beyond_the_range_is_not_hit_and_its_ray_frees_voxels_in_range()
 
 def test_the_map_grows_to_its_limit_and_reports_dropped_voxels():
     points, origin = room(np.random.default_rng(5))
-    free, bounded = VoxelMap(CELL, 10_000), VoxelMap(CELL, 50)
-    free.insert(points, origin, 5.0)
+    unlimited, bounded = VoxelMap(CELL, 10_000), VoxelMap(CELL, 50)
+    unlimited.insert(points, origin, 5.0)
     bounded.insert(points, origin, 5.0)
-    assert free.count > 110
-    assert not free.full
+    assert unlimited.count > 110
+    assert not unlimited.full
     assert bounded.count == 50
     assert bounded.full
     assert bounded.megabytes < 1.0
-    assert ours(bounded).items() <= ours(free).items()
+    assert ours(bounded).items() <= ours(unlimited).items()
     bounded.keep(np.arange(50) < 40)
     assert bounded.count == 40
     kept = ours(bounded)

@@ -1,4 +1,7 @@
-"""The paper's first scenario: configs/ros_map_server.yaml, with the map of a map_server on a real ROS 1 network."""
+"""The first scenario of the paper in README.md: configs/ros_map_server.yaml.
+
+Its map comes from a map_server on a real ROS 1 network.
+"""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from yarp_compat.ports.port import PortCore
 
 
 def test_replaced_connection_ends_with_the_port(make_port: MakePort) -> None:
-    """After the port has closed, it delivers nothing, and its thread has ended."""
+    """After the port has closed, the replaced connection delivers nothing more, and its thread has ended."""
     got: list[bytes] = []
     go_on = threading.Event()
 
@@ -27,7 +27,7 @@ def test_replaced_connection_ends_with_the_port(make_port: MakePort) -> None:
     reader, writer = make_port("/r", on_message), make_port("/w")
     writer.add_output("fast_tcp://r")
     writer.write(b"1")
-    until(lambda: got, "the owner has a message")
+    until(lambda: got, "on_message has a message")
     writer.write(b"2", strict=True)
     (former,) = reader.connections.inputs
     writer.add_output("fast_tcp://r")
@@ -35,7 +35,7 @@ def test_replaced_connection_ends_with_the_port(make_port: MakePort) -> None:
     closer = threading.Thread(target=reader.close)
     closer.start()
     closer.join(0.3)
-    assert closer.is_alive(), "closing waits for the owner"
+    assert closer.is_alive(), "closing waits until on_message returns"
     go_on.set()
     closer.join(20)
     assert not [t for t in threading.enumerate() if t.name == "yarp /w > /r"]
@@ -43,7 +43,7 @@ def test_replaced_connection_ends_with_the_port(make_port: MakePort) -> None:
     assert reader.connections.leaving == []
 
 
-def test_pending_request_of_a_replaced_connection_is_abandoned(make_port: MakePort) -> None:
+def test_pending_request_of_a_replaced_connection_is_abandoned_when_the_port_closes(make_port: MakePort) -> None:
     waiting: list[PortMessage] = []
 
     def on_message(message: PortMessage) -> None:
@@ -98,7 +98,7 @@ def test_port_opened_while_another_thread_closes_it_is_open_afterwards(
 def test_connection_closed_while_its_queue_becomes_empty_sends_a_farewell(
     make_port: MakePort, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The thread that sent the queue leaves the socket open for the closing thread."""
+    """The shared thread, which has sent the queue, leaves the socket open for the thread that closes the output."""
     taken, go_on = list[PortMessage](), threading.Event()
 
     def on_message(message: PortMessage) -> None:

@@ -14,11 +14,11 @@ from typing import Protocol
 from bridge.adapters.ros1.actions.wire import ZERO, GoalId
 
 CROSSING_SECONDS = 1.0
-"""How long a cancel request is held for an unknown goal, once the connection of its client's goals is read. TCP
-retransmits a lost segment after 0.2 to 1 s (RFC 6298)."""
+"""How long a cancel request for an unknown goal is still held once everything on its client's goal connection is read.
+TCP retransmits a lost segment after 0.2 to 1 s (RFC 6298)."""
 
 LONGEST_SECONDS = 30.0
-"""How long it is held if that connection is never read."""
+"""How long such a request is held if that connection is never read."""
 
 MAX_HELD = 1000
 """Limit of held requests; beyond it, the oldest are released early."""
@@ -41,7 +41,10 @@ class GoalServer(Protocol):
 
 
 class UnreadGoals(Protocol):
-    """Returns whether a client may have an undelivered goal; ``listed``: even without a connection."""
+    """Returns whether a client may have sent a goal that is not delivered yet.
+
+    With ``listed`` also if the master lists the client as a publisher but this node is not connected to it yet.
+    """
 
     def __call__(self, client: Client, *, listed: bool) -> bool:
         """Return whether the client may have such a goal."""
@@ -58,7 +61,10 @@ class _Held:
 
 
 class CancelOrder:
-    """Forwards goals and cancel requests to a server in each client's order. ``clock`` returns monotonic seconds."""
+    """Forwards goals and cancel requests to a server, those of each client in the order in which it sent them.
+
+    ``clock`` returns monotonic seconds.
+    """
 
     def __init__(self, server: GoalServer, unread: UnreadGoals, clock: Callable[[], float]) -> None:
         self._server, self._unread, self._clock = server, unread, clock
@@ -103,7 +109,8 @@ class CancelOrder:
 
     def _let_go(self, held: _Held) -> None:
         self._held.remove(held)
-        if held.request.id:  # the server stores it, as actionlib's does; one without an id has been forwarded before
+        # the server remembers the id, as an actionlib server does; requests without an id were forwarded on arrival
+        if held.request.id:
             self._server.cancel(held.request)
 
 

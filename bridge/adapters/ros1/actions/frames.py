@@ -89,7 +89,7 @@ class _Walk:
                 return
 
 
-def names_frames(schema: Schema) -> bool:
+def has_headers(schema: Schema) -> bool:
     """Return whether a message of this type has headers."""
     return _HEADER in schema.types
 
@@ -137,7 +137,7 @@ class KnownFrames:
         self._full = False
 
     def learn(self, payload: bytes) -> None:
-        """Learn the frames of a TFMessage; ignore anything else."""
+        """Learn the frames of a TFMessage, of a malformed one those before the error."""
         if self._full:
             return
         with contextlib.suppress(struct.error):
@@ -149,7 +149,7 @@ class KnownFrames:
         return bool(self._known)
 
     def trouble(self, frames: list[FrameId]) -> str:
-        """Return why a goal in these frames is unreachable, "" if the frames are known."""
+        """Return why a goal in these frames cannot be reached (a missing or unknown frame), "" if all are known."""
         for _, frame, where, pose in frames:
             if not frame and pose:
                 return f"{where} is empty"
@@ -175,7 +175,7 @@ def _transform_frames(payload: bytes) -> Iterator[bytes]:
 _log = logging.getLogger(__name__)
 
 KNOW_SECONDS = 2.0
-"""How long transforms are received before a frame that none of them has counts as unknown."""
+"""A frame counts as unknown only if it is in none of the transforms received for this long."""
 
 SILENT_SECONDS = 10.0
 """How long to wait for the first transform if topics for transforms exist; after that, every frame is accepted."""
@@ -244,7 +244,7 @@ class FrameGuard:
         Returns the goal without leading slashes in its frames, and why it must not be sent: "" if it may, None if that
         is not known yet because too few transforms have been received.
         """
-        if not self._network.check_frames or not names_frames(schema):
+        if not self._network.check_frames or not has_headers(schema):
             return body, ""
         body = without_slashes(body, frames_in(schema, body))
         trouble = self._frames.trouble(frames_in(schema, body)) if self._topics else ""

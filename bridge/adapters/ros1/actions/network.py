@@ -55,8 +55,10 @@ class ActionNetwork:
         registry: the types.
         clock: the time of this side.
         subscribe: ``subscribe(topic, side_type, deliver, suffix)``; a rospy publisher accepts one connection from each
-        node name, so a second subscription to a topic that may also cross appends a suffix to this node's name.
-        publish: ``publish(topic, side_type, qos)``. refuse: report a bad message: ``refuse(topic, reason, why)``.
+            node name, so a second subscription to a topic that may also be bridged appends a suffix to this node's
+            name.
+        publish: ``publish(topic, side_type, qos)``.
+        refuse: ``refuse(topic, reason, why)`` reports a bad message.
         check_frames: goals in unknown frames are rejected.
     """
 
@@ -113,7 +115,7 @@ def learn(network: ActionNetwork, topics: Mapping[str, str]) -> None:
 
 
 class OpenPart:
-    """A part of an action in use: an `bridge.routing.edge.EdgeSubscription` or `bridge.routing.edge.EdgeServer`."""
+    """A part of an action in use: a `bridge.routing.edge.EdgeSubscription` or `bridge.routing.edge.EdgeServer`."""
 
     lost = 0
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from bridge.adapters.ros1.actions import discovery, wire
 from bridge.adapters.ros1.actions.cancel_order import CancelOrder, Client
-from bridge.adapters.ros1.actions.frames import empty, frames_in, names_frames, without_slashes
+from bridge.adapters.ros1.actions.frames import empty, frames_in, has_headers, without_slashes
 from bridge.adapters.ros1.actions.network import ActionMessages, ActionNetwork, ActionTopics, OpenPart
 from bridge.adapters.ros1.actions.server import ActionlibServer
 from bridge.adapters.ros1.graph.state import node_of
@@ -61,16 +61,16 @@ class ServedAction(ActionTopics):
         return OpenPart(lambda: self._close(part, call))
 
     def advertise(self, part: str) -> PartPublisher:
-        """Return a publisher of one of the two topics."""
+        """Return a publisher for the hub server's status or feedback."""
         self._count(1)
         return PartPublisher(self, part)
 
     def send(self, part: str, payload: bytes) -> None:
-        """Handle a message of one of the two topics."""
+        """Handle a message of the hub server's status or feedback topic."""
         self._executor.submit(lambda: self._heard(part, payload))
 
     def withdraw(self) -> None:
-        """Release a topic."""
+        """Count a closed publisher."""
         self._count(-1)
 
     def _close(self, part: str, call: Call) -> None:
@@ -165,7 +165,7 @@ class ServedAction(ActionTopics):
         assert self._types is not None
         goal, body = wire.read_action_goal(payload)
         schema = self._types.goal_body
-        if self._network.check_frames and names_frames(schema):
+        if self._network.check_frames and has_headers(schema):
             with contextlib.suppress(ConversionError):  # the call reports it, and ends the goal
                 body = without_slashes(body, frames_in(schema, body))
         if self._order is not None:
@@ -173,7 +173,7 @@ class ServedAction(ActionTopics):
 
     def _on_cancel(self, payload: bytes, source: str, _time: int | None) -> None:
         client = node_of(source)
-        unread = self._unread(client, listed=False)  # before `submit`: goals read so far are handled first
+        unread = self._unread(client, listed=False)  # asked before `submit`: goals already read are ahead of this job
         self._executor.submit(lambda: self._read(discovery.CANCEL, lambda: self._cancel(payload, client, unread)))
 
     def _cancel(self, payload: bytes, client: Client, unread: bool) -> None:
@@ -212,7 +212,7 @@ class ServedAction(ActionTopics):
 
 
 class PartPublisher(OpenPart):
-    """An `bridge.routing.edge.EdgePublisher` for one of an action's topics."""
+    """A `bridge.routing.edge.EdgePublisher` for one of an action's topics."""
 
     has_subscribers = True
 
@@ -231,4 +231,4 @@ class PartPublisher(OpenPart):
             self._action.send(self._part, payload)
 
     def drop_source(self, source: str) -> None:
-        """Do nothing: the server's services are withdrawn with it, which ends the goals."""
+        """Do nothing: when the server leaves, its services are withdrawn, and that ends the goals."""

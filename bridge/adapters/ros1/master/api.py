@@ -31,7 +31,7 @@ GRAPH = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
 
 
 class Outbox(Protocol):
-    """Calls to nodes, which are queued; in order for each address."""
+    """Queues calls to nodes; those to one address are made in order."""
 
     def publisher_update(self, api: str, topic: str, publishers: list[str]) -> None:
         """Report the publishers of a topic to a subscriber."""
@@ -147,7 +147,10 @@ class MasterApi:
         return [1, f"parameter {key} set", 0]
 
     def _send_updates(self, caller: str, key: str, value: Any) -> None:
-        """Send a new value to its subscribers, but not to the node that set it."""
+        """Send a new value to its subscribers.
+
+        The node that set it gets only updates of keys inside a structure.
+        """
         for update in self.parameters.updates(key, value, self.registrations.keys(Kind.PARAMETER)):
             for link in self.registrations.links(Kind.PARAMETER, update.subscribed_key):
                 if update.inner or not caller or link.node != caller:
@@ -162,7 +165,7 @@ class MasterApi:
             return [-1, f"Parameter [{key}] is not set", 0]
 
     def search_param(self, caller: str, key: str) -> Reply:
-        """Return the name under which the calling node's namespace, or one that contains it, has the key."""
+        """Return the full name of a key, searched in the calling node's namespace and then in those that contain it."""
         name = self.parameters.search(caller, key)
         if not name:
             return [-1, f"Cannot find parameter [{key}] in an upwards search", ""]
@@ -241,7 +244,7 @@ class MasterApi:
         return [1, message, count]
 
     def _register(self, kind: Kind, key: str, node: str, api: str, service_api: str = "") -> None:
-        """Register a node, and shut one of its name down that it replaces."""
+        """Register a node; if it replaces another one of the same name, shut that one down."""
         now = time.monotonic()
         if self._replaced:
             self._replaced = {link: at for link, at in self._replaced.items() if now - at < REPLACED_SECONDS}
@@ -279,7 +282,10 @@ class MasterApi:
             return True
 
     def report_all(self) -> None:
-        """Send all subscribers the current publishers and parameters, which an earlier master may have had queued."""
+        """Send all subscribers the current publishers and parameters.
+
+        An earlier master may have ended before sending them.
+        """
         with self.lock:
             self._report_publishers(self.registrations.keys(Kind.SUBSCRIBER))
             for key in self.registrations.keys(Kind.PARAMETER):

@@ -36,7 +36,7 @@ _MAX_MESSAGE = 2**20
 def is_elsewhere(api: MasterApi) -> bool:
     """Return whether another program's node of this name is registered and publishes.
 
-    Another node may have the port of one that has ended.
+    The node is asked, since another one may have taken the port of a node that has ended.
     """
     node = api.registrations.nodes.get(NODE)
     if node is None:
@@ -51,8 +51,8 @@ class RosoutNode:
     """The node, in the master's process.
 
     Args:
-        api: the master's.
-        master_uri: its address; this node has the same host.
+        api: the master's API.
+        master_uri: the master's address; this node uses the same host.
         bind: the address on which to listen.
 
     Raises:
@@ -87,7 +87,8 @@ class RosoutNode:
         self._node.close()
 
     def _publishers(self, topic: str) -> list[str]:
-        # not registerSubscriber's reply: a late registration would evict a native rosout
+        # not from registerSubscriber's reply: if another program's rosout has this name by now, registering would
+        # evict it
         with self._api.lock:
             return [link.api for link in self._api.registrations.links(Kind.PUBLISHER, topic)]
 

@@ -1,4 +1,4 @@
-"""The worker of the embedded master, which outlives the daemon's restarts."""
+"""The worker of the embedded master, which keeps running while the daemon restarts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from bridge.worker import Health, Worker, WorkerFailedError
 
 
 class MasterWorker(Worker):
-    """Runs a ROS 1 master at ``ros1.listen``; ``stoppable``: nodes may end its process by the API's ``shutdown``."""
+    """Runs a ROS 1 master at ``ros1.listen``.
+
+    With ``stoppable``, nodes may end its process with the call ``shutdown`` of the API.
+    """
 
     def __init__(self, *, stoppable: bool = False) -> None:
         self._stoppable = stoppable
@@ -42,7 +45,7 @@ class MasterWorker(Worker):
 
     @override
     def reload(self, config: Config) -> bool:
-        """Apply a new configuration; a restart is needed for another address or time."""
+        """Apply a new configuration; other addresses, another state file or another ``ros1.purge`` need a restart."""
         old, self._config = self._config, config
         return old is not None and _settings(old) == _settings(config)
 

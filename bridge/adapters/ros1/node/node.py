@@ -1,4 +1,4 @@
-"""Midspan's node on the ROS 1 graph: its slave API, its TCPROS server, and what it should be registered for.
+"""Midspan's node on the ROS 1 graph: its slave API, its TCPROS server, and the topics and services to register.
 
 `bridge.adapters.ros1.graph.master` registers it. Unlike rospy and roscpp, it needs no master to start, and registers
 again with a restarted master. The process's log is not published on ``/rosout``.
@@ -93,7 +93,7 @@ class Ros1Node:
         return dict.fromkeys(self._servers.names(), self.address)
 
     def stop(self) -> None:
-        """Close everything; `Master` has unregistered it before."""
+        """Close everything; `Master` must have unregistered the node before."""
         self._tcpros.close()
         self._book.close()
         self._server.close()

@@ -105,8 +105,8 @@ class SlaveApi:
             return -1, f"Not a publisher of [{name}]", []
         offered = [p[0] for p in protocols if isinstance(p, list) and p]
         if _TCPROS not in offered:
-            others = ", ".join(str(p)[:40] for p in offered[:5])
-            return 0, f"no supported protocol implementations: this node has {_TCPROS}, not {others or 'those'}", []
+            others = ", ".join(str(p)[:40] for p in offered[:5]) or "the requested ones"
+            return 0, f"no supported protocol implementations: this node has {_TCPROS}, not {others}", []
         host, port = self._state.tcpros()
         return 1, f"ready on {host}:{port}", [_TCPROS, host, port]
 

@@ -19,7 +19,7 @@ _BATCH = 200
 
 
 def copies_parameter(owner: str) -> str:
-    """Return the name of the parameter that lists a daemon's copies, by the ``owner`` in its state folder.
+    """Return the name of the parameter that lists a daemon's copies; ``owner`` is the daemon's id in its state folder.
 
     The list is on the master because, like the copies, it must outlive a killed process and end with the master.
     """
@@ -52,7 +52,7 @@ class ParameterServer:
         self.copies: frozenset[str] = frozenset()
 
     def watch(self, keys: Sequence[str]) -> dict[str, Any]:
-        """Read parameters or namespaces, and subscribe to changes below them; {} if not set.
+        """Read parameters or namespaces, {} for one that is not set, and subscribe to changes of them and below them.
 
         A restarted master has no subscriptions, so each call subscribes.
         """
@@ -106,8 +106,8 @@ class ParameterServer:
 
 
 Submit = Callable[[Callable[[], None], Done | None], None]
-"""Schedules a job on the thread that calls the parameter server; a call's `Done` receives an error if it is too
-busy."""
+"""Schedules a job on the thread that calls the parameter server; if that thread is too busy, the call's `Done` receives
+an error."""
 
 
 @dataclass(frozen=True, slots=True)

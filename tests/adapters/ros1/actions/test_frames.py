@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bridge.adapters.ros1.actions import frames as frames_module
-from bridge.adapters.ros1.actions.frames import FrameGuard, KnownFrames, empty, frames_in, names_frames, without_slashes
+from bridge.adapters.ros1.actions.frames import FrameGuard, KnownFrames, empty, frames_in, has_headers, without_slashes
 from bridge.adapters.ros1.graph.state import MasterState
 from bridge.messages.definitions.schema import World
 from bridge.messages.definitions.text import closure, parse_full
@@ -64,8 +64,8 @@ def test_all_headers_are_found():
         (b"map", "target.header.frame_id", True), (b"odom", "via.header.frame_id", True),
         (b"/base", "via.header.frame_id", True), (b"x", "other.frame_id", False),
     ]  # fmt: skip
-    assert names_frames(SCHEMA)
-    assert not names_frames(schema("int32 order\n", "actionlib_tutorials/FibonacciGoal"))
+    assert has_headers(SCHEMA)
+    assert not has_headers(schema("int32 order\n", "actionlib_tutorials/FibonacciGoal"))
 
 
 @given(st.lists(st.sampled_from([b"", b"map", b"/map", b"//odom", b"/"]), min_size=2, max_size=6))
