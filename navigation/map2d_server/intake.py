@@ -54,7 +54,7 @@ class MapIntake:
         self._next = time.monotonic() + self._rule.period
         try:
             grid = from_grid(waiting[1], self._rule.name)
-            with self._store.replica.still():  # so that flags painted meanwhile are not lost
+            with self._store.replica.locked():  # so that flags painted meanwhile are not lost
                 self._store_map(grid)
         except (StoreError, ValueError) as error:
             self._on_refusal(f"{self.topic}: {error}")

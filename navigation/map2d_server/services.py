@@ -95,7 +95,7 @@ class MapAnswers(IMap2DMsgs):
 
     @override
     def clear_map_temporary_flags_RPC(self, map_name: str) -> ReturnValue:
-        with self._store.replica.still():  # so that flags painted meanwhile are not lost
+        with self._store.replica.locked():  # so that flags painted meanwhile are not lost
             _, grid = self._get(MAP, map_name)
             grid.clearMapTemporaryFlags()
             return self._store_value(MAP, map_name, grid)
