@@ -179,6 +179,33 @@ class RecordingServer(ParameterServer):
         return super().write(values)
 
 
+class RejectingServer(ParameterServer):
+    """A parameter server in memory; it rejects lists of copies with more than ``limit`` names."""
+
+    limit = 1
+
+    def __init__(self) -> None:
+        super().__init__(NOBODY, lambda: "/midspan_test", NOBODY, OWNER)
+        self.values: dict[str, Any] = {}
+
+    def write(self, values: Mapping[str, Any]) -> list[str]:
+        rejected = [key for key, value in values.items() if key == COPIES and value and len(value) > self.limit]
+        self.values |= {key: value for key, value in values.items() if key not in rejected}
+        return rejected
+
+
+def test_a_copy_that_the_master_does_not_list_is_not_set():
+    """A later process deletes only listed copies."""
+    store = RejectingServer()
+    assert store.copy({"/a": 1}, ["/a"]) == []
+    assert store.copy({"/a": 2, "/b": 1}, ["/a", "/b"]) == ["/b"]
+    assert store.values == {COPIES: ["/a"], "/a": 2}
+    assert store.copies == {"/a"}
+    store.limit = 2
+    assert store.copy({"/b": 1}, ["/a", "/b"]) == []
+    assert store.values == {COPIES: ["/a", "/b"], "/a": 2, "/b": 1}
+
+
 class Share(Protocol):
     """Starts to share parameters by rules."""
 

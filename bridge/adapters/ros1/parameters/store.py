@@ -79,17 +79,17 @@ class ParameterServer:
     def copy(self, values: Mapping[str, Any], copies: Collection[str]) -> list[str]:
         """Write like `write`, and list ``copies`` for `close` or, after a crash, for the next process.
 
-        A name is listed before it is set, and until it is deleted.
+        A name is listed before it is set, and until it is deleted; a name that the master does not list is not set.
         """
         listed = frozenset(copies)
         self._list(self.copies | listed)
-        refused = self.write(values)
+        unlisted = [key for key, value in values.items() if value is not None and key not in self.copies]
+        refused = self.write({key: value for key, value in values.items() if key not in unlisted})
         self._list(listed)
-        return refused
+        return [*unlisted, *refused]
 
     def _list(self, copies: frozenset[str]) -> None:
-        if copies != self.copies:
-            self.write({copies_parameter(self._owner): sorted(copies) or None})
+        if copies != self.copies and not self.write({copies_parameter(self._owner): sorted(copies) or None}):
             self.copies = copies
 
     def close(self) -> None:
