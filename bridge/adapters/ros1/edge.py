@@ -322,14 +322,19 @@ class Ros1Edge(SideEdge):
         self, rules: Sequence[ParameterRule], hub: Hub, active: Callable[[], bool]
     ) -> Callable[[], None]:
         """Share parameters between the master's parameter server and the hub, until the returned function is called."""
-        self._parameters = None
-        if not rules or self._node is None or self._master is None:
+        node = self._node
+        if not rules or node is None or self._master is None:
             return super().carry_parameters(rules, hub, active)
         from bridge.adapters.ros1.parameters.follower import ParameterSharing
 
-        self._parameters = ParameterSharing(rules, hub, self._registry, self._parameter_server(), active)
-        self._node.parameter_changed = self._parameters.changed
-        return self._parameters.stop
+        self._parameters = sharing = ParameterSharing(rules, hub, self._registry, self._parameter_server(), active)
+        node.parameter_changed = sharing.changed
+
+        def stop() -> None:
+            self._parameters = node.parameter_changed = None
+            sharing.stop()
+
+        return stop
 
     def _parameter_server(self) -> ParameterServer:
         from bridge.adapters.ros1.parameters.store import ParameterServer

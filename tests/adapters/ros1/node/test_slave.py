@@ -17,6 +17,7 @@ from bridge.adapters.ros1.handshake import connect, encode
 from bridge.adapters.ros1.topics.publication import figure
 from bridge.config.model import Config
 from bridge.config.sections.ros import Ros1Section
+from bridge.config.sections.routing import ParameterRule
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.registry import Registry
 from tests.support.wait import until
@@ -158,6 +159,17 @@ def test_updates_wake_their_readers(node: Node, monkeypatch: pytest.MonkeyPatch)
     assert node.value("publisherUpdate", "/a", []) == 0
     assert node.value("publisherUpdate", "/a", ["http://[::1]:4/", "http://b:5/"]) == 0
     assert woken == ["parameter"]
+
+
+def test_parameter_updates_are_refused_once_the_rules_are_removed(node: Node) -> None:
+    rule = ParameterRule(owner="ros2", ros1="/a", node="/b")
+    hub: Any = None  # a rule that is not active uses none
+    stop = node.edge.carry_parameters([rule], hub, lambda: False)
+    assert node.value("paramUpdate", "/a/", 1) == 0
+    assert node.edge.details()["parameters"]
+    stop()
+    assert node.call("paramUpdate", "/a/", 1) == [-1, "not subscribed", 0]
+    assert node.edge.details() == {}
 
 
 def test_a_shutdown_request_is_reported_with_its_reason(node: Node) -> None:
