@@ -16,6 +16,7 @@ from yarp_compat.ports.inputs import BinaryInput, Input
 from yarp_compat.ports.message import MessagePeer
 from yarp_compat.ports.multicast import GroupInput, SendingGroups
 from yarp_compat.ports.output import Output
+from yarp_compat.ports.sockets import closed_on_failure
 from yarp_compat.ports.textinputs import NameInput, PageInput, TextInput
 from yarp_compat.wire import carriers
 from yarp_compat.wire.carriers import Carrier, CarrierError, Opening
@@ -196,7 +197,8 @@ class ConnectingPort(PortBase):
             if opened.carrier is carriers.UDP:
                 with sock:
                     datagrams = datagram_socket(sock)
-                    sock.send(carriers.answer(opened, datagrams.getsockname()[1]))
+                    with closed_on_failure(datagrams):
+                        sock.send(carriers.answer(opened, datagrams.getsockname()[1]))
                 return DatagramInput(self, datagrams, opened, address)
             greeting = carriers.answer(opened, self.contact.port)
             if self.replies and opened.carrier in (carriers.TCP, carriers.FAST_TCP) and is_port_name(opened.sender):

@@ -15,7 +15,7 @@ import pytest
 
 from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
-from yarp_compat.ports import connections, listener
+from yarp_compat.ports import connecting, connections, datagrams, listener
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire import framing
@@ -300,3 +300,21 @@ def test_a_thousand_connections_leak_nothing(make_port: MakePort) -> None:
     until(lambda: not reader.inputs() and not writer.outputs(), "all connections are closed")
     until(lambda: process.num_fds() <= files and threading.active_count() <= threads, "nothing is leaked", 20)
     assert len(got) == 1000
+
+
+def test_the_datagram_socket_of_a_peer_that_left_is_closed(
+    make_port: MakePort, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The peer leaves before it has received the number of the port for its datagrams."""
+    made: list[socket.socket] = []
+
+    def datagram_socket(like: socket.socket) -> socket.socket:
+        made.append(datagrams.datagram_socket(like))
+        like.shutdown(socket.SHUT_RDWR)
+        return made[-1]
+
+    monkeypatch.setattr(connecting, "datagram_socket", datagram_socket)
+    works = Works(make_port)
+    assert not make_port("/w").add_output("udp://r")[0]
+    until(lambda: [sock.fileno() for sock in made] == [-1], "it is closed", 10)
+    works.check()
