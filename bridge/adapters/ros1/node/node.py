@@ -6,6 +6,7 @@ again with a restarted master. The process's log is not published on ``/rosout``
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable
 from typing import NamedTuple
@@ -66,8 +67,11 @@ class Ros1Node:
         )  # fmt: skip
         api = SlaveApi(state, SlaveEvents(events.changed, self._on_parameter, events.shutdown))
         try:
-            self._tcpros = TcprosServer(address.listen(), context.loop, context.timer, self._admit)
-            self._server = XmlRpcServer(api.methods, address.bind, name="midspan-ros1-slave", limits=LIMITS)
+            with contextlib.ExitStack() as opened:
+                self._tcpros = TcprosServer(address.listen(), context.loop, context.timer, self._admit)
+                opened.callback(self._tcpros.close)
+                self._server = XmlRpcServer(api.methods, address.bind, name="midspan-ros1-slave", limits=LIMITS)
+                opened.pop_all()
         except OSError as err:
             msg = f"cannot listen on {address.bind}: {err.strerror}; check ROS_IP, ROS_HOSTNAME and ROS_IPV6"
             raise RuntimeError(msg) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
 import tempfile
@@ -14,6 +15,8 @@ import pytest
 
 from bridge.adapters.ros1.edge import Ros1Edge
 from bridge.adapters.ros1.handshake import connect, encode
+from bridge.adapters.ros1.node import node as node_module
+from bridge.adapters.ros1.node.address import NodeAddress
 from bridge.adapters.ros1.topics.publication import figure
 from bridge.config.model import Config
 from bridge.config.sections.ros import Ros1Section
@@ -96,6 +99,29 @@ def node() -> Iterator[Node]:
     patch.undo()
     yield node
     node.close()
+
+
+def test_a_node_that_cannot_listen_for_the_slave_api_closes_its_other_socket(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[tuple[str, int]] = []
+
+    def listen(address: NodeAddress) -> socket.socket:
+        listener = real(address)
+        opened.append(listener.getsockname())
+        return listener
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    real = NodeAddress.listen
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
+    monkeypatch.setattr(NodeAddress, "listen", listen)
+    monkeypatch.setattr(node_module, "XmlRpcServer", fail)
+    edge = Ros1Edge(Config(ros1=Ros1Section(master=MASTER)), Registry(), Path(tempfile.mkdtemp()))
+    with pytest.raises(RuntimeError, match=r"cannot listen on 127\.0\.0\.1: Too many open files"):
+        edge.start(Events())
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(opened[0], 20).close()
+    edge.stop()
 
 
 def test_facts_about_the_node(node: Node) -> None:
