@@ -136,12 +136,16 @@ class Replica:
     def write(self, changes: Mapping[Key, Body | None], *, oldest: bool = False) -> list[StoreEntry]:
         """Write values, or delete them (None), in one transaction; it is on the disk when this returns.
 
-        With ``oldest`` the values are older than any other, so they apply only to keys without a value. Raises
-        `StoreError` if the store is full or the file cannot be written; then nothing has changed.
+        With ``oldest`` the values are older than any other: keys with a value or a tombstone keep it, and are not
+        returned. Raises `StoreError` if the store is full or the file cannot be written; then nothing has changed.
         """
         with self._lock:
             self._check_open()
-            entries = [self._stamped(key, body, oldest=oldest) for key, body in changes.items()]
+            entries = [
+                self._stamped(key, body, oldest=oldest)
+                for key, body in changes.items()
+                if not (oldest and key in self._known)
+            ]
             self._apply(entries, here=True)
             for send in self._senders:
                 send(entries)

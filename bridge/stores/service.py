@@ -102,11 +102,11 @@ def import_at_start(store: Store, section: StoreSection) -> None:
                 for write in writes
                 if not store.replica.remembers(write.kind.name, write.name)
             }
-            store.replica.write(changes, oldest=True)
+            imported = len(store.replica.write(changes, oldest=True))
         except StoreError as err:
             _log.error("store.%s: nothing imported: %s", key, err)
         else:
-            _log.info("store.%s: imported %d of %d values from %s", key, len(changes), len(writes), path)
+            _log.info("store.%s: imported %d of %d values from %s", key, imported, len(writes), path)
 
 
 _WORKER = "store"

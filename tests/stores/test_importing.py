@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from bridge.config.sections.store import StoreSection
+from bridge.stores.entry import OLDEST
 from bridge.stores.kinds import AREA, BEHAVIOUR, LINK, LOCATION, MAP
 from bridge.stores.service import import_at_start
 from tests.stores.conftest import Make
@@ -45,6 +46,17 @@ def test_files_are_imported_once(make: Make, section: StoreSection) -> None:
     before = store.replica.versions()
     import_at_start(store, section)
     assert store.replica.versions() == before
+
+
+def test_a_value_written_while_files_are_read_is_kept(make: Make) -> None:
+    replica = make().replica
+    written, imported = (b"written", "text/plain"), (b"imported", "text/plain")
+    key, deleted, new = (("kind", name) for name in ("written", "deleted", "new"))
+    replica.write({key: written, deleted: written})
+    replica.write({deleted: None})
+    (entry,) = replica.write(dict.fromkeys([key, deleted, new], imported), oldest=True)
+    assert (entry.key, entry.version.stamp.ns) == (new, OLDEST)
+    assert [replica.get(*one) for one in (key, deleted, new)] == [written, None, imported]
 
 
 def test_imports_of_a_joining_machine_change_no_written_value(make: Make, section: StoreSection) -> None:
