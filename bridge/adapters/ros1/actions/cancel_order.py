@@ -3,6 +3,10 @@
 An actionlib client sends a cancel request after the goal that it names. The goal arrives later if its connection is
 read later, or if TCP has to retransmit a segment; so a request that may have overtaken a goal is held for it here.
 Nothing else is held: a request for known goals cancels them at once. A held request never starts a goal.
+
+A request for all goals has neither an id nor a stamp. If its client has an unread goal when it arrives, that goal may
+have been sent before or after it; it is canceled, as a request that comes too late would not stop the robot. An
+actionlib server handles both in any order (``action_server.py`` in actionlib 1.14).
 """
 
 from __future__ import annotations

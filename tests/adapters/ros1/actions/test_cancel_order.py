@@ -113,12 +113,24 @@ def test_cancel_all_is_forwarded_at_once_and_repeated_for_goals_that_it_overtook
     assert world.passed[-1] == "goal later"
 
 
-def test_a_goal_after_cancel_all_runs_once_earlier_goals_are_read(world):
-    """A client that cancels all goals of the server and then sends its first goal."""
+def test_a_goal_after_cancel_all_runs_if_none_was_unread_when_the_request_arrived(world):
+    """A client that cancels all goals of the server and then connects to send its first goal."""
     world.listed.add(ME)
     world.stop(ALL)
+    world.unread.add(ME)
     world.send("first")
     assert world.passed == ["cancel ", "goal first"]
+
+
+def test_a_goal_that_is_unread_when_cancel_all_arrives_is_canceled_even_if_it_was_sent_later(world):
+    """Neither message shows which was sent first; with an actionlib server, either may be handled first."""
+    world.unread.add(ME)
+    world.stop(ALL)
+    world.send("earlier or later")
+    world.unread.clear()
+    world.passes(0.1)
+    world.send("next")
+    assert world.passed == ["cancel ", "goal earlier or later", "cancel earlier or later", "goal next"]
 
 
 def test_a_stamp_in_addition_to_an_id_is_forwarded_at_once(world):
