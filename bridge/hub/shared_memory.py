@@ -13,6 +13,7 @@ import os
 import re
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 from bridge.hub.zenoh_config import POOL
 
@@ -21,7 +22,15 @@ YOUNG_SECONDS = 5.0
 """A younger file may not be locked yet."""
 
 NAME = re.compile(r"\d+\.zenoh")
-_LOCK = re.compile(r"FLOCK\s+\S+\s+\S+\s+(\d+) [0-9a-f]+:[0-9a-f]+:(\d+) ")
+_LOCK = re.compile(r"FLOCK\s+\S+\s+\S+\s+(\d+) ([0-9a-f]+):([0-9a-f]+):(\d+) ")
+
+
+class _Inode(NamedTuple):
+    """A file, by its device and its number there."""
+
+    major: int
+    minor: int
+    number: int
 
 
 def clean(folder: Path = FOLDER) -> int:
@@ -41,16 +50,17 @@ def orphans(folder: Path = FOLDER, proc: Path = Path("/proc")) -> int:
     Each process creates at most one pool.
     """
     try:
-        locks = [(int(m[2]), int(m[1])) for m in _LOCK.finditer((proc / "locks").read_text())]
+        text = (proc / "locks").read_text()
     except OSError:
         return 0
+    locks = [(_Inode(int(m[2], 16), int(m[3], 16), int(m[4])), int(m[1])) for m in _LOCK.finditer(text)]
     pools = set()
     for file in _files(folder):
         with contextlib.suppress(OSError):
             stat = file.stat()
             if stat.st_size == POOL:
-                pools.add(stat.st_ino)
-    holders: dict[int, set[int]] = {}
+                pools.add(_Inode(os.major(stat.st_dev), os.minor(stat.st_dev), stat.st_ino))
+    holders: dict[_Inode, set[int]] = {}
     for inode, pid in locks:
         if inode in pools:
             holders.setdefault(inode, set()).add(pid)

@@ -24,6 +24,13 @@ def pool(folder: Path, name: str, age: float = 60.0, size: int = 0) -> Path:
     return path
 
 
+def lock(path: Path, pid: int, other_device: int = 0) -> str:
+    """Return a line of /proc/locks."""
+    stat = path.stat()
+    minor = os.minor(stat.st_dev) + other_device
+    return f"1: FLOCK  ADVISORY  READ {pid} {os.major(stat.st_dev):02x}:{minor:02x}:{stat.st_ino} 0 EOF\n"
+
+
 def test_only_files_of_dead_sessions_are_removed(tmp_path: Path) -> None:
     dead, held = pool(tmp_path, "1.zenoh"), pool(tmp_path, "2.zenoh")
     young, other = pool(tmp_path, "3.zenoh", 0), pool(tmp_path, "x.zenoh")
@@ -50,12 +57,18 @@ def test_only_files_of_dead_sessions_are_removed(tmp_path: Path) -> None:
 def test_more_pools_than_living_holders_are_orphans(tmp_path: Path, holders: list[list[int]], orphans: int) -> None:
     lines = []
     for number, pids in enumerate(holders):
-        inode = pool(tmp_path, f"{number}.zenoh", size=POOL).stat().st_ino
-        lines += [f"{len(lines) + 1}: FLOCK  ADVISORY  READ {pid} 00:1b:{inode} 0 EOF" for pid in pids]
-    small = pool(tmp_path, "99.zenoh", size=4096).stat().st_ino
-    (tmp_path / "locks").write_text("\n".join([*lines, f"9: FLOCK  ADVISORY  READ 9 00:1b:{small} 0 EOF"]))
+        lines += [lock(pool(tmp_path, f"{number}.zenoh", size=POOL), pid) for pid in pids]
+    (tmp_path / "locks").write_text("".join([*lines, lock(pool(tmp_path, "99.zenoh", size=4096), 9)]))
     assert shared_memory.orphans(tmp_path, tmp_path) == orphans
     assert shared_memory.orphans(tmp_path, tmp_path / "none") == 0
+
+
+def test_files_with_the_same_inode_numbers_on_another_device_are_no_pools(tmp_path: Path) -> None:
+    pools = [pool(tmp_path, f"{number}.zenoh", size=POOL) for number in range(2)]
+    (tmp_path / "locks").write_text("".join(lock(path, 1, other_device=1) for path in pools))
+    assert shared_memory.orphans(tmp_path, tmp_path) == 0
+    (tmp_path / "locks").write_text("".join(lock(path, 1) for path in pools))
+    assert shared_memory.orphans(tmp_path, tmp_path) == 1
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and /dev/shm")
