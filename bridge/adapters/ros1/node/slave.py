@@ -124,7 +124,8 @@ def _method(
         if not params:
             return -1, "missing required caller_id parameter", default
         if not needed <= len(params) - 1 <= needed + optional:
-            return -1, f"Error: bad call arity: {len(params)} parameters, not {needed + 1}", default
+            wanted = " or ".join(str(count + 1) for count in range(needed, needed + optional + 1))
+            return -1, f"Error: bad call arity: {len(params)} parameters, not {wanted}", default
         if not isinstance(params[0], str):
             return -1, "caller_id must be a string", default
         try:

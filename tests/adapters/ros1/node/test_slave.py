@@ -223,6 +223,17 @@ def test_invalid_calls_have_a_code_and_a_value_of_the_right_type(node: Node, met
             assert code == -1
 
 
+@pytest.mark.parametrize(
+    ("method", "params", "wanted"),
+    [("shutdown", ["why", "more"], "1 or 2"), ("paramUpdate", [], "3"), ("getPid", [1], "1")],
+)
+def test_a_wrong_number_of_parameters_is_reported_with_the_right_ones(
+    node: Node, method: str, params: list[Any], wanted: str
+) -> None:
+    code, text, _ = node.call(method, *params)
+    assert (code, text) == (-1, f"Error: bad call arity: {1 + len(params)} parameters, not {wanted}")
+
+
 def test_an_unknown_method_is_a_fault(node: Node) -> None:
     with pytest.raises(Fault, match="not supported"):
         node.call("getEverything")
