@@ -11,7 +11,8 @@ import re
 import sys
 
 _FORBIDDEN = re.compile(
-    r"""[<>:"|?*]|[. ]$|^(?=(?:con|prn|aux|nul|conin\$|conout\$|(?:com|lpt)[0-9\u00b9\u00b2\u00b3]) *(?:\.|$)).""",
+    r"""[<>:"|?*\x00-\x1f]|[. ]$|"""
+    r"""^(?=(?:con|prn|aux|nul|conin\$|conout\$|(?:com|lpt)[0-9\u00b9\u00b2\u00b3]) *(?:\.|$)).""",
     re.IGNORECASE,
 )
 """The forbidden parts of a file name (learn.microsoft.com, "Naming Files, Paths, and Namespaces")."""
@@ -22,8 +23,8 @@ def forbidden(name: str) -> str:
     if sys.platform != "win32" or not _FORBIDDEN.search(name):
         return ""
     return (
-        'is not a file name on Windows, which forbids <>:"|?*, a final dot or space, and the names of devices, such as'
-        " CON or COM1; choose another name"
+        'is not a file name on Windows, which forbids <>:"|?*, control characters, a final dot or space, and the names'
+        " of devices, such as CON or COM1; choose another name"
     )
 
 

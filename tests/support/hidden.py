@@ -82,4 +82,5 @@ def is_windows_name(name: str) -> bool:
         warnings.simplefilter("ignore", DeprecationWarning)
         reserved = path.is_reserved()
     inside = path.parent == PureWindowsPath("C:/maps") and path.name == name
-    return inside and not reserved and not set(name) & set('<>:"|?*') and name == name.rstrip(". ")
+    signs = set('<>:"|?*') | {chr(code) for code in range(32)}
+    return inside and not reserved and not set(name) & signs and name == name.rstrip(". ")

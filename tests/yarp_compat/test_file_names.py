@@ -13,6 +13,7 @@ from yarp_compat.file_names import escaped, forbidden
 FORBIDDEN = [
     "CON", "con", "aux", "NUL", "prn", "COM1", "lpt9", "con.b", "CON.daemon.lock", "COM\u00b9", "CON ", "conin$",
     "floor.", "floor ", "robot. .", "a:b", "C:", "C:x", "a?b", "a*b", 'a"b', "a<b", "a>b", "a|b",
+    "a\nb", "floor\n", "\ta", "a\x01", "a\x1fb", "floor.\n",
 ]  # fmt: skip
 
 
@@ -27,7 +28,7 @@ def test_names_forbidden_by_windows_are_forbidden_only_there(name: str, monkeypa
 
 
 @pytest.mark.parametrize(
-    "name", ["floor 2", "console", "COM", "COM10", "lpt", "nullable", "a.con", ".con", "1.5", "K\u00fcche"]
+    "name", ["floor 2", "console", "COM", "COM10", "lpt", "nullable", "a.con", ".con", "1.5", "K\u00fcche", "a\x7fb"]
 )
 def test_names_allowed_by_windows_are_allowed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "win32")
