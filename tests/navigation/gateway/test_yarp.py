@@ -9,6 +9,7 @@ import pytest
 
 from bridge.hub.wire.qos import Qos
 from bridge.stores.kinds import MAP
+from navigation.gateway import services
 from navigation.maps.grid import to_grid
 from navigation.status import State
 from tests.peers.navigation.gateway import LATCHED, ClientGoal, Rig, pose
@@ -173,7 +174,9 @@ def test_the_path_and_the_maps(rig: Rig, yarp: INavigation2DMsgs) -> None:
     rig.state(State.MOVING)
 
 
-def test_velocities_are_commanded_while_no_goal_is_active(rig: Rig, yarp: INavigation2DMsgs) -> None:
+def test_velocities_are_commanded_while_no_goal_is_active(
+    rig: Rig, yarp: INavigation2DMsgs, monkeypatch: pytest.MonkeyPatch
+) -> None:
     velocities: list[tuple[float, float]] = []
     rig.client.node.subscription(
         "/cmd_vel", "geometry_msgs/msg/Twist", lambda m: velocities.append((m["linear"]["x"], m["angular"]["z"]))
@@ -182,18 +185,17 @@ def test_velocities_are_commanded_while_no_goal_is_active(rig: Rig, yarp: INavig
     assert (0.2, pytest.approx(math.pi / 2)) in velocities
     until(lambda: velocities[-1] == (0.0, 0.0), "the command has expired", 20)
     until(lambda: not yarp.get_last_velocity_command_RPC()[0], "no command is active", 20)
-    until(lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 1.0), "the command is accepted", 20)
+    monkeypatch.setattr(services, "LONGEST_SECONDS", 600.0)  # from here on, no command expires during the test
+    until(lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 600.0), "the command is accepted", 20)
+    assert yarp.get_last_velocity_command_RPC()[1:] == (0.2, 0.0, 90.0)
     assert rig.ask("stop")["success"]
     assert not yarp.get_last_velocity_command_RPC()[0]
-
-    def command_is_reported() -> bool:
-        """Command and query in one step; on a slow machine the command can expire before the query."""
-        accepted = yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 1.0)
-        return bool(accepted) and yarp.get_last_velocity_command_RPC()[1:] == (0.2, 0.0, 90.0)
-
-    until(command_is_reported, "the last command is reported", 20)
+    until(lambda: velocities[-1] == (0.0, 0.0), "the base stops", 20)
+    until(lambda: yarp.apply_velocity_command_RPC(0.3, 0.0, 90.0, 600.0), "the command is accepted", 20)
+    until(lambda: velocities[-1][0] == 0.3, "the command is published", 20)
     assert yarp.goto_target_by_absolute_location_RPC(Map2DLocation("house", 3.0, 1.0, 0.0))
     rig.planner.until(1)
     rig.state(State.MOVING)
     until(lambda: velocities[-1] == (0.0, 0.0), "only the planner commands the base", 20)
+    assert not yarp.get_last_velocity_command_RPC()[0]
     assert not yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 0.2)
