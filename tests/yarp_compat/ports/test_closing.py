@@ -64,6 +64,7 @@ def test_pending_request_of_a_replaced_connection_is_abandoned_when_the_port_clo
     client.add_output("/server")
     until(lambda: server.connections.inputs not in ([], [former]), "a new connection of the same port")
     asker.join(20)
+    assert not waiting[0].is_retired, "a replaced connection still waits for the reply"
     server.close()
     assert waiting[0].is_retired
     assert not [t for t in threading.enumerate() if t.name == "yarp /client > /server"]
