@@ -34,7 +34,7 @@ class PolledConnection(ABC):
     """
 
     def __init__(self, sock: socket.socket) -> None:
-        self.listens = True
+        self.listens, self.paused = True, False
         keep_alive(sock)
         self._sock = socket.socket(fileno=sock.detach())
         self._sock.settimeout(None)
@@ -114,20 +114,29 @@ class ConnectionLoop(ThreadedLoop):
             if self._stopping or number < 0:
                 return False
             self.start()
-            self.watch(number, partial(self._on_ready, source))
-            self._sources[number] = source
+            self._sources[number] = source  # first: the thread may call the source, which may use the loop, at once
+            try:
+                self.watch(number, partial(self._on_ready, source))
+            except BaseException:
+                del self._sources[number]
+                raise
             return True
 
     def listen(self, source: PolledConnection, *, data: bool) -> None:
         """Set whether a source's messages are read, or only its end is noticed."""
-        with self._lock:
-            source.listens = data
-            self._watch(source, readable=True)
+        source.listens = data
+        if data and source.paused:
+            with self._lock:
+                source.paused = False
+                self._watch(source, readable=True)
 
     def pause(self, source: PolledConnection) -> None:
         """Stop watching a source until its messages are read again; no effect if they are."""
         with self._lock:
-            if not source.listens:
+            source.paused = True  # before the check: `listen`, on another thread, sets `listens` before it checks this
+            if source.listens:
+                source.paused = False
+            else:
                 self._watch(source, readable=False)
 
     def call_ready(self, source: PolledConnection) -> None:

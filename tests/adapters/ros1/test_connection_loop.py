@@ -267,3 +267,35 @@ def test_threads_that_open_and_close_connections_do_not_disturb_others(crowd: Cr
     for thread in threads:
         thread.join()
     assert len(crowd.heard) == 100
+
+
+def test_a_source_may_use_the_loop_while_it_is_added(crowd: Crowd, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread calls it as soon as its socket is watched."""
+
+    class Eager(Listener):
+        def on_ready(self) -> None:
+            self.calls += 1
+            if self.calls == 1:
+                assert receive_now(self._sock, 100) == b"x"
+                self.loop.call_ready(self)
+
+    ours, theirs = pair()
+    source, watch = Eager(ours, crowd.loop), crowd.loop.watch
+
+    def slow(file: socket.socket | int, readable: Any = None, writable: Any = None) -> None:
+        watch(file, readable, writable)
+        if readable is not None and not crowd.loop.is_own_thread:
+            until(lambda: source.calls, "the loop calls it")
+            passed = threading.Event()
+            crowd.loop.call_soon(passed.set)
+            passed.wait(0.3)
+
+    crowd.add()
+    monkeypatch.setattr(crowd.loop, "watch", slow)
+    with theirs:
+        theirs.sendall(b"x")
+        assert crowd.loop.add(source)
+        monkeypatch.undo()
+        until(lambda: source.calls >= 2, "it is called again")
+        crowd.loop.remove(source)
+        source.abandon()
