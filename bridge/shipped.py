@@ -1,7 +1,7 @@
-"""Files that ship with Midspan, other than its Python packages: configurations, units, the demo's programs.
+"""Files that ship with Midspan, other than its Python packages: configurations, service units, the demo's programs.
 
-A checkout has them in its folders. A wheel puts them below ``share/midspan`` of its prefix: a virtual environment, the
-user's or the system's. The installer's list of files has their paths
+A checkout has them in its folders. A wheel installs them below ``share/midspan`` in the prefix of a virtual
+environment, of the user or of the system. Their paths are in the list of installed files that the installer writes
 (https://packaging.python.org/en/latest/specifications/recording-installed-packages/).
 """
 
@@ -17,7 +17,7 @@ _MARK = "configs/default.yaml"
 
 @functools.cache
 def shipped_folder() -> Path:
-    """Return the folder with ``configs``, ``examples`` and ``packaging``; raises `RuntimeError` without one."""
+    """Return the folder with ``configs``, ``examples`` and ``packaging``; raises `RuntimeError` if it is missing."""
     if (CHECKOUT / _MARK).is_file():
         return CHECKOUT
     try:

@@ -42,7 +42,7 @@ def read_points(message: Mapping[str, Any], most: int = MOST_POINTS) -> Points:
 
 
 def placed(points: Points, at: Transform) -> Points:
-    """Transform points (n, 3) into another frame; `at` is the pose of their own frame in it."""
+    """Transform points (n, 3) into another frame; `at` is the pose of the points' frame in it."""
     x, y, z, w = at.rotation
     turned = np.array([
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),

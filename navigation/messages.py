@@ -1,4 +1,4 @@
-"""Messages and QoS that the modules share: latched topics, headers' stamps, poses."""
+"""Message types and conversions that the modules share: stamps, poses and durations."""
 
 from __future__ import annotations
 
@@ -31,6 +31,6 @@ def pose_message(pose: Pose, z: float = 0.0) -> Message:
 
 
 def duration(seconds: float) -> dict[str, int]:
-    """Return a ``builtin_interfaces/msg/Duration``, limited to 0 to 60 years."""
+    """Return a ``builtin_interfaces/msg/Duration``, clamped to the range from 0 to 2e9 s."""
     whole = min(max(seconds, 0.0), 2e9)
     return {"sec": int(whole), "nanosec": int(whole % 1 * 1e9)}

@@ -14,7 +14,7 @@ from sim.robot import BatteryDescription
 from sim.section import EncodersSection
 
 _ROUNDING = 1e-9
-"""rad/s below which a wheel's velocity is a rounding error of the physics: encoders of wheels that stand report 0."""
+"""Lower velocities of a wheel, rad/s, are rounding errors of the physics: the encoders of standing wheels report 0."""
 
 
 class WheelEncoders:
@@ -26,14 +26,14 @@ class WheelEncoders:
         self._scale = 1.0 + np.resize(np.array(scale, float), len(base.names))
         self._last = base.joints()[0]
         self._reading = np.zeros(len(base.names))
-        self.frozen = False  # whether they miss the wheels' rotation
+        self.frozen = False  # whether the encoders miss the wheels' rotation
         self._unchanged: Encoders | None = None
 
     def read(self, time_ns: int, *, rests: bool = False) -> Encoders:
-        """Return a reading; to be called at a steady rate. ``rests``: nothing has moved since the last call."""
+        """Return a reading; called at a steady rate. ``rests`` means that nothing has moved since the last call."""
         if rests and self._unchanged is not None and not self.frozen:
             if self._noise:
-                self._rng.normal(0.0, 1.0, len(self._reading))  # readings after a rest are the same as without one
+                self._rng.normal(0.0, 1.0, len(self._reading))  # as in motion: later noise must not depend on rests
             return Encoders(time_ns, self._unchanged.positions, self._unchanged.velocities)
         self._unchanged = None
         positions, velocities = self._base.joints()
@@ -59,7 +59,7 @@ class Estimate:
     pose: BasePose  #: since the start, in the odometry frame
     twist: Twist  #: in the base's frame
     travelled: float  #: meters
-    turned: float  #: radians, to both sides
+    turned: float  #: radians, the sum of turns to both sides
 
 
 class Odometry:
@@ -89,7 +89,7 @@ class Odometry:
         self.now = replace(self.now, time_ns=time_ns)
 
     def reset(self) -> None:
-        """Return to a pose and distances of zero."""
+        """Set the pose and the distances to zero."""
         self.now = Estimate(self.now.time_ns, BasePose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0), 0.0, 0.0)
 
 
@@ -140,7 +140,7 @@ KINDS = {
 
 
 class Faults:
-    """The injected faults, by which a test shows that the software that drives the robot detects them."""
+    """The injected faults; tests use them to show that the software that drives the robot detects such faults."""
 
     def __init__(self) -> None:
         self._now: set[str] = set()

@@ -1,9 +1,9 @@
-"""The shared memory that killed zenoh sessions leave behind.
+"""The shared memory that killed zenoh sessions leave in ``/dev/shm``.
 
 zenoh 1.10 keeps a session's shared memory in files ``<number>.zenoh``. Each process that uses such a file holds a lock
 on it (flock). `clean` removes the unlocked ones, as zenoh does when it uses shared memory itself. But a session that
 received messages from another one keeps the sender's pool until it closes itself, even if the sender was killed (zenoh
-1.10). So each killed sender would take up another pool, until the memory is full.
+1.10). So each killed sender would cost another pool, until the memory is full.
 """
 
 from __future__ import annotations

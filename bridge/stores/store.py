@@ -1,6 +1,6 @@
 """The store as modules use it: maps, locations and the like as Python values.
 
-A change is on the disk when the call returns, and on its way to the other machines; see `bridge.stores.sharing`.
+A change is on the disk when the call returns; other machines receive it soon after, see `bridge.stores.sharing`.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class Store:
         return self.get(CURRENT, THE_MAP) or ""
 
     def use_map(self, name: str) -> None:
-        """Choose the current map; raises `StoreError` if there is no map of that name."""
+        """Choose the current map; raises `StoreError` if the map does not exist."""
         if not self.replica.has(MAP.name, name):
             raise StoreError(f"no map {name!r}; existing maps: {', '.join(self.names(MAP)) or 'none'}")
         self.put(CURRENT, THE_MAP, name)

@@ -16,10 +16,10 @@ from navigation.base_control.settings import limits
 from navigation.yarp import Commands
 
 MAX_STEP = 0.1  # the longest step in seconds, so that the base does not catch up on accelerations after a stall
-_PUSHED = 1.5  # times its own maximum that a wheel may turn when the base is pushed
+_PUSHED = 1.5  # factor on a wheel's maximum velocity, up to which it may turn when the base is pushed
 SETTLED, REPEAT = 0.5, 0.04
-"""Seconds after which a stopping base has stopped, and seconds between two commands from then on, which are less than
-half the time-out of the wheels' driver."""
+"""Seconds after which a stopping base counts as stopped, and seconds between two commands to it from then on: less than
+half the timeout of the wheels' driver."""
 
 
 class DrivenBase:
@@ -43,7 +43,7 @@ class DrivenBase:
         self._measured: float | None = None
 
     def step(self, now: float) -> Array:
-        """Return the wheels' velocities for the next period, rad/s; ``now`` in seconds of the clock of the commands."""
+        """Return the wheels' velocities for the next period, rad/s; ``now`` is in seconds of the commands' clock."""
         seconds = self.section.period if self._last is None else min(max(now - self._last, 0.0), MAX_STEP)
         self._last = now
         self.choice = self._arbiter.choose(now)
@@ -51,10 +51,10 @@ class DrivenBase:
         return self.limiter.wheels()
 
     def measured(self, angles: Sequence[float], now: float, rates: Sequence[float] | None = None) -> Travelled:
-        """Add an encoder reading, and return the pose with the velocity smoothed.
+        """Add an encoder reading, and return the pose with a smoothed velocity.
 
-        ``angles`` in rad at a time in seconds, ``rates`` in rad/s if the encoders measure them. Raises `ValueError` for
-        angles that are not finite or not one per wheel.
+        ``angles`` are in rad, read at the time ``now`` in seconds; ``rates`` are in rad/s, None if the encoders do not
+        measure them. Raises `ValueError` unless there is one finite angle for each wheel.
         """
         travelled = self.odometry.update(angles, now, rates)
         seconds = 0.0 if self._measured is None else now - self._measured
@@ -74,7 +74,7 @@ class DrivenBase:
         self._arbiter.clear()
 
     def restart(self) -> None:
-        """Discard all times, after the clock jumped back, but not the pose."""
+        """Discard all times but keep the pose; called after the clock has jumped back."""
         self._arbiter.clear()
         self.odometry.restart()
         self._last = self._measured = None
@@ -94,11 +94,11 @@ HELP = (
 )
 
 _ELSEWHERE = {
-    "change_pid": "the driver of the motors has their controllers; nothing was changed",
+    "change_pid": "the controllers are in the driver of the motors; nothing was changed",
     "change_ctrl_mode": "the wheels are driven by velocity; nothing was changed",
     "set_debug_mode": "use midspan status instead; nothing was changed",
 }
-"""Upstream commands for parts that BaseControl does not have, and the reason for each."""
+"""Commands of robotology's baseControl for parts that this module does not have, and the reply to each."""
 
 
 class BaseCommands(Commands):
@@ -147,7 +147,7 @@ class BaseCommands(Commands):
         return f"Max joystick {axis} velocity set."
 
     def _number(self, axis: str, arguments: list[Any]) -> float:
-        """Return a velocity in m/s or deg/s within the robot's maximum; raises `ValueError` otherwise."""
+        """Return the velocity in the arguments, m/s or deg/s; raises `ValueError` if it exceeds the robot's maximum."""
         limit = self._base.most
         most, unit = (limit.linear, "m/s") if axis == "linear" else (math.degrees(limit.angular), "deg/s")
         value = arguments[0] if len(arguments) == 1 else None

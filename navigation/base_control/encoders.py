@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from operator import mul
 from typing import NamedTuple
 
-PATIENCE = 0.2  # seconds without a newer stamp after which the driver's clock has jumped back, or has stopped
+PATIENCE = 0.2  # seconds without a newer stamp after which the driver's clock counts as set back or stopped
 _JUMP = 0.5  # seconds by which stamps may run ahead of arrivals; more is a step of the driver's clock
 
 
 class ReadingTime(NamedTuple):
     """When the encoders were read."""
 
-    stamp_ns: int  #: for messages: by the driver's clock, or ours if the driver has none
+    stamp_ns: int  #: for messages: of the driver's clock, or of this program's clock if the driver has none
     seconds: float  #: always increasing, also across a step of the driver's clock
 
 
@@ -24,7 +24,7 @@ class ReadingTimes:
 
     Args:
         simulated: whether a simulation sets the time of stamps and arrivals. Its stamps may run far ahead of arrivals,
-            since a step of the simulation comes at once, and that is not a step of a clock.
+            since one step of the simulation advances its time at once; that is not a step of the driver's clock.
     """
 
     def __init__(self, *, simulated: bool = False) -> None:
@@ -32,7 +32,7 @@ class ReadingTimes:
         self._last: ReadingTime | None = None
         self._arrival = 0.0
         self._stamp_ns = 0  # of the last reading, accepted or not
-        self._stopped = False  # whether the driver's clock has
+        self._stopped = False  # whether the driver's clock has stopped
 
     def add(self, stamp_ns: int, arrival: float, now_ns: int) -> ReadingTime | None:
         """Return the time of a reading, or None if it is not newer than the last one.
@@ -58,15 +58,16 @@ class ReadingTimes:
 
 
 _SLACK = 0.05  # seconds by which the time between two readings may be wrong
-_CERTAIN = 0.5  # rad; a smaller change is a motion even of a base that is pushed fast
+_CERTAIN = 0.5  # rad; a smaller change always counts as a motion, since a base may be pushed fast
 _WRAP = 2.0 * math.pi
 
 
 def turned(before: float, after: float, seconds: float, fastest: float) -> float:
     """Return the angle, rad, by which a wheel turned between two readings of its encoder.
 
-    A change that no wheel can make in that time, at ``fastest`` rad/s, is the wrap of an encoder that counts within one
-    turn. Otherwise the encoder has restarted at another angle, and the wheel counts as not turned.
+    If no wheel can make the change in that time, at ``fastest`` rad/s, an encoder that counts within one turn may have
+    wrapped. If a wrap does not explain the change either, the encoder has restarted at another angle, and the wheel
+    counts as not turned.
     """
     change = after - before
     possible = fastest * (seconds + _SLACK)
@@ -78,19 +79,20 @@ def turned(before: float, after: float, seconds: float, fastest: float) -> float
 
 WINDOW = 0.25  # seconds over which a velocity is the slope of the angles
 _SHORTEST = WINDOW / 2.0
-"""Seconds that a slope needs. Until the readings span them, jitter could make any velocity, so that it is reduced."""
+"""Seconds that readings must span for a slope. Over a shorter time, jitter could cause any velocity, so the slope is
+reduced."""
 
 _SAMPLES = 20
-_STANDING = 0.1  # seconds without a change of any angle after which the wheels have stopped
+_STANDING = 0.1  # seconds without a change of any angle after which the wheels count as stopped
 _STILL_ANGLE, _STILL_RATE = 1e-10, 5e-10  # rad and rad/s that are rounding errors of a simulation, not motion
 
 
 class WheelRates:
-    """How fast wheels turn, rad/s: as their encoders report it, else from their angles over a `WINDOW` of time.
+    """The velocities of wheels, rad/s: reported by their encoders, else computed from their angles over a `WINDOW`.
 
-    The slope is that of least squares, which averages the jitter of stamps: differences of two readings would turn a
-    burst of stamps into many times the true velocity. Stopped wheels have exactly zero, at the latest after `_STANDING`
-    seconds.
+    A computed velocity is the slope of a least-squares fit, which averages the jitter of stamps: from the difference of
+    two readings with stamps close together, it would be many times too high. The velocity of stopped wheels is exactly
+    zero, after `_STANDING` seconds at the latest.
     """
 
     def __init__(self, wheels: int) -> None:
@@ -104,9 +106,9 @@ class WheelRates:
         self._changed: tuple[float, Sequence[float]] | None = None
 
     def add(self, time: float, angles: Sequence[float], reported: Sequence[float] | None = None) -> list[float]:
-        """Return the velocities at a reading, of which the time (s) is newer than the last.
+        """Return the velocities at a reading; ``time`` (seconds) must be later than that of the last reading.
 
-        Encoders that have only ever reported 0 may not measure velocities at all: until then the angles count.
+        Encoders that have reported only 0 so far may not measure velocities at all, so the angles are used instead.
         """
         self._keep(time, angles)
         usable = reported is not None and len(reported) == len(self._zero) and all(map(math.isfinite, reported))
@@ -123,7 +125,7 @@ class WheelRates:
         return time - changed[0] >= _STANDING
 
     def _keep(self, time: float, angles: Sequence[float]) -> None:
-        """Store a reading; of several close together only the newest, which bounds their number."""
+        """Store a reading. Of readings that are close together only the newest is stored, which limits their number."""
         window = self._window
         if len(window) > 1 and time - window[-2][0] < WINDOW / _SAMPLES:
             window.pop()

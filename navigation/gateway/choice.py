@@ -20,7 +20,7 @@ class RequestError(RuntimeError):
 
 
 class PlannerChoice:
-    """The current planner, and the one that replaces it. On the module's thread."""
+    """The current planner, and the one that replaces it; used only on the module's thread."""
 
     def __init__(self, host: Host, section: NavigationSection, changed: Callable[[], None]) -> None:
         self._host, self.section, self._changed = host, section, changed
@@ -46,22 +46,22 @@ class PlannerChoice:
         self._next = self._next or self.section
 
     def configure(self, section: NavigationSection) -> None:
-        """Adopt another section when nothing drives; a chosen planner stays unless the section names another one."""
+        """Adopt another section once the robot stands; a chosen planner stays unless the section names a new one."""
         if section.planner != (self._next or self.section).planner:
             self._chosen = ""
         self._next = section
 
     def settle(self, *, driving: bool, stop: StopState) -> bool:
-        """Adopt a section that waited for the end of a drive.
+        """Adopt a section that has waited for the end of a drive.
 
-        Returns whether the planner before never released its goals, and is no longer followed.
+        Returns whether the previous planner has not released its goals in time; they are no longer followed.
         """
         section = self._next
         if section is None:
             return False
         planner = self._wanted(section)
         same = planner == self.link.planner and section.others == self.section.others
-        if not same and (driving or self._unreleased(stop)):  # only the link can stop it
+        if not same and (driving or self._unreleased(stop)):  # only the link to the current planner can stop the robot
             return False
         self.section, self._next = section, None
         return not same and self._link_to(planner)
@@ -70,7 +70,7 @@ class PlannerChoice:
         return self._chosen if self._chosen in section.choices else section.planner
 
     def _unreleased(self, stop: StopState) -> bool:
-        """Whether the planner may still drive to a goal that has ended here."""
+        """Whether the planner may still drive to a goal that has ended at the gateway."""
         resting_without_it = stop is StopState.RESTING and not self.link.reachable
         if not self.link.left and (not stop.open or resting_without_it):
             self._unreleased_since = None

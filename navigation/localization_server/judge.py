@@ -9,11 +9,11 @@ from navigation.localization_server.section import LocaliserSection
 from navigation.pose import Pose
 
 _MEMORY = 0.7  # weight of the previous quality in the next one
-_HABIT = 0.95  # the same for the usual quality
+_HABIT = 0.95  # weight of the previous usual fit in the next one
 _DROP = 0.25  # a scan whose fit is lower than the usual one by this much shows a sudden change
-_PROVEN = 0.85  # fit above which a new place needs no further check
-_CHECKS = 50  # scans for which a pose with a lower fit is checked, during the search for better ones
-_STOOD = (0.01, math.radians(0.5))
+_PROVEN = 0.85  # quality from which a new pose needs no further check
+_CHECKS = 50  # scans with which a new pose of a lower quality is checked while better poses are searched
+_STOOD = (0.01, math.radians(0.5))  # meters and radians; a base that moved less has not moved
 
 
 REFUTING, REFUTING_SCANS = 0.15, 3
@@ -60,8 +60,8 @@ class Judge:
         return self._checks > 0
 
     @property
-    def carried(self) -> bool:
-        """Whether the robot has been localized since the start."""
+    def was_localized(self) -> bool:
+        """Whether the robot has been localized since the last start pose."""
         return self._seen is not None
 
     @property
@@ -77,8 +77,8 @@ class Judge:
     def add(self, share: float, against: float, wide: float, odometry: Pose, reason: str = "") -> None:
         """Update the status with a scan.
 
-        ``share`` is the share of the scan that the map explains, less the share ``against`` the pose; ``wide`` the
-        spread of the particles in meters; ``reason`` explains an empty scan.
+        ``share`` is the share of the scan that the map explains, less the share ``against`` that contradicts the
+        pose; ``wide`` is the spread of the particles in meters; ``reason`` explains an empty scan.
         """
         settings = self._settings
         self.quality = share if self._is_new else _MEMORY * self.quality + (1.0 - _MEMORY) * share
@@ -91,7 +91,7 @@ class Judge:
         if not fits:
             self.status, self.reason = LocalizationStatus.ERROR, reason or self._lost_reason(odometry, against)
         elif self.doubtful:
-            self.status = LocalizationStatus.ERROR if self.carried else LocalizationStatus.NOT_YET
+            self.status = LocalizationStatus.ERROR if self.was_localized else LocalizationStatus.NOT_YET
             self.reason = f"the map explains {self.quality:.0%} of the scan here; searching for a better pose"
         elif wide > WIDEST:
             self.status = LocalizationStatus.NOT_YET

@@ -260,7 +260,8 @@ class Localizer:
         lost = quality < settings.good or judge.refuted or judge.doubtful
         wanted = max(share + _BETTER * (1.0 if lost else 2.0), settings.good)
         windows = [SearchWindow(pose.x, pose.y, pose.theta, settings.recovery, _SEARCH_TURN)]
-        if (judge.carried and (judge.refuted or judge.doubtful)) or (quality < settings.poor and self._fruitless >= 2):
+        lost = judge.was_localized and (judge.refuted or judge.doubtful)
+        if lost or (quality < settings.poor and self._fruitless >= 2):
             windows.append(SearchWindow(pose.x, pose.y, pose.theta, _LOST_REACH, math.pi))
         for window in windows:
             poses, scores = self._search.best(points, window)

@@ -1,7 +1,8 @@
 """`grid_map_msgs/GridMap`: layers of numbers on a grid, such as heights.
 
-Its cells are in the opposite order of an OccupancyGrid's: the first one has the largest x and y. In a layer's data,
-cells with the same y are contiguous, from the largest x down (Eigen's columns). Its pose is that of its center.
+Its cells are in the opposite order to those of an OccupancyGrid: the first one has the largest x and y. In a layer's
+data, cells with the same y are contiguous, from the largest x down (Eigen's columns). Its pose is that of the map's
+center.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ def to_grid_map(
         layers: by name, each (rows, columns): rows along y, columns along x, the first cell at the corner.
         corner: x and y of the first cell's outer corner, meters.
         resolution: the side of a cell, meters.
-        header: with the frame of the corner.
+        header: the message's header, with the frame of the corner.
     """
     rows, columns = next(iter(layers.values())).shape
     length_x, length_y = columns * resolution, rows * resolution
@@ -75,7 +76,7 @@ def values_at(message: Mapping[str, Any], layer: str, places: NDArray[np.float64
     cos, sin = math.cos(yaw), math.sin(yaw)
     apart = places - (float(place["x"]), float(place["y"]))
     rotated = apart @ np.array([[cos, -sin], [sin, cos]])
-    # counted from the end with the largest x and y
+    # indices are counted from the corner with the largest x and y
     indices = np.floor(np.array(cells.shape)[::-1] / 2.0 - rotated / size)
     values = np.full(len(places), np.nan, np.float32)
     inside = ((indices >= 0) & (indices < np.array(cells.shape)[::-1])).all(-1)

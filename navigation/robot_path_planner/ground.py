@@ -21,12 +21,12 @@ from yarp_compat.dev.mapflag import MapFlag, lookup
 from yarp_compat.dev.mapgrid import MapGrid2D
 
 Cell = tuple[int, int]  # row, from the top one down, and column
-OCCUPIED = 50  # an occupancy from here on is a wall, as in YARP without flags
+OCCUPIED = 50  # cells with at least this occupancy are walls, as in a YARP map without flags
 _NEAR_WALL = 16
 """The extra cost of a cell next to one in which the robot does not fit. It falls with the square of the distance within
 `clearance`, so that a local navigator has room wherever possible."""
 _ENLARGED = 4  # the extra cost of cells that the map flags as enlarged obstacles
-_UNSURE = 25  # an occupancy below a wall's costs 1 more per this amount
+_UNSURE = 25  # a cell below a wall's occupancy costs 1 more for each of these steps of its occupancy
 _MOST = 250
 
 _SOLID = np.zeros(256, np.uint8)
@@ -38,7 +38,7 @@ _BESIDE = 1.5  # meters, see `Ground.beside`
 
 @dataclass(frozen=True)
 class Zone:
-    """An area and the behavior that it asks of robots."""
+    """An area and the behavior that it requires of robots."""
 
     area: Map2DArea
     behaviour: AreaBehaviour
@@ -47,8 +47,8 @@ class Zone:
 class Ground:
     """An immutable map for a robot of a given radius, meters; all arrays are (rows, columns).
 
-    A rotated map is aligned with the axes. Driving costs more within ``clearance`` meters beyond the radius around
-    walls and keep-out cells. Zones on other maps are ignored.
+    A rotated map is aligned with the axes. Cells nearer to walls and keep-out cells than ``radius`` + ``clearance``
+    meters cost more. Zones on other maps are ignored.
     """
 
     def __init__(self, grid: MapGrid2D, radius: float, clearance: float = 0.0, zones: Sequence[Zone] = ()) -> None:
@@ -63,9 +63,9 @@ class Ground:
             if zone.behaviour.keep_out:
                 part, inside = cells_of(grid, zone.area.points)
                 self.kept[part] |= inside
-        # meters from a cell's center to the nearest border of these; infinite without any
+        # meters from a cell's center to the nearest border of a solid or keep-out cell, else infinite
         self.room = (distance_transform(self.solid | self.kept) - 0.5) * np.float32(grid.resolution)
-        self.weights = self._weighed(clearance)  # cost of entering; 0 where the robot does not fit or may not be
+        self.weights = self._weighed(clearance)  # cost of entering a cell; 0 if the robot does not fit
         self.open = (self.room > radius / 2).astype(np.uint8)  # 1 where a robot may be while it avoids an obstacle
         self.labels, self.behaviours = _labelled(grid, on_map)  # the index of each cell's behavior
         # close to keep-out cells, which a laser does not show: a local navigator must not go around obstacles here
@@ -93,7 +93,7 @@ class Ground:
         return bool(self.weights[cell])
 
     def reason(self, cell: Cell) -> str:
-        """Return why the robot may not be in a cell, to follow "it is"; empty if it may."""
+        """Return why the robot may not be in a cell, as the rest of "it is ..."; empty if it may."""
         if self.fits(cell):
             return ""
         if self.kept[cell]:
@@ -135,7 +135,7 @@ def _labelled(grid: MapGrid2D, zones: Sequence[Zone]) -> tuple[NDArray[np.uint16
 
 
 def combined(one: AreaBehaviour, other: AreaBehaviour) -> AreaBehaviour:
-    """Return the behavior where two areas overlap: the lower speed, and waiting before going around."""
+    """Return the behavior where two areas overlap: the lower speed, and waiting rather than going around."""
     speeds = [speed for speed in (one.max_speed, other.max_speed) if speed is not None]
     requests = {one.on_obstacle, other.on_obstacle}
     on_obstacle = "wait" if "wait" in requests else "around" if "around" in requests else ""
@@ -143,14 +143,14 @@ def combined(one: AreaBehaviour, other: AreaBehaviour) -> AreaBehaviour:
 
 
 SURE = 1.2  # log odds from which a cell is an obstacle: two more scans hit it than passed through it
-_KNOWN = 0.15  # meters from a mapped wall within which an echo is the wall's: maps and localization are not better
+_KNOWN = 0.15  # meters from a mapped wall within which echoes count as its own, since maps and poses are inexact
 _FORGET_EVERY = 1.0
 
 
 class Clutter:
     """Obstacles that are not on the map: the laser's, which fade within ``memory`` seconds, and those of layers.
 
-    Layers are points, (n, 2) meters on the map, which do not fade.
+    A layer is an array of points, (n, 2) in meters on the map; its obstacles do not fade.
     """
 
     def __init__(self, ground: Ground, memory: float, layers: Sequence[NDArray[np.float64]] = ()) -> None:
@@ -176,9 +176,9 @@ class Clutter:
         self._struck_by_layers = self._around(self.fixed, self._half)
 
     def see(self, laser: Pose, ranges: NDArray[np.float64], first: float, step: float, farthest: float) -> None:
-        """Add a scan of a laser at a pose on the map, up to ``farthest`` meters; angles in radians from its direction.
+        """Add a scan of a laser at a pose on the map, up to ``farthest`` meters.
 
-        Ranges are in meters; infinity means no obstacle, NaN means unknown.
+        Angles are in radians from the laser's direction. Ranges are in meters; infinity means no obstacle, NaN unknown.
         """
         self._seen.insert((laser.x, laser.y, laser.theta), ranges, first, step, farthest)
         self._cells = None
@@ -231,7 +231,7 @@ class Clutter:
 
 
 def _circle(cells: float) -> NDArray[np.int64]:
-    """Return the offsets of all cells whose center is nearer than a number of cells, (n, 2)."""
+    """Return the offsets (n, 2) from a cell to all cells whose centers are nearer to its own than a number of cells."""
     reach = math.ceil(cells)
     rows, columns = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     near = rows**2 + columns**2 < cells**2

@@ -62,7 +62,7 @@ class NavigationMapTypeEnum(VocabEnum):
 
 
 def stringToStatus(s: str) -> NavigationStatusEnum:
-    """Return the status of a text, ``navigation_status_moving`` or ``moving``; for any other, that of an error."""
+    """Return the status with a name such as ``navigation_status_moving`` or ``moving``; else the error status."""
     try:
         return NavigationStatusEnum[_STATUS + s.removeprefix(_STATUS)]
     except KeyError:
@@ -112,7 +112,7 @@ _FARTHEST = 1e7  # meters: beyond any map
 
 
 class Navigation2DServer(INavigation2DMsgs):
-    """Serves a device. It validates arguments first: a goal's x and y are within map range, a path has waypoints.
+    """Serves a device. It validates arguments first: a goal must be within 10,000 km, a path must have waypoints.
 
     A heading of NaN means any heading, as for YARP's robotGoto. ``target_name`` is the name of the current target, or
     "".
@@ -121,7 +121,7 @@ class Navigation2DServer(INavigation2DMsgs):
         device: any object with the methods of YARP's INavigation2DTargetActions, ...ControlActions and
             ...VelocityActions, or some of them; see `DeviceCalls`. They run on the threads of the connections, several
             at a time. ``getNavigationStatus`` returns a status or its name (``moving``);
-            ``gotoTargetByRelativeLocation`` always has a heading.
+            ``gotoTargetByRelativeLocation`` always receives a heading.
     """
 
     def __init__(self, device: object) -> None:
@@ -140,7 +140,7 @@ class Navigation2DServer(INavigation2DMsgs):
 
     @override
     def suspend_navigation_RPC(self, time_s: float) -> ReturnValue:
-        """Pause; like YARP's robotGoto, until resumed if the time is 0 or below."""
+        """Pause for a time, or until resumed if it is 0 or below, like YARP's robotGoto."""
         return self._calls.done("suspendNavigation", time_s if time_s > 0 else math.inf)
 
     @override

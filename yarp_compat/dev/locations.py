@@ -38,7 +38,7 @@ class _Place(Structure):
 
 @dataclass
 class Map2DLocation(_Place):
-    """A pose on the map ``map_id``: meters, meters, degrees; the description is for users."""
+    """A pose on the map ``map_id``: x and y in meters, theta in degrees; the description is for users."""
 
     map_id: str = ""
     x: float = 0.0
@@ -85,7 +85,7 @@ class Map2DObject(_Place):
     description: str = ""
 
     def is_near_to(self, other_loc: Map2DObject | Map2DLocation, linear_tolerance: float) -> bool:
-        """Whether an object, or in the plane a location, is on the same map and within the tolerance in meters."""
+        """Whether a place is on the same map and within the tolerance in meters; for a location only in the plane."""
         if self.map_id != other_loc.map_id or linear_tolerance < 0:
             return False
         height = self.z - other_loc.z if isinstance(other_loc, Map2DObject) else 0.0
@@ -118,18 +118,21 @@ class Map2DArea(_Place):
         return obj.map_id == self.map_id and self.contains(obj.x, obj.y)
 
     def contains(self, x: float, y: float) -> bool:
-        """Whether a point on its map (meters) is inside."""
+        """Whether a point on the area's map (meters) is inside."""
         return len(self.points) >= 3 and sum(border <= x for border in self._borders(y)) % 2 == 1
 
     def findAreaBounds(self) -> tuple[Map2DLocation, Map2DLocation] | None:
-        """Return the corners of the bounding box; None if invalid. Unlike YARP, the maximum may be negative."""
+        """Return the corners of the bounding box, None if the area is invalid.
+
+        Unlike in YARP, the maximum may be negative.
+        """
         if not self.isValid():
             return None
         xs, ys = [point.x for point in self.points], [point.y for point in self.points]
         return Map2DLocation(self.map_id, min(xs), min(ys)), Map2DLocation(self.map_id, max(xs), max(ys))
 
     def getCentroid(self) -> Map2DLocation | None:
-        """Return the center of the bounding box; None if invalid. YARP returns half its size instead."""
+        """Return the center of the bounding box; None for an invalid area. YARP returns half the box's size instead."""
         bounds = self.findAreaBounds()
         if bounds is None:
             return None
@@ -192,7 +195,7 @@ class Map2DPath(_Place):
         return len(self.waypoints)
 
     def getLength(self) -> float:
-        """Return the length in meters without changes of map; YARP adds the poses' distances from the origin."""
+        """Return the length in meters, without steps to another map; YARP adds the poses' distances from the origin."""
         steps = zip(self.waypoints, self.waypoints[1:], strict=False)
         return sum(math.hypot(b.x - a.x, b.y - a.y) for a, b in steps if a.map_id == b.map_id)
 

@@ -1,8 +1,9 @@
 """A map without its cells: its name, size, resolution and origin (`yarp/dev/MapGrid2DInfo.h`).
 
-Cell (0, 0) is the upper left one, and in YARP a cell's position is its lower left corner. The corner ``d`` meters right
-of and above the corner of the whole map is at ``R(-theta) (origin + d)`` in the map's frame. In ROS it is at
-``origin + R(yaw) d``, so the two origins of a rotated map differ: see :meth:`MapGrid2DOrigin.to_ros`.
+Cell (0, 0) is the upper left one, and in YARP a cell's position is its lower left corner. If this corner is ``d``
+meters to the right of and above the lower left corner of the map, it is at ``R(-theta) (origin + d)`` in the map's
+frame. In ROS it is at ``origin + R(yaw) d``, so the two origins of a rotated map differ: see
+:meth:`MapGrid2DOrigin.to_ros`.
 """
 
 from __future__ import annotations
@@ -22,7 +23,10 @@ Pair = Vec2D | Vec2DInt | Sequence[float]  # YARP's XYCell or XYWorld, or just t
 
 
 class MapGrid2DOrigin:
-    """The pose of a map's lower left corner: meters before the rotation, degrees clockwise about the frame's origin."""
+    """The pose of a map's lower left corner.
+
+    x and y are in meters, before the rotation by theta, in degrees, clockwise about the frame's origin.
+    """
 
     def __init__(self, x: float = 0.0, y: float = 0.0, theta: float = 0.0) -> None:
         self.setOrigin(x, y, theta)
@@ -77,7 +81,10 @@ class MapGrid2DOrigin:
 
 
 class MapContents(NamedTuple):
-    """A map's cells, (height, width) from the top: `MapFlag`, 0 to 100 or 255; its name, meters per cell and origin."""
+    """A map's cells, (height, width) from the top, its name, meters per cell and origin.
+
+    ``flags`` are values of `MapFlag`, ``occupancy`` is 0 to 100, or 255 if unknown.
+    """
 
     flags: NDArray[np.uint8]
     occupancy: NDArray[np.uint8]
@@ -130,7 +137,7 @@ class MapGrid2DInfo:
         return Vec2DSize(min(max(column, 0), self.m_width - 1), min(max(row, 0), self.m_height - 1))
 
     def world2Cell_unsafeFast(self, world: Pair) -> Vec2DSize:
-        """Return the cell at a position, possibly off the map: below 0 where YARP's unsigned number overflows."""
+        """Return the cell at a position, which may be off the map; unlike YARP's, it may be below 0."""
         return Vec2DSize(*self._truncated(world))
 
     def isInsideMap(self, place: Vec2D | Vec2DInt) -> bool:

@@ -1,8 +1,10 @@
 """Reads and writes YARP's configuration files with the address of the name server.
 
 ``yarp.conf`` in YARP's configuration folder has one line, ``<address> <port> yarp``; the older form ``[name]``,
-``host X``, ``port N`` is read too. A network other than ``/root`` (its name server's port name, the namespace) has its
-own file: ``_robot.conf`` for ``/robot``. The namespace is set by ``YARP_NAMESPACE`` or ``yarp_namespace.conf``.
+``host X``, ``port N`` is read too. The name of a network, its namespace, is the port name of its name server. A network
+other than ``/root`` has its own file: ``_robot.conf`` for ``/robot``. A program's namespace is set by
+``YARP_NAMESPACE`` or ``yarp_namespace.conf``.
+
 The folders are those of YARP 3 and 4 (``yarp/conf/dirs.h`` and ``NameConfig.cpp`` of robotology/yarp).
 """
 
@@ -48,7 +50,7 @@ def folder(environment: Mapping[str, str] | None = None, platform: str = sys.pla
 
 
 def namespaces(environment: Mapping[str, str] | None = None) -> list[str]:
-    """Return the networks, this program's first: from ``YARP_NAMESPACE``, the file, or ``/root``.
+    """Return the names of the networks, this program's first: from ``YARP_NAMESPACE``, else the file, else ``/root``.
 
     Raises `NamingConfigError`.
     """

@@ -15,7 +15,7 @@ _HEADER = struct.Struct(">IIBBBBB")
 _GRAY, _RGB, _PALETTE, _GRAY_ALPHA, _RGBA = 0, 2, 3, 4, 6
 _CHANNELS = {_GRAY: 1, _RGB: 3, _PALETTE: 1, _GRAY_ALPHA: 2, _RGBA: 4}
 _DEPTHS = {_GRAY: (1, 2, 4, 8, 16), _PALETTE: (1, 2, 4, 8)}
-LARGEST = 1 << 28  # most bytes of pixels of an image to read
+LARGEST = 1 << 28  # size limit of an image to read, in bytes of pixels
 
 
 def write(pixels: NDArray[np.uint8]) -> bytes:
@@ -129,7 +129,7 @@ def _unfiltered(kind: int, row: NDArray[np.uint8], above: NDArray[np.uint8], ste
 
 
 def _paeth(left: int, above: int, corner: int) -> int:
-    """Return the value of the three that is nearest to ``left + above - corner``."""
+    """Return the one of the three values that is nearest to ``left + above - corner``."""
     to_left, to_above, to_corner = abs(above - corner), abs(left - corner), abs(left + above - 2 * corner)
     if to_left <= to_above and to_left <= to_corner:
         return left

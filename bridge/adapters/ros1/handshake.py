@@ -27,7 +27,7 @@ MAX_HEADER = 2**20
 """Size limit of headers in bytes; the definition of the largest common type is about 20 kB."""
 
 ORIGIN_FIELD = "midspan_origin"
-"""Header field of all publishers and servers of a Midspan; its value is the daemon's name."""
+"""Header field of all publishers and servers of Midspan; its value is the daemon's name."""
 
 Header = Mapping[str, str]
 
@@ -68,7 +68,7 @@ def read_header(sock: DeadlineSocket) -> dict[str, str]:
 
 
 def read_exactly(sock: DeadlineSocket, count: int) -> bytes:
-    """Read ``count`` bytes, until the socket's deadline; raises `Ros1ProtocolError` if the peer closes before."""
+    """Read ``count`` bytes, until the socket's deadline; raises `Ros1ProtocolError` if the peer closes earlier."""
     parts: list[bytes] = []
     while count:
         part = sock.recv(min(count, 65536))
@@ -96,8 +96,8 @@ def connect_service(
 ) -> tuple[DeadlineSocket, dict[str, str]]:
     """Connect to a service's server, and read its header; raises `Ros1Error`.
 
-    ``address`` is the service's, ``rosrpc://host:port``; ``seconds`` limit all steps together; ``fields`` are added to
-    the sent header: ``md5sum`` ("*" for any), ``probe``, ``persistent``.
+    ``address`` is the server's, as ``rosrpc://host:port``; ``seconds`` limit all steps together; ``fields`` are added
+    to the sent header: ``md5sum`` ("*" for any), ``probe``, ``persistent``.
     """
     deadline = time.monotonic() + seconds
     try:

@@ -1,9 +1,9 @@
 """A bounded XML-RPC server for the APIs of ROS 1 nodes and of the master.
 
 One thread serves all connections, a small pool makes the calls. Connections, bodies, nesting, threads and time are
-limited, so that no client, slow or hostile, keeps others from being served. It replies to the clients of ROS 1 as the
-server of ``rosgraph.xmlrpc`` does, that of Python: HTTP/1.1 with persistent connections, ``system.multicall``, and a
-fault for an unknown method.
+limited, so that no slow or hostile client keeps others from being served. It replies to ROS 1 clients as the server of
+``rosgraph.xmlrpc`` does, which is Python's own: HTTP/1.1 with persistent connections, ``system.multicall``, and a fault
+for an unknown method.
 """
 
 from __future__ import annotations
@@ -51,8 +51,9 @@ _KEEPALIVE = (("TCP_KEEPIDLE", 60), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 9))
 class _Connection:
     """One client's connection.
 
-    ``deadline`` is on the monotonic clock: of the request that is arriving, or of the response that is being sent.
-    ``charged`` are the bytes that count for the limit of all requests. While ``served``, a thread makes its call.
+    ``deadline``, on the monotonic clock, is when the arriving request must be complete or the response must be sent.
+    ``charged`` are the connection's bytes that count toward the limit of all requests. While ``served`` is true, a
+    thread makes the call of its request.
     """
 
     def __init__(self, sock: socket.socket, deadline: float) -> None:
@@ -75,20 +76,21 @@ class _Connection:
 class XmlRpcServer:
     """An XML-RPC server that calls ``methods`` by name, with the parameters of each request.
 
-    A method runs on a thread of the pool; calls of one connection are made in order, those of several at the same time.
-    An `xmlrpc.client.Fault` that it raises is the reply; any other exception is logged, and reported as a fault.
+    Methods run on threads of the pool; the calls of one connection are made in order, those of several connections at
+    the same time. An `xmlrpc.client.Fault` that a method raises is the reply; any other exception is logged, and
+    reported as a fault.
 
     Args:
-        methods: by name.
-        address: on which it listens; "" for all of IPv4, "::" for all of IPv6 and IPv4.
-        port: 0 for any free one.
-        name: of its threads.
+        methods: the methods by name.
+        address: the address on which to listen; "" for all IPv4 addresses, "::" for all IPv6 and IPv4 addresses.
+        port: the port on which to listen; 0 for any free one.
+        name: the name of the server's threads.
         limits: see `Limits`.
-        quick: names of methods that never block. Small calls of them are made on the connections' thread, since two
-            changes of threads cost more than such a call.
+        quick: names of methods that never block. Small calls of them are made on the connections' thread, since
+            switching threads twice costs more than such a call.
 
     Attributes:
-        port: on which it listens.
+        port: the port on which the server listens.
 
     Raises:
         OSError: it cannot listen there.
@@ -151,7 +153,7 @@ class XmlRpcServer:
                 sock, _ = self._listener.accept()
             except BlockingIOError:
                 return
-            except OSError as err:  # no descriptor is left: others wait in the backlog until the next check
+            except OSError as err:  # no descriptor is left: further clients wait in the backlog until the next check
                 if not self._scarce:
                     _log.warning("%s: cannot accept a connection: %s", self._name, err.strerror)
                 self._scarce = True
@@ -315,14 +317,14 @@ class XmlRpcServer:
         if isinstance(err, Fault):
             return err
         known = isinstance(method, str) and method in self._methods
-        if known and method not in self._failed:  # once for each: clients can cause it at any rate
+        if known and method not in self._failed:  # log once for each method: clients can cause failures at any rate
             self._failed.add(method)
             _log.warning("%s: %s failed", self._name, method, exc_info=err)
         return Fault(INTERNAL_ERROR, f"{type(err).__name__}: {err}")
 
 
 def _calls(params: Sequence[Any]) -> list[Any]:
-    """Return the calls of ``system.multicall``: one that iterated over a text would make a call for each character."""
+    """Return the calls of ``system.multicall``; a text is rejected, since each character would count as a call."""
     if len(params) != 1 or not isinstance(params[0], list):
         raise Fault(INVALID_METHOD_PARAMS, "TypeError: system.multicall has one parameter, a list of calls")
     return list(params[0])

@@ -1,4 +1,4 @@
-"""The ROS 2 edge: rclpy over Fast DDS, raw bytes both ways, no executor."""
+"""The ROS 2 edge: rclpy over Fast DDS, with serialized messages in both directions and without an executor."""
 
 from __future__ import annotations
 
@@ -62,11 +62,11 @@ _log = logging.getLogger(__name__)
 _End = TypeVar("_End", Ros2Subscription, Ros2Publisher, Ros2Caller, Ros2Server)
 
 _FORGOTTEN = 15.0
-"""Seconds after which others may have dropped this participant: Fast DDS's default lease is 20."""
+"""Seconds of suspension after which others may have dropped this participant: Fast DDS's default lease is 20 s."""
 
 
 class Ros2Edge(SideEdge):
-    """One participant on a ROS 2 (DDS) network. A process can have only one, as the mark is set per process."""
+    """One participant on a ROS 2 (DDS) network. A process can have only one, as the marked prefix is per process."""
 
     side: ClassVar[str] = "ros2"
     services: ClassVar[bool] = True
@@ -129,13 +129,13 @@ class Ros2Edge(SideEdge):
         return self._config.ros2.localhost_only and self._config.ros2.profile is None
 
     def _use_new_addresses(self, text: str) -> None:
-        if self._config.ros2.profile is not None:  # it may exclude the new ones
+        if self._config.ros2.profile is not None:  # the profile may exclude the new addresses
             _log.warning("%s; restart the worker if it should, or restrict it in ros2.profile", text)
         elif self._listener is not None:
             self._listener.edge_failed(f"{text}: restarting")
 
     def _clean_ports(self, past: Iterable[bytes]) -> None:
-        """Remove the shared-memory ports of dead predecessors, except those of this participant's number."""
+        """Remove the shared-memory ports of dead predecessors, except those with this participant's number."""
         numbers = {participant_number(prefix) for prefix in past} - {participant_number(self._prefix)}
         of_domain = domain(self._config, os.environ)
         neighbours.clean_ports(port for number in numbers for port in spdp.unicast_ports(of_domain, number))
@@ -221,7 +221,7 @@ class Ros2Edge(SideEdge):
 
     @override
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
-        """Subscribe; ``qos`` is an upper bound, reduced for each publisher to its offer."""
+        """Subscribe; ``qos`` is an upper bound, reduced to what the publishers offer."""
         context = self._started()
         self._check_one_type(topic, side_type.name)
         message_class = self._types.message_class(side_type.name, side_type.type_id)
@@ -312,7 +312,7 @@ class Ros2Edge(SideEdge):
 
     @override
     def warnings(self) -> list[str]:
-        """Return native subscriptions with incompatible QoS, nodes on Cyclone DDS, and new addresses."""
+        """Return warnings of native subscriptions with incompatible QoS, nodes on Cyclone DDS, and new addresses."""
         offers: dict[str, set[Qos]] = {}
         with self._lock:
             for end in self._ends:

@@ -1,15 +1,15 @@
-"""The Fast DDS profile of the worker's participant: transports, mark, announcements.
+"""The Fast DDS profile of the worker's participant: transports, marked GUID prefix, announcements.
 
-Measurements with Fast DDS 2.14.5, and the defaults in the side's nodes:
+Measured with Fast DDS 2.14.5, against nodes with its default settings:
 
-- Shared memory between users delivers nothing, as its files belong to their creator, while the graph is complete. If
-this end uses only UDP, data crosses in both directions, and the other end needs no change.
+- Between different users, shared memory delivers nothing although the graph is complete, as its files belong to their
+  creator. If this end uses only UDP, data crosses in both directions, and the other end needs no change.
 - The discovery range LOCALHOST makes rmw_fastrtps add shared memory again. So this profile sets the range: loopback
   only by the white list. It discovers the machine's nodes by multicast on loopback, and those that do not listen to
   multicast (their range is LOCALHOST) by unicast to the ports of the first 32 participants.
-- The default queue of a participant's shared memory (512) overflows in a burst; the rest is resent after the writer's
-next heartbeat, every 3 s.
-- The default shared-memory segment (512 kB) makes a message of 1 MB five times slower than a large one does.
+- The default queue of a participant's shared memory (512) overflows in a burst; the lost messages are resent only after
+  the writer's next heartbeat, every 3 s.
+- The default shared-memory segment (512 kB) makes a message of 1 MB five times slower than a large segment.
 - Other participants notice a killed one after its lease, 20 s by default; see `bridge.adapters.ros2.graph.spdp` for
   the reason why it is not shorter here.
 """
@@ -35,7 +35,7 @@ _log = logging.getLogger(__name__)
 
 _NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 _QUEUE = "8192"
-"""Messages in the shared memory of this participant that Fast DDS has not read yet."""
+"""Limit of the messages in this participant's shared memory that Fast DDS has not read yet."""
 
 _UDP_BUFFER = str(4 * 1024 * 1024)
 
@@ -126,7 +126,7 @@ _PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILE
 
 
 def use_profile(config: Config, state: Path) -> FastDdsProfile:
-    """Write the Fast DDS profile for this process, which reads it once: a later edge keeps the first."""
+    """Write the Fast DDS profile for this process, which reads it only once: later edges use the first one."""
     if _used:
         return _used[0]
     prefix = new_prefix(rcl.host_prefix(), stored_prefixes(state / "ros2"))

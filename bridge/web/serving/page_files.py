@@ -1,4 +1,4 @@
-"""The files of the page: those of every page, and a folder for each of its views."""
+"""The files of the console's page: the common files, and a folder for each view."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Tab:
     """A view as the page shows it.
 
     Attributes:
-        name: its name in addresses (``#name``); lower-case letters.
-        label: the text of its tab.
-        icon: the SVG elements of its tab's icon, in a square of 24 by 24.
+        name: the view's name in addresses (``#name``); lower-case letters.
+        label: the text of the tab.
+        icon: the SVG elements of the tab's icon, in a square of 24 by 24.
         folder: the folder of ``view.js``, and of ``view.css`` if it has styles; by default ``static/views/NAME``.
     """
 
@@ -33,12 +33,12 @@ class Tab:
 
     @property
     def files(self) -> Path:
-        """The folder of its files."""
+        """The folder of the view's files."""
         return self.folder or STATIC / "views" / self.name
 
 
 class PageFiles:
-    """The page with these views; it shows the first one if its address names none."""
+    """The page with the given views; it shows the first view if the address names none."""
 
     def __init__(self, tabs: Sequence[Tab]) -> None:
         self._tabs = tabs

@@ -18,7 +18,7 @@ _MOST_TEXT = 200
 
 
 class Doctor:
-    """Runs the checks of ``midspan doctor``, one run at a time. Blocks: not for the module's thread."""
+    """Runs the checks of ``midspan doctor``, one run at a time. It blocks, so never call it on the module's thread."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -35,11 +35,11 @@ class Doctor:
 
     def _examine(self) -> list[dict[str, str]]:
         from bridge.doctor.check import (
-            as_json,  # a console that never asks needs none of it
+            as_json,  # imported here, since most consoles never run the doctor
             examine,
         )
         from bridge.doctor.checks import CHECKS
-        from bridge.doctor.examination import look_from  # a console that never asks needs none of it
+        from bridge.doctor.examination import look_from  # see above
 
         file = config_file(self._client.config)
         secrets = Secrets()

@@ -15,10 +15,11 @@ _MULTI_JOINT = re.compile(r"(?P<base>\w+)(?P<kind>All|Group)RPC")
 
 
 class JointBoard(ControlBoardMsgs):
-    """Joints by number: a derived class defines methods of one joint, ``getEncoderOneRPC`` and such.
+    """Numbered joints: a derived class defines the methods for one joint, such as ``getEncoderOneRPC``.
 
-    The methods of all joints or of some joints call these in sequence, and fail if one fails. An undefined method fails
-    as not implemented. A call with a list of the wrong length or an unknown joint fails and does nothing.
+    The methods for all joints or for a group of joints call these one after the other, and fail if one of them fails. A
+    method that is not defined fails as not implemented. A call with a list of the wrong length or an unknown joint
+    fails and does nothing.
     """
 
     def __init__(self, axes: int) -> None:
@@ -30,7 +31,7 @@ class JointBoard(ControlBoardMsgs):
         return OK, self.axes
 
     def control_mode(self, joint: int) -> int:
-        """The control mode of a joint, as a vocab's number."""
+        """The control mode of a joint, as the number of a YARP vocab."""
         raise NotImplementedError(f"{type(self).__name__} does not report its control modes")
 
     def state(self) -> JointData:
@@ -47,7 +48,10 @@ class JointBoard(ControlBoardMsgs):
 
 
 def answer(board: JointBoard, method: str, arguments: Sequence[Any]) -> Any:
-    """Call a method of a board, for several joints through that of one. Raises `CallFailed`, `NotImplementedError`."""
+    """Call a method of a board; a method for several joints calls the method for one joint, for each of them.
+
+    Raises `CallFailed` or `NotImplementedError`.
+    """
     return board.run(lambda: _answer(board, method, arguments))
 
 
@@ -88,7 +92,10 @@ def _check(board: JointBoard, method: str, arguments: Sequence[Any]) -> None:
 
 
 def _single_joint_method(method: str) -> tuple[str, bool] | None:
-    """Return a multi-joint method's single-joint one, and whether it takes a group; None for other methods."""
+    """Return the single-joint method that a multi-joint method calls; None for other methods.
+
+    The second value is whether the first argument of the multi-joint method is a list of joints.
+    """
     match = _MULTI_JOINT.fullmatch(method)
     if match is None:
         return {"resetMotorEncodersRPC": ("resetMotorEncoderRPC", False)}.get(method)

@@ -14,7 +14,7 @@ A kind of device is added in two steps:
    imported when such a device is opened.
 
 ``views`` maps the interface's name to the object that a view (``viewIBattery()``) returns. An interface that
-`PolyDriver` does not list yet needs one more line there.
+`PolyDriver` does not list yet needs one more line in that class.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class DeviceOptions:
         return text or default or ""
 
     def port(self, key: str, default: str | None = None) -> str:
-        """Return a port's name or prefix, with a leading ``/``; raises as `text`."""
+        """Return a port's name or prefix, with a leading ``/``; raises `DeviceError` like `text`."""
         text = self.text(key, default)
         name = text if rooted(text) else f"/{text}"
         if not is_port_name(name):
@@ -144,7 +144,7 @@ def names() -> list[str]:
 
 
 def factory(device: str) -> Factory:
-    """Return the factory of a device; raises `DeviceError` for an unknown name, with the replacement in its text."""
+    """Return the factory of a device; raises `DeviceError`, which names the replacement, for an unknown name."""
     if device not in _BY_NAME:
         instead = next((cure for names, cure in _INSTEAD.items() if re.fullmatch(names, device)), "")
         raise DeviceError(f"unknown device {device!r}; {instead or f'supported are {_listed()}'}")

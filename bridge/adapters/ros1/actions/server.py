@@ -37,14 +37,14 @@ RESULT_SECONDS = 60.0
 """A result is sent once, and again to each client that connects to the result topic within this time."""
 
 MAX_RESULT_BYTES = 16 << 20
-"""Bytes of such results; the oldest are dropped first."""
+"""Limit of the bytes of results that may be sent again; the oldest are dropped first."""
 
 MAX_GOALS = 10_000
-"""Entries of the status list; more goals are rejected."""
+"""Limit of the entries of the status list; further goals are rejected."""
 
 CALM_SECONDS = 0.05
 FEW_GOALS = 32
-"""With more entries than these, the status list is published at most every `CALM_SECONDS`, as it names all of them."""
+"""A status list with more entries is published at most every `CALM_SECONDS`, since each message has all of them."""
 
 _CANCELED_EARLIER = "the goal's stamp is not after that of the last cancel request"
 _ANY = bytes(wire.UUID_SIZE)
@@ -67,9 +67,10 @@ class ServerOutput(Protocol):
 
 @dataclass(eq=False, slots=True)
 class _ListedGoal:
-    """One goal of the status list; ``ours``: of a ROS 1 client, else a hub client's goal that is shown to ROS 1.
+    """One goal of the status list.
 
-    ``uuid`` is the goal's on the hub, None for a cancel request without its goal; ``gone`` is when it ended.
+    ``ours`` is whether a ROS 1 client sent it; otherwise a hub client did, and ROS 1 only sees it. ``uuid`` is its id
+    on the hub, None for a cancel request whose goal has not arrived; ``gone`` is the time at which the goal ended.
     """
 
     id: str
@@ -113,7 +114,7 @@ class ActionlibServer:
         self._flush()
 
     def forget_time(self) -> None:
-        """Accept goals with stamps before the last cancel request again, as the clock was set."""
+        """Forget the stamp of the last cancel request, since the clock was set: earlier stamps are accepted again."""
         self._last_cancel = ZERO
 
     # -- events of ROS 1 clients ---------------------------------------------------------------------------------------
@@ -137,7 +138,7 @@ class ActionlibServer:
         return listed
 
     def _again(self, entry: _ListedGoal) -> None:
-        """Ignore a goal whose id is already listed, unless a cancel request arrived before it."""
+        """Handle a goal whose id is listed already: end it if its cancel request arrived first, else ignore it."""
         if entry.state is Ros1State.RECALLING and entry.uuid is None:
             self._end(entry, Ros1State.RECALLED, self._empty, "")
         elif entry.gone is not None:
@@ -159,7 +160,7 @@ class ActionlibServer:
         return id_
 
     def cancel(self, request: GoalId) -> None:
-        """Handle a cancel request: an empty one cancels all goals, an id that goal, a stamp all goals up to it."""
+        """Handle a cancel request: an empty one is for all goals, an id for one, a stamp for all goals up to it."""
         if self._closed:
             return
         everything = request == GoalId(ZERO, "")
@@ -169,18 +170,18 @@ class ActionlibServer:
         for entry in list(self._entries.values()):
             before = request.stamp != ZERO and entry.stamp <= request.stamp
             if (everything or entry.id == request.id or before) and not entry.state.ended:
-                self._cancel(entry, told=everything)
+                self._cancel(entry, already_sent=everything)
         if request.id and request.id not in self._entries and len(self._entries) < MAX_GOALS:
             self._add(_ListedGoal(request.id, request.stamp, Ros1State.RECALLING, None, ours=True, gone=self._clock()))
         self._last_cancel = max(self._last_cancel, request.stamp)
         self._flush()
 
-    def _cancel(self, entry: _ListedGoal, *, told: bool) -> None:
+    def _cancel(self, entry: _ListedGoal, *, already_sent: bool) -> None:
         state = _CANCELING.get(entry.state)
         if state is None:
             return
         self._set(entry, state)
-        if not told and entry.accepted:
+        if not already_sent and entry.accepted:
             self._send_cancel(entry)
 
     def _send_cancel(self, entry: _ListedGoal) -> None:
@@ -188,7 +189,7 @@ class ActionlibServer:
         self._output.call(CANCEL_GOAL, wire.cancel_request(GoalInfo(entry.uuid, ZERO)), self._cancel_answered)
 
     def _cancel_answered(self, reply: bytes | CallError) -> None:
-        """Log a failed request; ROS 1's clients see it when the goal ends in another state."""
+        """Log a failed cancel request; ROS 1 clients only notice that the goal ends in a state other than canceled."""
         reason = str(reply)
         if isinstance(reply, bytes):
             try:
@@ -250,13 +251,13 @@ class ActionlibServer:
             return Ros1State.RECALLED
         return TO_ROS1[state]
 
-    def states(self, found: list[tuple[GoalInfo, int]]) -> None:
+    def states(self, goals: list[tuple[GoalInfo, int]]) -> None:
         """Adopt the goal states from the hub server's status topic."""
         if self._closed:
             return
-        for info, number in found:
+        for info, number in goals:
             self._follow(info, GoalState.parse(number))
-        named = {info.uuid for info, _ in found}
+        named = {info.uuid for info, _ in goals}
         for entry in [e for e in self._by_uuid.values() if not e.ours and not e.state.ended and e.uuid not in named]:
             self._set(entry, Ros1State.ABORTED, "the action server no longer knows the goal")
             entry.gone = self._clock()
@@ -291,7 +292,7 @@ class ActionlibServer:
         self._flush()
 
     def close(self, reason: str) -> None:
-        """End all goals of ROS 1 clients, as the hub's server has left."""
+        """End all listed goals, since the hub's server has left."""
         for entry in list(self._entries.values()):
             if not entry.state.ended and entry.uuid is not None:
                 self._end(entry, Ros1State.ABORTED, self._empty, reason)

@@ -4,8 +4,8 @@ A node that is killed cannot unregister. ``rosmaster`` lists it for ever; subscr
 tools show it. Here each node is asked for its process id now and then. If its machine refuses the connection, its
 process has ended. A node that is only unreachable may come back with its network, so it has more time.
 
-A node that has never answered stays: its address may lead elsewhere on this machine, such as ``localhost`` or a host
-name that only the robot's own machines resolve, while the nodes there reach each other.
+A node that has never answered stays: seen from this machine, its address may lead elsewhere, such as ``localhost`` or a
+host name that only the robot's own machines resolve, while the nodes there reach each other.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from bridge.concurrency import WorkerPool
 _log = logging.getLogger("midspan.ros1.master")
 
 UNREACHABLE_SECONDS = 600.0
-"""Seconds until a node is removed whose machine does not refuse connections; at least those of a refusing one."""
+"""Seconds until a node is removed if its machine does not answer at all, unless the configured seconds are more."""
 
 RESTORED_SECONDS = 3.0
-"""Seconds for a node that was restored from the state file, instead of the configured ones."""
+"""Seconds until a node that was restored from the state file is removed, unless the configured seconds are fewer."""
 
 _MIN_FAILURES = 3
 _TIMEOUT = 2.0
 _THREADS = 8
 _PERIODS = (0.1, 10.0)
 _HASTY_PERIOD = 1.0
-"""Longest time until a new node is checked first, and between the checks of restored nodes."""
+"""Longest time until the first check of a new node, and between two checks of restored nodes."""
 
 _CHECKS_PER_SECOND = 20.0
 _JOIN_SECONDS = 1.0
@@ -58,7 +58,7 @@ class Liveness:
         nodes: returns the registered nodes.
         alive: is called with name and address of a node that answers for the first time.
         dead: is called with name and address of a dead node.
-        seconds: without an answer until a node is dead; 0 if none is to be removed.
+        seconds: how long a node has not answered before it counts as dead; 0 to remove none.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class Liveness:
         node = (name, api)
         try:
             ask(api, _TIMEOUT, "getPid", CALLER)
-        except RefusedError:  # it answers
+        except RefusedError:  # an error, too, is an answer of the node
             self._on_answer(node)
         except ExhaustedError:  # this process lacks descriptors to ask with
             pass

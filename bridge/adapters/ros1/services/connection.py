@@ -1,4 +1,4 @@
-"""Connections of service calls, which the loop reads and any thread writes.
+"""Connections for service calls: the loop reads them, and any thread may write to them.
 
 After its header a connection to a service carries one call at a time (https://wiki.ros.org/ROS/TCPROS,
 https://wiki.ros.org/roscpp/Overview/Services): the request is a little-endian 32-bit length and the bytes; the reply is
@@ -27,16 +27,16 @@ _CHUNK = 64 * 1024
 """Size limit of messages that the loop's thread reads; larger ones would delay other connections."""
 
 _MAX_AHEAD = 4096
-"""Size limit of what a peer sends during a call, before the reply; the rest stays in its socket."""
+"""Limit of the bytes that are read from a peer during a call, before the reply; the rest stays in the socket."""
 
 _TRUSTED = 16 * 2**20
-"""Bytes that are allocated on announcement; more only as they arrive."""
+"""Limit of the bytes that are allocated when a length is announced; more are allocated only as they arrive."""
 
 _STOPS = "was closed because the bridge is stopping"
 
 
 class ServiceConnection(PolledConnection):
-    """One connection. Only the reading thread closes its descriptor; others shut it down, which that thread notices."""
+    """One connection. Only the reading thread closes its descriptor; other threads shut the connection down instead."""
 
     head: ClassVar[int]
     """Bytes before a message's body; the last four of them are the body's length."""
@@ -64,7 +64,7 @@ class ServiceConnection(PolledConnection):
 
     @abstractmethod
     def _ended(self, trouble: str) -> None:
-        """Handle the end of the connection, once, on the reading thread; ``trouble`` as in "the peer <trouble>"."""
+        """Handle the end of the connection, once, on the reading thread; ``trouble`` completes "the peer ..."."""
 
     def _sent(self) -> None:
         """Handle the completion of a send, on any thread."""
@@ -98,7 +98,7 @@ class ServiceConnection(PolledConnection):
         self._ended(trouble)
 
     def send(self, *parts: bytes) -> bool:
-        """Send without blocking; a thread sends what the socket does not accept. Return False if it is broken."""
+        """Send without blocking: a thread sends what the socket does not accept. Return False if the peer has left."""
         with self._lock:
             if self._over:
                 return False
@@ -133,7 +133,7 @@ class ServiceConnection(PolledConnection):
             self._sent()
 
     def is_at_rest(self) -> bool:
-        """Return whether all is sent and no data or end is waiting to be read; called on the reading thread."""
+        """Return whether all output is sent, and nothing is waiting to be read; called on the reading thread."""
         with self._lock:
             if self._sending:
                 return False
@@ -179,7 +179,7 @@ class ServiceConnection(PolledConnection):
             self._advance()
 
     def read_ahead(self) -> None:
-        """Buffer what the peer sends during a call, so that the end of the connection is noticed behind it."""
+        """Buffer what the peer sends during a call, so that an end of the connection after it is noticed."""
         try:
             data = receive_now(self._sock, _MAX_AHEAD - len(self._ahead))
         except BlockingIOError:
@@ -193,11 +193,11 @@ class ServiceConnection(PolledConnection):
         self._ahead += data
         if len(self._ahead) == _MAX_AHEAD:
             self._loop.pause(self)
-        if self.listens:  # since the reply was sent meanwhile
+        if self.listens:  # the reply was sent meanwhile, so messages are read again
             self.ready()
 
     def resume(self) -> None:
-        """Read messages again, from any thread."""
+        """Read messages again. Thread-safe."""
         self._loop.listen(self, data=True)
         if self._ahead:
             self._loop.call_ready(self)

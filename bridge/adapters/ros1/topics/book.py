@@ -49,16 +49,16 @@ class SubscribedTopic:
 class TopicBook:
     """The topics that this node should be registered for, and their connections. Thread-safe.
 
-    ``changed`` is called when a topic is added or removed, so that the master learns of it; ``found`` when a
-    subscriber has joined or left.
+    ``changed`` is called when a topic is added or removed, so that it is registered with the master or unregistered;
+    ``peer_changed`` is called when a subscriber has joined or left.
     """
 
     def __init__(
         self, loop: ConnectionLoop, node: Callable[[], str], origin: str, changed: Callable[[], None],
-        found: Callable[[], None],
+        peer_changed: Callable[[], None],
     ) -> None:  # fmt: skip
         self._loop, self._node, self._origin = loop, node, origin
-        self._changed, self._found = changed, found
+        self._changed, self._peer_changed = changed, peer_changed
         self._lock = Lock()
         self._published: dict[str, Publication] = {}
         self._subscribed: dict[str, SubscribedTopic] = {}
@@ -74,7 +74,7 @@ class TopicBook:
             publication = self._published.get(topic)
             new = publication is None
             if publication is None:
-                publication = Publication(topic, side_type, self._node, self._origin, self._loop, self._found)
+                publication = Publication(topic, side_type, self._node, self._origin, self._loop, self._peer_changed)
                 self._published[topic] = publication
             elif publication.side_type.type_id != side_type.type_id:
                 raise MessageTypeError(
@@ -138,7 +138,7 @@ class TopicBook:
         return {p.topic: p.side_type.name for p in self._publications()}
 
     def subscriptions(self) -> dict[str, str]:
-        """Return the subscribed topics with their types: any, since publishers of several types may be read."""
+        """Return the subscribed topics, all with the type "*", since publishers of several types may be read."""
         with self._lock:
             return dict.fromkeys(self._subscribed, ANY)
 
@@ -176,7 +176,7 @@ class TopicBook:
     # -- subscribers ---------------------------------------------------------------------------------------------------
 
     def rejected(self) -> dict[tuple[str, str], str]:
-        """Return the subscribers, by topic and node, that use another definition of the type, with the reason."""
+        """Return why subscribers, by topic and node, are rejected: they use another definition of the type."""
         with self._lock:
             return dict(self._rejected)
 
@@ -199,7 +199,7 @@ class TopicBook:
         # rospy never retries a publisher whose connection header was an error or missing: the failed connection stays
         # in its list, and while it is listed, the master's updates about that publisher are ignored (rospy 1.15.15;
         # observed with workers that were killed in sequence). A connection that ends after its header is removed as
-        # usual. So a subscriber that learned of a publication just before its end gets its header.
+        # usual. So a subscriber that connects just after a publication has ended still gets the publication's header.
         if ended is not None and header["md5sum"] in (ANY, ended["md5sum"]):
             sock.sendall(encode(ended))
             sock.close()
@@ -207,7 +207,7 @@ class TopicBook:
         return f"{self._node()} is not a publisher of {topic}"
 
     def _note_rejected(self, publication: Publication, header: Header) -> None:
-        """Record a subscriber with another definition of the type, which at most its own node reports."""
+        """Record a subscriber with another definition of the type; at most its own node would report that otherwise."""
         ours = publication.side_type
         theirs = f"{header.get('type', ours.name)} with md5 {header['md5sum']}"
         with self._lock:

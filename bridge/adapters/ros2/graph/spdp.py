@@ -1,14 +1,14 @@
 """Hand-written DDS discovery messages: dispose a dead participant, and prompt all others to announce themselves.
 
-**Disposal.** Stock participants notice a crash only when the lease expires, after 20 s. A short lease does not help:
+**Disposal.** Other participants notice a crash only when the lease expires, after 20 s. A short lease does not help:
 after a longer suspension or disconnection, the others have dropped the participant, but it has not dropped them, and
 such participants match again without ever completing their discovery (observed with Fast DDS 2.14.5: data never crosses
-again). So the lease keeps its default, and the successor of a killed worker sends the message of a clean exit: a
+again). So the lease keeps its default, and the successor of a killed worker sends what a clean exit would send: a
 ``DATA`` submessage with the status "disposed and unregistered" (DDSI-RTPS 2.5, 8.5.5.1, 9.4.5.4, 9.6.4.9).
 
-**Prompt.** A new participant announces itself, and each other one responds immediately, once. Fast DDS receives only
+**Prompt.** A new participant announces itself, and every other one responds once, immediately. Fast DDS receives only
 after its first announcement, so responses within a millisecond are lost, and their senders announce themselves again up
-to 3 s later (measured: at every second start). So once Midspan's participant receives, it announces and disposes a
+to 3 s later (this happened at every second start). So once Midspan's participant receives, it announces and disposes a
 pseudo-participant with its own address, to which all others respond.
 """
 
@@ -23,7 +23,7 @@ MULTICAST = "239.255.0.1"
 """The SPDP multicast address (DDSI-RTPS 2.5, 9.6.1.4.1)."""
 
 PARTICIPANTS = 32
-"""Number of participants per machine and domain that are addressed by unicast, as rmw_fastrtps does for LOCALHOST."""
+"""Number of participants per machine and domain that are addressed by unicast, as in rmw_fastrtps for LOCALHOST."""
 
 _log = logging.getLogger(__name__)
 
@@ -54,7 +54,10 @@ def disposal(prefix: bytes) -> bytes:
 
 
 def announcement(prefix: bytes, domain: int, number: int) -> bytes:
-    """Return the RTPS message that announces ``prefix``, without endpoints, at participant ``number``'s address."""
+    """Return the RTPS message that announces a participant without endpoints, at the address of another one.
+
+    ``prefix`` is the GUID prefix of the announced participant, ``number`` the number of the other one.
+    """
     payload = _PL_CDR_LE + _parameters(
         (_PID_VERSION, _VERSION + bytes(2)),
         (_PID_VENDOR, prefix[:2] + bytes(2)),
