@@ -179,9 +179,10 @@ def packages(release: deb.Release, folder: Path) -> list[Path]:
     components = deb.stage(release, wheels, root)
     first = deb.pack(release, root, folder / "packages", quick=True)
     listed = json.loads(deb.write_sbom(first, components).read_text(encoding="utf-8"))["components"]
-    metadata = [message_from_bytes(file.read_bytes()) for file in root.rglob("*.dist-info/METADATA")]
+    files = root.glob("opt/midspan/lib/*/site-packages/*.dist-info/METADATA")  # without what setuptools vendors
+    metadata = [message_from_bytes(file.read_bytes()) for file in files]
     contained = sorted(f"{canonicalize_name(message['Name'])} {message['Version']}" for message in metadata)
-    assert [f"{part['name']} {part['version']}" for part in listed] == contained
+    assert sorted(f"{part['name']} {part['version']}" for part in listed) == contained
     (module,) = root.glob("opt/midspan/lib/*/site-packages/bridge/__init__.py")
     module.write_text(dist.VERSION_LINE.sub(f'__version__ = "{NEXT}"', module.read_text()))
     return [first, deb.pack(release, root, folder / "packages", NEXT, quick=True)]
