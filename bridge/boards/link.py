@@ -118,10 +118,10 @@ class BoardLink:
         if len(names) != client.axes:
             raise OSError(f"{self._section.remote} has {client.axes} joints, and the configuration names {len(names)}")
         kinds = [client.call("getJointTypeRPC", axis) for axis in range(client.axes)]
-        metres = [bool(kind[0]) and kind[1] == modes.VOCAB_JOINTTYPE_PRISMATIC for kind in kinds]
+        meters = [bool(kind[0]) and kind[1] == modes.VOCAB_JOINTTYPE_PRISMATIC for kind in kinds]
         self._last_state = time.monotonic()
         self._drive.reconnect(client, client.axes)
-        self.joints = Joints(names, tuple(1.0 if flag else math.pi / 180.0 for flag in metres))
+        self.joints = Joints(names, tuple(1.0 if flag else math.pi / 180.0 for flag in meters))
         self.trouble = ""
 
     def _name(self, client: ControlBoardClient, axis: int) -> str:

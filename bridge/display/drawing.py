@@ -1,4 +1,4 @@
-"""A map as a picture or as lines of a terminal: its flags, how surely free cells are occupied, and the places on it."""
+"""A map as a picture or as lines for a terminal: its flags, the occupancy of free cells, and the places on it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 LOCATION_COLOUR, AREA_COLOUR, PATH_COLOUR = (0, 110, 0), (0, 90, 200), (200, 0, 120)
 
 _WANTED = 1200
-"""Pixels that the longer side of a small map is drawn with."""
+"""Pixels of the longer side of a small map's picture."""
 
 _ARROW = 14
 _FONT = 14
@@ -30,9 +30,9 @@ def draw(
     grid: MapGrid2D, locations: Mapping[str, Map2DLocation], areas: Mapping[str, Map2DArea], scale: int = 0,
     path: Sequence[tuple[float, float]] = (),
 ) -> Image.Image:  # fmt: skip
-    """The picture of a map, with locations as arrows and areas as outlines.
+    """Return the picture of a map, with locations as arrows and areas as outlines.
 
-    ``scale`` is pixels per cell (0: large enough), ``path`` is places in metres that a line joins.
+    ``scale`` is in pixels per cell, 0 to fit the size of the map; ``path`` is positions in meters, joined by a line.
     """
     scale = scale or max(1, min(16, _WANTED // max(grid.width(), grid.height())))
     size = grid.width() * scale, grid.height() * scale
@@ -57,7 +57,7 @@ def draw(
 
 
 def colours(grid: MapGrid2D) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    """A colour for each cell, of shape (height, width, 3): its flag's, or the grey of a free one's occupancy."""
+    """Return the color of each cell, (height, width, 3): of its flag, or a gray for the occupancy of a free cell."""
     picture = picture_of_flags(grid.flags)
     doubtful = (grid.flags == MapFlag.FREE) & (grid.occupancy > 0)
     picture[doubtful] = GRAYS[grid.occupancy[doubtful]][:, None]
@@ -65,7 +65,7 @@ def colours(grid: MapGrid2D) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
 
 
 def heading(grid: MapGrid2D, place: Map2DLocation) -> tuple[float, float]:
-    """Where a location looks on the picture: right and down, of length 1."""
+    """Return the direction of a location on the picture: right and down, of length 1."""
     theta = math.radians(place.theta)
     ends = grid.in_cells([(place.x, place.y), (place.x + math.cos(theta), place.y + math.sin(theta))])
     dx, dy = (ends[1] - ends[0]) * grid.resolution
@@ -73,7 +73,7 @@ def heading(grid: MapGrid2D, place: Map2DLocation) -> tuple[float, float]:
 
 
 def _pixel(grid: MapGrid2D, x: float, y: float, scale: int) -> tuple[float, float]:
-    """A place's pixel; far outside it is somewhere far outside."""
+    """Return the pixel of a position, clipped to a million pixels from the corner."""
     column, row = np.clip(grid.in_cells((x, y)) * scale, -1e6, 1e6)
     return float(column), float(row)
 
@@ -86,7 +86,7 @@ _RANK = {
     MapFlag.KEEP_OUT: 4,
     MapFlag.WALL: 5,
 }
-"""Which of the cells that one dot stands for is shown: a thin wall is not lost."""
+"""If one dot stands for several cells, the highest rank is shown, so that thin walls are not lost."""
 
 _LETTERS = {
     MapFlag.UNKNOWN: "?",
@@ -104,9 +104,9 @@ def lines(
     grid: MapGrid2D, locations: Mapping[str, Map2DLocation], areas: Mapping[str, Map2DArea], width: int, *,
     coloured: bool, path: Sequence[tuple[float, float]] = (),
 ) -> list[Text]:  # fmt: skip
-    """The map as lines of ``width`` columns, with a legend of its marks.
+    """Return the map as lines of ``width`` columns, with a legend of the marks.
 
-    Coloured, it is drawn in half blocks, else with a letter for each flag; ``path`` is places in metres.
+    With ``coloured``, it is drawn in half blocks, else with a letter for each flag; ``path`` is positions in meters.
     """
     step = max(1, math.ceil(grid.width() / width))
     shown = _reduced(grid, step)
@@ -130,7 +130,7 @@ def lines(
 
 
 def _reduced(grid: MapGrid2D, step: int) -> NDArray[np.intp]:
-    """The cell (as a flat index) that each dot of ``step`` by ``step`` cells shows."""
+    """Return the cell, as a flat index, that each dot of ``step`` by ``step`` cells shows."""
     height, width = math.ceil(grid.height() / step), math.ceil(grid.width() / step)
     table = np.array([_RANK[flag] for flag in MapFlag], np.int8)
     rank = np.full((height * step, width * step), -1, np.int8)
@@ -185,7 +185,7 @@ def _line_marks(
     size = np.array([grid.width(), grid.height()]) / step
     corners = grid.in_cells(list(points) or np.zeros((0, 2))) / step
     for start, end in pairwise(corners):
-        # no more dots than a map could show, however far a corner is
+        # at most as many dots as the map can show, however far away a corner is
         count = int(min(2 * np.abs(end - start).max() + 2, 4 * size.sum()))
         for column, row in start + np.linspace(0, 1, count)[:, None] * (end - start):
             if 0 <= column < size[0] and 0 <= row < size[1]:

@@ -1,4 +1,4 @@
-"""A turn of a laser in numbers, as the simulator measures it and as modules read it from the hub or from YARP."""
+"""A laser scan as numbers, from the simulator, the hub or YARP."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """A turn of a laser: of the hub, of YARP, of the simulator."""
+    """One scan: a turn of a laser."""
 
-    time_ns: int  #: when it was made
+    time_ns: int  #: the time of the scan
     first: float  #: the first beam's direction on the laser, radians
-    step: float  #: from each beam to the next, radians
-    nearest: float  #: the least distance that the laser measures, metres
-    farthest: float  #: the distance from which on it measures nothing
-    # metres; infinite where nothing was hit, NaN where nothing is known, minus infinity where it is too near
+    step: float  #: the angle from each beam to the next, radians
+    nearest: float  #: the laser's minimum range, meters
+    farthest: float  #: the laser's maximum range, meters
+    # meters; infinite for no echo, NaN for no valid measurement, minus infinity for an object below the minimum range
     ranges: NDArray[np.float64]
 
     def turned_over(self) -> Turn:
-        """The same of a laser that hangs upside down: seen from above, its beams go round the other way."""
+        """Return the scan of a laser mounted upside down: seen from above, its beams are in the opposite order."""
         return replace(self, first=-self.first, step=-self.step)

@@ -41,10 +41,10 @@ def _without_end(prefix: str) -> str:
 class OtherRobot(Section):
     """A robot of ``web.robots``."""
 
-    name: str = Field(description="Its label on the map.", min_length=1, max_length=64)
-    base_frame: FrameName = Field(description="Its frame, for instance `r2/base_link`.")
-    path: OptionalTopic = setting("", 'Topic of its path (`nav_msgs/Path`) on the hub; "": none is drawn.')
-    radius: float = setting(0.3, "Metres: the disc that the map draws for it.", gt=0.0, le=10.0)
+    name: str = Field(description="The robot's label on the map.", min_length=1, max_length=64)
+    base_frame: FrameName = Field(description="The robot's frame, for instance `r2/base_link`.")
+    path: OptionalTopic = setting("", 'Topic of a path (`nav_msgs/Path`) on the hub; "": no path.')
+    radius: float = setting(0.3, "Radius of the disc that the map draws for the robot, meters.", gt=0.0, le=10.0)
 
 
 class WebSection(ServerSection):
@@ -52,13 +52,13 @@ class WebSection(ServerSection):
 
     listen: str = setting(
         "127.0.0.1:8480",
-        "Address and port of the page; port 0: any. One that other machines reach (`0.0.0.0:8480`) has TLS, with the"
-        " certificate of `hub.open`, and needs `tokens` or `trusted`; see [the console](console.md).",
+        "Address and port of the page; port 0: any. An address that other machines reach (`0.0.0.0:8480`) has TLS,"
+        " with the certificate of `hub.open`, and needs `tokens` or `trusted`; see [the console](console.md).",
     )
     names: tuple[HostName, ...] = setting(
         (),
-        "Names and addresses by which browsers open it, at any port, also through a reverse proxy or a tunnel. With TLS"
-        " they replace those in the certificate; on loopback they add to its own.",
+        "Names and addresses by which browsers open the console, at any port, also through a reverse proxy or a tunnel."
+        " With TLS they replace those in the certificate; otherwise they are added to the loopback names.",
     )
     prefix: Annotated[str, AfterValidator(_without_end)] = setting(
         "",
@@ -78,9 +78,9 @@ class WebSection(ServerSection):
         ' topic of this name with the suffix `_heights` (`grid_map_msgs/GridMap`). "": none.',
     )
     path: OptionalTopic = setting("", 'Topic of the path that the map shows; "": that of the chosen planner.')
-    radius: float = setting(0.3, "Metres: the disc that the map draws for the robot.", gt=0.0, le=10.0)
+    radius: float = setting(0.3, "Radius of the disc that the map draws for the robot, meters.", gt=0.0, le=10.0)
     footprint: tuple[tuple[float, float], ...] = setting(
-        (), "Corners of the robot to draw in its place, x ahead and y to the left, metres: `[[0.4, 0.3], ...]`."
+        (), "Corners of a polygon to draw instead of the disc, x ahead, y to the left, meters: `[[0.4, 0.3], ...]`."
     )
     robots: tuple[OtherRobot, ...] = setting(
         (), "Other robots that the map shows, each in a different color.", max_length=16
@@ -90,7 +90,7 @@ class WebSection(ServerSection):
 
     @property
     def guarded(self) -> bool:
-        """Whether it requires TLS and a token or certificate."""
+        """Whether the console requires TLS and a token or certificate."""
         return bool(self.tokens or self.trusted)
 
     @field_validator("footprint")
@@ -99,7 +99,7 @@ class WebSection(ServerSection):
         if value and not 3 <= len(value) <= 64:
             raise ValueError(f"{len(value)} corners do not make a footprint: give 3 to 64, or none for a disc")
         if any(not math.isfinite(part) or abs(part) > 100.0 for corner in value for part in corner):
-            raise ValueError("corners are at most 100 metres away")
+            raise ValueError("a corner must be at most 100 meters away")
         return value
 
     @model_validator(mode="after")

@@ -14,10 +14,10 @@ DEGREES = "degrees per second"
 
 
 class BaseInput(Section):
-    """Who may command the base, by which ports and topics, and until when a command holds."""
+    """An input of commands for the base: its ports and topics, and for how long a command is valid."""
 
-    name: str = Field(min_length=1, description="The name that people know it by.")
-    timeout: float = setting(0.1, "Seconds after its last command at which the base stops.", gt=0.0, le=5.0)
+    name: str = Field(min_length=1, description="Name of the input, for status and logs.")
+    timeout: float = setting(0.1, "Seconds after the input's last command until the base stops.", gt=0.0, le=5.0)
     ports: tuple[str, ...] = setting(
         (),
         "YARP ports below `prefix`: `input/joystick` opens `input/joystick/rpc:i` and `.../data:i`, as YARP's"
@@ -53,26 +53,39 @@ class BaseControlSection(ModuleSection):
 
     ini: Path | None = setting(None, "A `baseCtrl` file of an existing robot; keys set here override it.")
     kind: str = setting("cer", "`cer`: two wheels, as R1; `ikart_V1`: three omnidirectional wheels.")
-    wheel_radius: float = setting(0.16416, "Metres (`geom_r`).", gt=0.0, lt=10.0)
+    wheel_radius: float = setting(0.16416, "Radius of the wheels, meters (`geom_r`).", gt=0.0, lt=10.0)
     wheel_distance: float = setting(
-        0.338, "Metres between the two wheels; `ikart_V1`: from the centre to a wheel (`geom_L`).", gt=0.0, lt=10.0
+        0.338, "Meters between the two wheels; `ikart_V1`: from the center to a wheel (`geom_L`).", gt=0.0, lt=10.0
     )
     joints: tuple[str, ...] = setting((), "The wheels' joints in the driver's order; empty: R1's or iKart's.")
     period: float = setting(0.02, "Seconds between two commands to the wheels.", ge=0.001, le=0.1)
-    max_linear_vel: float = setting(0.3, "Metres per second.", gt=0.0, le=10.0)
+    max_linear_vel: float = setting(0.3, "Meters per second.", gt=0.0, le=10.0)
     max_angular_vel: float = setting(30.0, f"{DEGREES.capitalize()}.", gt=0.0, le=720.0)
-    max_linear_acc: float = setting(0.3, "Metres per second squared.", gt=0.0, le=100.0)
+    max_linear_acc: float = setting(0.3, "Meters per second squared.", gt=0.0, le=100.0)
     max_angular_acc: float = setting(80.0, f"{DEGREES.capitalize()} squared.", gt=0.0, le=7200.0)
-    max_linear_brake: float | None = setting(None, "The same while slowing down; empty: the same.", gt=0.0, le=100.0)
-    max_angular_brake: float | None = setting(None, "The same for turning.", gt=0.0, le=7200.0)
-    max_motor_vel: float = setting(100.0, f"Maximum of any wheel, {DEGREES}; all slow alike.", gt=0.0, le=7200.0)
-    linear_angular_ratio: float | None = setting(
-        None, "Driving's share if driving and turning together ask for too much; empty: no sharing.", ge=0.0, le=1.0
+    max_linear_brake: float | None = setting(
+        None, "Deceleration, meters per second squared; empty: as `max_linear_acc`.", gt=0.0, le=100.0
     )
-    input_filter: Literal[0, 1, 2, 4, 8] = setting(0, "Corner frequency of a filter in Hz; 0: none.")
-    motors_filter: Literal[0, 1, 2, 4, 8, 10] = setting(0, "The same for the velocities on `velocity:o`; 0: none.")
-    joystick_linear_vel: float = setting(0.3, "Metres per second at 100 percent of a joystick.", gt=0.0, le=10.0)
-    joystick_angular_vel: float = setting(30.0, f"{DEGREES.capitalize()} at 100 percent of one.", gt=0.0, le=720.0)
+    max_angular_brake: float | None = setting(
+        None, "Deceleration of turning; empty: as `max_angular_acc`.", gt=0.0, le=7200.0
+    )
+    max_motor_vel: float = setting(
+        100.0, f"Maximum of each wheel, {DEGREES}; all wheels slow down together.", gt=0.0, le=7200.0
+    )
+    linear_angular_ratio: float | None = setting(
+        None,
+        "Share of driving if driving and turning together exceed the wheels' maximum; empty: no sharing.",
+        ge=0.0,
+        le=1.0,
+    )
+    input_filter: Literal[0, 1, 2, 4, 8] = setting(0, "Corner frequency of the filter for commands, Hz; 0: no filter.")
+    motors_filter: Literal[0, 1, 2, 4, 8, 10] = setting(
+        0, "Corner frequency of the filter for the velocities on `velocity:o`, Hz; 0: no filter."
+    )
+    joystick_linear_vel: float = setting(0.3, "Meters per second at 100 percent of a joystick.", gt=0.0, le=10.0)
+    joystick_angular_vel: float = setting(
+        30.0, f"{DEGREES.capitalize()} at 100 percent of a joystick.", gt=0.0, le=720.0
+    )
     joy: JoySection = subsection(JoySection, "How gamepads drive.")
     odometry: str = setting(
         "/baseControl/odometry",
@@ -80,9 +93,9 @@ class BaseControlSection(ModuleSection):
         " and `rpc`, as YARP's `odometry2D_nws_yarp` has them.",
         pattern=PORT,
     )
-    prefix: str = setting("/baseControl", "Prefix of its ports.", pattern=PORT)
+    prefix: str = setting("/baseControl", "Prefix of the module's ports.", pattern=PORT)
     inputs: tuple[BaseInput, ...] = setting(
-        (), "Who may command, highest rank first; empty: the list in docs/navigation/base_control.md."
+        (), "The inputs, highest rank first; empty: the list in docs/navigation/base_control.md."
     )
     wheel_command: str = setting("/wheel_command", "Topic of the wheels' velocities (`JointState`, rad/s).")
     joint_states: str = setting("/joint_states", "Topic of the wheels' encoders (`JointState`).")

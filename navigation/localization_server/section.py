@@ -19,15 +19,15 @@ from bridge.config.sections.section import (
 
 Source = Literal["own", "amcl", "tf", "topic", "port", "server"]
 _Deviation = Annotated[float, Field(gt=0.0, lt=1000.0)]
-Spread = tuple[_Deviation, _Deviation]  # standard deviations: metres, degrees
+Spread = tuple[_Deviation, _Deviation]  # standard deviations: meters, degrees
 
 
 class LocaliserSection(Section):
-    """Midspan's own localiser: a particle filter on the map's walls."""
+    """Midspan's own localizer: a particle filter on the map's walls."""
 
-    particles: int = setting(1000, "Guesses that it follows at a time.", ge=50, le=20_000)
-    beams: int = setting(360, "Beams of a scan that it uses, at most.", ge=20, le=2000)
-    holonomic: bool = setting(False, "Whether the base can go sideways.")
+    particles: int = setting(1000, "Number of particles, each a possible pose.", ge=50, le=20_000)
+    beams: int = setting(360, "Maximum number of beams of a scan that are used.", ge=20, le=2000)
+    holonomic: bool = setting(False, "Whether the base can drive sideways.")
     odom_alpha: tuple[Annotated[float, Field(ge=0.0, le=10.0)], ...] = setting(
         (0.1, 0.1, 0.1, 0.1, 0.1),
         "Errors of odometry, as amcl's `odom_alpha1` to `5`: turning by turning, turning by driving, driving by"
@@ -35,18 +35,24 @@ class LocaliserSection(Section):
         min_length=5,
         max_length=5,
     )
-    laser_sigma: float = setting(0.08, "Standard deviation of a beam's end from its wall, metres.", gt=0.0, le=1.0)
-    laser_hit: float = setting(0.9, "Share of beams that end at something that the map has.", gt=0.0, lt=1.0)
-    update_min_d: float = setting(0.1, "Metres driven between two updates.", gt=0.0, le=5.0)
+    laser_sigma: float = setting(
+        0.08, "Standard deviation of the distance between a beam's end and its wall, meters.", gt=0.0, le=1.0
+    )
+    laser_hit: float = setting(0.9, "Share of beams that end at an object on the map.", gt=0.0, lt=1.0)
+    update_min_d: float = setting(0.1, "Meters driven between two updates.", gt=0.0, le=5.0)
     update_min_a: float = setting(5.7, "Degrees turned between two updates.", gt=0.0, le=180.0)
-    good: float = setting(0.6, "Share of the scan that the map must explain if localised.", gt=0.0, le=1.0)
-    poor: float = setting(0.4, "Share below which the robot is lost.", ge=0.0, lt=1.0)
-    recovery: float = setting(4.0, "Metres around the estimate in which it looks for better places.", gt=0.0, le=50.0)
+    good: float = setting(
+        0.6, "Share of the scan that the map must explain before the robot counts as localized.", gt=0.0, le=1.0
+    )
+    poor: float = setting(0.4, "If the map explains less than this share, the robot is lost.", ge=0.0, lt=1.0)
+    recovery: float = setting(
+        4.0, "Distance around the estimate within which better poses are searched, meters.", gt=0.0, le=50.0
+    )
 
     @model_validator(mode="after")
     def _good_is_better_than_poor(self) -> LocaliserSection:
         if self.poor >= self.good:
-            raise ValueError(f"'poor' ({self.poor:g}) is to be less than 'good' ({self.good:g})")
+            raise ValueError(f"'poor' ({self.poor:g}) must be less than 'good' ({self.good:g})")
         return self
 
 
@@ -55,7 +61,7 @@ class LocalizationServerSection(ModuleSection):
 
     source: Source | None = setting(
         None,
-        "Source of the robot's pose: `own` (Midspan's localiser, by laser and odometry), `amcl` (of ROS 1 or ROS 2),"
+        "Source of the robot's pose: `own` (Midspan's localizer, by laser and odometry), `amcl` (of ROS 1 or ROS 2),"
         " `tf` (the odometry's frame on the map), `topic` (a pose topic), `port` (a YARP port of poses), `server`"
         " (another server of ILocalization2D); empty: `navigation.localizer`, or else `own`.",
     )
@@ -67,10 +73,12 @@ class LocalizationServerSection(ModuleSection):
     base_frame: FrameName = setting("base_link", "The robot's frame.")
     scan: OptionalTopic = setting("/scan", "The laser (`sensor_msgs/msg/LaserScan`), for `own`.")
     initial_pose: tuple[float, float, float] | None = setting(
-        None, "For `own`: the robot's start: x, y (metres), direction (degrees); empty: unknown."
+        None, "For `own`: the robot's start pose: x, y (meters), direction (degrees); empty: unknown."
     )
-    initial_spread: Spread = setting((0.5, 15.0), "Deviations of a start without a covariance: metres, degrees.")
-    usual_spread: Spread = setting((0.1, 5.0), "Standard deviations of a pose without a covariance: metres, degrees.")
+    initial_spread: Spread = setting(
+        (0.5, 15.0), "Standard deviations of a start pose without a covariance: meters, degrees."
+    )
+    usual_spread: Spread = setting((0.1, 5.0), "Standard deviations of a pose without a covariance: meters, degrees.")
     initialpose: OptionalTopic = setting(
         "/initialpose",
         "Topic of start poses (`PoseWithCovarianceStamped`): `own` subscribes to it, and `setInitialPose` publishes it"
@@ -78,21 +86,27 @@ class LocalizationServerSection(ModuleSection):
     )
     amcl_pose: OptionalTopic = setting("/amcl_pose", "amcl's pose and covariance (`PoseWithCovarianceStamped`).")
     particlecloud: OptionalTopic = setting("/particlecloud", "The particles of ROS 1's amcl (`PoseArray`).")
-    particle_cloud: OptionalTopic = setting("/particle_cloud", "Those of ROS 2's amcl (`nav2_msgs/msg/ParticleCloud`).")
+    particle_cloud: OptionalTopic = setting(
+        "/particle_cloud", "The particles of ROS 2's amcl (`nav2_msgs/msg/ParticleCloud`)."
+    )
     set_map: OptionalTopic = setting("/set_map", 'amcl\'s service for another map (`nav_msgs/srv/SetMap`); "": none.')
     topic: OptionalTopic = setting(
         "/pose", "For `topic`: `PoseWithCovarianceStamped`, `PoseStamped` or `Odometry` in the map's frame."
     )
-    pose_age: float = setting(2.0, "Seconds for which a pose holds, carried on by odometry.", gt=0.0, le=3600.0)
-    server: PortName = setting("/otherLocalizer", "For `server`: prefix of that server's ports.")
-    publish_tf: bool = setting(True, "Whether the odometry's frame on the map is on `/tf`; never for `amcl` and `tf`.")
-    tf_tolerance: float = setting(0.1, "Seconds by which that is stamped ahead, as amcl does.", ge=0.0, le=2.0)
+    pose_age: float = setting(2.0, "Seconds for which a pose stays valid, updated by odometry.", gt=0.0, le=3600.0)
+    server: PortName = setting("/otherLocalizer", "For `server`: prefix of the other server's ports.")
+    publish_tf: bool = setting(
+        True, "Whether the transform from map to odometry is on `/tf`; never with `amcl` and `tf`."
+    )
+    tf_tolerance: float = setting(
+        0.1, "Seconds by which that transform's stamp is ahead, as with amcl.", ge=0.0, le=2.0
+    )
     period: float = setting(0.1, "Seconds between two published poses.", ge=0.01, le=5.0)
     particles_period: float = setting(1.0, "Seconds between two published sets of particles.", ge=0.05, le=60.0)
     ports: tuple[PortName, ...] = setting(
         ("/localization2D_nws_yarp", "/localizationServer"),
-        "Prefixes of its YARP ports; each gets `rpc`, `streaming:o` and `odometry:o`, as YARP's"
-        " `localization2D_nws_yarp` has them.",
+        "Prefixes of the YARP ports; each has `rpc`, `streaming:o` and `odometry:o`, like YARP's"
+        " `localization2D_nws_yarp`.",
     )
     pose_port: PortName = setting("/localizationServer/pose:i", "For `port`: a `Map2DLocation`, or x, y and degrees.")
-    localiser: LocaliserSection = subsection(LocaliserSection, "For `own`.")
+    localiser: LocaliserSection = subsection(LocaliserSection, "Settings of the source `own`.")

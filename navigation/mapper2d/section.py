@@ -21,17 +21,18 @@ class Mapper2DSection(ModuleSection):
     """The mapper."""
 
     ini: Path | None = setting(None, "A `mapper2D` file of an existing robot; keys set here override it.")
-    mapping: bool = setting(True, "Whether it maps from the start, or only after `start`.")
+    mapping: bool = setting(True, "Whether mapping starts with the module, or only upon the command `start`.")
     map_name: str = setting("map", "The map's name in the store.", min_length=1, max_length=64)
-    width: float = setting(10.0, "Metres at the start, around the robot.", gt=0.0, le=400.0)
-    height: float = setting(10.0, "Metres at the start, around the robot.", gt=0.0, le=400.0)
-    resolution: float = setting(0.05, "Metres of a cell.", ge=0.005, le=1.0)
-    largest: float = setting(100.0, "Metres to which a side of the map may grow.", gt=0.0, le=400.0)
-    farthest: float = setting(10.0, "Metres beyond which beams are ignored.", gt=0.0, le=100.0)
+    width: float = setting(10.0, "Initial width of the map, with the robot in its middle, meters.", gt=0.0, le=400.0)
+    height: float = setting(10.0, "Initial height of the map, with the robot in its middle, meters.", gt=0.0, le=400.0)
+    resolution: float = setting(0.05, "Side of a cell, meters.", ge=0.005, le=1.0)
+    largest: float = setting(100.0, "Length to which each side of the map may grow, meters.", gt=0.0, le=400.0)
+    farthest: float = setting(10.0, "Beams are ignored beyond this distance, meters.", gt=0.0, le=100.0)
     scan: OptionalTopic = setting("/scan", 'Topic of the laser (`sensor_msgs/msg/LaserScan`); "": none.')
     laser_port: str = setting("", "A laser on YARP (`/cer/laser:o`) for `laser:i`; empty: none.", pattern=PORT_OR_NONE)
     laser: tuple[float, float, float] | None = setting(
-        None, "Pose on the robot: metres, metres, degrees; empty: by `/tf` and `/tf_static`, on YARP the middle."
+        None,
+        "Pose of the laser on the robot: meters, meters, degrees; empty: from `/tf`, on YARP the robot's center.",
     )
     pose: Literal["tf", "topic", "port"] = setting(
         "tf", "Source of the pose: `tf`: the frames of all sides; `topic`: `pose_topic`; `port`: `odometry:i` on YARP."
@@ -40,11 +41,14 @@ class Mapper2DSection(ModuleSection):
         "/localization/pose", "Topic of the pose: `Odometry`, `PoseStamped` or `PoseWithCovarianceStamped`."
     )
     pose_port: str = setting(
-        "", "Poses (`/baseControl/odometry:o`) for `odometry:i`; empty: none.", pattern=PORT_OR_NONE
+        "", "YARP port of poses (`/baseControl/odometry:o`) for `odometry:i`; empty: none.", pattern=PORT_OR_NONE
     )
     initial_pose: OptionalTopic = setting("", 'Topic that sets the pose (`PoseWithCovarianceStamped`); "": none.')
     map_frame: FrameName = setting(
-        "map", "The map's frame. Without a localiser, `odom` maps by odometry only.", min_length=1, max_length=100
+        "map",
+        "The map's frame. Without a localizer, set it to `odom` to map by odometry only.",
+        min_length=1,
+        max_length=100,
     )
     odom_frame: FrameName = setting("odom", "The odometry's frame.")
     base_frame: FrameName = setting("base_link", "The robot's frame.")
@@ -55,4 +59,4 @@ class Mapper2DSection(ModuleSection):
     folder: Path | None = setting(
         None, "The only folder in which clients may save and load; default `maps` in the module's state folder."
     )
-    prefix: _Prefix = setting("/mapper2D", "Prefix of its YARP ports.")
+    prefix: _Prefix = setting("/mapper2D", "Prefix of the module's YARP ports.")

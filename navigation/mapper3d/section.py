@@ -1,4 +1,4 @@
-"""The section ``modules.mapper3d``: the octree of clouds and depth images, and what of it the robot would touch."""
+"""The section ``modules.mapper3d``: an octree of clouds and depth images, and a layer of what the robot would touch."""
 
 from __future__ import annotations
 
@@ -26,8 +26,10 @@ _Prefix = Annotated[str, matching(r"(?:/[A-Za-z0-9_.-]+)+", "is not a prefix of 
 class DepthSource(Section):
     """A depth camera."""
 
-    image: TopicName = Field(description="Topic of its depth images (`sensor_msgs/msg/Image`, `32FC1` or `16UC1`).")
-    info: TopicName = Field(description="Topic of its `sensor_msgs/msg/CameraInfo`, of the depth images' pixels.")
+    image: TopicName = Field(
+        description="Topic of the camera's depth images (`sensor_msgs/msg/Image`, `32FC1` or `16UC1`)."
+    )
+    info: TopicName = Field(description="Topic of the `sensor_msgs/msg/CameraInfo` for the depth images' pixels.")
 
 
 class LayerSection(Section):
@@ -35,28 +37,30 @@ class LayerSection(Section):
 
     topic: OptionalTopic = setting(
         "/mapper3d/layer",
-        "Topic of the layer (`nav_msgs/msg/OccupancyGrid`, latched); the obstacles' heights are on the topic of this"
-        ' name with the suffix `_heights`. "": none.',
+        "Topic of the layer (`nav_msgs/msg/OccupancyGrid`, latched). The heights of its obstacles are on a topic with"
+        ' the same name and the suffix `_heights`. "": none.',
     )
     period: float = setting(0.5, "Minimum seconds between two published changes of the layer.", ge=0.05, le=60)
     height: float = setting(
-        1.5, "Height of the robot above the floor, metres; it passes under higher obstacles.", gt=0.0, le=10.0
+        1.5, "Height of the robot above the floor, meters; the robot passes under higher obstacles.", gt=0.0, le=10.0
     )
-    width: float = setting(0.5, "Width of the robot, metres; it needs floor of this width.", gt=0.0, le=10.0)
-    step: float = setting(0.02, "Highest step that its wheels climb, metres.", ge=0.0, le=1.0)
-    margin: float = setting(0.05, "Free space that it needs above itself, metres.", ge=0.0, le=2.0)
-    slope: float = setting(8.0, "Steepest ramp that it climbs, degrees.", ge=0.0, le=45.0)
+    width: float = setting(0.5, "Width of the robot, and of the floor that it needs, meters.", gt=0.0, le=10.0)
+    step: float = setting(0.02, "Highest step that the robot's wheels can climb, meters.", ge=0.0, le=1.0)
+    margin: float = setting(0.05, "Free space that the robot needs above itself, meters.", ge=0.0, le=2.0)
+    slope: float = setting(8.0, "Steepest ramp that the robot can climb, degrees.", ge=0.0, le=45.0)
     largest: float = setting(
-        40.0, "Maximum length of the layer's sides, metres; the robot is in its middle.", ge=1.0, le=400.0
+        40.0, "Maximum length of the layer's sides, meters; the robot is in the middle of the layer.", ge=1.0, le=400.0
     )
-    name: str = setting("layer", "Its name among the maps of the store.", min_length=1, max_length=64)
+    name: str = setting("layer", "The layer's name among the maps of the store.", min_length=1, max_length=64)
 
 
 class Mapper3DSection(ModuleSection):
     """The mapper of space."""
 
-    mapping: bool = setting(True, "Whether it maps from the start, or only after `start`.")
-    map_name: str = setting("map", "The map's name among the store's 3D maps, for `save`.", min_length=1, max_length=64)
+    mapping: bool = setting(True, "Whether mapping starts with the module, or only upon the command `start`.")
+    map_name: str = setting(
+        "map", "Name under which `save` stores the map among the store's 3D maps.", min_length=1, max_length=64
+    )
     load: str = setting(
         "", "Name of the store's 3D map to start with, unless `keep` has one; empty: none.", max_length=64
     )
@@ -65,35 +69,39 @@ class Mapper3DSection(ModuleSection):
     pixels: int = setting(
         1, "Use every n-th pixel of each row and column of depth images: 2 uses a quarter of them.", ge=1, le=32
     )
-    sync: float = setting(0.1, "Seconds by which an image and its `CameraInfo` may differ.", ge=0.0, le=10.0)
-    resolution: float = setting(0.05, "Metres of a voxel.", ge=0.005, le=1.0)
-    nearest: float = setting(0.1, "Metres within which points are left out, such as those of the robot.", ge=0.0, le=10)
-    farthest: float = setting(4.0, "Metres to which rays are believed.", gt=0.0, le=100.0)
+    sync: float = setting(
+        0.1, "Seconds by which the stamps of an image and its `CameraInfo` may differ.", ge=0.0, le=10.0
+    )
+    resolution: float = setting(0.05, "Side of a voxel, meters.", ge=0.005, le=1.0)
+    nearest: float = setting(0.1, "Nearer points are ignored, such as those on the robot; meters.", ge=0.0, le=10)
+    farthest: float = setting(4.0, "Rays are used only up to this distance, meters.", gt=0.0, le=100.0)
     forget_after: float = setting(
         0.0,
-        "Seconds after which an obstacle is removed that its sensor no longer sees in plain view; 0: never.",
+        "Seconds without a hit after which an obstacle in plain view of its sensor is removed; 0: never.",
         ge=0.0,
     )
-    memory: int = setting(256, "Megabytes (1,048,576 bytes) that the map may have.", ge=1, le=65536)
+    memory: int = setting(256, "Size limit of the map, megabytes (1,048,576 bytes).", ge=1, le=65536)
     when_full: Literal["stop", "forget"] = setting(
-        "stop", "If the memory is full: `stop` ignores new voxels; `forget` drops those farthest from the sensor."
+        "stop", "When `memory` is full: `stop` ignores new voxels; `forget` drops the voxels farthest from the sensor."
     )
-    layer: LayerSection = subsection(LayerSection, "What the robot would touch, as a grid.")
-    map_frame: FrameName = setting("map", "The map's frame. Without a localiser, `odom` maps by odometry only.")
+    layer: LayerSection = subsection(LayerSection, "The grid of the cells that the robot would touch.")
+    map_frame: FrameName = setting(
+        "map", "The map's frame. Without a localizer, set it to `odom` to map by odometry only."
+    )
     odom_frame: FrameName = setting("odom", "The odometry's frame.")
     base_frame: FrameName = setting("base_link", "The robot's frame.")
     floor: float | None = setting(None, FLOOR, ge=-3.0, le=3.0)
     octomap: bool = setting(
-        True, "Whether it serves the topics and services of `octomap_server`, while others want them."
+        True, "Whether it also has the topics and services of `octomap_server`, while other nodes use them."
     )
-    period: float = setting(2.0, "Seconds between two octomaps that are published, at least.", ge=0.1, le=600.0)
+    period: float = setting(2.0, "Minimum seconds between two published octomaps.", ge=0.1, le=600.0)
     keep: bool = setting(
-        False, "Whether the map is kept in the module's state folder, and gone on with at the next start."
+        False, "Whether the map is stored in the module's state folder, and continued at the next start."
     )
     folder: Path | None = setting(
         None, "The only folder in which clients may save and load; default `maps` in the module's state folder."
     )
-    prefix: _Prefix = setting("/mapper3D", "Prefix of its YARP ports.")
+    prefix: _Prefix = setting("/mapper3D", "Prefix of the module's YARP ports.")
 
     @model_validator(mode="after")
     def _sees(self) -> Mapper3DSection:

@@ -22,8 +22,8 @@ _DEGREES = "degrees per second"
 class LaserPose(Section):
     """The pose of a YARP laser on the robot; a laser on a topic has the pose of its frame on `/tf`."""
 
-    x: float = setting(0.0, "Metres to the front (`laser_pos_x`).", ge=-10.0, le=10.0)
-    y: float = setting(0.0, "Metres to the left (`laser_pos_y`).", ge=-10.0, le=10.0)
+    x: float = setting(0.0, "Meters to the front (`laser_pos_x`).", ge=-10.0, le=10.0)
+    y: float = setting(0.0, "Meters to the left (`laser_pos_y`).", ge=-10.0, le=10.0)
     theta: float = setting(0.0, "Degrees (`laser_pos_theta`).", ge=-360.0, le=360.0)
 
 
@@ -43,14 +43,14 @@ class RobotGotoSection(ModuleSection):
         (),
         "Clouds and layers that show obstacles outside the laser's plane. The robot drives only while all arrive.",
     )
-    height: float = setting(1.3, "Height of the robot, metres; points of clouds above it are ignored.", gt=0.0, le=3.0)
+    height: float = setting(1.3, "Height of the robot, meters; points of clouds above it are ignored.", gt=0.0, le=3.0)
     max_step: float = setting(
         0.05, "Height of steps in clouds, up or down, that the wheels can climb, meters.", gt=0.0, le=1.0
     )
     floor: float | None = setting(None, FLOOR, ge=-3.0, le=3.0)
     laser_offset: float = setting(
         0.08,
-        "Metres from the robot's center to the lasers of a scan that merges several: beams closer than this to corners"
+        "Meters from the robot's center to the lasers of a scan that merges several: beams closer than this to corners"
         " and blind sectors are ignored.",
         ge=0.0,
         le=1.0,
@@ -63,13 +63,13 @@ class RobotGotoSection(ModuleSection):
     max_beta_angle: float = setting(
         20.0, "Angle between front and path up to which the robot drives at full speed, degrees.", gt=0.0, le=180.0
     )
-    lin_speed_gain: float = setting(0.6, "Metres per second for each metre to go.", gt=0.0, le=100.0)
+    lin_speed_gain: float = setting(0.6, "Meters per second for each meter to go.", gt=0.0, le=100.0)
     ang_speed_gain: float = setting(1.5, "Degrees per second for each degree to go.", gt=0.0, le=100.0)
-    max_lin_speed: float = setting(0.3, "Metres per second.", gt=0.0, le=3.0)
+    max_lin_speed: float = setting(0.3, "Meters per second.", gt=0.0, le=3.0)
     max_ang_speed: float = setting(30.0, f"{_DEGREES.capitalize()}.", gt=0.0, le=360.0)
-    min_lin_speed: float = setting(0.02, "Metres per second.", ge=0.0, le=3.0)
+    min_lin_speed: float = setting(0.02, "Meters per second.", ge=0.0, le=3.0)
     min_ang_speed: float = setting(2.0, f"{_DEGREES.capitalize()}.", ge=0.0, le=360.0)
-    goal_tolerance_lin: float = setting(0.05, "Metres.", gt=0.0, le=10.0)
+    goal_tolerance_lin: float = setting(0.05, "Meters.", gt=0.0, le=10.0)
     goal_tolerance_ang: float = setting(2.0, "Degrees.", gt=0.0, le=180.0)
     max_lin_acc: float = setting(
         0.3, "Deceleration that the base reaches for certain, meters per second squared.", gt=0.0, le=100.0

@@ -41,7 +41,7 @@ _AHEAD = 5.0  # meters of the path that are checked
 _AGAIN = 2.0  # seconds after which planning is repeated if there was no path
 _GLITCH = 0.3  # seconds for which a missing pose does not matter
 _NEARER = 0.5  # meters of progress towards the goal that reset the count of attempts
-_PATIENCE_PER_METRE, _LONGEST_PATIENCE = 2.0, 20.0
+_PATIENCE_PER_METER, _LONGEST_PATIENCE = 2.0, 20.0
 """Seconds to wait for a blocked path to clear, per meter by which the alternative is longer."""
 _DETOUR = 3.0
 """Meters by which a path around the laser's obstacles may be longer and still be preferred at the start."""
@@ -358,7 +358,7 @@ class PathPlanner:
             task.path_blocked_since = now  # this is the only path: the local navigator waits
             return
         longer = alternative.length - self.remaining(pose)
-        if now - task.path_blocked_since < min(_PATIENCE_PER_METRE * longer, _LONGEST_PATIENCE):
+        if now - task.path_blocked_since < min(_PATIENCE_PER_METER * longer, _LONGEST_PATIENCE):
             return  # a person in a corridor moves away sooner than the robot drives a long detour
         task.attempts += 1
         task.recoveries += 1

@@ -33,18 +33,18 @@ _Navigator = Annotated[
 
 
 class DrivenSection(Section):
-    """Settings for driving to a waypoint or to the goal; empty ones are those of the local navigator.
+    """Settings for driving to a waypoint or to the goal; an empty one leaves the local navigator's own value.
 
     Speeds and gains only apply to RobotGoto, not to other local navigators.
     """
 
-    tolerance_lin: float | None = setting(None, "Metres.", gt=0.0, le=10.0)
+    tolerance_lin: float | None = setting(None, "Meters.", gt=0.0, le=10.0)
     tolerance_ang: float | None = setting(None, "Degrees.", gt=0.0, le=180.0)
-    max_lin_speed: float | None = setting(None, "Metres per second.", gt=0.0, le=10.0)
-    min_lin_speed: float | None = setting(None, "Metres per second.", ge=0.0, le=10.0)
+    max_lin_speed: float | None = setting(None, "Meters per second.", gt=0.0, le=10.0)
+    min_lin_speed: float | None = setting(None, "Meters per second.", ge=0.0, le=10.0)
     max_ang_speed: float | None = setting(None, "Degrees per second.", gt=0.0, le=720.0)
     min_ang_speed: float | None = setting(None, "Degrees per second.", ge=0.0, le=720.0)
-    lin_speed_gain: float | None = setting(None, "Metres per second for each metre to go.", gt=0.0, le=100.0)
+    lin_speed_gain: float | None = setting(None, "Meters per second for each meter to go.", gt=0.0, le=100.0)
     ang_speed_gain: float | None = setting(None, "Degrees per second for each degree to go.", gt=0.0, le=100.0)
 
 
@@ -52,14 +52,14 @@ class WaypointSection(DrivenSection):
     """Settings for driving to a waypoint."""
 
     tolerance_lin: float | None = setting(
-        0.1, "Metres to the waypoint at which it sends the next one.", gt=0.0, le=10.0
+        0.1, "Distance to the waypoint, in meters, at which the next one is sent.", gt=0.0, le=10.0
     )
 
 
 class GoalSection(DrivenSection):
     """Settings for driving to the goal itself."""
 
-    tolerance_lin: float | None = setting(0.05, "Metres.", gt=0.0, le=10.0)
+    tolerance_lin: float | None = setting(0.05, "Meters.", gt=0.0, le=10.0)
     tolerance_ang: float | None = setting(0.6, "Degrees.", gt=0.0, le=180.0)
 
 
@@ -78,26 +78,42 @@ class RobotPathPlannerSection(ModuleSection):
         " `yarp:` and the port prefix of an INavigation2D server: `yarp:/robotGoto`.",
     )
     scan: OptionalTopic = setting("/scan", 'Laser that shows new obstacles (`sensor_msgs/msg/LaserScan`); "": none.')
-    obstacles: tuple[ObstacleSection, ...] = setting((), "Layers that it plans around, in addition to the laser.")
-    robot_radius: float = setting(0.3, "Metres that it keeps from walls and keep-out cells.", gt=0.0, le=10.0)
-    clearance: float = setting(0.2, "Additional clearance that it keeps if the space allows, metres.", ge=0.0, le=10.0)
+    obstacles: tuple[ObstacleSection, ...] = setting(
+        (), "Layers whose obstacles the paths avoid, in addition to those of the laser."
+    )
+    robot_radius: float = setting(
+        0.3, "Distance that paths keep from walls and keep-out cells, meters.", gt=0.0, le=10.0
+    )
+    clearance: float = setting(0.2, "Additional distance that paths keep if the space allows, meters.", ge=0.0, le=10.0)
     waypoint: WaypointSection = subsection(WaypointSection, "Settings for driving to waypoints.")
     goal: GoalSection = subsection(GoalSection, "Settings for driving to the goal.")
-    min_waypoint_distance: float = setting(0.2, "Metres within which it joins waypoints if it can.", ge=0.0, le=10.0)
-    use_optimized_path: bool = setting(True, "Whether it straightens paths; else every cell is a waypoint.")
-    recoveries: int = setting(5, "How often in a row it tries another path without coming nearer.", ge=0, le=100)
-    patience: float = setting(3.0, "Seconds that an obstacle may block the path before a detour.", ge=0.0, le=600.0)
+    min_waypoint_distance: float = setting(
+        0.2, "Waypoints nearer together than this are joined if possible, meters.", ge=0.0, le=10.0
+    )
+    use_optimized_path: bool = setting(True, "Whether paths are straightened; otherwise every cell is a waypoint.")
+    recoveries: int = setting(5, "Attempts in a row without progress before the goal is aborted.", ge=0, le=100)
+    patience: float = setting(
+        3.0, "Seconds for which an obstacle may block the path before a detour is driven.", ge=0.0, le=600.0
+    )
     max_waiting_time: float = setting(
-        60.0, "Seconds that it waits for a path, localisation, a layer or the local navigator.", ge=0.0, le=86400.0
+        60.0,
+        "Seconds of waiting for a path, localization, a layer or the local navigator, before the goal is aborted.",
+        ge=0.0,
+        le=86400.0,
     )
     max_map_waiting_time: float = setting(
-        300.0, "Seconds that it waits at a link to another map for the change of maps.", ge=0.0, le=86400.0
+        300.0,
+        "Seconds of waiting for the change of maps at a link to another map, before the goal is aborted.",
+        ge=0.0,
+        le=86400.0,
     )
-    obstacle_memory: float = setting(30.0, "Seconds for which it remembers what the laser saw.", gt=0.0, le=86400.0)
-    obstacle_distance: float = setting(5.0, "Range of laser points that it considers, metres.", gt=0.0, le=100.0)
-    period: float = setting(0.05, "Seconds between two steps.", ge=0.01, le=1.0)
+    obstacle_memory: float = setting(
+        30.0, "Seconds for which obstacles that the laser saw are remembered.", gt=0.0, le=86400.0
+    )
+    obstacle_distance: float = setting(5.0, "Range up to which the laser's points are used, meters.", gt=0.0, le=100.0)
+    period: float = setting(0.05, "Seconds between two steps of the planner.", ge=0.01, le=1.0)
     image_hz: float = setting(2.0, "Pictures per second on `map:o` while it is connected; 0: none.", ge=0.0, le=30.0)
-    prefix: OptionalPort = setting("/robotPathPlanner", 'Prefix of its YARP ports; "": none.')
+    prefix: OptionalPort = setting("/robotPathPlanner", 'Prefix of the YARP ports; "": none.')
 
     @field_validator("obstacles")
     @classmethod

@@ -244,7 +244,7 @@ CASES = [
 ]
 
 
-START = "The robot's start: x, y (metres), direction (degrees)"
+START = "The robot's start pose: x, y (meters), direction (degrees)"
 
 
 @pytest.mark.parametrize(
@@ -255,11 +255,11 @@ START = "The robot's start: x, y (metres), direction (degrees)"
         ("sim: {start: [1, 2, 3, 4]}", f"1:14: sim.start: has 4 values, and needs exactly 3: {START}"),
         (
             "sim:\n  camera:\n    fov: [60]\n",
-            "3:10: sim.camera.fov: has 1 value, and needs exactly 2: Degrees that it sees from side to side, and from top to bottom",
+            "3:10: sim.camera.fov: has 1 value, and needs exactly 2: Horizontal and vertical field of view, degrees",
         ),
         (
             "modules: {localization_server: {initial_spread: [0.5, 15, 1]}}",
-            "1:49: modules.localization_server.initial_spread: has 3 values, and needs exactly 2: Deviations of a start without a covariance: metres, degrees",
+            "1:49: modules.localization_server.initial_spread: has 3 values, and needs exactly 2: Standard deviations of a start pose without a covariance: meters, degrees",
         ),
         (
             "modules: {localization_server: {localiser: {odom_alpha: [0.1, 0.2]}}}",

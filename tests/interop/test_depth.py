@@ -18,7 +18,7 @@ from yarp_compat.pythonic import Reader
 from yarp_compat.sig.image import ImageFloat
 
 AHEAD = 9.95 - 0.5 - 0.1
-"""Metres from the camera to the wall of the hall."""
+"""Meters from the camera to the wall of the hall."""
 
 
 @pytest.mark.thorough

@@ -112,7 +112,7 @@ def test_the_cloud_fits_the_published_frames() -> None:
 @pytest.mark.parametrize(
     ("changed", "error"),
     [
-        ({"nearest": 5.0, "farthest": 4.0}, "nearest is less than farthest"),
+        ({"nearest": 5.0, "farthest": 4.0}, "nearest must be less than farthest"),
         ({"fov": (180.0, 58.0)}, "fov"),
         ({"width": 8}, "width"),
         ({"encoding": "mono8"}, "encoding"),

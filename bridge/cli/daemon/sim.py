@@ -1,4 +1,4 @@
-"""``midspan sim``: the simulated base, alone; its plans and robots; maps of a plan; a picture."""
+"""``midspan sim``: run the simulated base without a daemon, list plans and robots, or export maps or a picture."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ def register(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
     parser.add_argument("--plan", metavar="PLAN", help="name of a floor plan, or a file; see --list")
     parser.add_argument("--robot", metavar="ROBOT", help="name of a robot, or a file; see --list")
-    parser.add_argument("--speed", metavar="SPEED", help="1.0 is real time; 'max'; 'step' by a client")
-    parser.add_argument("--list", action="store_true", help="say which plans and robots come with Midspan, and end")
-    parser.add_argument("--export", type=Path, metavar="FOLDER", help="write the plan's maps and locations, and end")
-    parser.add_argument("--resolution", type=float, metavar="METRES", help="of a cell with --export (default 0.05)")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the plan and the robot as PNG, and end")
+    parser.add_argument("--speed", metavar="SPEED", help="1.0 is real time; 'max'; 'step': on requests of a client")
+    parser.add_argument("--list", action="store_true", help="list the plans and robots of Midspan, and exit")
+    parser.add_argument("--export", type=Path, metavar="FOLDER", help="write the plan's maps and locations, and exit")
+    parser.add_argument("--resolution", type=float, metavar="METERS", help="side of a cell for --export (default 0.05)")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the plan and the robot as PNG, and exit")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the simulation until it is asked to stop, or do the one thing that is asked for."""
+    """Run the simulation until it is stopped, or list, export or draw."""
     if args.list:
         return _list()
     config = _config(args)
@@ -84,7 +84,7 @@ def _export(config: Config, args: argparse.Namespace) -> int:
 
     resolution = args.resolution or 0.05
     if not 0.001 <= resolution <= 10:
-        raise CliError(f"--resolution {resolution}: 0.001 to 10 metres")
+        raise CliError(f"--resolution {resolution}: 0.001 to 10 meters")
     section = config.section(SimSection)
     plan = load_plan(section.plan, section.resolution)
     for file in export.save(plan, args.export, resolution):

@@ -50,7 +50,7 @@ def _list(args: argparse.Namespace) -> int:
         print("no map is stored; 'midspan map import FILE' brings one in")
         return 0
     table = Table(box=None, pad_edge=False)
-    for column in ("", "map", "cells", "metres", "resolution", "origin x, y, degrees", "flags"):
+    for column in ("", "map", "cells", "meters", "resolution", "origin x, y, degrees", "flags"):
         table.add_column(column)
     for row in rows:
         width, height = row["width"], row["height"]

@@ -125,7 +125,7 @@ OptionalTopic = Annotated[str, matching(f"(?:{ROS2_NAME.pattern})?", _NOT_A_TOPI
 MapSource = Annotated[str, matching(f"store|{ROS2_NAME.pattern}", _NOT_A_TOPIC)]  # `store`, or a topic of maps
 FrameName = Annotated[str, Field(min_length=1, max_length=100)]
 FLOOR = (
-    "Height of the floor in `base_frame`, metres; empty: that of the frame `base_footprint`, 0 without such a frame."
+    "Height of the floor in `base_frame`, meters; empty: that of the frame `base_footprint`, 0 without such a frame."
 )
 PortName = Annotated[str, matching(YARP_PORT, _NOT_A_PORT)]
 OptionalPort = Annotated[str, matching(f"(?:{YARP_PORT.pattern})?", _NOT_A_PORT)]

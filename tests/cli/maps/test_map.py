@@ -43,7 +43,7 @@ AREA_EXAMPLE = Map2DArea("house", [Vec2D(1.0, 1.0), Vec2D(2.0, 1.0), Vec2D(2.0, 
 
 
 def house(origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> MapGrid2D:
-    """Walls around a room of 4 by 3 metres."""
+    """Walls around a room of 4 by 3 meters."""
     flags = np.full((30, 40), MapFlag.FREE, np.uint8)
     flags[[0, -1], :] = flags[:, [0, -1]] = MapFlag.WALL
     return MapGrid2D.of(flags, name="house", resolution=0.1, origin=origin)

@@ -241,7 +241,7 @@ def test_a_cloud_without_points(step: int) -> None:
     assert pointcloud.PointCloudXYZ.from_bytes(out(CLOUD, message)).size() == 0
 
 
-def test_depth_in_millimetres_is_floats_of_metres_in_yarp() -> None:
+def test_depth_in_millimeters_is_floats_of_meters_in_yarp() -> None:
     data = struct.pack("<6H", 0, 1, 1000, 1500, 65535, 2)
     message = {"height": 2, "width": 3, "encoding": "16UC1", "step": 6, "data": data}
     depth = image.ImageFloat.from_bytes(out("sensor_msgs/msg/Image", message))

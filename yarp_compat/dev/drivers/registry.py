@@ -96,7 +96,7 @@ class DeviceOptions:
         return self._config.check(key)
 
     def text(self, key: str, default: str | None = None) -> str:
-        """Return a text; raises `DeviceError` if it is missing or empty and there is no default."""
+        """Return a text; raises `DeviceError` if it is missing or empty and has no default."""
         value = self._config.find(key)
         text = value.asString() if value.isString() else value.toString()
         if not text and default is None:

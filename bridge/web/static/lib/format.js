@@ -5,7 +5,7 @@ const NONE = "–";
 const known = (value) => typeof value === "number" && Number.isFinite(value);
 
 /** Meters. */
-export const metres = (value, digits = 2) => (known(value) ? `${value.toFixed(digits)} m` : NONE);
+export const meters = (value, digits = 2) => (known(value) ? `${value.toFixed(digits)} m` : NONE);
 
 /** An angle in degrees, -180 to 180. */
 export function degrees(radians) {

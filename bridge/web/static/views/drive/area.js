@@ -135,4 +135,4 @@ export class AreaEditor {
   }
 }
 
-const rounded = (metres) => Math.round(metres * 1000) / 1000;
+const rounded = (meters) => Math.round(meters * 1000) / 1000;

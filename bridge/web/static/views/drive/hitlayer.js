@@ -1,6 +1,6 @@
 // A layer's blocked cells, where a robot would collide, as a tint with the obstacles' heights.
 
-import { metres } from "../../lib/format.js";
+import { meters } from "../../lib/format.js";
 import { toCells } from "./viewport.js";
 
 const TINT = 0.45;
@@ -9,7 +9,7 @@ const SHIFT = 0x100000; // more columns than a layer has
 /** The obstacle at a cell as text; "" without a cell. */
 export function heightWords(cell) {
   if (!cell) return "";
-  return cell.height === null ? "a drop, or unknown height" : `hit at ${metres(cell.height)}`;
+  return cell.height === null ? "a drop, or unknown height" : `hit at ${meters(cell.height)}`;
 }
 
 /** The feed `layer`, drawn once on a separate canvas, with lookup by position. */

@@ -1,4 +1,4 @@
-// Draws the objects on the map. `to(x, y)` gives the pixel of a place, `scale` the pixels a metre.
+// Draws the objects on the map. `to(x, y)` gives the pixel of a place, `scale` the pixels a meter.
 
 /** The colors of the page's theme, by the names of style.css. */
 export function colours() {
@@ -37,10 +37,10 @@ export function niceStep(most) {
 
 /** A length as a bar in the corner, `above` pixels above the edge. */
 export function drawScale(context, view, colour, above) {
-  const metres = niceStep(110 / view.scale);
-  const wide = metres * view.scale;
+  const meters = niceStep(110 / view.scale);
+  const wide = meters * view.scale;
   const [x, y] = [view.width - 16 - wide, view.height - above - 0.5];
-  const text = metres >= 1 ? `${metres} m` : `${Math.round(metres * 100)} cm`;
+  const text = meters >= 1 ? `${meters} m` : `${Math.round(meters * 100)} cm`;
   context.lineWidth = 5;
   context.strokeStyle = colour.halo;
   const line = () => {

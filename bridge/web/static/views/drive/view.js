@@ -2,7 +2,7 @@
 
 import { button, el, mark, rows, write } from "../../lib/dom.js";
 import { editBar } from "./edit.js";
-import { degrees, metres, position } from "../../lib/format.js";
+import { degrees, meters, position } from "../../lib/format.js";
 import { MapBlock } from "./map.js";
 import { remove, rename } from "../../lib/names.js";
 import { patrolBlock } from "./patrol.js";
@@ -121,7 +121,7 @@ function doingBlock(socket) {
       write(reason, (value ? value.reason : why) || "");
       const at = value?.goal;
       write(goal, at ? `${position(at.x, at.y)}  ${degrees(at.theta)}` : "–");
-      write(left, metres(value?.distance, 1));
+      write(left, meters(value?.distance, 1));
       show();
     },
   };

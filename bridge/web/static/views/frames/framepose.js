@@ -1,7 +1,7 @@
 // The current pose of one frame in another.
 
 import { button, el, mark, write } from "../../lib/dom.js";
-import { metres, seconds } from "../../lib/format.js";
+import { meters, seconds } from "../../lib/format.js";
 
 const FIGURES = ["x", "y", "z", "roll", "pitch", "yaw"];
 const FIRST = [["map", "odom"], ["base_link", "base_footprint"]]; // chosen initially, if they exist
@@ -41,7 +41,7 @@ export function framePose(socket) {
     write(age, value ? (value.age === null ? "static" : `${seconds(value.age)} ago`) : "");
     if (!value) return;
     const { position, angles } = value;
-    const texts = [...Object.values(position).map((each) => metres(each, 3)), ...Object.values(angles).map((each) => `${((each * 180) / Math.PI).toFixed(1)}°`)];
+    const texts = [...Object.values(position).map((each) => meters(each, 3)), ...Object.values(angles).map((each) => `${((each * 180) / Math.PI).toFixed(1)}°`)];
     texts.forEach((text, i) => write(figures[i], text));
   }
 

@@ -1,7 +1,7 @@
 // The view Places: maps, places, areas and paths.
 
 import { button, el, mark, rows, write } from "../../lib/dom.js";
-import { degrees, metres } from "../../lib/format.js";
+import { degrees, meters } from "../../lib/format.js";
 import { mapsBlock } from "./mapslist.js";
 import { remove, rename } from "../../lib/names.js";
 import { goToPlace } from "../../lib/poses.js";
@@ -63,8 +63,8 @@ function locationTable(socket, current) {
   return new Table("Places", [
     { label: "Name", class: "wide", head: true, value: (p) => p.name, text: (p) => p.name },
     { label: "Map", class: "way", value: (p) => p.map, text: (p) => p.map },
-    { label: "x", class: "num", value: (p) => p.x, text: (p) => metres(p.x) },
-    { label: "y", class: "num", value: (p) => p.y, text: (p) => metres(p.y) },
+    { label: "x", class: "num", value: (p) => p.x, text: (p) => meters(p.x) },
+    { label: "y", class: "num", value: (p) => p.y, text: (p) => meters(p.y) },
     { label: "Heading", class: "num", value: (p) => p.theta, text: (p) => degrees(p.theta) },
     { label: "Do", class: "do", made: (place) => actions(socket, current, place) },
   ], (place) => place.name);
