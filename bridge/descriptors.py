@@ -25,15 +25,15 @@ class WorkerDescriptor:
     """A worker. Names like ``package.module:name`` are imported only when used.
 
     Attributes:
-        name: its name, and the key of its section in the configuration.
+        name: the worker's name, and the key of its section in the configuration.
         factory: ``package.module:Class``, imported in the worker's own process and called with ``arguments``.
         section: ``package.module:Model`` of its section, whose key ``enabled`` switches it on; "" without one.
         about: description of the section.
         sections: the worker is reloaded if one of these sections of the configuration changes.
         uses: ``package.module:function`` that returns further values to reload for, by name, from a configuration.
-        switch: ``package.module:function`` that returns whether a configuration enables it, in place of the key.
+        switch: ``package.module:function`` that returns whether the worker is enabled, instead of its key.
         environment: a module with ``available(config)`` and ``worker_environment(config, environ)``.
-        needs: without ``environment``, the packages that must be importable; pip's ``extra`` installs them.
+        needs: the packages that must be importable if ``environment`` is empty; pip's ``extra`` installs them.
         outlives: the worker continues if the daemon dies, and the next daemon adopts it.
         node: whether it is a node of the hub, and reports its status there.
         checks: ``package.module:name`` of the doctor's checks.
@@ -60,7 +60,7 @@ class ModuleDescriptor:
     """A hosted module. Names like ``package.module:name`` are imported only when used.
 
     Attributes:
-        name: its name on the hub, and the key of its section under ``modules``.
+        name: the module's name on the hub, and the key of its section under ``modules``.
         factory: ``package.module:Class``, imported only in the process that runs it.
         section: ``package.module:Model`` of its section; "" for the gateway, whose section is ``navigation``.
         about: description of the section.

@@ -21,7 +21,7 @@ from yarp_compat.dev.controlboard.streams import JointData
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 
 _SPEED, _RAMP = 30.0, 60.0  # defaults of position moves: degrees per second (squared)
-_THERE = 0.2  # degrees from its target within which a wheel has reached it
+_THERE = 0.2  # a wheel has reached its target within this many degrees
 _MODES = frozenset(
     (
         modes.VOCAB_CM_POSITION,
@@ -81,7 +81,7 @@ class WheelCommands:
             self.release(wheel)
 
     def turn(self, wheel: int, velocity: float) -> None:
-        """Command a velocity, which expires after the time-out."""
+        """Command a velocity, which expires after the timeout."""
         self.velocities[wheel] = min(self.greatest, max(-self.greatest, velocity))
         self._until[wheel] = self.now_ns + self._timeout
 
@@ -105,7 +105,7 @@ class WheelCommands:
         return np.radians(self._moving)
 
     def is_done(self, wheel: int) -> bool:
-        """Return whether a wheel has reached its target, or has none."""
+        """Return whether a wheel has reached its target, or has no target."""
         target = self.targets[wheel]
         return target is None or abs(target - self.positions()[wheel]) <= _THERE
 
@@ -115,7 +115,7 @@ class WheelCommands:
         return self.now_ns < self._until[wheel]
 
     def _towards(self, wheel: int, distance: float, seconds: float) -> float:
-        """Return the velocity of a trapezoidal move to a position; in position direct mode, of the fastest move."""
+        """Return the velocity of a trapezoidal move to a position; in position direct mode that of the fastest one."""
         if self.modes[wheel] == modes.VOCAB_CM_POSITION_DIRECT:
             fastest = self.greatest
         else:

@@ -1,10 +1,10 @@
 """Type support created at run time, from only a type's name and hash.
 
 Raw bytes pass through rcl without being parsed. rcl needs only the type's name, by which DDS endpoints are matched, its
-RIHS01 hash, which is announced, and the flag that messages may have any size. So no message package has to be
+RIHS01 hash, which is announced, and a flag that messages may have any size. So no message package has to be
 installed, built or imported: a known type support of an unbounded type (``rcl_interfaces/msg/Log``, which rclpy itself
 needs) lends its functions, and its structures are copied with the new name and hash. Fast DDS's TypeObject has the
-lender's fields; rmw_fastrtps_cpp does not announce it, endpoints are matched by name.
+lender's fields, which does no harm: rmw_fastrtps_cpp does not announce it, and endpoints are matched by name.
 
 Structures: rosidl_runtime_c/message_type_support_struct.h, rosidl_typesupport_fastrtps_cpp/message_type_support.h,
 rosidl_typesupport_introspection_c/message_introspection.h.
@@ -83,7 +83,7 @@ def lent(kind: str, name: str) -> int:
 
 
 class Lender:
-    """The type support whose functions the created ones borrow."""
+    """The type support whose functions the created type supports use."""
 
     def __init__(self) -> None:
         pointer = lent("message", "msg__Log")
@@ -192,7 +192,7 @@ class _ServiceSupport(Structure):
 
 
 class _ServiceMembers(Structure):
-    """Members of either implementation; Fast DDS's ends before ``event``."""
+    """The members structure of either implementation; that of Fast DDS ends before ``event``."""
 
     _fields_ = [("namespace", c_char_p), ("name", c_char_p), *_pointers("request", "response", "event")]
 
@@ -255,7 +255,7 @@ class TypeSupports:
             return raw_class
 
     def prepare_services(self) -> None:
-        """Load the structures that all services share; raises `MessageTypeError` if services cannot cross."""
+        """Load the structures that all services share; raises `MessageTypeError` if services cannot be bridged."""
         with self._lock:
             if self._for_services is None:
                 support = _ServiceSupport.from_address(lent("service", "srv__GetParameters"))

@@ -14,17 +14,17 @@ from bridge.messages.errors import ConversionError
 from bridge.routing.rewrites import StaticTransforms
 
 MAX_LATCHED = 100
-"""Maximum number of a latched topic's messages from before the start."""
+"""Maximum number of messages from before the start that are replayed for a latched topic."""
 
 MAX_LATCHED_BYTES = 64 << 20
-"""Maximum bytes of all of these; those of further topics are skipped."""
+"""Maximum bytes of all these messages; those of further topics are skipped."""
 
 _NS = 1e9
 
 
 @dataclass(frozen=True)
 class PlayPart:
-    """The part of the bags to play: seconds from the start of the first one."""
+    """The part of the bags to play, in seconds from the start of the first bag."""
 
     start: float = 0.0
     duration: float | None = None
@@ -43,8 +43,8 @@ class PlaySource:
     """The messages to play, which can be read repeatedly.
 
     Attributes:
-        begin_ns: start in the bags' time.
-        end_ns: end in the bags' time.
+        begin_ns: the start, on the bags' clock.
+        end_ns: the end, on the bags' clock.
         bad: messages of `kept` that could not be converted, with the reason; cleared by the player.
         troubles: other problems found by `kept`.
 
@@ -73,7 +73,7 @@ class PlaySource:
         return self._kept
 
     def messages(self) -> Iterator[Played]:
-        """Yield all others of this part, in order of time."""
+        """Yield the other messages of the part, in order of time."""
         return self._merged(lambda topic: not topic.static, self.begin_ns, self.end_ns + 1)
 
     def _static(self) -> Iterator[Played]:

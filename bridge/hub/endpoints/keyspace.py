@@ -27,7 +27,7 @@ class KeyItem:
 
     Attributes:
         body: the value; None if it was deleted.
-        ns: time of writing, nanoseconds since 1970; 0 if unknown.
+        ns: the time at which the value was written or deleted, nanoseconds since 1970; 0 if unknown.
         writer: id of the clock that gave the time, up to 16 bytes in hexadecimal.
     """
 
@@ -40,7 +40,7 @@ class KeyItem:
 
 
 class KeyQuery:
-    """A pending query. Its receiver ends it, on any thread.
+    """A pending query. The receiver must end it; any thread may do so.
 
     Attributes:
         key: the requested key, beneath the prefix; it may have wildcards.
@@ -86,10 +86,11 @@ class KeyQuery:
 class KeySpace:
     """The keys beneath a prefix as one session sees and serves them. Safe to use from any thread.
 
-    Callbacks run on zenoh's receiving thread: they append and wake only. A session does not receive its own changes.
+    Callbacks run on zenoh's receiving thread, so they must only queue work and wake another thread. A session does not
+    receive its own changes.
 
     Args:
-        limit: bytes of the largest value; larger ones are dropped.
+        limit: size limit of values in bytes; larger ones are dropped.
     """
 
     def __init__(self, session: zenoh.Session, prefix: str, limit: int) -> None:
@@ -143,7 +144,7 @@ class KeySpace:
     def serve(self, keys: str, asked: Callable[[KeyQuery], None], *, complete: bool = False) -> None:
         """Answer queries of some keys, which may have wildcards, until the space is closed.
 
-        ``complete``: any single such server knows all values.
+        With ``complete``, zenoh may query only one of these servers, since each has all values.
         """
 
         def on_message(query: zenoh.Query) -> None:
@@ -156,7 +157,7 @@ class KeySpace:
         self._keep(answer(self._session, f"{self._prefix}/{keys}", on_message, complete=complete))
 
     def ask(self, keys: str, body: bytes = b"", seconds: float = 5.0) -> list[KeyItem]:
-        """Query all servers of some keys; returns when all have answered, or after ``seconds``.
+        """Query all servers of some keys; return when all have replied, or after ``seconds``.
 
         Raises:
             HubError: a server replied with an error.
@@ -192,7 +193,7 @@ class KeySpace:
     def tokens(self, keys: str, seconds: float = 2.0) -> list[str]:
         """Return the current tokens of keys that this session does not watch.
 
-        Of watched keys zenoh lists the tokens that it received, and at times misses the newest (zenoh 1.10).
+        For watched keys, zenoh 1.10 lists only tokens that it has received, and sometimes misses the newest ones.
         """
         replies: Any = self._session.liveliness().get(f"{self._prefix}/{keys}", timeout=seconds)
         return [self._below(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None]
