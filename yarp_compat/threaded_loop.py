@@ -91,6 +91,8 @@ class ThreadedLoop(SelectorLoop):
             self._make_calls()
 
     def _fits(self, file: File) -> bool:
+        if file in self._selector.get_map():
+            return True
         if sys.platform == "win32":
             return len(self._selector.get_map()) < _SELECT_LIMIT
         return (file if isinstance(file, int) else file.fileno()) < _SELECT_LIMIT

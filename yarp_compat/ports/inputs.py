@@ -70,7 +70,7 @@ class Input:
 
         try:
             loop.watch(self.sock, ready)
-        except ValueError:  # more than the system's select can watch
+        except (OSError, ValueError):  # more than the system's select can watch
             self._begin()
 
     def _begin(self) -> None:

@@ -20,6 +20,7 @@ PATIENCE = 10.0  # seconds within which a connection must introduce itself
 MOST_SILENT = 200
 """Connections of one port that have not introduced themselves yet; beyond, the oldest is closed."""
 _PER_TURN = 32
+_PAUSE = 0.2
 _TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
 Opened = Callable[[socket.socket, Opening, bytes, tuple[str, int]], None]
@@ -27,7 +28,7 @@ Refused = Callable[[str, WireError], None]
 
 
 class Listener:
-    """Accepts connections on the shared thread, and reads their introductions.
+    """Accepts connections on the shared thread, from `start` to `close`, and reads their introductions.
 
     ``opened`` receives the connection, its introduction, the bytes that followed and the peer's address; ``refused`` is
     called for an invalid introduction. Both are called on the shared thread.
@@ -41,7 +42,11 @@ class Listener:
         self.silent: dict[socket.socket, _Introduction] = {}
         self._closed = False
         sock.setblocking(False)
-        loop.call_soon(lambda: loop.watch(sock, self._accept))
+
+    def start(self) -> None:
+        """Listen; raises `OSError` if the system cannot watch one more socket."""
+        if not self._closed:
+            self.loop.watch(self._sock, self._accept)
 
     def close(self) -> None:
         """Stop listening; connections passed to ``opened`` stay open."""
@@ -76,7 +81,11 @@ class Listener:
             tune(sock)
             if len(self.silent) >= MOST_SILENT:
                 next(iter(self.silent.values())).drop()
-            self.silent[sock] = _Introduction(self, sock, address[:2])
+            try:
+                self.silent[sock] = _Introduction(self, sock, address[:2])
+            except OSError as error:  # the system cannot watch more
+                sock.close()
+                _log.warning("cannot accept a connection: %s", error)
 
     def _make_room(self, error: OSError) -> None:
         """Free a socket: close the connection that was silent longest, or pause accepting."""
@@ -85,11 +94,13 @@ class Listener:
             next(iter(self.silent.values())).drop()
             return
         self.loop.unwatch(self._sock)
-        self.loop.call_later(0.2, self._resume)
+        self.loop.call_later(_PAUSE, self._resume)
 
     def _resume(self) -> None:
-        if not self._closed:
-            self.loop.watch(self._sock, self._accept)
+        try:
+            self.start()
+        except OSError:
+            self.loop.call_later(_PAUSE, self._resume)
 
 
 class _Introduction:

@@ -23,6 +23,8 @@ from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.reply import ReplyEnd, ReplyWatch
 
 _log = logging.getLogger("yarp.ports")
+_POLL = 0.01
+"""Seconds between two attempts to send on a socket that the system's ``select`` cannot watch."""
 
 
 class Output:
@@ -197,11 +199,18 @@ class Output:
         if events is None:
             return
         if events and not self.closed:
-            reads = events == selectors.EVENT_READ
-            self._loop.watch(self.socket_side.sock, self._drive if reads else None, None if reads else self._drive)
+            self._drive_when(events)
             return
         self._loop.unwatch(self.socket_side.sock)
         self._dispose()
+
+    def _drive_when(self, events: int) -> None:
+        """Continue on the shared thread when the socket is readable, or else writable."""
+        reads = events == selectors.EVENT_READ
+        try:
+            self._loop.watch(self.socket_side.sock, self._drive if reads else None, None if reads else self._drive)
+        except OSError:
+            self._loop.call_later(_POLL, self._drive)
 
     def _step(self) -> int | None:
         """Return the events to wait for; 0 if the connection is closed; None if another thread may drive."""

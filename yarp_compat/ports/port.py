@@ -86,17 +86,18 @@ class PortCore(ConnectingPort):
         self._interrupted = False
 
     def open(self) -> PortContact:
-        """Register the port and listen, after a pending close; raises `NamingError`, or `OSError` for the address."""
+        """Register the port and listen, after a pending close; raises `NamingError`, or `OSError` for the socket."""
         self._closed.wait()
         with self._life:
             contact, sock = registered(self.naming, self.name, self._host, self._number)
             self.contact, self.name = contact, contact.name
             self._loop = shared = loop.acquire()
             self.connections.open()
-            self._listener = Listener(shared, sock, self._on_introduced, self._on_refused)
+            self._listener = listener = Listener(shared, sock, self._on_introduced, self._on_refused)
             shared.call_soon(self._check_outputs)
             note_open(self)
         try:
+            listener.start()
             self.naming.announce(self.name)
         except OSError:
             self.close()

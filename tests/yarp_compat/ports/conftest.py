@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import selectors
 from collections.abc import Callable, Iterator
 
 import pytest
 
+from yarp_compat import threaded_loop
 from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.ports.port import PortCore
 
@@ -16,6 +18,13 @@ MakePort = Callable[..., PortCore]
 def naming() -> LocalNaming:
     """A name registry for one test."""
     return LocalNaming()
+
+
+@pytest.fixture
+def fill_select(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Ports share a loop on ``select``, as on Windows; after a call it accepts no further socket."""
+    monkeypatch.setattr(selectors, "DefaultSelector", selectors.SelectSelector)
+    return lambda: monkeypatch.setattr(threaded_loop, "_SELECT_LIMIT", 0)
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 import tracemalloc
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -97,6 +97,23 @@ def test_strict_writes_are_all_delivered(make_port: MakePort, slow: Slow) -> Non
         slow.acknowledge()
     assert writer.wait_writes(10)
     assert not writer.is_writing
+
+
+def test_rest_of_a_message_is_sent_although_select_is_full(
+    make_port: MakePort, slow: Slow, fill_select: Callable[[], None]
+) -> None:
+    writer = make_port("/w")
+    writer.add_output("/slow")
+    fill_select()
+    big = encode([bytes([1]) * (10 * BIG)], Profile.YARP3)
+    writer.write(big)
+    writer.write(HELLO, strict=True)
+    assert slow.read() == big
+    slow.acknowledge()
+    assert slow.read() == HELLO
+    slow.acknowledge()
+    output = writer.connections.outputs[0]
+    until(lambda: not output.busy, "the shared thread has read the last acknowledgement")
 
 
 def test_peer_that_has_acknowledged_is_not_busy(
