@@ -38,6 +38,14 @@ class _Loop:
 
     def listen(self, connection: Any, *, data: bool) -> None:
         connection.listens = data
+        if data and connection.paused:
+            connection.paused = False
+            self.reads.set()
+
+    def pause(self, connection: Any) -> None:
+        connection.paused = not connection.listens
+        if connection.paused:
+            self.reads.clear()
 
 
 def _drive(connection: Any, loop: _Loop) -> None:
