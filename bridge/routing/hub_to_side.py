@@ -162,11 +162,10 @@ class HubToSideRoute(TopicRoute):
         streams = self._priority is Priority.STREAM and self._publishers.latched is None
         volatile = self._publishers.volatile if streams else None
         wanted = volatile is None or volatile.has_subscribers
-        before = self._demand.state
         demand = self._demand.update(self.counters.messages, wanted=wanted, subscribed=self._subscription.open)
         if demand is Demand.PAUSED:
             self._subscription.close()
-        elif before is Demand.PAUSED and allowed:
+        elif allowed and not self._subscription.open:
             self._receive_from(allowed)
 
     def _receive_from(self, publishers: Sequence[HubEndpoint]) -> None:

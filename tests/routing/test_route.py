@@ -371,6 +371,60 @@ def test_fast_stream_is_unsubscribed_ten_seconds_after_its_last_subscriber(
         route.close()
 
 
+class FailingOnce:
+    """A hub whose second subscription fails."""
+
+    max_payload = 1000
+
+    def __init__(self) -> None:
+        self.subscriptions = 0
+
+    def subscription(self, *_: object) -> SimpleNamespace:
+        self.subscriptions += 1
+        if self.subscriptions == 2:
+            raise OSError("no room")
+        return SimpleNamespace(close=lambda: None, lost=0, by_lane=0)
+
+
+def test_paused_stream_is_subscribed_again_after_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, hub = [100.0], FailingOnce()
+    monkeypatch.setattr(hub_end, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    registry, network, topic = Registry(), FakeNetwork(), "/stream"
+    type_ = registry.ros2(STRING)
+    publisher = HubEndpoint(
+        "z", "n", "/", EndpointKind.PUBLISHER, topic, STRING, type_.type_id, Qos(), GID, None, pending=False, own=False
+    )
+    idle, lease = Dispatcher("idle"), Lease()
+    lease.extend(math.inf)
+    context = EngineContext(
+        cast("Hub", hub),
+        FakeEdge(network, registry),
+        StallDetector(),
+        lease,
+        cast("Any", None),
+        idle,
+        idle,
+        lambda: None,
+    )
+    policy = RoutePolicy(allowed=True, why="", name=topic)
+    key, conversion = RouteKey(topic, STRING, type_.type_id), Conversion(type_, type_, None)
+    route = HubToSideRoute(key, topic, None, conversion, policy, context)
+    route.update([publisher], [])
+    for number in range(200):
+        route.handle(HubSample(zenoh.ZBytes(line("x")), number + 1, 1, GID, "z"))
+    now[0] += 30.0
+    route.update([publisher], [])
+    assert route._demand.state is hub_end.Demand.PAUSED
+    network.read_from(topic, STRING, Qos(), MadeBy.NATIVE, "/listener", lambda *_: None)
+    with pytest.raises(OSError, match="no room"):
+        route.update([publisher], [])
+    route.update([publisher], [])
+    assert hub.subscriptions == 3
+    route.update([publisher], [])
+    assert hub.subscriptions == 3
+    route.close()
+
+
 TWIST = "geometry_msgs/msg/Twist"
 
 
