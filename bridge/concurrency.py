@@ -102,6 +102,14 @@ class InlineExecutor:
             if self._running:
                 return
             self._running = True
+        try:
+            self._run()
+        except BaseException:  # an interrupt; the next job to be submitted runs after those that are left
+            with self._lock:
+                self._running = False
+            raise
+
+    def _run(self) -> None:
         while True:
             with self._lock:
                 if not self._jobs:

@@ -155,3 +155,16 @@ def test_a_job_that_submits_another_sees_it_run_after_itself() -> None:
     executor.submit(lambda: 1 // 0)  # stops nothing
     executor.submit(lambda: done.append("next"))
     assert done == ["outer", "inner", "next"]
+
+
+def test_an_interrupted_job_leaves_the_executor_usable() -> None:
+    executor, done = InlineExecutor(), list[str]()
+
+    def interrupted() -> None:
+        executor.submit(lambda: done.append("left"))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        executor.submit(interrupted)
+    executor.submit(lambda: done.append("next"))
+    assert done == ["left", "next"]

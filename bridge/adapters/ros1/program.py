@@ -21,6 +21,8 @@ from bridge.adapters.ros1.actions import discovery, wire
 from bridge.adapters.ros1.actions.client import ActionlibClient
 from bridge.adapters.ros1.actions.frames import empty
 from bridge.adapters.ros1.actions.network import types_of
+from bridge.adapters.ros1.actions.states import text_of
+from bridge.adapters.ros1.actions.wire import ZERO, GoalId
 from bridge.adapters.ros1.environment import DEFAULT_MASTER, is_local
 from bridge.adapters.ros1.node.address import NodeAddress
 from bridge.adapters.ros1.node.plain import Deliver, PlainNode, PlainNodeEvents
@@ -217,18 +219,21 @@ class Ros1ActionClient:
         goal_id = uuid.uuid4().bytes
         request = goal_id + self._program.encode(f"{self._type}Goal", goal)
         self._feedback = (goal_id, on_feedback) if on_feedback is not None else None
-        self._executor.submit(lambda: self._client.send_goal(request, replies.append))
         try:
+            self._executor.submit(lambda: self._client.send_goal(request, replies.append))
             first = self._wait_for(replies, 1)
             if isinstance(first, CallError):
                 return self._outcome(first)
             if not wire.read_goal_response(first):
                 return GoalOutcome(GoalState.UNKNOWN, "the server rejected the goal", {})
             self._executor.submit(lambda: self._client.get_result(goal_id, replies.append))
-            return self._outcome(self._wait_for(replies, 2))
-        except KeyboardInterrupt:
+            last = self._wait_for(replies, 2)
+        except BaseException:
+            # at once, since the executor may be running a job, and the program may close before it runs the next one
+            self.publish(discovery.CANCEL, wire.goal_id(GoalId(ZERO, text_of(goal_id))))
             self._executor.submit(lambda: self._client.close("interrupted"))
             raise
+        return self._outcome(last)
 
     # -- called by the client ------------------------------------------------------------------------------------------
 

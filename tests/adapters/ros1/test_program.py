@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 
 import pytest
 
-from bridge.adapters.ros1.actions import wire
+from bridge.adapters.ros1.actions import discovery, wire
 from bridge.adapters.ros1.actions.states import Ros1State
 from bridge.adapters.ros1.program import Message, Ros1Program
 from bridge.adapters.ros1_peers import UnreachableError
@@ -66,20 +67,33 @@ def test_a_goal_ends_when_its_server_dies(program: Ros1Program, server: Peer, re
     assert done.text.endswith(f"its action server {action_of(request)}_server left")
 
 
+@pytest.mark.parametrize("when", ["while waiting", "during feedback", "as the goal is sent"])
 def test_an_interrupt_cancels_the_goal(
-    program: Ros1Program, server: Peer, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+    program: Ros1Program, server: Peer, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, when: str
 ) -> None:
+    """An interrupt ends a ``with`` block, also while another thread runs the program's callback."""
     name = action_of(request)
     server.ask("server", name=name)
     client = program.action_client(name, TEST)
     assert client.wait_for_server(40)
     accepted: list[Message] = []
-    wait = program.wait
+    go_on = threading.Event()
+    wait, publish = program.wait, client.publish
 
     def interrupted(ready: Callable[[], bool], seconds: float) -> bool:
         if accepted:
             raise KeyboardInterrupt
         return wait(ready, seconds)
+
+    def interrupted_after(part: str, payload: bytes) -> None:
+        publish(part, payload)
+        if part == discovery.GOAL:
+            raise KeyboardInterrupt
+
+    def on_feedback(message: Message) -> None:
+        accepted.append(message)
+        if when == "during feedback":
+            go_on.wait(40)
 
     states: list[int] = []
     with Ros1Program("watcher") as watcher:
@@ -89,10 +103,15 @@ def test_an_interrupt_cancels_the_goal(
         )
         until(lambda: watcher.publishers(f"{name}/result"), "the watcher is connected")
         monkeypatch.setattr(program, "wait", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            client.send_goal({"goal": 5}, accepted.append)
-        until(lambda: states, "the goal has ended")
-    assert states == [Ros1State.PREEMPTED]
+        if when == "as the goal is sent":
+            monkeypatch.setattr(client, "publish", interrupted_after)
+        try:
+            with pytest.raises(KeyboardInterrupt), program:
+                client.send_goal({"goal": 5}, on_feedback)
+            until(lambda: states, "the goal has ended")
+        finally:
+            go_on.set()
+    assert states[0] in (Ros1State.PREEMPTED, Ros1State.RECALLED)
 
 
 def test_a_program_without_server_publisher_or_master_gets_an_answer(
