@@ -138,7 +138,11 @@ def ask_daemon(config: Config, seconds: float = 1.0) -> DaemonStatus | None:
 def reload_daemon(config: Config, seconds: float = 20.0) -> str | None:
     """Let a configuration's daemon load its file again; return why it rejects it, "" if not. None: it does not run."""
     document = request(config, RELOAD, seconds)
-    return None if document is None else str(document.get("rejected", document.get("error", "")))
+    if document is None:
+        return None
+    if "rejected" in document:
+        return str(document["rejected"])
+    return str(document.get("error") or "it is of an earlier release, which cannot reload on request; restart it")
 
 
 def request(config: Config, verb: str, seconds: float, **fields: Any) -> dict[str, Any] | None:
@@ -147,12 +151,13 @@ def request(config: Config, verb: str, seconds: float, **fields: Any) -> dict[st
     response = b""
     try:
         with local_socket.connect(state_file.daemon_socket(config), seconds) as sock:
-            with contextlib.suppress(OSError):  # a daemon of an earlier release has responded and closed by now
+            with contextlib.suppress(OSError):  # a daemon of an earlier release does not read the request
                 sock.sendall(json.dumps({"verb": verb, **fields}).encode() + b"\n")
-            while data := sock.recv(1 << 16):
-                response += data
-                if len(response) > _MAX_RESPONSE:
-                    return None
+            with contextlib.suppress(ConnectionError):  # and resets the connection after its response
+                while data := sock.recv(1 << 16):
+                    response += data
+                    if len(response) > _MAX_RESPONSE:
+                        return None
         document = json.loads(response)
     except (OSError, ValueError, RuntimeError):
         return None

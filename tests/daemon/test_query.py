@@ -6,12 +6,14 @@ import contextlib
 import os
 import signal
 import socket
+import threading
 from pathlib import Path
 
 import pytest
 
 from bridge.config.model import Config
-from bridge.daemon.query import QueryServer, ask_daemon
+from bridge.daemon.local_socket import LocalListener
+from bridge.daemon.query import QueryServer, ask_daemon, reload_daemon
 from tests.peers.daemon.daemon import Daemon
 from tests.support.descriptors import no_descriptors
 from tests.support.wait import until
@@ -61,6 +63,23 @@ def test_a_file_instead_of_a_socket_yields_none(tmp_path: Path) -> None:
     (tmp_path / "test.daemon.sock").write_text("no socket")
     assert ask_daemon(Config(name="test", state=tmp_path)) is None
     assert ask_daemon(Config(name="x" * 60, state=tmp_path / ("y" * 90))) is None
+
+
+def test_a_daemon_of_an_earlier_release_is_not_reported_as_reloaded(tmp_path: Path) -> None:
+    """It sends its status to each client, and ignores the request."""
+    listener = LocalListener(tmp_path / "test.daemon.sock")
+
+    def respond() -> None:
+        client, _ = listener.sock.accept()
+        with client:
+            client.sendall(b'{"daemon": "test", "refused": "", "status": "running"}')
+            client.recv(1, socket.MSG_PEEK)  # it closes with the unread request
+
+    responder = threading.Thread(target=respond)
+    responder.start()
+    with contextlib.closing(listener):
+        assert "earlier release" in (reload_daemon(Config(name="test", state=tmp_path)) or "")
+    responder.join(20)
 
 
 def test_without_descriptors_a_client_is_disconnected_and_the_loop_does_not_spin(tmp_path: Path) -> None:
