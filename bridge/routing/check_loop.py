@@ -67,6 +67,8 @@ class CheckLoop:
         tick = check = 0.0
         while not self._stopping.is_set():
             woken = self._wake.wait(max(0.0, min(tick, check) - time.monotonic()))
+            if self._stopping.is_set():
+                return
             now = time.monotonic()
             if woken or now >= check:
                 self._wake.clear()

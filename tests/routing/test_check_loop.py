@@ -25,18 +25,22 @@ def running(
         loop.stop()
 
 
-def test_checks_at_the_start_and_when_woken() -> None:
-    checks = list[None]()
-    with running(lambda: bool(checks.append(None))) as loop:
+def test_checks_at_the_start_and_when_woken_but_not_when_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(check_loop, "POLL", 1000.0)
+    monkeypatch.setattr(check_loop, "TICK", 0.01)
+    checks, ticks = list[None](), list[None]()
+    with running(lambda: bool(checks.append(None)), lambda: ticks.append(None)) as loop:
         until(lambda: len(checks) == 1, "the first check")
         loop.wake()
         until(lambda: len(checks) == 2, "the check after the wake-up")
         assert loop.alive() == ""
-    loop.wake()
-    assert len(checks) == 2, "a stopped loop does not check"
+        before = len(ticks)
+        until(lambda: len(ticks) > before + 1, "the loop waits again")
+    assert len(checks) == 2
 
 
-def test_wake_up_during_a_check_leads_to_another_check() -> None:
+def test_wake_up_during_a_check_leads_to_another_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(check_loop, "POLL", 1000.0)
     checks, inside, proceed = list[None](), threading.Event(), threading.Event()
 
     def check() -> bool:
