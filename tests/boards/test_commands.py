@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -41,15 +42,13 @@ def test_halt_replaces_a_command_and_is_not_replaced() -> None:
     assert not slot.halt((0,), 0.01), "an earlier confirmation does not count"
 
 
-def test_waiting_thread_wakes_for_a_command() -> None:
-    slot = CommandSlot()
-    woken = threading.Event()
+@pytest.mark.parametrize("wake", [lambda slot: slot.put(command(0)), CommandSlot.wake], ids=["command", "wake"])
+def test_waiting_thread_wakes(wake: Callable[[CommandSlot], object]) -> None:
+    slot, woken = CommandSlot(), threading.Event()
     waiting = threading.Thread(target=lambda: (slot.wait(40.0), woken.set()))
     waiting.start()
-    slot.put(command(0))
+    wake(slot)
     assert woken.wait(20.0)
-    slot.wake()
-    slot.wait(40.0)
     waiting.join()
 
 

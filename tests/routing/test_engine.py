@@ -13,6 +13,7 @@ from bridge.hub.graph.tokens import TAPS, Origin
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
+from bridge.routing import side_to_hub
 from bridge.routing.edge import Endpoint, MadeBy
 from bridge.routing.engine import Engine, NetworkTokens
 from bridge.routing.stall import StallDetector
@@ -81,7 +82,8 @@ def test_tokens_name_the_network_and_its_current_members() -> None:
         assert hub.members == members
 
 
-def test_tap_shows_a_topic_that_does_not_cross_under_another_name() -> None:
+def test_tap_shows_a_topic_that_does_not_cross_under_another_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(side_to_hub, "_TAP_ANSWER", 1000.0)
     network = FakeNetwork()
     network.write_on("/secret", "std_msgs/msg/String", Qos(), MadeBy.NATIVE, "/node")
     rules = RoutingSection.model_validate({"rules": [{"topic": "/secret", "deny": True}]})
