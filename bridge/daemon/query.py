@@ -47,6 +47,7 @@ class _Client:
         self.sock = sock
         self.received = b""
         self.admitted = False
+        self.response = b""
 
 
 class QueryServer:
@@ -97,10 +98,25 @@ class QueryServer:
                 data = data if client.admitted else b""
             request, end, _ = client.received.partition(b"\n")
             if client.admitted and end:
-                client.sock.sendall(self._respond(request))  # far smaller than a socket's buffer
-            elif data and len(client.received) < _MAX_REQUEST:
+                client.response = self._respond(request)
+                self._loop.on_readable(client.sock, None)
+                self._send(client)
+                return
+            if data and len(client.received) < _MAX_REQUEST:
                 return
         except BlockingIOError:
+            return
+        except OSError:
+            pass
+        self._close(client)
+
+    def _send(self, client: _Client) -> None:
+        """Send the response as the client reads it: a document may be larger than a socket's buffer."""
+        try:
+            while client.response:
+                client.response = client.response[client.sock.send(client.response) :]
+        except BlockingIOError:
+            self._loop.on_writable(client.sock, partial(self._send, client))
             return
         except OSError:
             pass

@@ -8,6 +8,7 @@ import signal
 import socket
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -98,6 +99,33 @@ def test_without_descriptors_a_client_is_disconnected_and_the_loop_does_not_spin
             for _ in range(2):  # accepts, then reads
                 loop.step(5.0)
             assert again.recv(100) == b"{}"
+
+
+def test_a_response_larger_than_the_buffer_arrives_complete_and_the_request_runs_once(tmp_path: Path) -> None:
+    loop = SelectorLoop()
+    requests: list[str] = []
+
+    def respond(request: dict[str, Any]) -> dict[str, Any]:
+        requests.append(request["verb"])
+        return {"log": "x" * 900_000}
+
+    server = QueryServer(loop, tmp_path / "sock", {"log": respond})
+    with contextlib.closing(loop), contextlib.closing(server), socket.socket(socket.AF_UNIX) as client:
+        client.setblocking(False)
+        client.connect(str(tmp_path / "sock"))
+        client.sendall(b'{"verb": "log"}\n')
+        for _ in range(2):  # accepts, then reads
+            loop.step(5.0)
+        client.sendall(b"\n")
+        response, parts = b"", 0
+        while not response.endswith(b"}"):
+            loop.step(0.0)
+            with contextlib.suppress(BlockingIOError):
+                response += client.recv(1 << 16)
+            parts += 1
+            assert parts < 1000, f"only {len(response)} bytes arrived"
+    assert len(response) > 900_000
+    assert requests == ["log"]
 
 
 def test_the_daemon_reports_why_the_state_folder_is_unusable(daemon: Daemon) -> None:
