@@ -21,6 +21,7 @@ logger = logging.getLogger("midspan.worker")
 
 _READ_SIZE = 1 << 16
 _SEND_SECONDS = 0.5
+_RETRY_SECONDS = 1.0
 
 LAST_SECONDS = 4.0
 """Limit in seconds for the stop of a worker whose daemon has exited."""
@@ -105,7 +106,7 @@ class ControlServer:
         self._on_command = on_command
         self._lock = threading.Lock()
         self._client: socket.socket | None = None
-        self._closed = False
+        self._closing = threading.Event()
         try:
             self._listener = LocalListener(path)
         except OSError as err:
@@ -144,11 +145,14 @@ class ControlServer:
             self._client = None
 
     def _accept(self) -> None:
-        while not self._closed:
+        while not self._closing.is_set():
             try:
                 client, _ = self._listener.sock.accept()
-            except OSError:
-                return
+            except OSError as err:  # closed, out of descriptors, or the daemon has disconnected already
+                if not self._closing.is_set():
+                    logger.warning("the daemon cannot connect: %s; trying again", err.strerror)
+                self._closing.wait(_RETRY_SECONDS)
+                continue
             client.settimeout(_SEND_SECONDS)
             threading.Thread(target=self._serve, args=(client,), name="control-client", daemon=True).start()
 
@@ -158,7 +162,7 @@ class ControlServer:
         except OSError:
             admitted = False
         with self._lock:
-            if not admitted or self._closed:
+            if not admitted or self._closing.is_set():
                 client.close()
                 return
             self._drop()
@@ -194,7 +198,7 @@ class ControlServer:
     def close(self) -> None:
         """Stop listening and remove the socket."""
         with self._lock:
-            self._closed = True
+            self._closing.set()
         self._listener.close()
         self._thread.join(1)
         with self._lock:

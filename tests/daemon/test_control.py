@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 from pathlib import Path
 
+import pytest
+
 from bridge.daemon.control import ControlServer
 from bridge.daemon.protocol import Beat
 from bridge.worker import Health
+from tests.support.descriptors import no_descriptors
+from tests.support.wait import until
 
 
 def test_hello_comes_before_all_other_reports(tmp_path: Path) -> None:
@@ -31,3 +36,13 @@ def test_hello_comes_before_all_other_reports(tmp_path: Path) -> None:
         closing.set()
         beating.join()
         server.close()
+
+
+def test_a_daemon_can_connect_after_a_lack_of_descriptors(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    server = ControlServer(tmp_path / "socket", "daemon", lambda _: None)
+    with contextlib.closing(server), socket.socket(socket.AF_UNIX) as daemon:
+        daemon.settimeout(20)
+        with no_descriptors():
+            daemon.connect(str(tmp_path / "socket"))
+            until(lambda: "the daemon cannot connect: Too many open files" in caplog.text, "accept failed", 9)
+        assert b"hello" in daemon.recv(4096)
