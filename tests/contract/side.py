@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Protocol
 
 from bridge.config.model import Config
 from tests.peers.peer import stop_all
-from tests.support.hidden import HIDE, LIBRARIES, NAME
+from tests.support.hidden import as_on
 from tests.support.process import Process
 from tests.support.wait import until
 
@@ -27,11 +27,6 @@ OWN_FOLDER = Path(__file__).parent / "own"
 PEER_FOLDERS = (CUSTOM_FOLDER, OWN_FOLDER)
 IMPORTS = ("bridge.cli.daemon.run", "bridge.daemon.worker_main", "bridge.adapters.worker")
 """The imports of a worker of each side."""
-
-MAIN = """
-from bridge.cli.main import main
-sys.exit(main())
-"""
 
 CUSTOM_TYPES = ("contract_msgs/Thing", "octomap_msgs/Octomap", "own_msgs/Ping")
 
@@ -109,7 +104,9 @@ class WorkerProcess:
     ) -> None:  # fmt: skip
         words = ["worker", side, "--supervised"]
         if any_os:  # without what Windows lacks
-            self.process = Process([sys.executable, "-c", LIBRARIES + HIDE + NAME + MAIN, *words], env, pipes=True)
+            env = as_on("windows", env)
+            config.state.mkdir(parents=True, exist_ok=True)  # by the daemon; the worker locks a file there
+            self.process = Process([sys.executable, "-m", "bridge.cli.main", *words], env, pipes=True)
         else:
             imports = [*IMPORTS, f"bridge.adapters.{side}.edge"]
             self.process = Process([sys.executable, "-m", "bridge.cli.main", *words], env, pipes=True, imports=imports)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Mapping
 from pathlib import Path, PureWindowsPath
 
 HIDE = """
@@ -56,19 +57,14 @@ for module in (psutil, psutil._common, psutil._pslinux, psutil._psposix):
 """
 """Run this before `HIDE` if the bridge itself runs in the same process: libraries with a Windows implementation."""
 
-NAME = """
-sys.platform = "win32"
-"""
-"""Run this after `HIDE`: the platform's name, which the bridge checks."""
-
 ROOT = Path(__file__).parents[2]
 
 
-def as_on(system: str) -> dict[str, str]:
-    """Return an environment in which Midspan runs as on ``windows`` or ``macos``; see `tests.support.other_os`."""
+def as_on(system: str, environ: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """Return an environment with which Midspan runs as on ``windows`` or ``macos``; see `tests.support.other_os`."""
     paths = [str(ROOT / "tests" / "support" / "other_os"), str(ROOT)]
     return {
-        **os.environ,
+        **environ,
         "HIDDEN_OS": system,
         "PYTHONPATH": os.pathsep.join(paths),
         "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
