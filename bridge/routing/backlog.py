@@ -38,6 +38,13 @@ class Backlog(Generic[Message]):
     def __len__(self) -> int:
         return len(self._line)
 
+    def holds(self, source: Hashable) -> bool:
+        """Return whether messages of a publisher are held."""
+        if not self._line:
+            return False
+        with self._lock:
+            return any(waiting.source == source for waiting in self._line)
+
     def add(self, source: Hashable, message: Message, size: int) -> None:
         """Append a message of ``size`` bytes."""
         self.put_back(Waiting(source, message, size, time.monotonic()))

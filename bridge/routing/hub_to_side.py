@@ -182,13 +182,13 @@ class HubToSideRoute(TopicRoute):
         )
 
     def _release_latched(self) -> None:
-        if self._lease.over:
+        if self._lease.over or not self._waiting_latched:
             return
         sources = self._sources
-        for waiting in self._waiting_latched.pop_matching(lambda w: w.source not in sources.waiting):
-            source = sources.allowed.get(waiting.message.gid)
-            if source is not None:
-                with self.queue.publishing:
+        with self.queue.publishing:  # before the removal: a newer message must not overtake these
+            for waiting in self._waiting_latched.pop_matching(lambda w: w.source not in sources.waiting):
+                source = sources.allowed.get(waiting.message.gid)
+                if source is not None:
                     self._publish(waiting.message, source)
 
     def _retry_pending(self) -> None:
@@ -221,16 +221,29 @@ class HubToSideRoute(TopicRoute):
         return source is None or not self.over_rate(latched=source.latched)
 
     def handle(self, sample: HubSample) -> None:
-        """Publish a message on the side, or hold it until its publisher is known."""
+        """Publish a message on the side, or hold it until its publisher is known.
+
+        The loop may replace the sources meanwhile. It looks for stored and retained messages afterwards, so this checks
+        the sources again after it has stored or retained one.
+        """
         sources = self._sources
         source = sources.allowed.get(sample.gid) or sources.of(sample)
         if source is not None:
+            if source.latched and sample.gid in sources.allowed and self._waiting_latched.holds(sample.gid):
+                self._store(sample, source.endpoint)  # behind the older ones
+                if not self._lease.over:
+                    self._context.wake()
+                return
             self._publish(sample, source)
+            if source.latched and self._static is None and source.endpoint.gid not in self._sources.allowed:
+                self._publishers.drop_source(sample.gid)
             return
         waiting = sources.waiting.get(sample.gid)
         if waiting is not None:
             if self.latches(waiting.qos):
                 self._store(sample, waiting)
+                if self._sources is not sources:
+                    self._context.wake()
         elif sample.gid not in sources.refused:
             if self._priority is Priority.COMMAND:  # never stored for later
                 self.counters.dropped("unknown")

@@ -6,6 +6,7 @@ import itertools
 import math
 import queue
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -369,6 +370,103 @@ def test_fast_stream_is_unsubscribed_ten_seconds_after_its_last_subscriber(
         network.read_from(topic, STRING, Qos(), MadeBy.NATIVE, "/listener", lambda *_: None)
         assert state_after(0.1) == "active"
         route.close()
+
+
+class LatchedRoute:
+    """A route with two latched publishers of the hub, without its subscription."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        registry, self.network, self.wakes = Registry(), FakeNetwork(), 0
+        type_, topic = registry.ros2(STRING), "/state"
+        qos = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=1)
+        self.publisher = HubEndpoint(
+            "z",
+            "n",
+            "/",
+            EndpointKind.PUBLISHER,
+            topic,
+            STRING,
+            type_.type_id,
+            qos,
+            GID,
+            None,
+            pending=False,
+            own=False,
+        )
+        self.other = replace(self.publisher, zid="y", gid=b"n" * 16)
+        idle, lease = Dispatcher("idle"), Lease()
+        self.lease = lease
+        lease.extend(math.inf)
+        hub = cast("Hub", SimpleNamespace(max_payload=1000))
+        context = EngineContext(
+            hub, FakeEdge(self.network, registry), StallDetector(), lease, cast("Any", None), idle, idle, self._wake
+        )
+        monkeypatch.setattr(HubToSideRoute, "_receive_from", lambda *_: None)
+        self.route = HubToSideRoute(
+            RouteKey(topic, STRING, type_.type_id), topic, None, Conversion(type_, type_, self.convert),
+            RoutePolicy(allowed=True, why="", name=topic), context,
+        )  # fmt: skip
+        self.during_conversion: Callable[[], object] = lambda: None
+
+    def _wake(self) -> None:
+        self.wakes += 1
+
+    def convert(self, data: bytes) -> bytes:
+        self.during_conversion()
+        return data
+
+    def receive(self, text: str) -> None:
+        self.route.queue.receive(HubSample(zenoh.ZBytes(line(text)), 1, 1, GID, "z"))
+
+
+def test_message_of_a_publisher_that_leaves_during_its_conversion_is_not_retained(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    latched = LatchedRoute(monkeypatch)
+    latched.route.update([latched.publisher, latched.other], [])
+    latched.receive("first")
+    assert latched.network.retained() == [line("first")]
+    latched.during_conversion = lambda: latched.route.update([latched.other], [])
+    latched.receive("last")
+    assert latched.network.retained() == []
+
+
+def test_stored_message_does_not_replace_a_newer_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    latched = LatchedRoute(monkeypatch)
+    latched.route.update([latched.other], [], [latched.publisher])
+    latched.receive("old")
+    monkeypatch.setattr(latched.route, "_follow_demand", lambda _: latched.receive("new"))
+    latched.route.update([latched.other, latched.publisher], [])
+    assert latched.network.retained() == [line("new")]
+
+
+def test_message_stored_without_a_lease_does_not_replace_a_newer_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    latched = LatchedRoute(monkeypatch)
+    endpoints = [latched.other, latched.publisher]
+    latched.route.update(endpoints, [])
+    latched.lease.end()
+    latched.receive("oldest")
+    latched.receive("old")
+    assert latched.wakes == 0, "a check could not publish it"
+    latched.lease.extend(math.inf)
+    latched.receive("new")
+    assert latched.wakes == 1, "a check is due"
+    latched.route.update(endpoints, [])
+    assert latched.network.retained() == [line("new")]
+    latched.receive("newest")
+    assert latched.network.retained() == [line("newest")]
+
+
+def test_message_stored_while_its_publisher_becomes_allowed_is_published(monkeypatch: pytest.MonkeyPatch) -> None:
+    latched = LatchedRoute(monkeypatch)
+    route, endpoints = latched.route, [latched.other, latched.publisher]
+    route.update([latched.other], [], [latched.publisher])
+    keep = route._waiting_latched.keep
+    monkeypatch.setattr(route._waiting_latched, "keep", lambda *message: (route.update(endpoints, []), keep(*message)))
+    latched.receive("only")
+    assert latched.wakes == 1, "a check is due"
+    route.update(endpoints, [])
+    assert latched.network.retained() == [line("only")]
 
 
 class FailingOnce:
