@@ -6,6 +6,7 @@ topics at 10 Hz caused 50,000 switches per second.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import select
 import socket
@@ -36,7 +37,8 @@ class PolledConnection(ABC):
     def __init__(self, sock: socket.socket) -> None:
         self.listens, self.paused = True, False
         keep_alive(sock)
-        self._sock = socket.socket(fileno=sock.detach())
+        # without its family and type, this would ask the system, which fails on macOS if the peer has disconnected
+        self._sock = socket.socket(sock.family, sock.type, sock.proto, fileno=sock.detach())
         self._sock.settimeout(None)
         self._lock = threading.Lock()
 
@@ -54,11 +56,12 @@ class PolledConnection(ABC):
 
 
 def keep_alive(sock: socket.socket) -> None:
-    """Let the system detect the loss of a peer's machine."""
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    for name, value in _KEEPALIVE:
-        if hasattr(socket, name):
-            sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+    """Let the system detect the loss of a peer's machine; no effect on macOS if the peer has disconnected."""
+    with contextlib.suppress(OSError):
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for name, value in _KEEPALIVE:
+            if hasattr(socket, name):
+                sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 if hasattr(socket, "MSG_DONTWAIT"):

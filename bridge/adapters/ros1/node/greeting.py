@@ -92,12 +92,17 @@ class TcprosServer(PolledConnection):
         if len(self._open) >= _MAX_OPEN:
             sock.close()
             return
-        greeting = _Greeting(sock, self)
-        self._open.add(greeting)
-        self._timer.after(_SECONDS, greeting.expire)
         try:
+            greeting = _Greeting(sock, self)
+        except OSError as err:  # it has disconnected
+            _log.debug("a ROS 1 peer was not admitted: %s", err)
+            sock.close()
+            return
+        self._open.add(greeting)
+        try:
+            self._timer.after(_SECONDS, greeting.expire)
             added = self._loop.add(greeting)
-        except OSError as err:
+        except (OSError, RuntimeError) as err:  # out of descriptors, memory or threads
             _log.warning("a ROS 1 peer cannot be admitted: %s", err)
             added = False
         if not added:

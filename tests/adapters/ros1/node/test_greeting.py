@@ -7,10 +7,12 @@ import errno
 import socket
 import struct
 import threading
+import time
 from collections.abc import Iterator, Mapping
 
 import pytest
 
+from bridge.adapters.ros1 import connection_loop
 from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.handshake import MAX_HEADER, encode, read_header
 from bridge.adapters.ros1.node import greeting
@@ -40,6 +42,7 @@ class Bench:
     def connect(self, data: bytes = b"") -> DeadlineSocket:
         plain = socket.create_connection(("127.0.0.1", self.server.port), 20)
         sock = self.peers.enter_context(DeadlineSocket(fileno=plain.detach()))
+        sock.deadline = time.monotonic() + 20
         sock.sendall(data)
         return sock
 
@@ -85,6 +88,28 @@ def test_a_header_may_arrive_byte_by_byte(bench: Bench) -> None:
 
 def test_the_reason_of_a_rejection_is_sent(bench: Bench) -> None:
     assert bench.greet(reject="not here") == {"error": "not here"}
+
+
+@pytest.mark.parametrize("failing", ["keep_alive", "after"])
+def test_a_connection_that_fails_at_once_leaves_the_listener_open(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, failing: str
+) -> None:
+    """On macOS a socket's options cannot be set once its peer has reset the connection."""
+    error = OSError(errno.EINVAL, "Invalid argument") if failing == "keep_alive" else RuntimeError("no new thread")
+
+    def fail(*_: object) -> None:
+        raise error
+
+    with monkeypatch.context() as failures:
+        failures.setattr(connection_loop if failing == "keep_alive" else bench.timer, failing, fail)
+        assert bench.connect().recv(1) == b""
+    assert bench.greet(topic="/a") == {"topic": "/a"}
+
+
+def test_keep_alive_ignores_a_disconnected_socket() -> None:
+    sock = socket.socket()
+    sock.close()
+    connection_loop.keep_alive(sock)
 
 
 def test_an_exception_closes_only_its_connection(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
