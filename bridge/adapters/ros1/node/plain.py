@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -87,13 +88,17 @@ class PlainNode:
         self._timer = DelayedCalls(f"{label}-timer")
         self._pool = WorkerPool(_THREADS, f"{label}-connect")
         self._book = TopicBook(self._loop, lambda: name, origin, lambda: None, events.changed)
-        self._tcpros = TcprosServer(address.listen(), self._loop, self._timer, self._admit)
-        state = SlaveState(
-            lambda: name, lambda: self.uri, master_uri, lambda: (address.host, self._tcpros.port), self._book,
-            lambda: [0, 0, 0],
-        )  # fmt: skip
-        methods = SlaveApi(state, SlaveEvents(self.follow, lambda: False, self._on_shutdown)).methods
-        self._server = XmlRpcServer(methods, address.bind, name=f"{label}-slave", limits=_LIMITS)
+        with contextlib.ExitStack() as opened:
+            opened.callback(self._loop.stop)
+            self._tcpros = TcprosServer(address.listen(), self._loop, self._timer, self._admit)
+            opened.callback(self._tcpros.close)
+            state = SlaveState(
+                lambda: name, lambda: self.uri, master_uri, lambda: (address.host, self._tcpros.port), self._book,
+                lambda: [0, 0, 0],
+            )  # fmt: skip
+            methods = SlaveApi(state, SlaveEvents(self.follow, lambda: False, self._on_shutdown)).methods
+            self._server = XmlRpcServer(methods, address.bind, name=f"{label}-slave", limits=_LIMITS)
+            opened.pop_all()
         self.uri = f"http://{address.in_uri}:{self._server.port}/"
         self._server.start()
 

@@ -6,6 +6,7 @@ import errno
 import os
 import socket
 import tempfile
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,9 @@ import pytest
 from bridge.adapters.ros1.edge import Ros1Edge
 from bridge.adapters.ros1.handshake import connect, encode
 from bridge.adapters.ros1.node import node as node_module
+from bridge.adapters.ros1.node import plain
 from bridge.adapters.ros1.node.address import NodeAddress
+from bridge.adapters.ros1.node.plain import PlainNode, PlainNodeEvents
 from bridge.adapters.ros1.topics.publication import figure
 from bridge.config.model import Config
 from bridge.config.sections.ros import Ros1Section
@@ -122,6 +125,30 @@ def test_a_node_that_cannot_listen_for_the_slave_api_closes_its_other_socket(mon
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(opened[0], 20).close()
     edge.stop()
+
+
+def test_a_plain_node_that_cannot_listen_for_the_slave_api_closes_its_other_socket_and_thread(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    opened: list[tuple[str, int]] = []
+
+    def listen(address: NodeAddress) -> socket.socket:
+        listener = real(address)
+        opened.append(listener.getsockname())
+        return listener
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    real = NodeAddress.listen
+    monkeypatch.setattr(NodeAddress, "listen", listen)
+    monkeypatch.setattr(plain, "XmlRpcServer", fail)
+    events = PlainNodeEvents(lambda _: [], lambda: None, lambda _: None)
+    with pytest.raises(OSError, match="Too many open files"):
+        PlainNode("/plain", MASTER, NodeAddress("127.0.0.1", "127.0.0.1", False), events, label="unlistening")
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(opened[0], 20).close()
+    assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("unlistening")]
 
 
 def test_facts_about_the_node(node: Node) -> None:
