@@ -144,8 +144,9 @@ class XmlRpcServer:
 
     def _accept(self, *, enabled: bool) -> None:
         if enabled != self._accepting:
-            self._accepting = enabled
-            self._loop.watch(self._listener, self._accept_clients if enabled else None)
+            with contextlib.suppress(OSError):  # the system cannot watch more: the next check tries again
+                self._loop.watch(self._listener, self._accept_clients if enabled else None)
+                self._accepting = enabled
 
     def _accept_clients(self) -> None:
         while len(self._connections) < self._limits.connections or self._close_idle():

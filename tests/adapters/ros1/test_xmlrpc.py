@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import http.client
 import random
+import selectors
 import socket
 import threading
 import xmlrpc.client
@@ -15,9 +16,11 @@ from typing import Any
 
 import pytest
 
+from bridge.adapters.ros1 import xmlrpc as xmlrpc_server
 from bridge.adapters.ros1.xmlrpc import XmlRpcServer
 from bridge.adapters.ros1.xmlrpc_request import Limits, decode_response, encode_response, encode_responses
 from tests.support.wait import until
+from yarp_compat.threaded_loop import ThreadedLoop
 
 LIMITS = Limits(
     connections=600,
@@ -320,6 +323,19 @@ def test_beyond_the_limit_the_longest_idle_connection_is_closed(served: Served):
         assert b"<int>3</int>" in served.post(ADD)
         assert first.recv(100) == b""
         assert served.server.connections <= LIMITS.connections
+
+
+def test_clients_are_accepted_once_select_can_watch_the_listener(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(selectors, "DefaultSelector", selectors.SelectSelector)
+    monkeypatch.setattr(xmlrpc_server, "_TICK", 0.01)
+    attempts = list[None]()
+    monkeypatch.setattr(ThreadedLoop, "_fits", lambda *_: attempts.append(None) or len(attempts) > 2)
+    served = Served()
+    try:
+        until(lambda: len(attempts) > 2, "the listener is watched", 10.0)
+        assert decode_response(served.post(ADD)) == 3
+    finally:
+        served.server.close()
 
 
 def test_many_large_half_requests_do_not_prevent_others(served: Served):
