@@ -42,7 +42,8 @@ def is_elsewhere(api: MasterApi) -> bool:
     if node is None:
         return False
     try:
-        return any(topic[:1] == [AGGREGATED] for topic in ask(node.api, 1.0, "getPublications", NODE))
+        topics = ask(node.api, 1.0, "getPublications", NODE)
+        return any(isinstance(topic, list) and topic[:1] == [AGGREGATED] for topic in topics)
     except (Ros1Error, TypeError):
         return False
 

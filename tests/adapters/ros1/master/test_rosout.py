@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import pytest
+
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD, connect
+from bridge.adapters.ros1.master.api import MasterApi
 from bridge.adapters.ros1.master.embedded import EmbeddedMaster
+from bridge.adapters.ros1.master.rosout import is_elsewhere
+from bridge.adapters.ros1.xmlrpc import XmlRpcServer
+from tests.peers.ros1.outbox import RecordedCalls
 
 
 def test_collected_logs_count_as_native_so_that_they_are_bridged():
@@ -17,3 +25,25 @@ def test_collected_logs_count_as_native_so_that_they_are_bridged():
     assert header["type"] == "rosgraph_msgs/Log"
     assert header["callerid"] == "/rosout"
     assert ORIGIN_FIELD not in header
+
+
+@pytest.mark.parametrize(
+    ("publications", "elsewhere"),
+    [
+        ([{"a": 1}], False),
+        ([{"a": 1}, ["/rosout_agg", "rosgraph_msgs/Log"]], True),
+        ([[]], False),
+        (7, False),
+    ],
+)
+def test_another_rosout_with_any_list_of_publications(publications: Any, elsewhere: bool):
+    """Python 3.12 accepts a slice as a key of a dictionary, and raises `KeyError` for it."""
+    server = XmlRpcServer({"getPublications": lambda _caller: [1, "", publications]})
+    server.start()
+    try:
+        api = MasterApi("", RecordedCalls())
+        uri = f"http://127.0.0.1:{server.port}/"
+        api.methods["registerPublisher"]("/rosout", "/rosout_agg", "rosgraph_msgs/Log", uri)
+        assert is_elsewhere(api) == elsewhere
+    finally:
+        server.close()
