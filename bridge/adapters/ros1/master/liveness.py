@@ -56,7 +56,7 @@ class Liveness:
 
     Args:
         nodes: returns the registered nodes.
-        alive: is called with name and address of a node that answers for the first time.
+        alive: is called with name and address of a node at each of its answers.
         dead: is called with name and address of a dead node.
         seconds: how long a node has not answered before it counts as dead; 0 to remove none.
     """
@@ -126,17 +126,16 @@ class Liveness:
             self._on_failure(node, refused=True)
         else:
             self._on_answer(node)
-        with self._lock:
-            self._checked.discard(node)
+        finally:
+            with self._lock:
+                self._checked.discard(node)
 
     def _on_answer(self, node: tuple[str, str]) -> None:
         with self._lock:
             self._failures.pop(node, None)
             self._restored.discard(node)
-            first = node not in self._answered
             self._answered.add(node)
-        if first:
-            self._alive(*node)
+        self._alive(*node)  # each time: it may have registered again since the last one
 
     def _on_failure(self, node: tuple[str, str], *, refused: bool) -> None:
         now = time.monotonic()

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
 from bridge.adapters.ros1.master import liveness
 from bridge.adapters.ros1.master.liveness import Liveness
+from bridge.adapters.ros1_peers import ask
 from tests.peers.ros1.fake_node import FakeNode
 from tests.support.ports import free_port
 from tests.support.wait import until
@@ -25,7 +27,11 @@ class Checked:
         self.liveness = self.create(seconds)
 
     def create(self, seconds: float) -> Liveness:
-        return Liveness(self._listed, lambda node, _api: self.alive.append(node), self._on_dead, seconds)
+        return Liveness(self._listed, self._on_alive, self._on_dead, seconds)
+
+    def _on_alive(self, node: str, _api: str) -> None:
+        if node not in self.alive:
+            self.alive.append(node)
 
     def _listed(self) -> dict[str, str]:
         self.rounds.release()
@@ -64,6 +70,33 @@ def test_a_node_that_refuses_connections_is_removed_and_others_stay(checked: Che
     until(lambda: len(checked.dead) == 2, "a node that ends is removed")
     assert checked.dead == ["/dead", "/alive"]
     silent.close()
+
+
+def test_a_node_that_registers_again_is_reported_again(checked: Checked):
+    """The master has a new entry for it, even if no check has missed it in between."""
+    node = FakeNode()
+    checked.nodes = {"/node": node.api}
+    checked.liveness.start({})
+    until(lambda: checked.alive, "the node has answered")
+    checked.alive.clear()
+    until(lambda: checked.alive, "the node is reported again", 5)
+    node.close()
+
+
+def test_a_check_that_fails_is_repeated(checked: Checked, monkeypatch: pytest.MonkeyPatch):
+    errors = [ValueError("unexpected")]
+
+    def fail_once(*params: Any) -> Any:
+        if errors:
+            raise errors.pop()
+        return ask(*params)
+
+    monkeypatch.setattr(liveness, "ask", fail_once)
+    node = FakeNode()
+    checked.nodes = {"/node": node.api}
+    checked.liveness.start({})
+    until(lambda: checked.alive, "the node has answered", 5)
+    node.close()
 
 
 def test_an_unreachable_node_is_removed_later(checked: Checked, monkeypatch: pytest.MonkeyPatch):
