@@ -84,8 +84,8 @@ class Listener:
             try:
                 self.silent[sock] = _Introduction(self, sock, address[:2])
             except OSError as error:  # the system cannot watch more
-                sock.close()
                 _log.warning("cannot accept a connection: %s", error)
+                sock.close()
 
     def _make_room(self, error: OSError) -> None:
         """Free a socket: close the connection that was silent longest, or pause accepting."""
