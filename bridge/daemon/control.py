@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import os
 import queue
@@ -106,6 +107,7 @@ class ControlServer:
         self._on_command = on_command
         self._lock = threading.Lock()
         self._client: socket.socket | None = None
+        self._client_number = -1
         self._closing = threading.Event()
         try:
             self._listener = LocalListener(path)
@@ -145,6 +147,7 @@ class ControlServer:
             self._client = None
 
     def _accept(self) -> None:
+        numbers = itertools.count()
         while not self._closing.is_set():
             try:
                 client, _ = self._listener.sock.accept()
@@ -154,19 +157,21 @@ class ControlServer:
                 self._closing.wait(_RETRY_SECONDS)
                 continue
             client.settimeout(_SEND_SECONDS)
-            threading.Thread(target=self._serve, args=(client,), name="control-client", daemon=True).start()
+            threading.Thread(
+                target=self._serve, args=(client, next(numbers)), name="control-client", daemon=True
+            ).start()
 
-    def _serve(self, client: socket.socket) -> None:
+    def _serve(self, client: socket.socket, number: int) -> None:
         try:
             admitted = self._listener.admit(client, receive(client, self._listener.greeting))
         except OSError:
             admitted = False
         with self._lock:
-            if not admitted or self._closing.is_set():
+            if not admitted or self._closing.is_set() or number < self._client_number:  # a later one was admitted first
                 client.close()
                 return
             self._drop()
-            self._client = client
+            self._client, self._client_number = client, number
             self._send_now(protocol.encode_report(self._hello))  # before any other report
         self._flush_log()
         self._read(client)

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from bridge.daemon.control import ControlServer
+from bridge.daemon.local_socket import LocalListener
 from bridge.daemon.protocol import Beat
 from bridge.worker import Health
 from tests.support.descriptors import no_descriptors
@@ -46,3 +47,29 @@ def test_a_daemon_can_connect_after_a_lack_of_descriptors(tmp_path: Path, caplog
             daemon.connect(str(tmp_path / "socket"))
             until(lambda: "the daemon cannot connect: Too many open files" in caplog.text, "accept failed", 9)
         assert b"hello" in daemon.recv(4096)
+
+
+def test_a_connection_admitted_late_does_not_replace_a_later_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entered, go_on = threading.Event(), threading.Event()
+    admit = LocalListener.admit
+
+    def admit_first_late(listener: LocalListener, client: socket.socket, greeting: bytes) -> bool:
+        if not entered.is_set():
+            entered.set()
+            go_on.wait(20)
+        return admit(listener, client, greeting)
+
+    monkeypatch.setattr(LocalListener, "admit", admit_first_late)
+    server = ControlServer(tmp_path / "socket", "daemon", lambda _: None)
+    with contextlib.closing(server), socket.socket(socket.AF_UNIX) as first, socket.socket(socket.AF_UNIX) as second:
+        for daemon in (first, second):
+            daemon.settimeout(20)
+            daemon.connect(str(tmp_path / "socket"))
+            assert entered.wait(20)
+        assert b"hello" in second.recv(4096)
+        go_on.set()
+        assert first.recv(4096) == b""
+        server.report(Beat(1, Health("running", "x")))
+        assert b"running" in second.recv(4096)
