@@ -80,8 +80,9 @@ class ThreadedLoop(SelectorLoop):
     def unwatch(self, file: File) -> bool:
         """End all callbacks of a file, before it is closed; return whether there were any."""
         with self._lock:
-            self._changes += 1
-            return super().unwatch(file)
+            watched = super().unwatch(file)
+            self._changes += 1  # last: a thread that has this number does not select the file
+            return watched
 
     @override
     def call_soon(self, callback: Callback) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
 import selectors
 import signal
@@ -9,11 +11,13 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from typing import NoReturn
 
 import pytest
 
 from tests.support.wait import until
 from yarp_compat.selector_loop import CALLS_PER_STEP, SelectorLoop
+from yarp_compat.threaded_loop import ThreadedLoop
 
 SELECTORS = [
     getattr(selectors, name)
@@ -277,3 +281,40 @@ def test_a_closed_loop_ignores_wakes_from_other_threads(loop: SelectorLoop) -> N
     closed.wake()
     closed.call_soon(print)
     assert not closed.unwatch(0)
+
+
+def test_select_may_begin_while_another_thread_removes_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`select` then fails for the file, which is closed by now."""
+    monkeypatch.setattr(selectors, "DefaultSelector", selectors.SelectSelector)
+    loop = ThreadedLoop("test-select")
+    began, closed = threading.Event(), threading.Event()
+    results: list[object] = []
+
+    def fail(_pause: float | None) -> NoReturn:
+        began.set()
+        closed.wait(20)
+        raise OSError(errno.EBADF, "Bad file descriptor")
+
+    def select() -> None:
+        try:
+            results.append(loop._select_open(None))
+        except OSError as err:
+            results.append(err)
+
+    thread = threading.Thread(target=select)
+    unregister = loop._selector.unregister
+
+    def unregister_late(file: int) -> selectors.SelectorKey:
+        thread.start()
+        assert began.wait(20)
+        return unregister(file)
+
+    with contextlib.closing(loop), socket.socket() as sock:
+        loop.on_readable(sock, lambda: None)
+        monkeypatch.setattr(loop._selector, "select", fail)
+        monkeypatch.setattr(loop._selector, "unregister", unregister_late)
+        loop.unwatch(sock)
+        closed.set()
+        thread.join(20)
+        monkeypatch.undo()
+    assert results == [[]]
