@@ -1,9 +1,12 @@
-"""Sockets at a path in the state folder, which only processes of the same user can use.
+"""Sockets at a path in the state folder, for processes of the same user.
 
-Where Python has Unix sockets, the path is one, and the rights of its file decide. Elsewhere (on Windows) it is a file,
-readable for this user only, with a port of the loopback interface and two secrets. Every user of the machine can
-connect to that port, so a client sends the first secret before anything else. The listener then responds with the
-second one, by which the client knows that no other program listens there: the file may be left by a dead process.
+Where Python has Unix sockets, the path is one, and the rights of its file decide. Elsewhere (on Windows) it is a file
+with a port of the loopback interface and two secrets. Every user of the machine can connect to that port, so a client
+sends the first secret before anything else. The listener then responds with the second one, by which the client knows
+that no other program listens there: the file may be left by a dead process.
+
+Windows ignores the mode with which that file is created: its access list is inherited from the state folder, so every
+user who can read the folder can use the socket. ``icacls`` restricts the folder (docs/operate/security.md).
 """
 
 from __future__ import annotations
@@ -78,7 +81,7 @@ class LocalListener:
         return _Address(port, first.encode(), second.encode())
 
     def admit(self, client: socket.socket, greeting: bytes) -> bool:
-        """Return whether a client's first bytes are those of a process of this user, and respond to it if so."""
+        """Return whether a client's first bytes are those of a process that can read the file; respond to it if so."""
         if self._address is None:
             return True
         if not hmac.compare_digest(greeting, self._address.of_client):
