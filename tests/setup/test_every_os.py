@@ -70,5 +70,9 @@ def test_files_and_targets_of_its_commands_exist(workflow: dict[Any, Any]) -> No
 
 def test_launchd_gets_a_valid_file() -> None:
     job = plistlib.loads((ROOT / "packaging/midspan.plist").read_bytes())
-    assert (job["Label"], job["RunAtLoad"], job["KeepAlive"]) == ("midspan", True, True)
+    assert (job["Label"], job["RunAtLoad"], job["KeepAlive"]) == ("midspan", True, {"SuccessfulExit": False})
+    assert job["UserName"] == "_midspan", "not root"
     assert job["ProgramArguments"][1:] == ["run", "--config", "/etc/midspan/midspan.yaml"]
+    page = (ROOT / "docs/start/pip.md").read_text("utf-8")
+    assert f"sysadminctl -addUser {job['UserName']} -roleAccount" in page
+    assert f"chown {job['UserName']} /var/lib/midspan {job['StandardErrorPath']}" in page
