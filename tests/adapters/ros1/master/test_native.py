@@ -225,6 +225,8 @@ def test_a_killed_node_is_removed_and_its_subscribers_learn_of_it(tmp_path: Path
     try:
         peer.advertise("/t", STRING)
         listener.subscribe("/t", STRING)
+        nodes = network.master.api.registrations.nodes
+        until(lambda: nodes["/killed"].reachable, "the master has asked the node")
         peer.signal(signal.SIGKILL)
         until(lambda: "/killed" not in network.master.nodes(), "the killed node is removed")
         until(lambda: network.master.calls.waiting == 0, "its subscribers have been called")
