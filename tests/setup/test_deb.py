@@ -204,6 +204,7 @@ def place(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         for package in both:
             shutil.copy(package, tree.folder / "root" / package.name)
         tree.chroot("apt-get", "install", "-y", "--download-only", f"/root/{both[0].name}")
+        (tree.folder / "etc/hosts").write_text("127.0.0.1 localhost\n")  # netbase's, which rospy used to bring
         tree.boot()
         stack.enter_context(tree.machine.start(ROS1_PYTHON, ROS1_CORE, "11311", env=environ))
         made_place = Place(tree, release, lintian, environ)
