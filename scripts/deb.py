@@ -3,7 +3,7 @@
 The package has a private environment below /opt/midspan, laid out as a virtual environment of the release's Python.
 Compiled files are for that Python, so each release has its own package; pip finds wheels for a Python that is not
 installed on this machine, and for another processor. The units, the configuration and the user are those of `midspan
-install`. Each package has a bill of materials next to it (`scripts.sbom`), and two builds have the same bytes.
+install`. Each package has a bill of materials next to it (`scripts.sbom`).
 """
 
 from __future__ import annotations

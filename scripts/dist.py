@@ -9,8 +9,9 @@ two with the same files would overwrite each other, and uninstalling one would b
 contain `yarp-compat`, but requires it in the same version.
 
 Each distribution is laid out in a separate folder, from the files that git tracks. The wheels are built from the source
-distribution, with the installed setuptools and Cython. Each wheel has a bill of materials (`scripts.sbom`), two builds
-have the same bytes (`scripts.reproducible`), and ``--arch`` compiles the kernels for another processor.
+distribution, with the installed setuptools and Cython. Each wheel has a bill of materials (`scripts.sbom`), its
+archive depends only on its contents and the commit (`scripts.reproducible`), and ``--arch`` compiles the kernels for
+another processor.
 """
 
 from __future__ import annotations

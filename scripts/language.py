@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -23,33 +24,9 @@ PHRASES_PER_1000, VAGUE_PERCENT = 4.0, 1.0
 FEW_WORDS, FEW_NAMES = 1000, 300
 """A smaller folder is measured, but one phrase or name in it decides nothing."""
 
-_AFTER_WHERE = "it|there|that|they|none|no|the|one|an?|this|what|nobody|another|its|such|not|any|both|some|need be"
-_SUBJECTS = "who|whoever|what|whatever"
-_THEIR_VERBS = "is|are|was|were|comes?|came|has|have|had|waits?|asks?|asked|calls?|hears?|listens?|holds?|publishes"
-_PHRASES = {
-    "where, for if": rf"where ({_AFTER_WHERE})",
-    "tell": "(tell|tells|telling|told)",
-    "hear": "(hear|hears|hearing|heard|unheard)",
-    "say": "(say|says|saying|said|speak|speaks|spoke)",
-    "is no": r"(is|are|was|were) no (?!longer|more)\w+",
-    "there is no": "there (is|are) (none|no)",
-    "of its own": "of (its|their|our|one's) own",
-    "of somebody's": r"of \w+'s",
-    "alone, for only": r"\w+ alone",
-    "so many": "so (many|much|long)",
-    "behind, beside": "(behind|besides?|anew|lately|likewise|thereby|hereby|at hand)",
-    "no more, for no longer": "no more",
-    "take up": "(take|takes|taken|taking|took) (up|for|it for)",
-    "nobody": "(nobody|somebody)",
-    "way, for path or method": "(the|its|their|a|each|by the|on its) way",
-}
-_WITHOUT_A_NOUN = rf"(^|[.;:,(]\s*)({_SUBJECTS}) ({_THEIR_VERBS}|it|they|the|a)\b"
 PHRASES = {
     name: re.compile(pattern, re.MULTILINE | re.IGNORECASE)
-    for name, pattern in [
-        *((name, rf"\b{pattern}\b") for name, pattern in _PHRASES.items()),
-        ("who, without a noun", _WITHOUT_A_NOUN),
-    ]
+    for name, pattern in tomllib.loads(Path(__file__).with_name("phrases.toml").read_text(encoding="utf-8")).items()
 }
 
 VAGUE_FUNCTION = re.compile(

@@ -27,7 +27,7 @@ def test_a_bounded_queue_keeps_the_order_and_drops_the_oldest() -> None:
         assert queue.busy
         for number in range(1, 8):
             queue.put(number, 1)
-        queue.put(8, 99)  # no room beside more than one other
+        queue.put(8, 99)  # fits together with one other message, not with two
         go_on.set()
         until(lambda: not queue.busy, "all are taken")
         assert taken == [0, 7, 8]
@@ -108,7 +108,7 @@ def test_jobs_are_done_a_few_at_a_time_and_tell_their_end() -> None:
     assert not [t for t in threading.enumerate() if t.name.startswith("pool")]
 
 
-def test_a_job_that_hangs_holds_up_no_end() -> None:
+def test_a_job_that_hangs_does_not_delay_the_end() -> None:
     pool, gate, begun = WorkerPool(1, "pool"), threading.Event(), threading.Event()
     hanging = pool.submit(lambda: (begun.set(), gate.wait(20)))
     assert begun.wait(20)
@@ -118,7 +118,7 @@ def test_a_job_that_hangs_holds_up_no_end() -> None:
     gate.set()
     assert hanging.result(20)
     assert pool.submit(lambda: None).cancelled()
-    until(waiting.cancelled, "what had not begun is not begun")
+    until(waiting.cancelled, "the waiting job is canceled")
     until(lambda: not [t for t in threading.enumerate() if t.name.startswith("pool")], "its thread ends")
 
 

@@ -1,4 +1,4 @@
-"""Kernels: what lies here is compiled, and a build that is missing, or of other sources, is told."""
+"""Kernels are compiled from this tree's sources; a missing build, or one of other sources, is reported."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.support.missing import COMPILER, needs
 
 
 @needs(COMPILER)
-def test_the_tests_run_on_kernels_that_are_compiled_of_what_lies_here() -> None:
+def test_kernels_are_compiled_from_the_sources_of_this_tree() -> None:
     assert kernels.state().ok, f"{kernels.state()}: run 'make setup'"
 
 
@@ -35,7 +35,7 @@ def test_every_kernel_is_imported_compiled() -> None:
 
 
 def test_a_kernel_that_cannot_be_compiled_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cython makes each anew, and does not keep that the build goes on without it."""
+    """Cython makes a new `Extension` for each kernel, without ``optional``, which lets the build continue."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "kernels", kernels)
     monkeypatch.setattr("setuptools.setup", lambda **_: None)
@@ -99,7 +99,7 @@ def pretend_to_compile(build: Any) -> None:
 
 @pytest.fixture
 def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A tree of one kernel that was built."""
+    """Return a tree with one compiled kernel."""
     monkeypatch.setattr(kernels, "ROOT", tmp_path)
     monkeypatch.setattr(kernels, "KERNELS", ("bridge.one",))
     monkeypatch.setattr(kernels, "C_MODULES", ())

@@ -1,7 +1,7 @@
-"""The streams of a worker's process on the daemon's loop: what they deliver calls back, and writing never blocks.
+"""The streams of a worker's process on the daemon's loop: callbacks receive its data, and writing never blocks.
 
-The loop watches pipes where the system's selectors can. Windows' select waits for sockets only, so there each pipe has
-a thread that reads or writes it.
+The loop watches pipes if the system's selectors can. Windows' select waits for sockets only, so each pipe has a thread
+that reads or writes it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Reader(ABC):
 
     @abstractmethod
     def drain(self) -> None:
-        """Deliver what a process that has exited wrote last."""
+        """Deliver the last output of a process that has exited."""
 
     @abstractmethod
     def close(self) -> None:
@@ -42,7 +42,7 @@ class Reader(ABC):
 
 
 class Writer(ABC):
-    """Writes without blocking: what the stream cannot hold is written later. Errors are ignored."""
+    """Writes without blocking: data for which the stream has no room is written later. Errors are ignored."""
 
     @abstractmethod
     def write(self, data: bytes) -> None:

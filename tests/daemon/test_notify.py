@@ -68,7 +68,7 @@ def test_the_daemon_is_ready_even_if_a_side_does_not_work(daemon: Daemon, system
     daemon.order("ros2", "wait")
     daemon.start(env=systemd.env)
     systemd.expect("READY=1")
-    systemd.expect("ros1 cannot work: there is no such robot | ros2 waiting: ros2 fine")
+    systemd.expect("ros1 cannot work: unknown robot | ros2 waiting: ros2 fine")
 
 
 def test_status_reports_restarts_and_refused_reloads(daemon: Daemon, systemd: Systemd) -> None:

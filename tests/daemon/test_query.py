@@ -37,9 +37,9 @@ def test_the_daemon_also_reports_workers_that_do_not_run(daemon: Daemon) -> None
     workers = {worker["worker"]: worker for worker in status.document()["workers"]}
     assert workers["router"]["phase"] == "running"
     assert workers["router"]["pid"] == daemon.wait_started("router")
-    assert (workers["ros1"]["phase"], workers["ros1"]["text"]) == ("cannot work", "there is no such robot")
+    assert (workers["ros1"]["phase"], workers["ros1"]["text"]) == ("cannot work", "unknown robot")
     assert workers["ros2"]["phase"] == "off"
-    assert "ros1 cannot work: there is no such robot" in status.status
+    assert "ros1 cannot work: unknown robot" in status.status
 
 
 def test_refused_reload_and_restarts_are_reported(daemon: Daemon) -> None:

@@ -91,7 +91,7 @@ def test_worker_that_can_never_work_is_not_restarted_at_once(daemon: Daemon) -> 
     daemon.order("ros1", "never")
     process = daemon.start()
     daemon.wait_ready(process)
-    assert "ros1 cannot work: there is no such robot" in process.output()
+    assert "ros1 cannot work: unknown robot" in process.output()
     daemon.order("ros2", "crash")
     daemon.wait_started("ros2", 4)
     assert len(daemon.pids("ros1")) == 1

@@ -181,7 +181,7 @@ def test_exit_codes(daemon: Daemon, supervised: Supervised, order: str, code: in
     assert supervised.popen.wait(40) == code
     assert supervised.popen.stdout is not None
     reports = supervised.popen.stdout.read()
-    assert (b'{"failed":"there is no such robot"}' in reports) == (order == "never")
+    assert (b'{"failed":"unknown robot"}' in reports) == (order == "never")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

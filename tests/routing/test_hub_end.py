@@ -14,6 +14,7 @@ from bridge.hub.graph.tokens import EndpointKind, Origin
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.routing import hub_end
 from bridge.routing.hub_end import Demand, HubSources, RouteSubscription, StreamDemand
+from tests.support.clock import Clock
 
 WORKER = Origin("ros1", "net", "robot")
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL)
@@ -103,15 +104,6 @@ def test_counts_continue_over_reopened_subscriptions() -> None:
     subscription.close()
     assert (subscription.open, subscription.status(), subscription.losses()) == (False, (("", ""), 7), None)
     assert subscription.request(LATCHED), "the last durability does not count after a close"
-
-
-class Clock:
-    """Replaces the module's clock."""
-
-    now = 100.0
-
-    def monotonic(self) -> float:
-        return self.now
 
 
 @pytest.fixture

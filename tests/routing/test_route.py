@@ -372,6 +372,12 @@ def test_fast_stream_is_unsubscribed_ten_seconds_after_its_last_subscriber(
         route.close()
 
 
+def hub_publisher(topic: str, type_hash: str, qos: Qos) -> HubEndpoint:
+    """Return a native publisher of strings on the hub."""
+    place, name = ("z", "n", "/", EndpointKind.PUBLISHER), (topic, STRING, type_hash)
+    return HubEndpoint(*place, *name, qos, GID, None, pending=False, own=False)
+
+
 class LatchedRoute:
     """A route with two latched publishers of the hub, without its subscription."""
 
@@ -379,20 +385,7 @@ class LatchedRoute:
         registry, self.network, self.wakes = Registry(), FakeNetwork(), 0
         type_, topic = registry.ros2(STRING), "/state"
         qos = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=1)
-        self.publisher = HubEndpoint(
-            "z",
-            "n",
-            "/",
-            EndpointKind.PUBLISHER,
-            topic,
-            STRING,
-            type_.type_id,
-            qos,
-            GID,
-            None,
-            pending=False,
-            own=False,
-        )
+        self.publisher = hub_publisher(topic, type_.type_id, qos)
         self.other = replace(self.publisher, zid="y", gid=b"n" * 16)
         idle, lease = Dispatcher("idle"), Lease()
         self.lease = lease
@@ -578,20 +571,7 @@ def test_a_rate_means_the_same_in_both_directions(priority: str, latched: bool, 
             to_hub.deliver(line("here"), "this", None)
         to_hub.close()
         to_side = HubToSideRoute(key, topic, None, conversion, policy, context)
-        this = HubEndpoint(
-            "z",
-            "n",
-            "/",
-            EndpointKind.PUBLISHER,
-            topic,
-            STRING,
-            type_.type_id,
-            qos,
-            GID,
-            None,
-            pending=False,
-            own=False,
-        )
+        this = hub_publisher(topic, type_.type_id, qos)
         to_side.update([this, replace(this, gid=b"o" * 16, qos=other)], [])
         for number in range(3):
             to_side.queue.receive(HubSample(zenoh.ZBytes(line("here")), number, number, GID, "z"))

@@ -6,15 +6,7 @@ import pytest
 
 from sim import simulator
 from sim.simulator import Pace
-
-
-class Clock:
-    """A clock that the test sets."""
-
-    now = 100.0
-
-    def monotonic(self) -> float:
-        return self.now
+from tests.support.clock import Clock
 
 
 @pytest.fixture

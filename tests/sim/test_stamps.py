@@ -16,7 +16,7 @@ from sim.base import TICK_NS
 from sim.simulator import Pace
 from sim.stamps import WallStamps
 from tests.sim.test_hub import Place
-from tests.sim.test_pace import Clock
+from tests.support.clock import Clock
 from tests.support.wait import until
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient

@@ -58,12 +58,17 @@ class LatchedHubSubscription(HubSubscription):
 
         return undeclare_all
 
+    def _read(self, sample: zenoh.Sample) -> HubSample | None:
+        message = self._reader.read(sample)
+        if message is not None:
+            self._history.saw(sample.source_info)
+        return message
+
     @override
     def _on_sample(self, sample: zenoh.Sample) -> None:
-        message = self._reader.read(sample)
+        message = self._read(sample)
         if message is None:
             return
-        self._history.saw(sample.source_info)
         with self._lock:
             source = self.sources.of(message, sample)
             zid, gap = source.zid, source.gap(message)
@@ -88,10 +93,9 @@ class LatchedHubSubscription(HubSubscription):
 
     def on_stored(self, sample: zenoh.Sample) -> None:
         """Handle one of the samples that a publisher stores; see `LatchedHistory`."""
-        message = self._reader.read(sample)
+        message = self._read(sample)
         if message is None:
             return
-        self._history.saw(sample.source_info)
         with self._lock:
             source = self.sources.of(message, sample)
             if source.gap(message) is None:

@@ -73,7 +73,7 @@ class Fake(Worker):
         self._note(f"start {os.getpid()} {config.routing.default} {os.environ.get('ROS_MASTER_URI', '')}")
         orders = self._orders()
         if "never" in orders:
-            msg = "there is no such robot"
+            msg = "unknown robot"
             raise RuntimeError(msg)
         if "crash-at-start" in orders:
             msg = "broken on purpose"

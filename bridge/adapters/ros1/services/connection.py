@@ -13,6 +13,8 @@ import socket
 import struct
 import threading
 from abc import abstractmethod
+from collections.abc import Callable
+from functools import partial
 from typing import ClassVar
 
 from typing_extensions import override
@@ -160,16 +162,10 @@ class ServiceConnection(PolledConnection):
     def ready(self) -> None:
         """Read available data, up to the end of one message; called on the reading thread."""
         wanted = self._skip or (self._size if len(self._buffer) >= self.head else self.head) - len(self._buffer)
-        try:
-            data = self._receive(min(wanted, _CHUNK))
-        except BlockingIOError:
-            return
-        except OSError as err:
-            self.end(f"broke off: {err}")
-            return
+        data = self._available(self._receive, min(wanted, _CHUNK), "closed the connection")
         if not data:
-            self.end("closed the connection")
-        elif self._skip:
+            return
+        if self._skip:
             self._skip -= len(data)
             if not self._skip:
                 self._skipped(self._size - self.head)
@@ -180,21 +176,27 @@ class ServiceConnection(PolledConnection):
 
     def read_ahead(self) -> None:
         """Buffer what the peer sends during a call, so that an end of the connection after it is noticed."""
-        try:
-            data = receive_now(self._sock, _MAX_AHEAD - len(self._ahead))
-        except BlockingIOError:
-            return
-        except OSError as err:
-            self.end(f"broke off: {err}")
-            return
+        data = self._available(partial(receive_now, self._sock), _MAX_AHEAD - len(self._ahead), "left")
         if not data:
-            self.end("left")
             return
         self._ahead += data
         if len(self._ahead) == _MAX_AHEAD:
             self._loop.pause(self)
         if self.listens:  # the reply was sent meanwhile, so messages are read again
             self.ready()
+
+    def _available(self, receive: Callable[[int], bytes], count: int, at_end: str) -> bytes:
+        """Return available data; b"" if there is none yet, or if the connection has ended, which this handles."""
+        try:
+            data = receive(count)
+        except BlockingIOError:
+            return b""
+        except OSError as err:
+            self.end(f"broke off: {err}")
+            return b""
+        if not data:
+            self.end(at_end)
+        return data
 
     def resume(self) -> None:
         """Read messages again. Thread-safe."""

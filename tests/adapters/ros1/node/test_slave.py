@@ -104,7 +104,9 @@ def node() -> Iterator[Node]:
     node.close()
 
 
-def test_a_node_that_cannot_listen_for_the_slave_api_closes_its_other_socket(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def listening(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
+    """Let slave APIs fail to listen; return the addresses on which nodes listen for connections."""
     opened: list[tuple[str, int]] = []
 
     def listen(address: NodeAddress) -> socket.socket:
@@ -116,38 +118,32 @@ def test_a_node_that_cannot_listen_for_the_slave_api_closes_its_other_socket(mon
         raise OSError(errno.EMFILE, "Too many open files")
 
     real = NodeAddress.listen
-    monkeypatch.setenv("ROS_IP", "127.0.0.1")
     monkeypatch.setattr(NodeAddress, "listen", listen)
-    monkeypatch.setattr(node_module, "XmlRpcServer", fail)
+    for module in (node_module, plain):
+        monkeypatch.setattr(module, "XmlRpcServer", fail)
+    return opened
+
+
+def test_a_node_that_cannot_listen_for_the_slave_api_closes_its_other_socket(
+    monkeypatch: pytest.MonkeyPatch, listening: list[tuple[str, int]]
+) -> None:
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
     edge = Ros1Edge(Config(ros1=Ros1Section(master=MASTER)), Registry(), Path(tempfile.mkdtemp()))
     with pytest.raises(RuntimeError, match=r"cannot listen on 127\.0\.0\.1: Too many open files"):
         edge.start(Events())
     with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(opened[0], 20).close()
+        socket.create_connection(listening[0], 20).close()
     edge.stop()
 
 
 def test_a_plain_node_that_cannot_listen_for_the_slave_api_closes_its_other_socket_and_thread(
-    monkeypatch: pytest.MonkeyPatch,
+    listening: list[tuple[str, int]],
 ) -> None:
-    opened: list[tuple[str, int]] = []
-
-    def listen(address: NodeAddress) -> socket.socket:
-        listener = real(address)
-        opened.append(listener.getsockname())
-        return listener
-
-    def fail(*_: Any, **__: Any) -> None:
-        raise OSError(errno.EMFILE, "Too many open files")
-
-    real = NodeAddress.listen
-    monkeypatch.setattr(NodeAddress, "listen", listen)
-    monkeypatch.setattr(plain, "XmlRpcServer", fail)
     events = PlainNodeEvents(lambda _: [], lambda: None, lambda _: None)
     with pytest.raises(OSError, match="Too many open files"):
         PlainNode("/plain", MASTER, NodeAddress("127.0.0.1", "127.0.0.1", False), events, label="unlistening")
     with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(opened[0], 20).close()
+        socket.create_connection(listening[0], 20).close()
     assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("unlistening")]
 
 
