@@ -3,7 +3,7 @@
 Source: the constants in ``nav2_msgs/action/*.action``, branches ``humble`` to ``lyrical`` of
 ros-navigation/navigation2; no code changes its meaning between releases. Each action has its own range;
 ``bt_navigator`` copies the code of the failed action into the result of ``NavigateToPose`` and
-``NavigateThroughPoses``, which have codes of their own since Kilted. Docking and FollowObject share 901 to 904.
+``NavigateThroughPoses``, which also define codes since Kilted. Docking and FollowObject share 901 to 904.
 Midspan's own codes are in `navigation.status.Fault`.
 """
 

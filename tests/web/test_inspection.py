@@ -102,7 +102,7 @@ def test_the_log_of_a_restarted_daemon_starts_again(desk: Desk, daemon: Daemon, 
         page.watch("log")
         page.value("log", lambda value: value and value["last"] == 5)
         daemon.close()
-        page.until(lambda: page.values["log"]["value"] is None, "there is no daemon")
+        page.until(lambda: page.values["log"]["value"] is None, "the daemon is not running")
         assert "the daemon does not respond" in page.values["log"]["why"]
         with contextlib.closing(Daemon(tmp_path, file)) as again:
             again.log_line("anew")

@@ -1,4 +1,4 @@
-"""The types of YARP's interfaces, encoded as by its generated (thrift) code.
+"""Field types of the YARP interfaces, encoded as by YARP's code generator for thrift.
 
 A Python annotation names the type: ``bool``, ``int`` (32 bits), ``float`` (a double), ``str``, ``bytes``, an Enum (of
 vocabs if its values are text, otherwise of 32-bit numbers), ``list[...]``, a subclass of Portable; or ``Annotated``
@@ -199,7 +199,7 @@ _PLAIN: dict[Any, FieldCodec] = {bool: BOOLEAN, int: INT32, float: FLOAT64, str:
 
 
 def field_of(annotation: Any) -> FieldCodec:
-    """Return the codec of an annotation; raises `TypeError` if there is none."""
+    """Return the codec of an annotation; raises `TypeError` for other annotations."""
     origin = get_origin(annotation)
     if origin is Annotated:
         fields = [extra for extra in get_args(annotation)[1:] if isinstance(extra, FieldCodec)]
@@ -212,7 +212,7 @@ def field_of(annotation: Any) -> FieldCodec:
         return Choice(annotation)
     if isinstance(annotation, type) and issubclass(annotation, Portable):
         return Nested(annotation)
-    raise TypeError(f"{annotation!r} is not a type of YARP's interfaces")
+    raise TypeError(f"{annotation!r} is not a type of the YARP interfaces")
 
 
 class Structure(Portable):
@@ -255,7 +255,7 @@ class Generated(Structure):
         return to_text(decode(self.to_bytes(Profile.YARP3), Profile.YARP3))
 
     def toString_c(self) -> str:
-        """Return `toString`, under the name of YARP's bindings."""
+        """Return `toString`; the YARP bindings use this name."""
         return self.toString()
 
 

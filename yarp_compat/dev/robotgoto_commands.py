@@ -1,4 +1,4 @@
-"""The commands of robotGoto's own port: its service (`robotGotoMsgs.thrift`, 2026), and its older text commands.
+"""The commands on the RPC port of robotGoto: its service (`robotGotoMsgs.thrift`, 2026), and its older text commands.
 
 ``reset_params``, ``approach DIRECTION SPEED TIME``, ``set linear_tol 0.05``, ``get navigation_status``
 (`robotGotoDev.cpp`); robotPathPlanner sends the text commands even to a newer robotGoto, which does not support them.
@@ -35,7 +35,7 @@ _SWITCHES = {
 
 @rpc
 class RobotGotoMsgs(Service):
-    """The methods of robotGoto's port; the text commands call the same methods."""
+    """The methods of this port; the text commands call the same methods."""
 
     def ResetParams(self) -> ReturnValue: ...  # to the initial ones
     def Approach(self, dir: float, speed: float, time: float) -> ReturnValue: ...  # noqa: A002 - degrees, m/s, seconds

@@ -1,8 +1,8 @@
 """Clients of a transform server as devices.
 
-``frameTransformClient`` combines other devices as a file says, which ``config_name`` (``filexml_option`` before 4.0)
-names; the files that come with YARP are recognized by their names. ``transformClient`` of releases before 3.9 used its
-own protocol with a ``transformServer``: here it is a client of today's servers.
+``frameTransformClient`` combines other devices as described in the file ``config_name`` (``filexml_option`` before
+4.0); the files that come with YARP are recognized by their names. ``transformClient`` of releases before 3.9 used a
+different protocol with a ``transformServer``: here it is a client of current servers.
 """
 
 from __future__ import annotations
