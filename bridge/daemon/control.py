@@ -23,6 +23,7 @@ logger = logging.getLogger("midspan.worker")
 _READ_SIZE = 1 << 16
 _SEND_SECONDS = 0.5
 _RETRY_SECONDS = 1.0
+_MAX_GREETINGS = 32
 
 LAST_SECONDS = 4.0
 """Limit in seconds for the stop of a worker whose daemon has exited."""
@@ -109,6 +110,7 @@ class ControlServer:
         self._client: socket.socket | None = None
         self._client_number = -1
         self._closing = threading.Event()
+        self._greetings = threading.Semaphore(_MAX_GREETINGS)
         try:
             self._listener = LocalListener(path)
         except OSError as err:
@@ -157,6 +159,7 @@ class ControlServer:
                 self._closing.wait(_RETRY_SECONDS)
                 continue
             client.settimeout(_SEND_SECONDS)
+            self._greetings.acquire()  # each is released within _SEND_SECONDS
             threading.Thread(
                 target=self._serve, args=(client, next(numbers)), name="control-client", daemon=True
             ).start()
@@ -166,6 +169,8 @@ class ControlServer:
             admitted = self._listener.admit(client, receive(client, self._listener.greeting))
         except OSError:
             admitted = False
+        finally:
+            self._greetings.release()
         with self._lock:
             if not admitted or self._closing.is_set() or number < self._client_number:  # a later one was admitted first
                 client.close()

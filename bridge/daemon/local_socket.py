@@ -17,6 +17,7 @@ import json
 import os
 import secrets
 import socket
+import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ _UNIX = hasattr(socket, "AF_UNIX")
 _SECRET_BYTES = 32
 _BACKLOG = 8
 _MAX_FILE = 1000
+_LEAST_SECONDS = 1e-3
 
 
 class _Address(NamedTuple):
@@ -103,10 +105,20 @@ class LocalListener:
 
 
 def receive(client: socket.socket, size: int) -> bytes:
-    """Return exactly ``size`` bytes, fewer at the end of the stream; each part within the socket's timeout."""
+    """Return exactly ``size`` bytes, fewer at the end of the stream.
+
+    Raises `TimeoutError` unless all of them arrive within the socket's timeout.
+    """
+    seconds = client.gettimeout()
+    end = None if seconds is None else time.monotonic() + seconds
     data = b""
-    while len(data) < size and (part := client.recv(size - len(data))):
-        data += part
+    try:
+        while len(data) < size and (part := client.recv(size - len(data))):
+            data += part
+            if end is not None:
+                client.settimeout(max(end - time.monotonic(), _LEAST_SECONDS))
+    finally:
+        client.settimeout(seconds)
     return data
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from bridge.config.model import Config
-from bridge.daemon import local_socket
+from bridge.daemon import control, local_socket
 from bridge.daemon.control import ControlServer
 from bridge.daemon.local_socket import LocalListener
 from bridge.daemon.protocol import Command, NewConfig, encode_command
@@ -164,6 +164,44 @@ def test_commands_without_the_secret_are_refused(tmp_path: Path) -> None:
     finally:
         server.close()
     assert [command.config.name for command in commands if isinstance(command, NewConfig)] == ["test"]
+
+
+def test_greeting_has_one_time_limit_in_total() -> None:
+    """A client that sends a byte at a time holds its thread no longer than a silent one."""
+    near, far = socket.socketpair()
+    with near, far:
+        near.settimeout(0.2)
+        ended = threading.Event()
+
+        def send_slowly() -> None:
+            for _ in range(100):
+                if ended.wait(0.05):
+                    return
+                far.sendall(b"0")
+
+        thread = threading.Thread(target=send_slowly)
+        thread.start()
+        try:
+            with pytest.raises(TimeoutError):
+                local_socket.receive(near, 50)
+        finally:
+            ended.set()
+            thread.join()
+        assert near.gettimeout() == 0.2
+
+
+@pytest.mark.usefixtures("_tcp")
+def test_silent_clients_do_not_exclude_the_daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control, "_MAX_GREETINGS", 2)
+    server = ControlServer(tmp_path / "socket", "daemon", lambda _: None)
+    try:
+        with contextlib.ExitStack() as stack:
+            for _ in range(6):
+                stack.enter_context(plain(tmp_path / "socket"))
+            owner = stack.enter_context(local_socket.connect(tmp_path / "socket", 20.0))
+            assert b"hello" in owner.recv(4096)
+    finally:
+        server.close()
 
 
 @pytest.mark.usefixtures("_tcp")
