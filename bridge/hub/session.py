@@ -237,8 +237,9 @@ class Hub:
         self._node = NodeToken(settings.domain, self.zid, str(next(session.ids)), settings.namespace, settings.node)
         self._control = Control(self._session, settings.domain, settings.daemon, settings.worker, settings.identity)
         self._context = EndpointContext(
-            self._session, session.reach, self._own, self.graph, settings.max_payload, SerialExecutor("hub-executor"),
-            SerialExecutor("hub-asking"), DelayedCalls("hub-heartbeats"), self._remove, session.lane,
+            self._session, session.reach, self._own, self.graph, settings.max_payload,
+            SerialExecutor("hub-executor"), SerialExecutor("hub-ends"), SerialExecutor("hub-asking"),
+            DelayedCalls("hub-heartbeats"), self._remove, session.lane,
         )  # fmt: skip
         session.add(self)
         self._withdraw = self.graph.announce(node_key(self._node))
@@ -394,6 +395,7 @@ class Hub:
         for space in self._spaces:
             space.close()
         self._context.executor.close()
+        self._context.ends.close()
         self._context.asking.close()
         self._context.heartbeats.close(1.0)
         self._control.close()

@@ -2,6 +2,11 @@
 
 Callbacks run on zenoh's receiving thread (``indirect=False``): they append and wake. Samples of the same session arrive
 on the thread that puts them, if ``origin`` includes the session.
+
+A callback at the end of a query must not use zenoh; it submits to an executor. For the queries to a lost session zenoh
+runs it while it holds a lock that every query needs (1.10: ``finalize_pending_queries``). Another thread's query then
+waits for that lock while it reads the routing tables, and a third thread's declaration waits to write them. A callback
+that uses zenoh waits behind the declaration: the session hangs for ever.
 """
 
 from __future__ import annotations

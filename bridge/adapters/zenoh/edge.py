@@ -127,13 +127,13 @@ class KeyEdge(SideEdge):
 
     def _join(self, session: zenoh.Session) -> None:
         assert self._listener is not None
-        executor = SerialExecutor(f"midspan-{self.side}-executor")
+        executor, ends = (SerialExecutor(f"midspan-{self.side}-{name}") for name in ("executor", "ends"))
         small, bulk = (Dispatcher(f"midspan-{self.side}-in-{size}") for size in ("small", "bulk"))
         small.start()
         bulk.start()
         limit = self._config.limits.message_bytes
         delays = DelayedCalls(f"midspan-{self.side}-delays")
-        self._context = KeyContext(session, limit, executor, delays, small, bulk, self._unregister)
+        self._context = KeyContext(session, limit, executor, ends, delays, small, bulk, self._unregister)
         past = remember(str(session.zid()), self._file)
         changed = self._listener.graph_changed, self._listener.presence_changed
         self._presence = KeyNeighbours(session, self.side, self._scope, past, *changed)
@@ -157,6 +157,7 @@ class KeyEdge(SideEdge):
             self._presence.close()
         context.delays.close(1.0)
         context.executor.close()
+        context.ends.close()
         context.session.close()  # type: ignore[no-untyped-call]
         context.small.stop()
         context.bulk.stop()

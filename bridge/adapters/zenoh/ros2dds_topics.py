@@ -97,7 +97,7 @@ class LatchedSubscription(KeySubscription):
         self._last: dict[tuple[str, str], tuple[int | None, int]] = {}
         super().__init__(context, key, qos, deliver, source_of, announcement)
         self._history = LatchedHistory(
-            context.session, key, wanted, self, context.executor, context.delays, recovers=False
+            context.session, key, wanted, self, context.executor, context.ends, context.delays, recovers=False
         )
         self._history.open()
 

@@ -23,7 +23,9 @@ class KeyCaller(CallClient):
         self.announcement, self.encoding = announcement, encoding
         self._withdraw, self._attach = announcement.withdraw, attached
         target = zenoh.QueryTarget.BEST_MATCHING
-        super().__init__(context.session, key, name, context.limit, context.executor, target, context.closed)
+        super().__init__(
+            context.session, key, name, context.limit, context.executor, context.ends, target, context.closed
+        )
 
     @override
     def _attached(self, number: int) -> bytes | None:

@@ -28,14 +28,15 @@ Withdraw = Callable[[], None]
 class KeyContext:
     """The shared state of one edge's endpoints.
 
-    ``limit`` is the largest request or reply in bytes; ``executor`` runs calls that may wait for zenoh, ``delays``
-    delayed calls; ``small`` and ``bulk`` convert received messages, urgent ones first; ``closed`` is called with each
-    endpoint that has closed.
+    ``limit`` is the largest request or reply in bytes; ``executor`` runs calls that may wait for zenoh, ``ends``
+    handles the ends of queries, ``delays`` runs delayed calls; ``small`` and ``bulk`` convert received messages, urgent
+    ones first; ``closed`` is called with each endpoint that has closed.
     """
 
     session: zenoh.Session
     limit: int
     executor: SerialExecutor
+    ends: SerialExecutor
     delays: DelayedCalls
     small: Dispatcher
     bulk: Dispatcher

@@ -93,6 +93,7 @@ class CallClient:
     Args:
         limit: maximum size of a request or reply, in bytes.
         executor: runs operations that may block in zenoh.
+        ends: handles the ends of queries, see `bridge.hub.zenoh_compat`.
         target: which of several queryables receive the query.
         closed: called once with the client when it has closed.
         changed: called when the first server appears or the last one leaves.
@@ -110,6 +111,7 @@ class CallClient:
         name: str,
         limit: int,
         executor: SerialExecutor,
+        ends: SerialExecutor,
         target: zenoh.QueryTarget,
         closed: Callable[[Any], None],
         changed: Callable[[], None] | None = None,
@@ -117,7 +119,7 @@ class CallClient:
     ) -> None:
         self.name = name
         self._session, self._key, self._limit, self._executor = session, key, limit, executor
-        self._on_close, self._changed = closed, changed
+        self._ends, self._on_close, self._changed = ends, closed, changed
         self._lock = Lock()
         self._number = 0
         self._waiting: dict[int, _PendingCall] = {}
@@ -175,8 +177,10 @@ class CallClient:
         if querier is None:
             self._end(pending.number, CallError(_CLOSED.format(name=self.name)))
             return
-        over = partial(self._over, pending.number)
-        handler = zenoh.handlers.Callback(partial(self._on_reply, pending.number), over, indirect=False)
+        number = pending.number
+        handler = zenoh.handlers.Callback(
+            partial(self._on_reply, number), partial(self._on_over, number), indirect=False
+        )
         pending.sent = time.monotonic()
         try:
             querier.get(
@@ -189,7 +193,7 @@ class CallClient:
         except (zenoh.ZError, RuntimeError) as err:  # the client is being closed
             self._end(pending.number, CallError(f"{self.name} cannot be called: {zenoh_reason(err)}"))
         if not self.ready:  # zenoh may never end a query without a server
-            over()
+            self._over(number, time.monotonic())
 
     def close(self) -> None:
         """End every pending call with an error, and undeclare the client. Safe to call twice."""
@@ -225,10 +229,15 @@ class CallClient:
         else:
             self._end(number, reply.ok.payload.to_bytes())
 
-    def _over(self, number: int) -> None:
-        """Handle the end of a query without a further reply; runs on a zenoh thread."""
+    def _on_over(self, number: int) -> None:
+        """Handle the end of a query; runs on a zenoh thread, which must not use zenoh."""
         keep_thread_state()
-        text, now = LEFT.format(name=self.name), time.monotonic()
+        if number in self._waiting:
+            self._ends.submit(partial(self._over, number, time.monotonic()))
+
+    def _over(self, number: int, now: float) -> None:
+        """Handle the end of a query without a reply at the time ``now``."""
+        text = LEFT.format(name=self.name)
         with self._lock:
             pending = self._waiting.get(number)
         if pending is None:

@@ -138,13 +138,14 @@ class LatchedHistory:
         depth: int,
         listener: HistoryListener,
         executor: SerialExecutor,
+        ends: SerialExecutor,
         delays: DelayedCalls,
         *,
         reach: zenoh.Locality = zenoh.Locality.REMOTE,
         recovers: bool,
     ) -> None:
         self._session, self._key, self.depth = session, key, depth
-        self._listener, self._executor, self._delays = listener, executor, delays
+        self._listener, self._executor, self._ends, self._delays = listener, executor, ends, delays
         self._reach, self._recovers = reach, recovers
         self._samples = zenoh.KeyExpr(key)
         self._closed = False
@@ -181,7 +182,7 @@ class LatchedHistory:
     def _ask(self, publishers: str, zid: str) -> None:
         if self._closed:
             return
-        done = partial(self._on_done, publishers, zid)
+        done = partial(self._ends.submit, partial(self._on_done, publishers, zid))
         try:
             self._session.get(
                 f"{publishers}?_max={self.depth}",

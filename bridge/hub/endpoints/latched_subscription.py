@@ -42,7 +42,7 @@ class LatchedHubSubscription(HubSubscription):
         self._recovers = qos.reliability is Reliability.RELIABLE
         self._asked: Counter[str] = Counter()  # by session
         self._history = LatchedHistory(
-            context.session, key, self._depth, self, context.asking, context.heartbeats,
+            context.session, key, self._depth, self, context.asking, context.ends, context.heartbeats,
             reach=context.reach, recovers=self._recovers,
         )  # fmt: skip
         super().__init__(context, token, key, topic, callback, on_refused)

@@ -49,6 +49,7 @@ class EndpointContext:
         own: GIDs of the node's endpoints, whose messages its subscriptions and servers ignore; it changes.
         limit: bytes of the largest message.
         executor: runs calls that may wait for zenoh.
+        ends: handles the ends of queries, see `bridge.hub.zenoh_compat`.
         asking: runs queries for the samples that latched publishers cache.
         heartbeats: publishes the numbers of latched publishers' last samples.
         closed: called with each endpoint that has closed.
@@ -61,6 +62,7 @@ class EndpointContext:
     graph: HubGraph
     limit: int
     executor: SerialExecutor
+    ends: SerialExecutor
     asking: SerialExecutor
     heartbeats: DelayedCalls
     closed: Callable[[Any], None]

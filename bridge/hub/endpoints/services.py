@@ -159,6 +159,7 @@ class HubClient(CallClient):
             name,
             context.limit,
             context.executor,
+            context.ends,
             zenoh.QueryTarget.ALL_COMPLETE,
             context.closed,
             changed,

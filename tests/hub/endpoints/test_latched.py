@@ -297,26 +297,28 @@ def test_publisher_without_a_reply_is_queried_again(network: HubNetwork, monkeyp
     """A link that is being made shows the publisher's token, while its cache is not reached yet."""
     monkeypatch.setattr(latched, "AGAIN_SECONDS", (0.2, 0.2, 0.2))
     key, events = "late/cache", Events()
-    executor, delays = SerialExecutor("test-asking"), DelayedCalls("test-delays")
+    executor, ends, delays = SerialExecutor("test-asking"), SerialExecutor("test-ends"), DelayedCalls("test-delays")
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         local_session, remote_session = a._session, b._session
-        history = latched.LatchedHistory(local_session, key, 1, events, executor, delays, recovers=False)
+        history = latched.LatchedHistory(local_session, key, 1, events, executor, ends, delays, recovers=False)
         history.open()
         try:
             publisher = f"{key}/@adv/pub/{remote_session.zid()}/7"
             token = remote_session.liveliness().declare_token(f"{publisher}/_")
-            until(lambda: "done" in events, "the first query ends")
+            until(lambda: "done on test-ends" in events, "the first query ends")
             assert "came" not in events
             cache = remote_session.declare_queryable(f"{publisher}/**", lambda query: query.reply(key, b"kept"))
             until(lambda: "came" in events, "the cached sample arrives", 10)
             cache.undeclare()
             token.undeclare()
             until(lambda: not history._silent, "the publisher is forgotten")
+            assert {event for event in events if event.startswith("done")} == {"done on test-ends"}
         finally:
             history.close()
             delays.close()
             executor.close()
+            ends.close()
 
 
 class Events(list[str]):
@@ -329,4 +331,4 @@ class Events(list[str]):
         self.append("came")
 
     def done(self, _zid: str) -> None:
-        self.append("done")
+        self.append(f"done on {threading.current_thread().name}")

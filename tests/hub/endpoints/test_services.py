@@ -181,6 +181,18 @@ def test_dead_server_ends_its_calls_and_its_successor_is_called(network: HubNetw
             until(lambda: not caller.ready, "its end is seen")
 
 
+def test_lost_server_ends_calls_while_other_threads_query_and_declare(network: HubNetwork) -> None:
+    """A query waits for the lock that zenoh holds while it ends calls, and a declaration waits for the query."""
+    with network.hub_peer("server") as server, network.hub_peer("client") as caller:
+        server.ask("serve", name="/do", type=SERVICE, hash=HASH, hold=True)
+        caller.ask("collide")
+        call_id = caller.ask("call", name="/do", type=SERVICE, hash=HASH)["id"]
+        until(lambda: server.ask("requests")["count"], "it was asked")
+        server.signal(9)
+        result = caller.ask("result", id=call_id, seconds=20.0)["result"]
+        assert result.startswith("the server of /do left before it answered")
+
+
 def test_abandoned_call_notifies_only_the_server(network: HubNetwork) -> None:
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         serving = Serving(a)

@@ -4,7 +4,8 @@ Argument: the settings in JSON. Commands: ``publisher`` and ``subscription`` top
 text; ``drum`` id, rate, size: put numbers from 1 on, endlessly; ``wait`` id, count, seconds -> texts; ``way`` id
 -> way, why, settled, lost; ``exhaust`` on: use up all file descriptors, or release them; ``drop`` id; ``origin`` side,
 network, daemon; ``serve`` name, type, hash, hold: answer each request with itself, or never; ``requests`` -> count;
-``call`` name, type, hash: call without waiting for the reply.
+``call`` name, type, hash: call without waiting for the reply -> id; ``result`` id, seconds -> result; ``collide``: each
+later query ends while other threads query and declare.
 """
 # ruff: noqa: A002  # parameters are named as in the commands
 
@@ -13,10 +14,14 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack
+from threading import Thread
 from typing import Any
 
-from bridge.hub.endpoints.calls import Abandon, Done
+import zenoh
+
+from bridge.hub.endpoints.calls import Abandon, CallError, Done
 from bridge.hub.endpoints.lane_subscription import LaneSubscription
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.graph.tokens import Origin
@@ -99,9 +104,35 @@ class HubPeer(Commands):
         return {"count": self._requests}
 
     def call(self, name: str, type: str, hash: str) -> dict[str, Any]:
-        client = self._hub.client(name, type, hash)
+        client, results = self._hub.client(name, type, hash), Record()
         until(lambda: client.ready, "a server")
-        client.call(b"from a peer", lambda _result: None)
+
+        def done(result: bytes | CallError) -> None:
+            results.add(str(result) if isinstance(result, CallError) else result.decode())
+
+        client.call(b"from a peer", done)
+        number = self.add(client)
+        self._texts[number["id"]] = results
+        return number
+
+    def result(self, id: int, seconds: float) -> dict[str, Any]:
+        return {"result": "".join(self._texts[id].wait(1, seconds))}
+
+    def collide(self) -> dict[str, Any]:
+        real, session = zenoh.handlers.Callback, self._hub._session
+
+        def end(drop: Callable[[], None]) -> None:
+            """Run on zenoh's thread, which holds the lock of all queries if their server's session was lost."""
+            for work in (lambda: session.get("other/key"), lambda: session.declare_subscriber("other/key")):
+                other = Thread(target=work, daemon=True)
+                other.start()
+                other.join(0.2)  # until it waits for a lock, which no interface shows
+            drop()
+
+        def colliding(callback: Any, drop: Callable[[], None] | None = None, **options: Any) -> Any:
+            return real(callback, None if drop is None else lambda: end(drop), **options)
+
+        zenoh.handlers.Callback = colliding  # type: ignore[assignment, misc]
         return {}
 
 
