@@ -13,6 +13,7 @@ from bridge.client.publishing import encode
 from bridge.client.services import ServiceCaller
 from bridge.client.session import Client
 from bridge.client.types import Types
+from bridge.client.velocity import VELOCITIES
 from bridge.config.sections.navigation import NavigationSection
 from bridge.hub.control import RECORDED
 from bridge.hub.endpoints.calls import CallError
@@ -20,7 +21,6 @@ from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.wire.qos import Qos
 from bridge.messages.actions import CANCEL_GOAL, part_name
 
-VELOCITIES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 CANCEL = part_name("", CANCEL_GOAL)
 
 DEFAULT_SECONDS = 2.0

@@ -65,15 +65,17 @@ class Summary:
 
 
 class NetworkTokens:
-    """Announces on the hub the network that an engine's session bridges, and the workers on it (its members).
+    """Announces on the hub the network that an engine's session bridges, its members and its subscribed velocities.
 
-    Only the engine's loop changes it; any thread may read ``network``, which is None while it is unavailable.
+    The members are the workers on the network. Only the engine's loop changes it; any thread may read ``network``,
+    which is None while it is unavailable.
     """
 
     def __init__(self, hub: Hub, side: str, daemon: str) -> None:
         self._hub, self._side, self._daemon = hub, side, daemon
         self.network: str | None = None
         self._members: dict[str, Callable[[], None]] = {}
+        self._velocities: dict[tuple[str, str], Callable[[], None]] = {}
 
     def change(self, network: str | None) -> None:
         """Announce another network."""
@@ -86,6 +88,13 @@ class NetworkTokens:
             self._members[member] = self._hub.graph.announce_member(member)
         for member in self._members.keys() - members:
             self._members.pop(member)()
+
+    def announce_velocities(self, velocities: frozenset[tuple[str, str]]) -> None:
+        """Announce the hub topics and types of the velocities that the side's own nodes subscribe to."""
+        for topic, type_name in velocities - self._velocities.keys():
+            self._velocities[topic, type_name] = self._hub.graph.announce_velocity(topic, type_name)
+        for velocity in self._velocities.keys() - velocities:
+            self._velocities.pop(velocity)()
 
 
 class _Checked(NamedTuple):
@@ -193,6 +202,7 @@ class Engine:
         self._tokens.announce_members(outcome.members if outcome.active else frozenset())
         if outcome.active:
             decisions = self._routes.follow(outcome, joined=network is not None)
+        self._tokens.announce_velocities(self._routes.velocities)
         refused = sum(decision.refused for decision in decisions)
         self._checked = _Checked(tuple(decisions), refused)
         return refused > 0

@@ -88,11 +88,11 @@ class EntryGate:
     def __init__(self, rules: RuleSet, side: str, endpoints: Iterable[Endpoint]) -> None:
         self._rules, self._side = rules, side
         offered = (e for e in endpoints if e.kind in (Kind.PUBLISHER, Kind.SERVER))
-        self._actions = GraphActions((e.topic, _ros2_name("topic", e.type)) for e in offered)
+        self._actions = GraphActions((e.topic, ros2_name("topic", e.type)) for e in offered)
 
     def decide(self, kind: Crosses, name: str, type_name: str) -> RoutePolicy:
         """Return the policy of the rules; ``type_name`` as the side spells it."""
-        subject = self._actions.subject(kind, name, _ros2_name(kind, type_name))
+        subject = self._actions.subject(kind, name, ros2_name(kind, type_name))
         if subject.unknown:
             return RoutePolicy(allowed=False, why=_UNKNOWN, name=name, settled=True)
         return _whole(self._rules.enter(self._side, subject.name, subject.type_name, subject.kind), subject)
@@ -124,7 +124,7 @@ def _whole(policy: RoutePolicy, subject: Subject) -> RoutePolicy:
     return replace(policy, name=name, rate=None, priority="", depth=None, timeout=0.5, qos=QosOverride())
 
 
-def _ros2_name(kind: Crosses, type_name: str) -> str:
+def ros2_name(kind: Crosses, type_name: str) -> str:
     """Return a type's ROS 2 spelling, derived only from its name, for the rules' ``type`` globs."""
     package, _, name = type_name.partition("/")
     middle = "srv" if kind == "service" else "msg"

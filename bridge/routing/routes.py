@@ -11,6 +11,7 @@ from bridge.routing.rules import RuleSet
 from bridge.routing.services.hub_to_side import HubToSideServices
 from bridge.routing.services.side_to_hub import SideToHubServices
 from bridge.routing.side_to_hub import SideToHubTopics
+from bridge.routing.velocities import subscribed_velocities
 
 
 class EngineRoutes:
@@ -19,10 +20,12 @@ class EngineRoutes:
     Attributes:
         rules: used from the next check on; any thread may replace them.
         topics_to_hub: the routes of the side's topics.
+        velocities: hub topic and type of the velocities that the side's own nodes subscribe to, at the last check.
     """
 
     def __init__(self, context: EngineContext, daemon: str, rules: RuleSet) -> None:
         self.rules = rules
+        self.velocities = frozenset[tuple[str, str]]()
         self._edge, self._graph, self._daemon = context.edge, context.hub.graph, daemon
         self.topics_to_hub, self._topics_to_side = SideToHubTopics(context), HubToSideTopics(context)
         self._services_to_hub, self._services_to_side = SideToHubServices(context), HubToSideServices(context)
@@ -49,11 +52,13 @@ class EngineRoutes:
         self._topics_to_side.follow(leaving, decisions, outcome)
         if self._edge.services:
             self._services_to_side.follow(leaving, endpoints, decisions, outcome)
+        self.velocities = subscribed_velocities(self._edge, endpoints, leaving, rules) if joined else frozenset()
         return decisions
 
     def stand_by(self, why: str) -> list[RouteDecision]:
         """Close all routes; return a decision on each name that could have one."""
         decisions, endpoints = list[RouteDecision](), self._edge.endpoints()
+        self.velocities = frozenset()
         for routes in self._sets:
             if self._edge.services or routes.kind == "topic":
                 routes.stand_by(endpoints, decisions, why)

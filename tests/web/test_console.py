@@ -13,11 +13,11 @@ import pytest
 
 from bridge.config.sections.navigation import ACTION
 from bridge.hub.wire.qos import Qos
-from bridge.messages.json import from_json
+from bridge.messages.json import to_json
 from bridge.modules.action_server import Goal
 from bridge.web.verbs import verbs
 from bridge.web.verbs.hold import HOLD_SECONDS
-from navigation.messages import NAVIGATE
+from navigation.messages import NAVIGATE, TWIST, TWIST_STAMPED
 from tests.peers.browser.page import TestPage
 from tests.peers.hub.node import HubNode
 from tests.support.wait import until
@@ -241,20 +241,18 @@ def test_topics_and_workers_are_listed(desk: Desk) -> None:
 
 
 class Base:
-    """Receives velocities on the hub, each with its time of arrival."""
+    """Receives velocities of one type on the hub, each with its time of arrival."""
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: Desk, type_name: str = TWIST) -> None:
         self.heard: list[tuple[float, float, float]] = []
         registry = desk.far.registry
-        self._zero = from_json(registry, "geometry_msgs/msg/Twist", {})
-        name = "geometry_msgs/msg/Twist"
-        desk.far.hub.subscription("/cmd_vel", name, registry.ros2(name).type_id, Qos(depth=10), self._on_message)
-        self._desk = desk
+        type_id = registry.ros2(type_name).type_id
+        self.subscription = desk.far.hub.subscription("/cmd_vel", type_name, type_id, Qos(depth=10), self._on_message)
+        self._registry, self._type_name = registry, type_name
 
     def _on_message(self, sample: Any) -> None:
-        from bridge.messages.json import to_json
-
-        twist = to_json(self._desk.far.registry, "geometry_msgs/msg/Twist", sample.data())
+        message = to_json(self._registry, self._type_name, sample.data())
+        twist = message.get("twist", message)
         self.heard.append((time.monotonic(), twist["linear"]["x"], twist["angular"]["z"]))
 
     def drives(self) -> bool:
@@ -289,6 +287,26 @@ def test_a_hold_drives_while_it_is_repeated(desk: Desk) -> None:
         page.value("topics")
         page.until(lambda: page.counts["topics"] >= 1, "a while")
         assert len(base.heard) == count, "one zero, then silence"
+
+
+def test_a_hold_drives_in_the_form_of_the_base(desk: Desk) -> None:
+    stamped = Base(desk, TWIST_STAMPED)
+    with TestPage(desk.port) as page:
+        hold(page, stamped)
+        plain = Base(desk)
+        stamped.subscription.close()
+        hold(page, plain)
+        page.send(op="release")
+        until(plain.stands, "the base stands after the release")
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_a_hold_drives_in_the_configured_form(desk: Desk, stamped: bool) -> None:
+    desk.open_with(navigation={"planner": "nav2", "stamped": stamped})
+    bases = {name: Base(desk, name) for name in (TWIST, TWIST_STAMPED)}
+    with TestPage(desk.port) as page:
+        hold(page, bases.pop(TWIST_STAMPED if stamped else TWIST))
+    assert [base.heard for base in bases.values()] == [[]]
 
 
 @pytest.mark.parametrize("how", ["silent", "cut", "closed"])

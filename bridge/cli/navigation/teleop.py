@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bridge.cli.arguments import add_hub_arguments
 from bridge.cli.client import open_client
@@ -13,11 +13,10 @@ from bridge.cli.inspection.refusals import warn_of_refusals
 from bridge.cli.keyboard import AVAILABLE, pressed, raw
 from bridge.cli.output import CliError
 from bridge.client.graph import absolute
-from bridge.client.publishing import Publisher
 from bridge.client.types import Types
-from bridge.hub.wire.qos import Qos
-
-TWIST = "geometry_msgs/msg/Twist"
+from bridge.client.velocity import VelocityForm, VelocityPublisher, open_velocity
+from bridge.config.sections.section import Enabled
+from bridge.text import clean
 
 RATE = 20.0
 HOLD_SECONDS = 0.6
@@ -32,6 +31,8 @@ KEYS = {
     "\x1b[A": (1, 0, 0), "\x1b[B": (-1, 0, 0), "\x1b[D": (0, 0, 1), "\x1b[C": (0, 0, -1),
 }  # fmt: skip
 """The keys of ROS's teleop_twist_keyboard, and arrows: forward, to the left, turning to the left."""
+
+_STAMPED: dict[str, Enabled] = {"auto": "auto", "true": True, "false": False}
 
 HELP = """\
    u  i  o      forward, with a turn to the left and right      (arrow keys, too)
@@ -70,13 +71,10 @@ class Keys:
             self._wish = HeldKeys()  # a key that means nothing stops, too
             self.ended = key in ("x", "\x03", "\x04")
 
-    def twist(self, now: float) -> dict[str, Any]:
-        """The velocity to command at a time: zero unless a key is held."""
+    def velocity(self, now: float) -> tuple[float, float, float]:
+        """Return the velocity at a time, m/s and rad/s: zero unless a key is held."""
         held = self._wish if now <= self._until and not self.ended else HeldKeys()
-        return {
-            "linear": {"x": held.forward * self.speed, "y": held.left * self.speed},
-            "angular": {"z": held.turn * self.turn},
-        }
+        return held.forward * self.speed, held.left * self.speed, held.turn * self.turn
 
 
 def register(parser: argparse.ArgumentParser) -> None:
@@ -88,6 +86,11 @@ def register(parser: argparse.ArgumentParser) -> None:
     parser.epilog = HELP
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--topic", default="/cmd_vel", help="the topic of velocities (default /cmd_vel)")
+    parser.add_argument(
+        "--stamped",
+        choices=_STAMPED,
+        help="publish TwistStamped, or Twist; auto: what the base subscribes to (default: navigation.stamped)",
+    )
     parser.add_argument("--speed", type=float, default=0.2, metavar="M/S", help="to begin with (default 0.2)")
     parser.add_argument("--turn", type=float, default=0.5, metavar="RAD/S", help="to begin with (default 0.5)")
     add_hub_arguments(parser)
@@ -102,9 +105,11 @@ def run(args: argparse.Namespace) -> int:
         raise CliError("teleop reads keys from a terminal of POSIX only; 'midspan topic pub' publishes from scripts")
     topic = absolute(args.topic)
     with open_client(args) as client:
-        publisher = Publisher(client, Types(client), topic, TWIST, Qos(depth=1), "command")
-        warn_of_refusals(client, [publisher.kind])
-        print(f"{HELP}\n{topic}:", flush=True)
+        section, types = client.config.navigation, Types(client)
+        form = VelocityForm(topic, _STAMPED.get(args.stamped, section.stamped), section.base_frame)
+        publisher = open_velocity(client, types, form, _warn)
+        warn_of_refusals(client, [(topic, publisher.type_name, types.hash_of(publisher.type_name))])
+        print(f"{HELP}\n{topic} ({publisher.type_name}):", flush=True)
         keys = Keys(args.speed, args.turn)
         try:
             with raw(sys.stdin.fileno()) as terminal:
@@ -112,13 +117,17 @@ def run(args: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             pass
         finally:
-            publisher.publish({})
+            publisher.publish()
             publisher.close()
             print()
     return 0
 
 
-def _drive(keys: Keys, terminal: int, publisher: Publisher) -> None:
+def _warn(text: str) -> None:
+    print(f"\nmidspan: warning: {clean(text)}", file=sys.stderr)
+
+
+def _drive(keys: Keys, terminal: int, publisher: VelocityPublisher) -> None:
     due = time.monotonic()
     idle = False
     while not keys.ended:
@@ -127,15 +136,15 @@ def _drive(keys: Keys, terminal: int, publisher: Publisher) -> None:
         if time.monotonic() < due:
             continue
         due = max(due + 1.0 / RATE, time.monotonic())
-        twist = keys.twist(time.monotonic())
-        moving = any(value for part in twist.values() for value in part.values())
-        if moving or not idle:  # one zero, then silence: whoever else drives is not overruled
-            publisher.publish(twist)
-        idle = not moving
-        _show(keys, twist)
+        velocity = keys.velocity(time.monotonic())
+        publisher.follow()
+        if any(velocity) or not idle:  # one zero, then silence: whoever else drives is not overruled
+            publisher.publish(*velocity)
+        idle = not any(velocity)
+        _show(keys, velocity)
 
 
-def _show(keys: Keys, twist: dict[str, Any]) -> None:
-    linear, turn = twist["linear"], twist["angular"]["z"]
-    now = f"x {linear['x']:+.2f} y {linear['y']:+.2f} m/s, turn {turn:+.2f} rad/s"
+def _show(keys: Keys, velocity: tuple[float, float, float]) -> None:
+    x, y, turn = velocity
+    now = f"x {x:+.2f} y {y:+.2f} m/s, turn {turn:+.2f} rad/s"
     print(f"\r{now}   (speed {keys.speed:.2f}, turn {keys.turn:.2f}) ", end="", flush=True)

@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field, field_validator, model_validator
 
 from bridge.config.sections.section import (
+    Enabled,
     FrameName,
     MapSource,
     OptionalTopic,
@@ -125,7 +126,13 @@ class NavigationSection(Section):
     map: MapSource = setting("store", "The map for Midspan's planner and localizer: `store`, or a topic.")
     frame: FrameName = setting("map", "The frame of maps and locations.")
     base_frame: FrameName = setting("base_link", "The robot's frame.")
-    velocity: OptionalTopic = setting("/cmd_vel", "The base's topic of velocities on the hub (`Twist`).")
+    velocity: OptionalTopic = setting(
+        "/cmd_vel", "The base's topic of velocities on the hub (`Twist` or `TwistStamped`)."
+    )
+    stamped: Enabled = setting(
+        "auto",
+        "Midspan's own velocities: `true`: `TwistStamped`, `false`: `Twist`, `auto`: what the base subscribes to.",
+    )
     patience: float = setting(
         10.0, "Seconds for which a goal waits for a planner that is absent, or left while driving.", ge=0.0, le=3600.0
     )

@@ -11,8 +11,9 @@ Midspan's workers also announce the foreign network that they bridge, their orig
 declared while its session has an origin carries the enclave ``/midspan``, so that a participant that sees the endpoint
 first knows that an origin will follow. A worker that carries messages also announces the other workers on its network:
 ``@midspan/<domain>/member/<zid>/<zid of the other>``, one for each and one for itself, which reveals that networks of
-two hubs are the same. Before anything else, each Midspan session announces its protocol version:
-``@midspan/<domain>/wire/<zid>/<version>/<Midspan's release>`` (`bridge.hub.wire.version`).
+two hubs are the same. For each topic of velocities that its side's own nodes subscribe to, it announces
+``@midspan/<domain>/velocity/<zid>/<topic on the hub>/<type>``. Before anything else, each Midspan session announces its
+protocol version: ``@midspan/<domain>/wire/<zid>/<version>/<Midspan's release>`` (`bridge.hub.wire.version`).
 """
 
 from __future__ import annotations
@@ -182,6 +183,19 @@ def parse_member(key: str) -> tuple[str, str]:
     if len(parts) != 5 or parts[2] != "member":
         raise HubWireError("token is not a member's")
     return parts[3], _unquote(parts[4])
+
+
+def velocity_key(domain: int, zid: str, topic: str, type_name: str) -> str:
+    """Return the key of the token by which a session announces that its side subscribes to a topic of velocities."""
+    return f"{MIDSPAN_SPACE}/{domain}/velocity/{zid}/{_quote(topic)}/{_quote(type_name)}"
+
+
+def parse_velocity(key: str) -> tuple[str, str, str]:
+    """Read a velocity's token: the session that announces it, the topic and its type; raises `HubWireError`."""
+    parts = _split(key, MIDSPAN_SPACE)
+    if len(parts) != 6 or parts[2] != "velocity":
+        raise HubWireError("token is not a velocity's")
+    return parts[3], _unquote(parts[4]), _unquote(parts[5])
 
 
 def wire_key(domain: int, zid: str) -> str:

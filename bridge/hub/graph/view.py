@@ -24,8 +24,10 @@ from bridge.hub.graph.tokens import (
     parse_member,
     parse_origin,
     parse_token,
+    parse_velocity,
     parse_wire,
     qos_text,
+    velocity_key,
 )
 from bridge.hub.wire.qos import Qos, unknown_policies
 from bridge.hub.wire.version import refusal
@@ -103,6 +105,7 @@ class HubGraph:
         self._origin_tokens: dict[str, dict[str, Origin]] = {}
         self._origins: dict[str, Origin] = {}
         self._members: dict[str, dict[str, None]] = {}
+        self._velocities: set[tuple[str, str, str]] = set()
         self._strangers: set[str] = set()
         self._zids: dict[bytes, str] = {}
         self._own: dict[str, zenoh.LivelinessToken] = {}
@@ -112,7 +115,9 @@ class HubGraph:
         self._liveliness = session.liveliness()
         origins, members = f"{MIDSPAN_SPACE}/{domain}/origin/**", f"{MIDSPAN_SPACE}/{domain}/member/**"
         self._wire_space = f"{MIDSPAN_SPACE}/{domain}/wire/"
-        spaces = (f"{self._wire_space}**", origins, members, f"{ADMIN_SPACE}/{domain}/**")
+        self._velocity_space = f"{MIDSPAN_SPACE}/{domain}/velocity/"
+        midspan = (f"{self._wire_space}**", origins, members, f"{self._velocity_space}**")
+        spaces = (*midspan, f"{ADMIN_SPACE}/{domain}/**")
         self._subscribers = [follow_tokens(session, space, self._on_sample) for space in spaces]
 
     def endpoints(self) -> list[HubEndpoint]:
@@ -162,6 +167,15 @@ class HubGraph:
     def announce_member(self, member: str) -> Callable[[], None]:
         """Announce that another session's worker is on our foreign network, until the returned function is called."""
         return self.announce(member_key(self._domain, self._zid, member))
+
+    def velocities(self) -> list[tuple[str, str, str]]:
+        """Session (zid), hub topic and type of each topic of velocities that a side's own nodes subscribe to."""
+        with self._lock:
+            return sorted(self._velocities)
+
+    def announce_velocity(self, topic: str, type_name: str) -> Callable[[], None]:
+        """Announce that our side's own nodes subscribe to velocities, until the returned function is called."""
+        return self.announce(velocity_key(self._domain, self._zid, topic, type_name))
 
     def origin_of(self, zid: str) -> Origin | None:
         """Return a session's origin. Fast enough to call for each sample."""
@@ -237,6 +251,8 @@ class HubGraph:
                 return self._learn(key, parse_token(key))
             if key.startswith(self._member_space):
                 return self._put_member(key, *parse_member(key))
+            if key.startswith(self._velocity_space):
+                return self._put_velocity(key, parse_velocity(key))
             if key.startswith(self._wire_space):
                 return self._put_wire(key, *parse_wire(key))
             token = parse_origin(key)
@@ -259,6 +275,8 @@ class HubGraph:
         try:
             if key.startswith(self._member_space):
                 return self._delete_member(*parse_member(key))
+            if key.startswith(self._velocity_space):
+                return self._delete_velocity(parse_velocity(key))
             if key.startswith(self._wire_space):
                 return self._delete_wire(parse_wire(key)[0])
             zid = parse_origin(key).zid
@@ -289,6 +307,18 @@ class HubGraph:
         if not members:
             del self._members[zid]
         return True
+
+    def _put_velocity(self, key: str, velocity: tuple[str, str, str]) -> bool:
+        if len(self._velocities) >= self._max_tokens:
+            self._refuse(key, f"more than {self._max_tokens} topics of velocities")
+            return False
+        self._velocities.add(velocity)
+        return True
+
+    def _delete_velocity(self, velocity: tuple[str, str, str]) -> bool:
+        known = velocity in self._velocities
+        self._velocities.discard(velocity)
+        return known
 
     def _put_wire(self, key: str, zid: str, version: str, release: str) -> bool:
         """Endpoints of a session with an incompatible version stay of unknown origin."""

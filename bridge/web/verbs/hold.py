@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
-from bridge.hub.wire.qos import Qos
+from bridge.client.velocity import VelocityPublisher
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
-from navigation.messages import TWIST
+from bridge.modules.velocity import velocity_publisher
 
 HOLD_SECONDS = 0.3
 """A page that has been silent for this long no longer holds."""
@@ -37,7 +37,7 @@ class HandDriving:
 
     Args:
         host: the console's.
-        topic: topic of the base's velocities (``geometry_msgs/msg/Twist``).
+        topic: topic of the base's velocities.
         most: largest speed and angular velocity, m/s and rad/s.
         driven: returns why manual driving is refused, "" if it is allowed.
         begins: called when a page starts to drive.
@@ -58,7 +58,7 @@ class HandDriving:
         self._velocity: Velocity = _ZERO
         self._until = 0.0
         self._timer: Timer | None = None
-        self._out: Any = None
+        self._out: VelocityPublisher | None = None
 
     def hold(self, page: HandDriver, x: float, y: float, turn: float, arrived: float) -> None:
         """Drive at this velocity for a page; ``arrived``: when its message arrived (monotonic seconds)."""
@@ -76,7 +76,7 @@ class HandDriving:
         if self._holder is None:
             self._host.log.info("%s drives manually", page.who)
             self._holder = page
-            self._out = self._out or self._host.node.publisher(self._topic, TWIST, Qos(depth=1), priority="command")
+            self._out = self._out or velocity_publisher(self._host, self._topic)
             self._timer = self._host.loop.every(_PERIOD, self._repeat)
             self._begins()
         speed, most_turn = self._most
@@ -109,7 +109,8 @@ class HandDriving:
 
     def _publish(self) -> None:
         x, y, turn = self._velocity
-        self._out.publish({"linear": {"x": x, "y": y}, "angular": {"z": turn}})
+        assert self._out is not None
+        self._out.publish(x, y, turn)
         if self._holder is not None:
             self._holder.held(x, y, turn)
 

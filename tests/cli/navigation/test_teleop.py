@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import pty
 import threading
+import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -19,7 +21,7 @@ from tests.cli.conftest import Midspan, Outcome
 from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
-TWIST = "geometry_msgs/msg/Twist"
+TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 
 
 @pytest.mark.parametrize(
@@ -34,14 +36,14 @@ def test_keys(key: str, x: float, y: float, turn: float) -> None:
     keys = Keys(0.2, 0.5)
     keys.press("i", 1.0)
     keys.press(key, 1.1)
-    assert keys.twist(1.2) == {"linear": {"x": x, "y": y}, "angular": {"z": turn}}
+    assert keys.velocity(1.2) == (x, y, turn)
 
 
 def test_released_key_stops_the_robot() -> None:
     keys = Keys(0.2, 0.5)
     keys.press("i", 1.0)
-    assert keys.twist(1.0 + HOLD_SECONDS)["linear"]["x"] == 0.2
-    assert keys.twist(1.01 + HOLD_SECONDS)["linear"]["x"] == 0.0
+    assert keys.velocity(1.0 + HOLD_SECONDS)[0] == 0.2
+    assert keys.velocity(1.01 + HOLD_SECONDS)[0] == 0.0
 
 
 def test_faster_and_slower_within_bounds() -> None:
@@ -55,41 +57,98 @@ def test_faster_and_slower_within_bounds() -> None:
     assert keys.speed < 2.0
 
 
+class Base:
+    """A base on the hub that subscribes to one type; ``sent``: m/s forward, rad/s."""
+
+    def __init__(self, network: HubNetwork, registry: Registry, type_name: str) -> None:
+        self.sent: list[tuple[float, float]] = []
+        self.messages: list[Any] = []
+        self._registry, self._type_name = registry, type_name
+        self._hub = Hub.open(network.settings("base"))
+        self._hub.subscription("/cmd_vel", type_name, registry.ros2(type_name).type_id, Qos(), self._on_sample)
+
+    def _on_sample(self, sample: Any) -> None:
+        message = to_json(self._registry, self._type_name, sample.data())
+        twist = message.get("twist", message)
+        self.messages.append(message)
+        self.sent.append((twist["linear"]["x"], twist["angular"]["z"]))
+
+    def close(self) -> None:
+        self._hub.close()
+
+
+class Driver:
+    """``midspan teleop`` in a terminal, whose keys the test presses."""
+
+    def __init__(self, midspan: Midspan, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._midspan, self._monkeypatch = midspan, monkeypatch
+        self.done: list[Outcome] = []
+
+    @contextmanager
+    def drive(self, *arguments: str) -> Iterator[None]:
+        self._primary, secondary = pty.openpty()
+        with os.fdopen(secondary) as terminal:
+            self._monkeypatch.setattr("sys.stdin", terminal)
+            driving = threading.Thread(target=lambda: self.done.append(self._midspan("teleop", *arguments)))
+            driving.start()
+            try:
+                yield
+            finally:
+                self.press(b"x")
+                driving.join(40)
+        os.close(self._primary)
+
+    def press(self, key: bytes) -> None:
+        os.write(self._primary, key)
+
+
 @pytest.fixture
-def velocities(network: HubNetwork, registry: Registry) -> Iterator[list[Any]]:
-    """Velocities on the hub: m/s forward, rad/s."""
-    sent: list[Any] = []
-    with_type = registry.ros2(TWIST).type_id
-
-    def on_sample(sample: Any) -> None:
-        message = to_json(registry, TWIST, sample.data())
-        sent.append((message["linear"]["x"], message["angular"]["z"]))
-
-    hub = Hub.open(network.settings("base"))
-    subscription = hub.subscription("/cmd_vel", TWIST, with_type, Qos(), on_sample)
-    yield sent
-    subscription.close()
-    hub.close()
+def driver(midspan: Midspan, monkeypatch: pytest.MonkeyPatch) -> Driver:
+    return Driver(midspan, monkeypatch)
 
 
-def test_a_terminal_drives(midspan: Midspan, monkeypatch: pytest.MonkeyPatch, velocities: list[Any]) -> None:
-    primary, secondary = pty.openpty()
-    with os.fdopen(secondary) as terminal:
-        monkeypatch.setattr("sys.stdin", terminal)
-        done: list[Outcome] = []
-        driving = threading.Thread(target=lambda: done.append(midspan("teleop")))
-        driving.start()
-        try:
-            until(lambda: (os.write(primary, b"i"), (0.2, 0.0) in velocities)[1], "it drives")
-            until(lambda: velocities[-1] == (0.0, 0.0), "it stops when no key is held")
-            until(lambda: (os.write(primary, b"\x1b[D"), (0.0, 0.5) in velocities)[1], "it turns")
-        finally:
-            os.write(primary, b"x")
-            driving.join(40)
-        assert done[0].code == 0
-        until(lambda: velocities[-1] == (0.0, 0.0), "it ends with zero")
-        assert "+0.20" in done[0].out
-    os.close(primary)
+@pytest.mark.parametrize("type_name", [TWIST, TWIST_STAMPED])
+def test_a_terminal_drives(
+    driver: Driver, network: HubNetwork, registry: Registry, closing: list[Any], type_name: str
+) -> None:
+    base = Base(network, registry, type_name)
+    closing.append(base)
+    with driver.drive():
+        until(lambda: (driver.press(b"i"), (0.2, 0.0) in base.sent)[1], "it drives")
+        until(lambda: base.sent[-1] == (0.0, 0.0), "it stops when no key is held")
+        until(lambda: (driver.press(b"\x1b[D"), (0.0, 0.5) in base.sent)[1], "it turns")
+    (done,) = driver.done
+    assert done.code == 0
+    until(lambda: base.sent[-1] == (0.0, 0.0), "it ends with zero")
+    assert "+0.20" in done.out
+    assert f"/cmd_vel ({type_name})" in done.out
+    if type_name == TWIST_STAMPED:
+        header = base.messages[-1]["header"]
+        assert (header["frame_id"], abs(header["stamp"]["sec"] - time.time()) < 60) == ("base_link", True)
+
+
+def test_teleop_follows_a_base_that_changes_its_form(
+    driver: Driver, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    old = Base(network, registry, TWIST)
+    closing.append(old)
+    with driver.drive():
+        until(lambda: (driver.press(b"i"), (0.2, 0.0) in old.sent)[1], "it drives")
+        new = Base(network, registry, TWIST_STAMPED)
+        closing.append(new)
+        old.close()
+        until(lambda: (driver.press(b"i"), (0.2, 0.0) in new.sent)[1], "it drives on in the other form")
+        until(lambda: new.sent[-1] == (0.0, 0.0), "it stops when no key is held")
+
+
+def test_teleop_publishes_the_chosen_form(
+    driver: Driver, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    bases = {name: Base(network, registry, name) for name in (TWIST, TWIST_STAMPED)}
+    closing.extend(bases.values())
+    with driver.drive("--stamped", "true"):
+        until(lambda: (driver.press(b"i"), (0.2, 0.0) in bases[TWIST_STAMPED].sent)[1], "it drives")
+    assert bases[TWIST].sent == []
 
 
 def test_no_terminal(midspan: Midspan) -> None:

@@ -1,0 +1,158 @@
+"""Velocities on the hub, as ``Twist`` or ``TwistStamped``: the base's form, and a publisher that follows it."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from bridge.client.publishing import Publisher
+from bridge.client.session import Client
+from bridge.client.types import Types
+from bridge.clock import RunClock
+from bridge.config.sections.section import Enabled
+from bridge.hub.graph import HubGraph
+from bridge.hub.session import follow_clock
+from bridge.hub.wire.qos import Qos
+
+TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
+VELOCITIES = (TWIST, TWIST_STAMPED)
+
+_WATCHERS = re.compile(r"midspan_cli_\d+|foxglove|record|web")
+"""Midspan's nodes that subscribe to whichever type is published."""
+
+
+class VelocityOutput(Protocol):
+    """A publisher of one type."""
+
+    def publish(self, message: Mapping[str, Any]) -> None:
+        """Publish a message by its fields."""
+
+    def close(self) -> None:
+        """Leave the hub."""
+
+
+@dataclass(frozen=True, slots=True)
+class VelocityForm:
+    """The form of a topic's velocities.
+
+    Attributes:
+        topic: its name on the hub.
+        stamped: whether velocities are ``TwistStamped``; ``auto``: as the base subscribes.
+        frame: the frame of stamped ones.
+    """
+
+    topic: str
+    stamped: Enabled = "auto"
+    frame: str = "base_link"
+
+
+def subscribers(graph: HubGraph, topic: str) -> dict[str, list[str]]:
+    """Return the nodes of the hub, and the sides with nodes, that subscribe to velocities of only one type, by type.
+
+    Nodes that accept both types, such as BaseControl and the simulator, do not count.
+    """
+    accepted: dict[tuple[str, str], set[str]] = defaultdict(set)
+    for end in graph.subscriptions(topic):
+        native = end.origin is None and not end.pending
+        if native and end.type_name in VELOCITIES and not _WATCHERS.fullmatch(end.node):
+            accepted[end.zid, f"{end.namespace.rstrip('/')}/{end.node}"].add(end.type_name)
+    by_type: dict[str, set[str]] = defaultdict(set)
+    for (_, node), types in accepted.items():
+        if len(types) == 1:
+            by_type[types.pop()].add(node)
+    for zid, name, type_name in graph.velocities():
+        if name == topic and type_name in VELOCITIES:
+            origin = graph.origin_of(zid)
+            by_type[type_name].add("a side" if origin is None else origin.side)
+    return {type_name: sorted(names) for type_name, names in by_type.items()}
+
+
+class VelocityPublisher:
+    """Publishes velocities in the base's form, never in both: two types would be refused on a side, or drive twice.
+
+    A change of the form ends the old one with zero. Without a subscriber, or if both forms have some, the form stays as
+    it is, at first ``Twist``. Used on one thread.
+
+    Args:
+        graph: the hub's.
+        form: the topic and its settings.
+        clock: of the stamps.
+        open_as: opens the publisher of a type.
+        report: receives a text for people if both forms have subscribers.
+    """
+
+    def __init__(
+        self, graph: HubGraph, form: VelocityForm, clock: RunClock, open_as: Callable[[str], VelocityOutput],
+        report: Callable[[str], object],
+    ) -> None:  # fmt: skip
+        self.type_name = ""
+        self._graph, self._form, self._clock, self._open_as, self._report = graph, form, clock, open_as, report
+        self._out: VelocityOutput | None = None
+        self._reported, self._used = "", False
+        self.follow()
+
+    def follow(self) -> None:
+        """Change to the base's form, if that is another one now."""
+        wanted = self._wanted()
+        if wanted == self.type_name:
+            return
+        if self._used:
+            self._publish(0.0, 0.0, 0.0)
+        self.close()
+        self._out = self._open_as(wanted)
+        self.type_name, self._used = wanted, False
+
+    def publish(self, x: float = 0.0, y: float = 0.0, turn: float = 0.0) -> None:
+        """Publish a velocity in m/s and rad/s."""
+        self.follow()
+        self._publish(x, y, turn)
+
+    def _publish(self, x: float, y: float, turn: float) -> None:
+        assert self._out is not None
+        twist: dict[str, Any] = {"linear": {"x": x, "y": y}, "angular": {"z": turn}}
+        if self.type_name == TWIST_STAMPED:
+            twist = {"header": {"stamp": self._clock.stamp(), "frame_id": self._form.frame}, "twist": twist}
+        self._used = True
+        self._out.publish(twist)
+
+    def _wanted(self) -> str:
+        if self._form.stamped != "auto":
+            return TWIST_STAMPED if self._form.stamped else TWIST
+        names = subscribers(self._graph, self._form.topic)
+        (wanted,) = names if len(names) == 1 else [self.type_name or TWIST]
+        doubt = "" if len(names) < 2 else (
+            f"{self._form.topic} has subscribers to both forms, {_listed(names)}: only {wanted} is published;"
+            " navigation.stamped chooses the form"
+        )  # fmt: skip
+        if doubt != self._reported:
+            self._reported = doubt
+            if doubt:
+                self._report(doubt)
+        return wanted
+
+    def close(self) -> None:
+        """Close the publisher. Safe to call twice."""
+        if self._out is not None:
+            self._out.close()
+            self._out = None
+
+
+def open_velocity(
+    client: Client, types: Types, form: VelocityForm, report: Callable[[str], object]
+) -> VelocityPublisher:
+    """Open a program's publisher of velocities, with stamps of the run's clock."""
+    client.catch_up()
+    clock = RunClock(simulated=client.config.clock.simulated)
+    follow_clock(clock, client.hub)
+
+    def open_as(type_name: str) -> Publisher:
+        return Publisher(client, types, form.topic, type_name, Qos(depth=1), "command")
+
+    return VelocityPublisher(client.hub.graph, form, clock, open_as, report)
+
+
+def _listed(names: Mapping[str, list[str]]) -> str:
+    return " and ".join(f"{type_name} ({', '.join(names[type_name])})" for type_name in sorted(names))
