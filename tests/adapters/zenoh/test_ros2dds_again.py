@@ -19,8 +19,8 @@ STRING = "std_msgs/String"
 TOPIC = "/state"
 
 
-def late(place: Place, expected: list[str]) -> None:
-    """Wait until a late subscription receives exactly these messages."""
+def late(place: Place, expected: list[str]) -> list[str]:
+    """Wait until a late subscription receives exactly these messages; return them."""
     received: list[list[str]] = []
 
     def once() -> bool:
@@ -34,6 +34,7 @@ def late(place: Place, expected: list[str]) -> None:
         until(once, "all retained messages", 20)
     except AssertionError as err:
         raise AssertionError(f"{err}: received {received}") from None
+    return received[-1]
 
 
 def test_message_that_overtakes_the_change_from_volatile_to_latched_is_retained(
@@ -59,7 +60,7 @@ def test_message_that_overtakes_the_change_from_volatile_to_latched_is_retained(
         peer.publish(out, {"data": "again"})
         until(lambda: delivered, "the message arrives", 20)
     edge._graph_changed()  # type: ignore[attr-defined]
-    late(place, ["again"])
+    assert late(place, ["again"]) == ["again"]
 
 
 class Hop:
@@ -95,8 +96,8 @@ def test_messages_of_a_bridge_whose_link_was_lost_are_retained_again(
     place.bridge({"dialect": "ros2dds"})
     for peer, text in ((near, "near"), (distant, "distant")):
         peer.publish(peer.advertise(TOPIC, STRING, latched=True, depth=1), {"data": text})
-    late(place, ["distant", "near"])
+    assert late(place, ["distant", "near"]) == ["distant", "near"]
     hop.stop()
-    late(place, ["near"])
+    assert late(place, ["near"]) == ["near"]
     hop.start()
-    late(place, ["distant", "near"])
+    assert late(place, ["distant", "near"]) == ["distant", "near"]
