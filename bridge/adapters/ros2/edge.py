@@ -282,7 +282,12 @@ class Ros2Edge(SideEdge):
         refuse = refusal(self._registry, side_type.name, side_type.type_id)
         if split(name)[1] == GET_RESULT:
             call, refuse = partial(_call_for_end, call), _ended_refusal(refuse)
-        return self._kept(Ros2Server(name, service_class, call, refuse, self._started(), self._closed))
+        replaced = partial(self._serves, name)
+        return self._kept(Ros2Server(name, service_class, call, refuse, replaced, self._started(), self._closed))
+
+    def _serves(self, name: str) -> bool:
+        with self._lock:
+            return any(isinstance(end, Ros2Server) and end.name == name for end in self._ends)
 
     def _started(self) -> Ros2Context:
         if self._context is None:

@@ -22,8 +22,12 @@ from bridge.hub.endpoints.calls import Abandon, Call, CallError
 from bridge.routing.edge import EdgeServer, Kind
 
 _LINGER = 1.0
-"""Seconds that a server stays after its last reply: a client that first notices the server's exit drops the reply."""
+"""Seconds that a server stays after its last reply: a client that first notices the server's exit drops the reply. One
+that can refuse calls stays as long after `close`: a client that has not noticed may still call, for example for the
+result of a goal that was accepted just before.
+"""
 
+_CLOSED = "{} is no longer bridged"
 _MOST_CLIENTS = 1000
 _LOG_SECONDS = 10.0
 
@@ -46,16 +50,18 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
     """An rcl service.
 
     DDS has no error replies. A client whose call failed gets the rejecting response of the service's type
-    (``refusal``), or no reply if the type has none; the reason is logged.
+    (``refusal``), or no reply if the type has none; the reason is logged. ``replaced`` returns whether another server
+    of the name is open, which gets the requests that arrive after `close`.
     """
 
     kind: ClassVar[str] = "service"
 
     def __init__(
-        self, name: str, service_class: Any, call: Call, refusal: Refusal | None, context: Ros2Context, closed: Closed
-    ) -> None:
+        self, name: str, service_class: Any, call: Call, refusal: Refusal | None, replaced: Callable[[], bool],
+        context: Ros2Context, closed: Closed,
+    ) -> None:  # fmt: skip
         super().__init__(name, service_class, context.participant.make_server(service_class, name, SERVICE), context)
-        self._call, self._refusal, self._on_closed = call, refusal, closed
+        self._call, self._refusal, self._replaced, self._on_closed = call, refusal, replaced, closed
         self._warned = context.warned
         self._pending: dict[RequestId, _PendingRequest] = {}
         self._clients: dict[bytes, ClientReplies] = {}
@@ -90,11 +96,16 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
     def _begin(self, request: RequestId, payload: bytes, backlog: int) -> None:
         pending = _PendingRequest(request)
         with self._lock:
-            if self._closed:
+            closed = self._closed
+            if closed and (self._refusal is None or self._replaced()):
                 return
             self._pending[request] = pending
             self._client(request.gid).requested(backlog)
-            self._check_soon()
+            if not closed:
+                self._check_soon()
+        if closed:
+            self._answer(pending, CallError(_CLOSED.format(self.name)))
+            return
         try:
             abandon = self._call(payload, partial(self._answer, pending))
         except Exception:
@@ -195,12 +206,12 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         for pending, abandon in waiting:
             if abandon is not None:
                 abandon()
-            self._answer(pending, CallError(f"{self.name} is no longer bridged"))
+            self._answer(pending, CallError(_CLOSED.format(self.name)))
         with self._lock:
             clients = list(self._clients.values())
         for client in clients:
             client.flush()
-        if self._replied > time.monotonic() - _LINGER:
+        if self._refusal is not None or self._replied > time.monotonic() - _LINGER:
             self._later.after(_LINGER, partial(self._loop.remove, self))
         else:
             self._loop.remove(self)

@@ -224,6 +224,25 @@ def test_the_last_replies_of_a_closing_server_reach_its_clients(
         assert native.ask("result", id=called, seconds=40)["reply"] == {"success": False, "message": "last reply"}
 
 
+def test_requests_to_a_server_that_has_closed(edge: RunningEdge, peer: Peers, registry: Registry) -> None:
+    """A client that has not noticed gets a refusal, but none while another server of the name is open."""
+    native, cancel = peer(), Service(registry, "action_msgs/srv/CancelGoal")
+
+    def code(seconds: float) -> int | None:
+        called = call(native, "/s/closed", "action_msgs/CancelGoal")
+        reply = native.ask("result", id=called, seconds=seconds)["reply"]
+        return reply and int(reply["return_code"])
+
+    server = edge.edge.serve("/s/closed", cancel.type, answering(cancel.response(return_code=2)))
+    assert code(20.0) == 2
+    server.close()
+    assert code(20.0) == 1
+    edge.edge.serve("/s/closed", cancel.type, answering(cancel.response(return_code=3)))
+    codes: list[int | None] = []
+    until(lambda: codes.append(code(0.5)) or codes[-1] == 3, "the new server replies")
+    assert 1 not in codes
+
+
 def test_replies_out_of_order(edge: RunningEdge, peer: Peers, echo: Service) -> None:
     native, pending = peer(), Asked()
     edge.edge.serve("/s/order", echo.type, pending.call)
