@@ -282,12 +282,15 @@ class Ros2Edge(SideEdge):
         refuse = refusal(self._registry, side_type.name, side_type.type_id)
         if split(name)[1] == GET_RESULT:
             call, refuse = partial(_call_for_end, call), _ended_refusal(refuse)
-        replaced = partial(self._serves, name)
+        replaced = partial(self._is_served, name)
         return self._kept(Ros2Server(name, service_class, call, refuse, replaced, self._started(), self._closed))
 
-    def _serves(self, name: str) -> bool:
+    def _is_served(self, name: str) -> bool:
+        """Return whether a service has an open server here, or one of another participant."""
         with self._lock:
-            return any(isinstance(end, Ros2Server) and end.name == name for end in self._ends)
+            if any(isinstance(end, Ros2Server) and end.name == name for end in self._ends):
+                return True
+        return any(e.kind is Kind.SERVER and e.topic == name for e in self.endpoints())
 
     def _started(self) -> Ros2Context:
         if self._context is None:
