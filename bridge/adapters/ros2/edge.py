@@ -16,6 +16,7 @@ from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.environment import domain
 from bridge.adapters.ros2.graph import neighbours, spdp, vendors
 from bridge.adapters.ros2.graph.graph import GraphSnapshot, Ros2Graph, is_hidden
+from bridge.adapters.ros2.graph.heartbeats import Heartbeats
 from bridge.adapters.ros2.graph.interfaces import InterfaceWatch
 from bridge.adapters.ros2.graph.neighbours import ProcessWatch
 from bridge.adapters.ros2.graph.origins import Origins, new_prefix, participant_number
@@ -105,7 +106,9 @@ class Ros2Edge(SideEdge):
         loop = EpollReadLoop() if rcl.has_eventfd() else WaitSetReadLoop(participant)
         loop.start()
         graph = Ros2Graph(participant, self._prefix, self._changed)
-        self._context = Ros2Context(participant, loop, graph, ProcessWatch(self._prefix), later)
+        send_all = partial(spdp.send_all, domain=number, localhost_only=self._localhost_only)
+        heartbeats = Heartbeats(participant, self._prefix, send_all)
+        self._context = Ros2Context(participant, loop, graph, ProcessWatch(self._prefix), later, heartbeats)
 
         def seen() -> frozenset[bytes]:
             return graph.snapshot.participants
@@ -141,6 +144,9 @@ class Ros2Edge(SideEdge):
         neighbours.clean_ports(port for number in numbers for port in spdp.unicast_ports(of_domain, number))
 
     def _changed(self, snapshot: GraphSnapshot) -> None:
+        context = self._context
+        if context is not None:
+            context.heartbeats.follow(snapshot.endpoints)
         if self._neighbours is not None:
             self._neighbours.follow(snapshot.participants)
         with self._lock:
@@ -320,14 +326,14 @@ class Ros2Edge(SideEdge):
 
     @override
     def warnings(self) -> list[str]:
-        """Return warnings of native subscriptions with incompatible QoS, nodes on Cyclone DDS, and new addresses."""
+        """Return warnings of incompatible QoS, of names served on Cyclone DDS and another DDS, and of new addresses."""
         offers: dict[str, set[Qos]] = {}
         with self._lock:
             for end in self._ends:
                 if isinstance(end, Ros2Publisher):
                     offers.setdefault(end.topic, set()).add(end.qos)
         cyclone = vendors.report(self.endpoints())
-        warnings = [vendors.warning(cyclone)] if cyclone else []
+        warnings = [text] if cyclone and (text := vendors.warning(cyclone)) else []
         warnings += [self._interfaces.text] if self._interfaces is not None and self._interfaces.text else []
         for endpoint in self.endpoints():
             if endpoint.kind is Kind.SUBSCRIPTION and endpoint.made_by is MadeBy.NATIVE:

@@ -4,7 +4,7 @@ Payloads are CDR in hex, with their encapsulation header, so the program needs n
 rmw_cyclonedds_cpp, its readers accept payloads of any size, and requests and replies carry 16 bytes behind the
 encapsulation header: the client's id and the number of the request (rmw_cyclonedds_cpp, serdata.hpp).
 
-Commands: ``advertise`` topic, type -> id; ``subscribe`` topic, type -> id; ``publish`` id, payload; ``wait`` id, count,
+Commands: ``advertise`` topic, type -> id; ``advertise_raw`` the same with names as in DDS; ``subscribe`` topic, type -> id; ``publish`` id, payload; ``wait`` id, count,
 seconds -> payloads; ``serve`` service, type, reply -> id; ``requests`` id -> payloads of all requests as received;
 ``call`` service, type, request -> id, once a server has matched; ``result`` id, seconds -> reply ("" without one);
 ``act`` action, type, reply -> id: three services and two topics.
@@ -104,7 +104,7 @@ class Writer:
 
 
 class Server:
-    """A service: answers each request with the same reply, under the request's header."""
+    """A service: answers each request with the same reply, under the request's header; b"" sends none."""
 
     def __init__(self, peer: Peer, service: str, type_: str, reply: bytes) -> None:
         self._reply = reply
@@ -112,7 +112,7 @@ class Server:
         self.reader = Reader(peer, f"rq{service}Request", dds_type(f"{type_}_Request", "srv"), RELIABLE, self._answer)
 
     def _answer(self, request: bytes) -> None:
-        if len(request) >= HEADER.stop:
+        if self._reply and len(request) >= HEADER.stop:
             self._writer.write(self._reply[:4] + request[HEADER] + self._reply[4:])
 
 
@@ -157,6 +157,9 @@ class Peer(Commands):
 
     def advertise(self, topic: str, type: str) -> dict[str, Any]:
         return self.add(Writer(self, f"rt{topic}", dds_type(type, "msg"), RELIABLE))
+
+    def advertise_raw(self, topic: str, type: str) -> dict[str, Any]:
+        return self.add(Writer(self, topic, type, RELIABLE))
 
     def subscribe(self, topic: str, type: str) -> dict[str, Any]:
         return self.add(Reader(self, f"rt{topic}", dds_type(type, "msg"), RELIABLE))

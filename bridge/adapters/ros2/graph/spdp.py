@@ -1,4 +1,4 @@
-"""Hand-written DDS discovery messages: dispose a dead participant, and prompt all others to announce themselves.
+"""Hand-written RTPS messages: dispose a dead participant, prompt all others to announce themselves, and heartbeats.
 
 **Disposal.** Other participants notice a crash only when the lease expires, after 20 s. A short lease does not help:
 after a longer suspension or disconnection, the others have dropped the participant, but it has not dropped them, and
@@ -32,7 +32,9 @@ _UDP_V4 = 1
 _VERSION = b"\x02\x03"
 _PARTICIPANT = b"\x00\x00\x01\xc1"
 _SPDP_WRITER, _SPDP_READER = b"\x00\x01\x00\xc2", b"\x00\x01\x00\xc7"
+_ANY_READER = bytes(4)
 _DATA, _LITTLE_ENDIAN, _INLINE_QOS, _PAYLOAD, _KEY = 0x15, 0x01, 0x02, 0x04, 0x08
+_HEARTBEAT, _FINAL = 0x07, 0x02
 _TO_INLINE_QOS = 16
 """Bytes from the end of this field to the inline QoS."""
 _LAST = 0x7FFFFFFF
@@ -68,6 +70,16 @@ def announcement(prefix: bytes, domain: int, number: int) -> bytes:
         (_PID_ENDPOINTS, _ANNOUNCER_AND_DETECTOR),
     )
     return _message(prefix, _PAYLOAD, 1, payload)
+
+
+def heartbeat(guid: bytes, last: int) -> bytes:
+    """Return the RTPS message that tells all readers of a writer that it has written ``last`` samples.
+
+    It is final: no reader responds to it (DDSI-RTPS 2.5, 9.4.5.7).
+    """
+    body = _ANY_READER + guid[12:16] + struct.pack("<iIiIi", 0, 1, last >> 32, last & 0xFFFFFFFF, 1)
+    header = b"RTPS" + _VERSION + guid[:2] + guid[:12]
+    return header + struct.pack("<BBH", _HEARTBEAT, _LITTLE_ENDIAN | _FINAL, len(body)) + body
 
 
 def send_all(messages: Sequence[bytes], domain: int, *, localhost_only: bool) -> None:
