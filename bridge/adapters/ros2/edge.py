@@ -107,7 +107,7 @@ class Ros2Edge(SideEdge):
         loop.start()
         graph = Ros2Graph(participant, self._prefix, self._changed)
         send_all = partial(spdp.send_all, domain=number, localhost_only=self._localhost_only)
-        heartbeats = Heartbeats(participant, self._prefix, send_all)
+        heartbeats = Heartbeats(send_all, later)
         self._context = Ros2Context(participant, loop, graph, ProcessWatch(self._prefix), later, heartbeats)
 
         def seen() -> frozenset[bytes]:
@@ -150,8 +150,8 @@ class Ros2Edge(SideEdge):
         if self._neighbours is not None:
             self._neighbours.follow(snapshot.participants)
         with self._lock:
-            following = [end for end in self._ends if not isinstance(end, Ros2Publisher)]
-        for end in following:
+            ends = list(self._ends)
+        for end in ends:
             end.refit()
         self._graph_changed()
 
@@ -238,10 +238,10 @@ class Ros2Edge(SideEdge):
     @override
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
         """Advertise; the topic is on the graph at once."""
-        participant = self._started().participant
+        context = self._started()
         self._check_one_type(topic, side_type.name)
         message_class = self._types.message_class(side_type.name, side_type.type_id)
-        return self._kept(Ros2Publisher(topic, message_class, qos, participant, self._closed, self.has_subscribers))
+        return self._kept(Ros2Publisher(topic, message_class, qos, context, self._closed, self.has_subscribers))
 
     def _check_one_type(self, topic: str, type_name: str) -> None:
         """Reject a second type for a topic: a DDS participant has only one, and Fast DDS's error omits the reason."""

@@ -1,4 +1,4 @@
-"""Subscriptions of DDS topics whose names rcl refuses, through rmw_fastrtps by ctypes.
+"""Calls of rmw_fastrtps that rcl does not offer, through ctypes, above all subscriptions of any DDS topic.
 
 rcl adds a slash to every name, so it cannot subscribe to ``rr/lampReply``, the topic on which a service replies.
 Structures as in Jazzy's rmw/types.h and rmw/qos_profiles.h.
@@ -16,6 +16,7 @@ from ctypes import (
     c_int,
     c_int32,
     c_size_t,
+    c_ubyte,
     c_uint64,
     c_void_p,
     cast,
@@ -47,9 +48,11 @@ class _QosProfile(Structure):
 def _library() -> tuple[CDLL, CDLL]:
     """Return rcl and rmw_fastrtps; raises `OSError`, or `AttributeError` for another rmw."""
     of_rcl, rmw = CDLL("librcl.so"), CDLL("librmw_fastrtps_cpp.so")
-    of_rcl.rcl_node_get_rmw_handle.restype, of_rcl.rcl_node_get_rmw_handle.argtypes = c_void_p, [c_void_p]
+    for handle in (of_rcl.rcl_node_get_rmw_handle, of_rcl.rcl_publisher_get_rmw_handle):
+        handle.restype, handle.argtypes = c_void_p, [c_void_p]
     signatures: tuple[tuple[Any, Any, list[Any]], ...] = (
         (rmw.rmw_create_subscription, c_void_p, [c_void_p, c_void_p, c_char_p, c_void_p, c_void_p]),
+        (rmw.rmw_get_gid_for_publisher, c_int32, [c_void_p, c_void_p]),
         (rmw.rmw_destroy_subscription, c_int32, [c_void_p, c_void_p]),
         (rmw.rmw_subscription_set_on_new_message_callback, c_int32, [c_void_p, c_void_p, c_void_p]),
         (rmw.rmw_subscription_count_matched_publishers, c_int32, [c_void_p, POINTER(c_size_t)]),
@@ -58,6 +61,22 @@ def _library() -> tuple[CDLL, CDLL]:
     for function, result, arguments in signatures:
         function.restype, function.argtypes = result, arguments
     return of_rcl, rmw
+
+
+class _Gid(Structure):
+    """``rmw_gid_t``."""
+
+    _fields_ = [("implementation", c_char_p), ("data", c_ubyte * 16)]
+
+
+def publisher_gid(publisher: int) -> bytes:
+    """Return the GID of ``rcl_publisher_t *``, 16 bytes."""
+    of_rcl, rmw = _library()
+    gid = _Gid()
+    code = rmw.rmw_get_gid_for_publisher(of_rcl.rcl_publisher_get_rmw_handle(publisher), byref(gid))
+    if code != rcl.RET_OK:
+        raise rcl.RclError("rmw_get_gid_for_publisher", code)
+    return bytes(gid.data)
 
 
 class RmwSubscription:

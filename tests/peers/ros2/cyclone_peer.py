@@ -4,8 +4,9 @@ Payloads are CDR in hex, with their encapsulation header, so the program needs n
 rmw_cyclonedds_cpp, its readers accept payloads of any size, and requests and replies carry 16 bytes behind the
 encapsulation header: the client's id and the number of the request (rmw_cyclonedds_cpp, serdata.hpp).
 
-Commands: ``advertise`` topic, type -> id; ``advertise_raw`` the same with names as in DDS; ``subscribe`` topic, type -> id; ``publish`` id, payload; ``wait`` id, count,
-seconds -> payloads; ``serve`` service, type, reply -> id; ``requests`` id -> payloads of all requests as received;
+Commands: ``advertise`` topic, type -> id; ``advertise_raw`` the same with names as in DDS; ``subscribe`` topic, type ->
+id; ``publish`` id, payload; ``wait`` id, count, seconds -> payloads; ``serve`` service, type, reply -> id; ``requests``
+id -> payloads of all requests as received;
 ``call`` service, type, request -> id, once a server has matched; ``result`` id, seconds -> reply ("" without one);
 ``act`` action, type, reply -> id: three services and two topics.
 Types are spelled ``package/Name`` for topics and services alike, ``package/action/Name_Feedback`` for parts of actions.

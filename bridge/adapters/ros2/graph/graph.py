@@ -128,6 +128,11 @@ class Ros2Graph:
         """Return the GIDs of all readers of a service's replies; reads the graph."""
         return [bytes(info["endpoint_gid"]) for info in self._participant.readers(reply_topic(service), dds=True)]
 
+    def own_writer(self, dds_topic: str) -> bytes | None:
+        """Return the GID of this participant's writer of a DDS topic; reads the graph."""
+        gids = (bytes(info["endpoint_gid"]) for info in self._participant.writers(dds_topic, dds=True))
+        return next((gid for gid in gids if gid[:PREFIX_BYTES] == self._own), None)
+
     def clients(self, service: str) -> set[bytes]:
         """Return the GIDs that a service's clients may use in requests; reads the graph."""
         asking = self._participant.writers(request_topic(service), dds=True)

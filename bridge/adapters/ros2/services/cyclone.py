@@ -17,7 +17,6 @@ from typing import NamedTuple
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
-from bridge.adapters.ros2.graph.heartbeats import COUNT, PAUSE_SECONDS
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.loop import EndpointReader
 from bridge.adapters.ros2.participant import reply_topic, request_topic
@@ -70,12 +69,11 @@ class CycloneCalls(EndpointReader):
     def __init__(self, name: str, response_support: int, context: Ros2Context, replied: Replied) -> None:
         self._reader = context.participant.make_reply_reader(response_support, name)
         super().__init__(context.participant, self._reader)
-        self._topic, self._heartbeats = request_topic(name), context.heartbeats
+        self._topic, self._graph, self._heartbeats = request_topic(name), context.graph, context.heartbeats
         self._replied = replied
         self._id = os.urandom(8)
         self._number = FIRST_NUMBER
-        self._matched = self._sent = 0
-        self._next = 0.0
+        self._matched, self._prepared = 0, 0.0
 
     @override
     def wake(self, descriptor: int | None) -> None:
@@ -84,22 +82,13 @@ class CycloneCalls(EndpointReader):
     def wait(self, poll: float, servers: Collection[bytes], last: int) -> float:
         """Return the seconds until a request may be sent, 0 for now; ``poll`` while no server has matched.
 
-        The first calls after a match send heartbeats; ``last`` is the number of requests written before.
+        The first call after a match begins to prepare the servers; ``last`` is the number of requests written before.
         """
-        matched, now = self._reader.matched(), time.monotonic()
-        if matched != self._matched:
-            settled = self._heartbeats.settled_at(servers)
-            self._matched, self._sent, self._next = matched, 0, max(now, settled)
-        if not matched:
-            return poll
-        if self._sent > COUNT:
-            return 0.0
-        if now >= self._next:
-            if self._sent < COUNT:
-                self._heartbeats.send(self._topic, last)
-            self._sent += 1
-            self._next = now + PAUSE_SECONDS
-        return self._next - now
+        matched = self._reader.matched()
+        writer = self._graph.own_writer(self._topic) if matched != self._matched else None
+        if writer is not None:
+            self._matched, self._prepared = matched, self._heartbeats.prepare(writer, last, servers)
+        return max(0.0, self._prepared - time.monotonic()) if self._matched else poll
 
     def wrap(self, request: bytes) -> tuple[int, bytes]:
         """Return a request's number, and its payload with a header."""
@@ -142,7 +131,9 @@ class ReplyReach:
         now, matched = time.monotonic(), self._matches.current()
         first = self._tried.setdefault(gid, now)
         if first == now or (matched is not None and matched < len(readers) and now - first < _PATIENCE_SECONDS):
-            self._heartbeats.send(reply_topic(self._service), last)
+            writer = self._graph.own_writer(reply_topic(self._service))
+            if writer is not None:
+                self._heartbeats.prepare(writer, last, [gid])
             return False
         self._tried.pop(gid)
         self._reached.add(gid)

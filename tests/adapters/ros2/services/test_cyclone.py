@@ -13,8 +13,8 @@ import pytest
 from bridge.adapters.ros2.edge import Ros2Edge
 from bridge.adapters.ros2.services import matching
 from bridge.adapters.ros2.services.cyclone import unwrap, wrap
-from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError
-from bridge.hub.wire.qos import Qos
+from bridge.hub.endpoints.calls import CallError, UnsentCallError
+from bridge.hub.wire.qos import Durability, Qos
 from bridge.routing.edge import EdgeCaller, Kind
 from tests.adapters.ros2.conftest import RunningEdge, string, text
 from tests.peers.hub.calls import SET_BOOL, Asked, Ends, Service
@@ -135,7 +135,7 @@ def test_one_server_on_cyclone_dds_and_one_on_fast_dds(
 ) -> None:
     fast, native = peer("lamp"), cyclone()
     fast_server = int(fast.ask("serve", service="/c/both", type=TYPE, reply=YES)["id"])
-    server = native.serve("/c/both", TYPE, set_bool.response(**YES))
+    native.serve("/c/both", TYPE, set_bool.response(**YES))
     seen(edge, "/c/both", Kind.SERVER, 2)
     reason = refused(edge.edge, "/c/both", set_bool, set_bool.request(data=True))
     assert "delivers each request to all servers" in reason
@@ -315,6 +315,23 @@ def test_topics_cross_both_ways(edge: RunningEdge, cyclone: Callable[[], Cyclone
         return native.received(subscription, 1, 0.1)
 
     assert text(until(delivered, "a message of Midspan")[0]) == "from Midspan"
+
+
+@pytest.mark.parametrize("latched", [False, True], ids=["volatile", "latched"])
+def test_first_large_message(edge: RunningEdge, cyclone: Callable[[], CyclonePeer], latched: bool) -> None:
+    """It consists of fragments, and is sent before the subscription can have matched."""
+    native, topic, large = cyclone(), f"/c/large{int(latched)}", "x" * 1_000_000
+    subscription = native.subscribe(topic, "std_msgs/String")
+    seen(edge, topic, Kind.SUBSCRIPTION)
+    qos = Qos(durability=Durability.TRANSIENT_LOCAL) if latched else Qos()
+    publisher = edge.edge.advertise(topic, edge.type("std_msgs/msg/String"), qos)
+    until(lambda: edge.edge.has_subscribers(topic), "the subscription is known")
+    publisher.send(string(large), "first")
+    (received,) = native.received(subscription, 1)
+    assert text(received) == large
+    if latched:
+        publisher.send(string(large), "second")  # a source of its own, and a writer of its own
+        assert len(native.received(subscription, 2)) == 2
 
 
 def test_status_names_the_nodes(
