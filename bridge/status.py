@@ -185,10 +185,11 @@ class LaneStatus(Part):
 
 
 class CycloneNodes(Part):
-    """ROS 2 nodes on Cyclone DDS, and the services and actions that both they and nodes on another DDS serve."""
+    """ROS 2 nodes on Cyclone DDS, with the services and actions that they serve and call."""
 
     nodes: list[Text] = []
-    both: list[Text] = []
+    served: list[Text] = []
+    called: list[Text] = []
 
 
 class StatusDocument(Part):
