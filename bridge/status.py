@@ -185,11 +185,10 @@ class LaneStatus(Part):
 
 
 class CycloneNodes(Part):
-    """ROS 2 nodes on Cyclone DDS, with the services and actions that they serve and call."""
+    """ROS 2 nodes on Cyclone DDS, and the services and actions that both they and nodes on another DDS serve."""
 
     nodes: list[Text] = []
-    served: list[Text] = []
-    called: list[Text] = []
+    both: list[Text] = []
 
 
 class StatusDocument(Part):

@@ -14,7 +14,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.support import forks
+from tests.peers.daemon.midspan import MidspanDaemon
+from tests.peers.daemon.routers import end_router
+from tests.support import forked_workers, forks
 from tests.support.process import Process
 from tests.support.wait import until
 
@@ -145,3 +147,52 @@ def test_only_programs_of_the_tests_are_forked_unasked() -> None:
     assert forks.can_fork([sys.executable, str(Path(__file__).parent / "peers" / "ros2" / "peer.py")])
     assert not forks.can_fork([sys.executable, "-c", "pass"])
     assert not forks.can_fork(["/usr/bin/python3", "/usr/bin/roscore"])
+
+
+def test_a_forked_program_shows_its_command(start: Start) -> None:
+    program = start("import time\nprint('on', flush=True)\ntime.sleep(60)", "first", "second")
+    until(program.output, "it runs")
+    assert [word for word in psutil.Process(program.pid).cmdline() if word] == program.args
+
+
+def test_a_forked_daemon_forks_its_workers(tmp_path: Path) -> None:
+    daemon = MidspanDaemon(tmp_path, "forks")
+    daemon.configure(**{side: {"enabled": False} for side in ("ros1", "ros2", "yarp", "zenoh")})
+    daemon.run()
+    process = daemon.daemon
+    assert process is not None
+    with process:
+        until(lambda: "ready: router running" in process.output(), "the router runs")
+        (router,) = psutil.Process(process.pid).children()
+        assert os.getsid(router.pid) == router.pid
+        words = router.cmdline()
+        assert words[1:8] == ["-P", "-m", "bridge.cli.child", "worker", "router", "--supervised", "--control"]
+        assert words[-1] == "", "the rest of the fork server's own command"
+        held = [Path(f"/proc/{pid}/fd").iterdir() for pid in (process.pid, router.pid)]
+        inodes = [
+            {file.readlink().name for file in files if file.readlink().name.startswith("socket:")} for files in held
+        ]
+        assert inodes[0] & inodes[1] == set(), "no socket of the daemon"
+        router.kill()
+        until(lambda: "router killed by SIGKILL" in process.output(), "the daemon reports its end")
+    end_router(tmp_path / "state")
+
+
+@pytest.mark.parametrize(
+    ("changes", "forked"),
+    [
+        ({}, True),
+        ({"ROS_MASTER_URI": "http://localhost:1"}, True),
+        ({"LD_LIBRARY_PATH": "/one"}, True),
+        ({"LD_LIBRARY_PATH": "/one:/three"}, False),
+        ({"PYTHONHASHSEED": "1"}, False),
+        ({"MIDSPAN_CACHE": "/cache"}, False),
+    ],
+)
+def test_a_worker_with_another_environment_at_its_start_is_started(
+    changes: dict[str, str], forked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LD_LIBRARY_PATH", "/one:/two")
+    command = [sys.executable, "-P", "-m", "bridge.cli.child", "worker", "ros1", "--supervised"]
+    assert forked_workers.can_fork(command, {**os.environ, **changes}) is forked
+    assert not forked_workers.can_fork(["midspan"], os.environ)

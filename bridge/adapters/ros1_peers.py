@@ -46,13 +46,16 @@ class ExhaustedError(Ros1Error):
     """The process has no file descriptor left to connect with; the peer itself may be fine."""
 
 
+EXHAUSTED = f"this process has no file descriptor left to connect to it with; {resources.RAISE}"
+
+
 def unanswered(message: str, err: OSError) -> Ros1Error:
     """Return the error for a failed connection; ``message`` is its text if the peer is at fault."""
     # without a descriptor the resolver cannot resolve host names either, and reports an arbitrary errno
     peers = isinstance(err, ConnectionError | TimeoutError)
     exhausted = err.errno in resources.OUT or (not peers and not resources.has_descriptor())
     if exhausted:
-        return ExhaustedError(f"this process has no file descriptor left to connect to it with; {resources.RAISE}")
+        return ExhaustedError(EXHAUSTED)
     refused = isinstance(err, ConnectionRefusedError)
     return UnreachableError(f"{message}: {str(err) or type(err).__name__}", refused=refused)
 

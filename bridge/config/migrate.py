@@ -67,8 +67,7 @@ def migrate(text: str, file: Path) -> Migration:
             _replace(migration, document, path, f"{key_text(path)} was removed: {reason}")
     _open_door(migration, document)
     if ("version",) not in document.keys:
-        migration.text = _with_version(migration.text)
-        migration.done.append(f"version is {FORMAT}")
+        _add_version(migration, document)
     return migration
 
 
@@ -83,10 +82,10 @@ def _open_door(migration: Migration, document: Document) -> None:
         migration.left.append(document.problem(_LISTEN, text))
         return
     tls = _value(data, _ROUTER_TLS)
-    files = {key: tls[old] for key, old in _CERTIFICATES.items() if old in tls} if isinstance(tls, dict) else {}
+    files = {key: tls[old] for key, old in _CERTIFICATES.items() if tls.get(old)} if isinstance(tls, dict) else {}
     keys = "".join(f", {key}: {_quoted(value)}" for key, value in files.items())
     door = [f"open: {{listen: [{_quoted(listen)}]{keys}}}"]
-    done = "hub.listen is hub.open.listen"
+    done = "moved hub.listen to hub.open.listen"
     if same_port(listen, _INDOORS):  # other machines connect to it, and go on to
         door.append(f"listen: {_BESIDE}")
         done += f"; this machine's own programs join at {_BESIDE}"
@@ -119,6 +118,18 @@ def _alone(data: Any, path: KeyPath) -> KeyPath:
     return path
 
 
+def _add_version(migration: Migration, document: Document) -> None:
+    text = _with_version(migration.text)
+    try:
+        parse(document.file, text)
+    except ConfigError as err:
+        reason = f"{COMMAND} cannot add it ({err.problems[0].text}); add 'version: {FORMAT}' by hand"
+        migration.left.append(document.problem(("version",), reason))
+        return
+    migration.text = text
+    migration.done.append(f"set version to {FORMAT}")
+
+
 def _with_version(text: str) -> str:
     """Return the text with ``version`` as the first key."""
     line = f"version: {FORMAT}\n"
@@ -128,10 +139,11 @@ def _with_version(text: str) -> str:
     if root.flow_style:
         at = root.start_mark.index + 1
         return f"{text[:at]}version: {FORMAT}{', ' if root.value else ''}{text[at:]}"
-    at = root.start_mark.index
+    column = root.start_mark.column
+    at = root.start_mark.index - column
     before = re.search(r"\n[ \t]*\n((?:[ \t]*#.*\n)*)\Z", text[:at])  # the comment of the first key stays with it
     at = before.start(1) if before else at
-    return text[:at] + line + text[at:]
+    return text[:at] + " " * column + line + text[at:]
 
 
 # Edits of one pair
@@ -142,8 +154,9 @@ def _replace(migration: Migration, document: Document, path: KeyPath, done: str,
     try:
         text = _edited(migration.text, path, instead)
         parse(document.file, text)
-    except ConfigError:
-        migration.left.append(document.problem(path, f"{done}; it has an anchor or alias, remove it by hand"))
+    except ConfigError as err:
+        reason = f"{COMMAND} cannot edit this ({err.problems[0].text}); edit it by hand: {done}"
+        migration.left.append(document.problem(path, reason))
         return False
     migration.text = text
     migration.done.append(done)

@@ -63,10 +63,9 @@ class TopicChannel:
 
     def resend_latched(self) -> None:
         """Send each latched publisher's newest message again for a late client. The SDK sends it to all watchers."""
-        with self._lock:
-            kept = list(self._cached.values())
-        for data, at in kept:
-            self.channel.log(data, at or None)
+        with self._lock:  # so that a newer message, which is first cached, follows
+            for data, at in self._cached.values():
+                self.channel.log(data, at or None)
 
     def clear(self) -> None:
         """Clear the cache: no client watches."""
@@ -99,6 +98,7 @@ class Channels:
         self._server, self._topics = server, topics
         self._channels: dict[str, TopicChannel] = {}
         self._refused: dict[TopicKey, str] = {}
+        self._undefined = False
 
     def refresh(self) -> None:
         """Announce new topics, and withdraw those that have disappeared."""
@@ -109,15 +109,16 @@ class Channels:
                 self._close(name)
             else:
                 channel.follow(topic)
-        self._refused = {}
+        self._refused, self._undefined = {}, False
         for key, topic in sorted(topics.items()):
             shown = self._channels.get(key.topic)
             if shown is None:
                 self._open(topic)
             elif shown.topic.key != key:
-                self._refused[key] = (
-                    f"its name is offered with the type {shown.topic.key.type_name}; the app allows one type per name"
-                )
+                other = shown.topic.key
+                version = f" in another version ({other.type_hash})" if other.type_name == key.type_name else ""
+                reason = f"its name is offered with the type {other.type_name}{version}; the app allows one per name"
+                self._refused[key] = reason
 
     def watch(self, watched: set[int], late: set[int]) -> None:
         """Subscribe to exactly the watched channels; ``late``: channels with a new watcher."""
@@ -136,7 +137,7 @@ class Channels:
         key = topic.key
         definition = self._topics.definitions.find(key.type_name, key.type_hash)
         if definition is None:
-            self._refused[key] = "its definition is unknown; it has been requested again"
+            self._refused[key], self._undefined = "its definition is unknown; the workers have been asked for it", True
             return
         self._refused.pop(key, None)
         about = {"side": ", ".join(topic.sides), "latched": str(topic.latched).lower(), "hash": key.type_hash}
@@ -162,7 +163,7 @@ class Channels:
             if (end := ends.get(channel.topic.key)) is not None:
                 channel.counters.missed(end.lost, lambda: "lost on the hub's links")
                 channel.counters.drops["bad"] = end.refused
-        if self._refused:
+        if self._undefined:
             self.refresh()
 
     @property

@@ -134,7 +134,9 @@ _PTH = "midspan_interfaces.pth"
 
 
 def activate(*prefixes: Path) -> tuple[str, ...]:
-    """Add the packages of these prefixes to this process and its children, ahead of others with the same names.
+    """Add the packages of these prefixes to this process, ahead of others with the same names.
+
+    A child process needs the variables of `environment`.
 
     Returns the packages that this process has already imported from elsewhere: neither Python nor the dynamic loader
     can load a package again, so the new ones need a new process. Raises `BuildError` if two prefixes have different

@@ -34,6 +34,7 @@ class Backlog(Generic[Message]):
         self._lock = threading.Lock()
         self._line: deque[Waiting[Message]] = deque()
         self._bytes = 0
+        self._judged = 0.0
 
     def __len__(self) -> int:
         return len(self._line)
@@ -68,6 +69,15 @@ class Backlog(Generic[Message]):
                 self._bytes -= waiting.size
         self.add(source, message, size)
         return len(over)
+
+    def overdue(self, seconds: float) -> float:
+        """Return the latest arrival of messages that were held for ``seconds``, and already at the last call.
+
+        So a process that was suspended drops no message before it has checked its publisher.
+        """
+        now = time.monotonic()
+        before, self._judged = min(now - seconds, self._judged), now
+        return before
 
     def pop_matching(self, wanted: Callable[[Waiting[Message]], bool]) -> list[Waiting[Message]]:
         """Remove and return the wanted messages, in their order."""

@@ -13,7 +13,7 @@ from bridge.hub.graph.tokens import Origin
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.errors import MessageError
 from bridge.messages.transcode.conversion import Conversion
-from bridge.routing.backlog import Backlog
+from bridge.routing.backlog import Backlog, Waiting
 from bridge.routing.decision import OWN_NETWORK, RouteDecision, RouteKey, hub_groups
 from bridge.routing.dispatcher import RouteQueue
 from bridge.routing.edge import EdgePublisher, Endpoint
@@ -192,23 +192,25 @@ class HubToSideRoute(TopicRoute):
                     self._publish(waiting.message, source)
 
     def _retry_pending(self) -> None:
-        before = time.monotonic() - PENDING_SECONDS
-        sources = self._sources
-        for pending in self.pending.pop_matching(lambda _: True):
-            sample = pending.message
-            source = sources.of(sample)
-            endpoint = sources.waiting.get(sample.gid)
-            if source is not None:
-                if not self.over_rate(latched=source.latched):
-                    with self.queue.publishing:
-                        self._publish(sample, source)
-            elif endpoint is not None:
-                if self.latches(endpoint.qos):
-                    self._store(sample, endpoint)
-            elif sample.gid not in sources.refused and pending.since > before:
-                self.pending.put_back(pending)
-            elif sample.gid not in sources.refused:
-                self.counters.dropped("unknown")
+        before = self.pending.overdue(PENDING_SECONDS)
+        if self.pending:
+            with self.queue.publishing:  # before the removal: a newer message must not overtake these
+                for pending in self.pending.pop_matching(lambda _: True):
+                    self._retry(pending, before)
+
+    def _retry(self, pending: Waiting[HubSample], before: float) -> None:
+        sample, sources = pending.message, self._sources
+        source, endpoint = sources.of(sample), sources.waiting.get(sample.gid)
+        if source is not None:
+            if not self.over_rate(latched=source.latched):
+                self._publish(sample, source)
+        elif endpoint is not None:
+            if self.latches(endpoint.qos):
+                self._store(sample, endpoint)
+        elif sample.gid not in sources.refused and pending.since >= before:
+            self.pending.put_back(pending)
+        elif sample.gid not in sources.refused:
+            self.counters.dropped("unknown")
 
     # -- samples -------------------------------------------------------------------------------------------------------
 
@@ -228,19 +230,21 @@ class HubToSideRoute(TopicRoute):
         """
         sources = self._sources
         source = sources.allowed.get(sample.gid) or sources.of(sample)
-        if source is not None:
-            if source.latched and sample.gid in sources.allowed and self._waiting_latched.holds(sample.gid):
-                self._store(sample, source.endpoint)  # behind the older ones
-                if not self._lease.over:
-                    self._context.wake()
-                return
-            self._publish(sample, source)
-            if source.latched and self._static is None and source.endpoint.gid not in self._sources.allowed:
-                self._publishers.drop_source(sample.gid)
-            return
         waiting = sources.waiting.get(sample.gid)
-        if waiting is not None:
-            if self.latches(waiting.qos):
+        latched = waiting is not None and self.latches(waiting.qos) if source is None else source.latched
+        if latched and self.pending.holds(sample.gid):
+            self.pending.add(sample.gid, sample, len(sample.payload))  # behind the older ones
+            self._context.wake()
+        elif latched and sample.gid in sources.allowed and self._waiting_latched.holds(sample.gid):
+            self._store(sample, sources.allowed[sample.gid].endpoint)  # behind the older ones
+            if not self._lease.over:
+                self._context.wake()
+        elif source is not None:
+            self._publish(sample, source)
+            if latched and self._static is None and source.endpoint.gid not in self._sources.allowed:
+                self._publishers.drop_source(sample.gid)
+        elif waiting is not None:
+            if latched:
                 self._store(sample, waiting)
                 if self._sources is not sources:
                     self._context.wake()

@@ -55,7 +55,10 @@ class SideToHubRoute(TopicRoute):
 
     Each latched publisher of the side has its own hub publisher, so that its last message disappears when it leaves;
     the others share one. Static transforms are merged, and retained by one publisher for the life of the route;
-    transforms that are not latched pass unchanged. ``pending``: messages held for their publisher, or for the lease.
+    transforms that are not latched pass unchanged.
+
+    ``pending``: messages held for their publisher, or for the lease. ``_releasing`` is held while they are removed and
+    published, so that a newer latched message, which another thread delivers, waits for them.
     """
 
     direction = "in"
@@ -73,6 +76,7 @@ class SideToHubRoute(TopicRoute):
         self._by_lane_before = 0
         self._followed: Sequence[Endpoint] | None = None
         self.pending = Backlog[tuple[bytes, int | None]](MAX_PENDING, QUEUE_BYTES, self.crowded_out)
+        self._releasing = threading.Lock()
         self._subscription: EdgeSubscription | None = None
         self._hold, self._lease = context.hold, context.lease
         depth = policy.depth or QUEUE_DEPTH[self._priority]
@@ -157,19 +161,27 @@ class SideToHubRoute(TopicRoute):
         self._subscription = self._context.edge.subscribe(self.key.topic, self.conversion.source, wanted, self.deliver)
 
     def _flush_pending(self) -> None:
+        """Publish the held messages of known publishers, and drop old ones of unknown publishers."""
         if self._lease.over:
             return
-        before = time.monotonic() - PENDING_SECONDS
-        for waiting in self.pending.pop_matching(lambda w: w.source in self._sources or w.since < before):
-            if waiting.source in self._sources:
-                payload, time_ns = waiting.message
-                self.deliver(payload, str(waiting.source), time_ns)
-            else:
+        before = self.pending.overdue(PENDING_SECONDS)
+        if self.pending:
+            with self._releasing:
+                self._release()
+            for _ in self.pending.pop_matching(lambda w: w.source not in self._sources and w.since < before):
                 self.counters.dropped("unknown")
+
+    def _release(self) -> None:
+        for waiting in self.pending.pop_matching(lambda w: w.source in self._sources):
+            source = str(waiting.source)
+            known = self._sources.get(source)
+            if known is None:
+                self.counters.dropped("unknown")  # the publisher left meanwhile
+            else:
+                self._pass(known, source, *waiting.message)
 
     def deliver(self, payload: bytes, source: str, time_ns: int | None) -> None:
         """Handle a message of one of the side's publishers; the edge calls it, on any thread."""
-        since = time.monotonic()
         known = self._sources.get(source)
         counters = self.counters
         if self._lease.over:
@@ -178,28 +190,35 @@ class SideToHubRoute(TopicRoute):
                 counters.dropped("standby", self.pending.keep(source, (payload, time_ns), len(payload), depth))
             else:
                 counters.dropped("standby")
-            return
-        if self._hold is not None and self._hold.held and self.hub_topic in self._hold.topics:
-            counters.dropped("held")
-            return
-        if known is None:
+        elif known is None and not self._held():
             # The edge's graph has the publisher, ours not yet: hold the newest message until the engine calls `update`.
             if self._priority is Priority.COMMAND:
                 counters.dropped("unknown")  # a command is never held
             else:
                 counters.dropped("unknown", self.pending.keep(source, (payload, time_ns), len(payload), depth=1))
             self._context.wake()
+        elif known is None:
+            counters.dropped("held")
+        elif known.latched and (self.pending or self._releasing.locked()):  # in this order
+            with self._releasing:
+                self._release()
+                self._pass(known, source, payload, time_ns)
+        else:
+            self._pass(known, source, payload, time_ns)
+
+    def _held(self) -> bool:
+        return self._hold is not None and self._hold.held and self.hub_topic in self._hold.topics
+
+    def _pass(self, known: _Source, source: str, payload: bytes, time_ns: int | None) -> None:
+        """Publish a message of a known publisher, unless it must not pass now."""
+        since = time.monotonic()
+        if self._held():
+            self.counters.dropped("held")
+        elif self._priority is Priority.COMMAND and self._stale(known, time_ns):
+            self.counters.dropped("stale")
+        elif (self._limit is not None and self.over_rate(latched=known.latched)) or self.too_large(len(payload)):
             return
-        if self._priority is Priority.COMMAND and self._stale(known, time_ns):
-            counters.dropped("stale")
-            return
-        if known.latched and len(self.pending):
-            self._flush_pending()  # earlier messages first
-        if self._limit is not None and self.over_rate(latched=known.latched):
-            return
-        if self.too_large(len(payload)):
-            return
-        if len(payload) > BULK or self._large.busy:
+        elif len(payload) > BULK or self._large.busy:
             self._large.put(_Message(payload, known, source, time_ns, since), len(payload))
         else:
             self._carry(payload, known, time_ns, since)

@@ -95,6 +95,8 @@ def test_the_robot_of_two_machines_has_a_door(tmp_path: Path) -> None:
         ("# nothing\n", "# nothing\nversion: 1\n"),
         ("{}\n", "{version: 1}\n"),
         ("---\r\nros2: {build: true}\r\n", "---\r\nversion: 1\nros2: {}\r\n"),
+        ("  name: robot1\n  hub: {domain: 3}\n", "  version: 1\n  name: robot1\n  hub: {domain: 3}\n"),
+        ("# mine\n\n # the name\n  name: robot1\n", "# mine\n\n  version: 1\n # the name\n  name: robot1\n"),
         ("log:\n  level: debug\nversion: 1\n", "log:\n  level: debug\nversion: 1\n"),
         ("version: 1\nros2:\n  build: true\n", "version: 1\nros2:\n  # build: true\n"),
     ],
@@ -139,6 +141,19 @@ def test_what_an_anchor_holds_is_left_and_said(old: str) -> None:
     migration = migrate(old, FILE)
     assert migration.text == f"version: 1\n{old}"
     assert [problem.key for problem in migration.left] == ["ros2.build"]
+
+
+def test_the_reason_why_a_key_cannot_be_edited_is_reported() -> None:
+    (problem,) = migrate("ros2: {build: true # c\n , domain: 3}\n", FILE).left
+    assert "cannot edit this" in problem.text
+    assert "edit it by hand" in problem.text
+    assert "anchor" not in problem.text
+
+
+def test_an_empty_certificate_is_not_moved() -> None:
+    tls = "{root_ca_certificate: null, listen_certificate: a.pem}"
+    old = f"hub: {{listen: 'tls/0.0.0.0:7000', router_zenoh: {{transport: {{link: {{tls: {tls}}}}}}}}}\n"
+    assert "open: {listen: ['tls/0.0.0.0:7000'], certificate: 'a.pem'}" in migrate(old, FILE).text
 
 
 def test_an_alias_on_a_line_of_its_own_goes_with_its_key() -> None:

@@ -183,15 +183,14 @@ def test_systemd_would_find_a_mistake(tmp_path: Path) -> None:
     assert "WatchdogSecs" in done.stdout + done.stderr
 
 
-def test_security_score(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_units_are_hardened(tmp_path: Path) -> None:
+    """Their exposure is 1.7 of 10 by systemd 252; it is 9.6 for a unit without any hardening."""
     main(["install", "--root", str(tmp_path)])
-    capsys.readouterr()
     for name in UNITS:
         done = analyze(tmp_path, "security", "--offline=yes", "--no-pager", str(tmp_path / UNIT_FOLDER / name))
         level = re.search(r"Overall exposure level for (\S+): ([\d.]+) (\w+)", done.stdout)
         assert level is not None, done.stdout + done.stderr
-        with capsys.disabled():
-            print(f"\nsystemd-analyze security {name}: {level[2]} {level[3]}")
+        assert float(level[2]) < 2.5, done.stdout
 
 
 def test_the_user_of_the_services_can_be_created(tmp_path: Path) -> None:
@@ -203,8 +202,8 @@ def test_the_user_of_the_services_can_be_created(tmp_path: Path) -> None:
     assert re.search(r"^midspan:x:\d+:\d+:[^:]*:/var/lib/midspan:", (tmp_path / "etc/passwd").read_text(), re.MULTILINE)
 
 
-def test_the_seal_of_the_demo_s_tests_forbids_what_the_units_forbid() -> None:
-    """The demo's tests seal all workers (tests/demo/test_demo.py); this shows that the seal has an effect."""
+def test_seal_forbids_executable_memory_as_the_units_do() -> None:
+    """The demo's tests seal all workers (tests/demo/test_demo.py): check that sealing works."""
     program = (
         "import mmap; from tests.support.sealed import seal\n"
         "if not seal(): raise SystemExit(2)\n"

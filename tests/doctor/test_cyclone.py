@@ -11,22 +11,24 @@ from tests.doctor.parts import around, hub, only
 WORKER = {"worker": "ros2", "side": "ros2"}
 
 
-def test_nodes_and_unsupported_features_are_named() -> None:
-    report = {"nodes": ["/lamp", "/planner"], "served": ["/switch", "/go"], "called": ["/map"]}
+def test_nodes_are_named() -> None:
+    report = {"nodes": ["/lamp", "/planner"], "both": []}
+    finding = only(cyclone.look_at_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
+    assert finding.result is Result.OK
+    assert "/lamp, /planner on Cyclone DDS" in finding.seen
+    assert "topics, services and actions cross" in finding.seen
+
+
+def test_names_that_are_served_twice() -> None:
+    report = {"nodes": ["/lamp"], "both": ["/go", "/switch"]}
     finding = only(cyclone.look_at_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
     assert finding.result is Result.WARN
-    for texts in (
-        "/lamp, /planner on Cyclone DDS",
-        "topics cross",
-        "cannot be called (/switch, /go)",
-        "not answered (/map)",
-    ):
-        assert texts in finding.seen
-    assert "rmw_fastrtps_cpp" in finding.cure
+    assert "calls are refused: /go, /switch" in finding.seen
+    assert "stop one of the servers" in finding.cure
 
 
 def test_many_nodes_are_counted() -> None:
-    report = {"nodes": [f"/node{number}" for number in range(25)], "served": [], "called": []}
+    report = {"nodes": [f"/node{number}" for number in range(25)], "both": []}
     finding = only(cyclone.look_at_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
     assert "/node9 and 15 more on Cyclone DDS" in finding.seen
 
@@ -34,7 +36,7 @@ def test_many_nodes_are_counted() -> None:
 @pytest.mark.parametrize("report", [None, [], "text", {}, {"nodes": 3}])
 def test_report_of_another_version(report: object) -> None:
     finding = only(cyclone.look_at_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
-    assert finding.result is (Result.WARN if isinstance(report, dict) else Result.OK)
+    assert finding.result is Result.OK
 
 
 def test_without_such_nodes() -> None:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import threading
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import websockets
 import zenoh
 
-from bridge.client.topics import HubTopic, TopicKey
-from bridge.foxglove.channels import MOST_EARLY, TopicChannel
+from bridge.client.topics import HubTopic, SubscribedTopic, TopicKey
+from bridge.foxglove.channels import MOST_EARLY, Channels, TopicChannel
 from bridge.hub.endpoints.subscription import HubSample
 from tests.foxglove.conftest import Desk
 from tests.peers.hub.endpoints import LATCHED, STREAM, endpoint
@@ -90,12 +94,16 @@ def test_a_late_client_receives_latched_messages(desk: Desk) -> None:
 
 
 class RecordingChannel:
-    """A channel of the SDK that records the logged messages."""
+    """A channel of the SDK that records the logged messages; it calls ``before`` once, before the next one."""
 
     def __init__(self) -> None:
         self.logged: list[bytes] = []
+        self.before: Callable[[], None] | None = None
 
     def log(self, data: bytes, _at: int | None) -> None:
+        before, self.before = self.before, None
+        if before is not None:
+            before()
         self.logged.append(data)
 
 
@@ -169,3 +177,70 @@ def test_invalid_frames_of_a_client_affect_no_other(desk: Desk) -> None:
             bad.read_until_cut()
         publisher.put(cdr("again"))
         assert app.received("/said", 2)[1][1] == cdr("again")
+
+
+def test_the_newest_latched_message_is_the_last_for_a_late_client() -> None:
+    """A message that arrives while older ones are sent again follows them."""
+    end, recorded = endpoint("/map", b"1" * 16, LATCHED), RecordingChannel()
+    topic = HubTopic(TopicKey("/map", end.type_name, "*"), (end,))
+    channel = TopicChannel(topic, recorded)
+    channel.follow(topic)
+    channel.on_sample(sample(end.gid, b"old"))
+    publishing = threading.Thread(target=channel.on_sample, args=(sample(end.gid, b"new"),))
+
+    def publish() -> None:
+        publishing.start()
+        publishing.join(0.3)  # it ends only if it does not have to wait for the older message
+
+    recorded.before = publish
+    channel.resend_latched()
+    publishing.join()
+    assert recorded.logged[-1] == b"new"
+
+
+class ListedTopics:
+    """The hub's topics as given; ``refreshed`` counts the refreshes."""
+
+    def __init__(self, *keys: TopicKey, definition: str | None) -> None:
+        self.refreshed = 0
+        self._topics = {key: HubTopic(key, (endpoint(key.topic, b"1" * 16),)) for key in keys}
+        self._definition = definition
+        self.definitions = self
+
+    def refresh(self) -> dict[TopicKey, HubTopic]:
+        self.refreshed += 1
+        return self._topics
+
+    def find(self, _type_name: str, _type_hash: str) -> str | None:
+        return self._definition
+
+    def subscribed(self) -> list[SubscribedTopic]:
+        return []
+
+
+def channels_of(topics: ListedTopics) -> Channels:
+    server: Any = SimpleNamespace(channel=lambda *_arguments: RecordingChannel())
+    listed: Any = topics
+    return Channels(server, listed)
+
+
+def test_a_second_version_of_a_type_is_refused_with_its_reason() -> None:
+    """The topics are not listed again each second, as nothing can change without a change of the graph."""
+    name = "std_msgs/msg/String"
+    topics = ListedTopics(TopicKey("/a", name, "1"), TopicKey("/a", name, "2"), definition="string data")
+    channels = channels_of(topics)
+    channels.refresh()
+    channels.tick()
+    (refused,) = channels.status()["refused"]
+    reason = f"its name is offered with the type {name} in another version (1); the app allows one per name"
+    assert (refused["reason"], topics.refreshed) == (reason, 1)
+
+
+def test_topics_without_definition_are_tried_again() -> None:
+    topics = ListedTopics(TopicKey("/a", "std_msgs/msg/String", "1"), definition=None)
+    channels = channels_of(topics)
+    channels.refresh()
+    channels.tick()
+    (refused,) = channels.status()["refused"]
+    assert refused["reason"] == "its definition is unknown; the workers have been asked for it"
+    assert topics.refreshed == 2

@@ -13,7 +13,7 @@ import pytest
 
 from bridge.hub.security.certificates import Authority
 from tests.peers.daemon.midspan import MIDSPAN
-from tests.support.forks import DAEMON
+from tests.support.forks import DAEMON_AND_WORKERS
 from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
@@ -30,7 +30,7 @@ class Daemon:
         sides = dict.fromkeys(("ros1", "ros2", "yarp"), OFF)
         hub = {"listen": f"tcp/127.0.0.1:{free_port()}", "open": {"keys": str(keys), **door}}
         self.file.write_text(json.dumps({"name": name, "state": str(folder / f"state-{name}"), **sides, "hub": hub}))
-        self.process = Process([*MIDSPAN, *run, "--config", self.file], imports=DAEMON)
+        self.process = Process([*MIDSPAN, *run, "--config", self.file], imports=DAEMON_AND_WORKERS)
 
     def midspan(self, *words: str) -> str:
         command = [*MIDSPAN, *words, "--config", str(self.file)]

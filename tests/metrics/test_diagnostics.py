@@ -36,7 +36,7 @@ from tests.peers.daemon.deployment import Deployment
 from tests.peers.daemon.midspan import MIDSPAN
 from tests.peers.hub.quick import QuickHub
 from tests.peers.yarp.programs import Names
-from tests.support.forks import DAEMON
+from tests.support.forks import DAEMON_AND_WORKERS
 from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
@@ -290,7 +290,7 @@ def test_a_yarp_reader_receives_all_parts(tmp_path: Path) -> None:
     file.write_text(yaml.safe_dump({"name": "here", "state": str(tmp_path / "state"), **sections}))
     with ExitStack() as stack:
         stack.callback(names.stop)
-        stack.enter_context(Process([*MIDSPAN, "run", "--config", file], imports=DAEMON))
+        stack.enter_context(Process([*MIDSPAN, "run", "--config", file], imports=DAEMON_AND_WORKERS))
         reader = YarpPort(names, "/reader")
         stack.callback(reader.stop)
         until(lambda: names.client.query("/midspan/diagnostics:o"), "the port is registered", 40)

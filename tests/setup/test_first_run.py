@@ -1,4 +1,7 @@
-"""A newcomer's first run: a bare clone in a folder with a space, empty caches, a busy machine; the demo drives."""
+"""A newcomer's first run: a bare clone in a folder with a space, a busy machine; the demo drives.
+
+The caches are empty, but in CI they contain most of the compiled code.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,8 @@ from pathlib import Path
 
 import pytest
 
+from bridge.interfaces.cache import BuildCache, default_cache
+from tests.setup.image import BUILT
 from tests.support.process import Process
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,6 +33,12 @@ _FOLDER = ROOT / ".cache" / "first-run"
 """Contains the clone and its user's home. Both tests use them, in two processes of pytest-xdist; `make` removes what a
 failed run left."""
 
+_CACHE = _FOLDER / "home" / "cache"
+_PACKAGES = _CACHE / "midspan" / "interfaces"
+_KERNELS = _CACHE / "kernels"
+_KERNEL = "sim.depth_kernel-"
+"""Beginning of the cached name of the kernel that is compiled."""
+
 
 @pytest.fixture
 def clone() -> Path:
@@ -35,7 +46,25 @@ def clone() -> Path:
     folder = _FOLDER / "my robots" / "midspan"
     if not folder.exists():
         _copy(folder)
+        _cache_builds()
     return folder
+
+
+def _cache_builds() -> None:
+    """Fill the caches with what CI's set-up has compiled, except one kernel and one message package.
+
+    To compile everything again takes two minutes of processor time, and shows nothing beyond the set-up of CI.
+    """
+    kernels = os.environ.get("MIDSPAN_KERNEL_CACHE")
+    if not kernels:
+        return
+    for kernel in Path(kernels).iterdir():
+        if not kernel.name.startswith(_KERNEL):
+            _KERNELS.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(kernel, _KERNELS)
+    for package in BuildCache(default_cache()).packages():
+        if not package.name.startswith(BUILT):
+            shutil.copytree(package, _PACKAGES / "packages" / package.name, symlinks=True)
 
 
 def _copy(folder: Path) -> None:
@@ -82,7 +111,8 @@ def _assert_reaches_all_rooms(clone: Path, command: Sequence[str]) -> None:
     report = home / "demo.json"
     report.unlink(missing_ok=True)
     environ = {name: value for name, value in os.environ.items() if not name.startswith(_OURS)}
-    environ |= {"HOME": str(home), "XDG_CACHE_HOME": str(home / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+    environ |= {"HOME": str(home), "XDG_CACHE_HOME": str(_CACHE), "PYTHONDONTWRITEBYTECODE": "1"}
+    environ |= {"MIDSPAN_KERNEL_CACHE": str(_KERNELS)} if _KERNELS.is_dir() else {}
     environ |= {"JSON": str(report), "PNG": str(home / "way.png")}
     with Process(["env", "-C", clone, *command], environ) as demo:
         code = demo.popen.wait(SECONDS)

@@ -23,12 +23,16 @@ import sys
 import threading
 import time
 import types
+from collections.abc import Sequence
 from importlib.abc import InspectLoader
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 LONGEST = 1 << 18
+PADDING = " " * 400
+"""Last argument of this program: a forked program's command replaces all of them in the list of processes."""
+
 _PR_SET_PDEATHSIG = 1
 
 _seen: set[Path] = set()
@@ -155,6 +159,7 @@ def imported(file: Path) -> list[str]:
 
 def become(request: dict[str, Any]) -> None:
     """Run the program in this process, as a newly started Python would."""
+    show([sys.executable, *request["args"]])
     os.environ.clear()
     os.environ.update(request["env"])
     os.chdir(request["cwd"])
@@ -174,7 +179,20 @@ def become(request: dict[str, Any]) -> None:
     sys.argv, sys.orig_argv = args, [sys.executable, *request["args"]]  # used by programs that restart themselves
     sys.modules["__main__"] = module
     assert code is not None
+    if request["workers"]:
+        from tests.support.forked_workers import install
+
+        install()
     exec(code, module.__dict__)
+
+
+def show(command: Sequence[str]) -> None:
+    """Show a command as that of this process, as far as the fork server's own has space for it."""
+    fields = Path("/proc/self/stat").read_text().rpartition(") ")[2].split()
+    begin, end = int(fields[45]), int(fields[46])  # arg_start and arg_end: fields 48 and 49 of proc(5)
+    text = b"\0".join(word.encode() for word in command)[: end - begin - 1]
+    ctypes.memset(begin, 0, end - begin)
+    ctypes.memmove(begin, text, len(text))
 
 
 if __name__ == "__main__":

@@ -22,6 +22,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
+from tests.support.fork_server import PADDING
+from tests.support.forked_workers import WORKERS
+
 SERVER = Path(__file__).with_name("fork_server.py")
 _TESTS = SERVER.parents[1]
 PYTHONS = (sys.executable, "/usr/bin/python3")
@@ -29,6 +32,9 @@ PYTHONS = (sys.executable, "/usr/bin/python3")
 
 DAEMON = ("bridge.config.load", "bridge.daemon.worker_main", "bridge.daemon.supervisor")
 """Imports of `midspan run` and of a single worker. A forked daemon starts its workers as usual."""
+
+DAEMON_AND_WORKERS = (*DAEMON, *WORKERS)
+"""Imports of `midspan run` that forks its workers, see `tests.support.forked_workers`."""
 
 _AT_START = ("PYTHON", "LD_", "_ROS_WHEELS", "MALLOC_", "GLIBC_", "MIDSPAN_")
 """Prefixes of variables that Python, the linker or Midspan read at a start or import."""
@@ -64,7 +70,7 @@ class Server:
         self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             self._process = subprocess.Popen(
-                [python, "-P", str(SERVER), str(theirs.fileno())],
+                [python, "-P", str(SERVER), str(theirs.fileno()), PADDING],
                 env={**env, "OPENBLAS_NUM_THREADS": "1"},  # NumPy would start threads when it is imported
                 stdin=subprocess.PIPE,
                 stdout=self._log,
@@ -136,6 +142,7 @@ class Forked:
         self.stdin: IO[str] | None = None
         self.stdout: IO[str] | None = None
         request = {"args": self.args[1:], "env": dict(env), "cwd": str(Path.cwd()), "imports": list(imports)}
+        request["workers"] = set(WORKERS) <= set(imports)
         self._owner, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with contextlib.ExitStack() as passed:
             passed.enter_context(theirs)

@@ -1,4 +1,4 @@
-"""Some thousand hostile requests and frames; `python -m tests.fuzz --target web` sends more."""
+"""Sends over 1,000 hostile requests and frames to the console; `python -m tests.fuzz --target web` sends more."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ INPUTS = 250
 
 @pytest.fixture
 def console(tmp_path: Path) -> Iterator[HostileConsole]:
-    console_ = HostileConsole(tmp_path)
-    yield console_
-    console_.close()
+    hostile = HostileConsole(tmp_path)
+    yield hostile
+    hostile.close()
 
 
-def test_hostile_clients_neither_crash_it_nor_drive(console: HostileConsole) -> None:
+def test_hostile_input_neither_crashes_the_console_nor_drives_without_a_hold(console: HostileConsole) -> None:
     seeds = [*requests(), *conversations()]
-    dice = Mutator(seeds, WORDS, 4000, "short")
-    for content in (*seeds, *(dice.next() for _ in range(INPUTS))):
+    mutator = Mutator(seeds, WORDS, 4000, "short")
+    for content in (*seeds, *(mutator.next() for _ in range(INPUTS))):
         give(console, content)
     console.check()
     assert console.sent > 1000
-    assert console.drove > 0, "a valid hold among them drives, which proves that driving would be detected"
+    assert console.drove > 0, "no valid hold drove the base, so the test could not detect driving"
 
 
 def test_the_test_detects_driving_without_a_hold(console: HostileConsole) -> None:
@@ -48,6 +48,6 @@ def test_the_test_detects_driving_without_a_hold(console: HostileConsole) -> Non
         return False
 
     try:
-        until(is_reported, "it is detected")
+        until(is_reported, "driving without a hold is detected")
     finally:
         far.hub.close()

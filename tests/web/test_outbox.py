@@ -1,4 +1,4 @@
-"""What waits until a page can receive it."""
+"""Tests of the outbox, which holds messages until the page can receive them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bridge.web.outbox import PageOutbox, PostedActions
 
 
 class Socket:
-    """Stores the texts; ``proceed`` lets the next one pass."""
+    """Blocks until ``proceed`` is set, then records every text."""
 
     def __init__(self) -> None:
         self.texts: list[str] = []
@@ -41,7 +41,7 @@ def sent(prepare: Callable[[PageOutbox], None], *then: Callable[[PageOutbox], No
     return asyncio.run(send())
 
 
-def test_replies_are_sent_in_order_and_of_values_only_the_newest() -> None:
+def test_all_replies_are_sent_in_order_but_only_the_newest_value() -> None:
     def prepare(box: PageOutbox) -> None:
         for number in (1, 2):
             box.changed("map", number, f"map {number}")
@@ -85,10 +85,19 @@ def test_refusals_after_the_server_has_ended_are_dropped() -> None:
     async def make() -> PageOutbox:
         return PageOutbox("somebody")
 
-    box = asyncio.run(make())
+    box, socket = asyncio.run(make()), Socket()
     box.refuse("the planner drives")
     box.changed("map", 1, "one")
-    assert not box.full
+
+    async def send() -> None:
+        socket.proceed.set()
+        sender = asyncio.create_task(box.send_to(cast("Any", socket)))
+        for _ in range(20):
+            await asyncio.sleep(0)
+        sender.cancel()
+
+    asyncio.run(send())
+    assert socket.texts == []
 
 
 def test_too_many_waiting_actions_are_refused_until_some_have_run() -> None:
@@ -104,7 +113,7 @@ def test_too_many_waiting_actions_are_refused_until_some_have_run() -> None:
     assert ran == [*range(module.MOST_ACTIONS), -2]
 
 
-def test_of_the_latest_actions_only_the_newest_runs_and_none_is_refused() -> None:
+def test_run_latest_runs_only_the_newest_action_and_refuses_none() -> None:
     waiting: list[Callable[[], Any]] = []
     actions, ran = PostedActions(waiting.append), list[int]()
     for number in range(2 * module.MOST_ACTIONS):

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from bridge.web import views
-from bridge.web.serving.page_files import STATIC, PageFiles
+from bridge.web.serving.page_files import STATIC, PageFiles, Tab
 from tests.peers.browser.page import TestPage
 from tests.support.wait import until
 from tests.web import example_view
@@ -44,6 +44,17 @@ def test_each_view_has_a_folder_with_its_files() -> None:
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("name", ["my-view", "View", "", 'a"b', "ü"])
+def test_invalid_view_names_are_refused(name: str) -> None:
+    with pytest.raises(ValueError, match="must consist of lower-case letters"):
+        Tab(name=name, label="My view", icon="")
+
+
+def test_a_view_may_have_a_reserved_word_as_its_name() -> None:
+    module = PageFiles([Tab(name="new", label="New", icon="")]).views()
+    assert module == 'import view_new from "./views/new/view.js";\nexport const VIEWS = { new: view_new };\n'
+
+
 def test_the_page_has_the_tabs_the_sections_and_the_styles_of_its_views(desk: Desk) -> None:
     page = ask(desk.port, "/")[2].decode()
     module = ask(desk.port, "/views.js")[2].decode()
@@ -51,7 +62,7 @@ def test_the_page_has_the_tabs_the_sections_and_the_styles_of_its_views(desk: De
     for view in views.all_views():
         assert f'<a href="#{view.name}"><svg' in page
         assert f'<section id="{view.name}" class="view" aria-label="{view.label}" hidden>' in page
-        assert f'import {view.name} from "./views/{view.name}/view.js";' in module
+        assert f'import view_{view.name} from "./views/{view.name}/view.js";' in module
         for link in re.findall(rf'href="(views/{view.name}/[^"]*)"', page):
             assert ask(desk.port, f"/{link}")[0] == 200
         assert ask(desk.port, f"/views/{view.name}/view.js")[0] == 200
@@ -66,7 +77,7 @@ def test_the_view_of_the_documentation_is_added_by_three_edits(
     example_view.add(tmp_path / "copy", monkeypatch)
     desk.open_with()
     assert '<a href="#battery"><svg viewBox="0 0 24 24" aria-hidden="true"><path' in ask(desk.port, "/")[2].decode()
-    assert 'import battery from "./views/battery/view.js";' in ask(desk.port, "/views.js")[2].decode()
+    assert 'import view_battery from "./views/battery/view.js";' in ask(desk.port, "/views.js")[2].decode()
     script = ask(desk.port, "/views/battery/view.js")[2].decode()
     (feed,) = re.findall(r'socket\.watch\("([^"]+)"', script)
     out = desk.far.advertise("/battery_state", BATTERY, latched=True, depth=1)

@@ -21,6 +21,7 @@ from yarp_compat.naming.allocation import numbers_outside
 from yarp_compat.naming.config import Address
 from yarp_compat.ports import text_client
 from yarp_compat.ports.naming import NameRefusedError, NamingError, NoNameServerError
+from yarp_compat.ports.sockets import host_checked
 from yarp_compat.ports.text_client import LineSocket
 from yarp_compat.wire.carriers import CARRIERS
 from yarp_compat.wire.contact import PortContact, is_name
@@ -90,8 +91,8 @@ class NameClient:
 
     def hurry(self, seconds: float) -> None:
         """Limit every command to ``seconds``, including pending ones; after the first timeout all commands fail."""
-        self._timeout, self._hurried = seconds, True
         with self._pending_lock:
+            self._timeout, self._hurried = seconds, True
             pending = list(self._pending)
         for peer in pending:
             peer.hurry(seconds)
@@ -229,18 +230,18 @@ class NameClient:
         return bool(command) and command[0] in ("bot", "subscribe", "unsubscribe", "topic", "untopic", "type")
 
     def _ask(self, data: bytes) -> LineSocket:
-        address, peer = self.address, None
+        address = self.address
+        with self._pending_lock:  # with it, `hurry` limits a command that it does not find here
+            peer = LineSocket(address.host, address.port, self._timeout, limit=MAX_ANSWER)
+            self._pending.add(peer)
         try:
             if self._timed_out:
                 raise TimeoutError
-            peer = LineSocket(address.host, address.port, self._timeout, limit=MAX_ANSWER)
-            with self._pending_lock:
-                self._pending.add(peer)
+            peer.open()
             peer.send(data)
         except OSError as err:
             self._last_address = None  # yarp.conf may have changed
-            if peer is not None:
-                peer.close()
+            peer.close()
             raise self._unreachable(err) from None
         peer.on_error(self._unreachable)
         return peer
@@ -267,7 +268,9 @@ class NameClient:
         """Return loopback and this machine's address on the name server's network."""
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
-                probe.connect((self.address.host, self.address.port))  # sends no packet
+                address = self.address
+                with host_checked(address.host):
+                    probe.connect((address.host, address.port))  # sends no packet
                 local = str(probe.getsockname()[0])
             except OSError:
                 return ["127.0.0.1"]

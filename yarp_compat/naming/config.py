@@ -103,7 +103,7 @@ def parse(text: str) -> Address:
         raise NamingConfigError(
             f"expected '<address> <port> yarp', for example '127.0.0.1 10000 yarp', not {text.strip()[:80]!r}"
         )
-    if not fields[1].isdecimal() or not 0 < int(fields[1]) <= 0xFFFF:
+    if not fields[1].isdecimal() or len(fields[1]) > 5 or not 0 < int(fields[1]) <= 0xFFFF:
         raise NamingConfigError(f"the port must be a number from 1 to 65535, not {fields[1][:80]!r}")
     return Address(fields[0], int(fields[1]), fields[2] if len(fields) > 2 else "yarp")
 

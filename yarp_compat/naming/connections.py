@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import heapq
 import logging
-import socket
 import threading
 import time
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from typing import Any
 from yarp_compat.naming.subscriptions import WantedConnection
 from yarp_compat.ports import text_client
 from yarp_compat.ports.naming import Naming, NamingError, PortError
+from yarp_compat.ports.sockets import open_connection
 from yarp_compat.wire.contact import PortContact, is_port_name
 from yarp_compat.wire.values import Vocab
 
@@ -72,8 +72,9 @@ def exists(naming: Naming, name: str, *, timeout: float = text_client.TIMEOUT) -
 
 def responds(contact: PortContact, *, timeout: float = text_client.TIMEOUT) -> bool:
     """Whether a port's address accepts connections."""
+    end = time.monotonic() + timeout
     try:
-        socket.create_connection((contact.host, contact.port), timeout).close()
+        open_connection(contact.host, contact.port, lambda: end).close()
     except OSError:
         return False
     return True
@@ -209,11 +210,14 @@ class Connector:
             finally:
                 self._idle -= 1
 
-    def _make(self, wanted: WantedConnection) -> NamingError | None:
+    def _make(self, wanted: WantedConnection) -> Exception | None:
         try:
             if wanted.force or not is_connected(self._naming, wanted.source, wanted.target, timeout=STEP_TIMEOUT):
                 connect(self._naming, wanted.source, wanted.target, timeout=STEP_TIMEOUT)
                 _log.info("persistent connection from %s to %s established", wanted.source, wanted.target)
         except NamingError as err:
+            return err
+        except Exception as err:  # without this thread, the connector would make fewer connections, or none
+            _log.exception("persistent connection from %s to %s", wanted.source, wanted.target)
             return err
         return None

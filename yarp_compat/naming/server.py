@@ -27,7 +27,7 @@ from yarp_compat.overriding import override
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import NamingError, SilentNaming
 from yarp_compat.ports.port import PortCore
-from yarp_compat.ports.sockets import Openable
+from yarp_compat.ports.sockets import Openable, host_checked
 from yarp_compat.wire.binary import decode, encode
 from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.errors import WireError
@@ -79,8 +79,9 @@ def _begin(contact: PortContact, selector: selectors.BaseSelector, dead: set[str
     probe.setblocking(False)
     host = "127.0.0.1" if contact.host == "localhost" else contact.host
     try:
-        result = probe.connect_ex((host, contact.port))
-    except (OSError, OverflowError):
+        with host_checked(host):
+            result = probe.connect_ex((host, contact.port))
+    except OSError:
         result = errno.EINVAL
     if result in _UNDER_WAY:
         selector.register(probe, selectors.EVENT_WRITE, contact.name)

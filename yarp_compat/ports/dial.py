@@ -7,7 +7,7 @@ import socket
 import time
 from collections.abc import Callable
 
-from yarp_compat.ports.sockets import closed_on_failure, tune
+from yarp_compat.ports.sockets import closed_on_failure, open_connection, tune
 from yarp_compat.wire import carriers
 from yarp_compat.wire.carriers import Carrier, Group, framed
 from yarp_compat.wire.contact import PortContact
@@ -21,7 +21,7 @@ _JOINING = 1.0
 def dial(contact: PortContact, carrier: Carrier, sender: str, qualifiers: str = "") -> socket.socket:
     """Connect to a port and return the socket for messages (udp: datagrams); raises `OSError` if no port answers."""
     end = time.monotonic() + PATIENCE
-    sock = socket.create_connection((contact.host, contact.port), PATIENCE)
+    sock = open_connection(contact.host, contact.port, lambda: end)
     with closed_on_failure(sock):
         tune(sock)
         sock.sendall(carriers.opening(carrier, sender, qualifiers))
@@ -40,7 +40,8 @@ def dial_group(contact: PortContact, sender: str, qualifiers: str, group: Callab
     It sends no answer: it closes the connection when it has joined the group, or is about to. ``group`` returns the
     group for this machine's address from which the port is reached.
     """
-    with socket.create_connection((contact.host, contact.port), PATIENCE) as sock:
+    end = time.monotonic() + PATIENCE
+    with open_connection(contact.host, contact.port, lambda: end) as sock:
         tune(sock)
         address = group(str(sock.getsockname()[0]))
         sock.sendall(carriers.opening(carriers.MCAST, sender, qualifiers, address))
@@ -61,7 +62,7 @@ def _number(answer: bytes) -> int:
 def send_farewell(contact: PortContact, sender: str) -> None:
     """Notify a port of the end of a datagram connection, which it cannot detect; raises OSError."""
     end = time.monotonic() + _FAREWELL
-    with socket.create_connection((contact.host, contact.port), _FAREWELL) as sock:
+    with open_connection(contact.host, contact.port, lambda: end) as sock:
         sock.sendall(carriers.opening(carriers.TEXT, "admin") + f"~{sender}\r\nq\r\n".encode())
         with contextlib.suppress(ConnectionRefusedError):
             while True:

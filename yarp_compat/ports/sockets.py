@@ -6,10 +6,12 @@ import contextlib
 import errno
 import os
 import random
+import selectors
 import socket
+import time
 import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Protocol, Self
 
 from yarp_compat.ports.naming import Naming
@@ -53,6 +55,66 @@ def closed_on_failure(made: Closable) -> Iterator[None]:
     except BaseException:
         made.close()
         raise
+
+
+_STEP = 0.1  # seconds between two checks of a deadline that may change meanwhile
+_CONNECTING = (errno.EINPROGRESS, errno.EWOULDBLOCK, getattr(errno, "WSAEWOULDBLOCK", errno.EWOULDBLOCK))
+
+
+@contextlib.contextmanager
+def host_checked(host: str) -> Iterator[None]:
+    """Raise only `OSError` if ``host`` cannot be a host name, or if a port number is out of range.
+
+    The resolver raises `UnicodeError`, the methods of sockets raise `TypeError`.
+    """
+    try:
+        yield
+    except (TypeError, ValueError, OverflowError) as error:
+        raise OSError(f"{host[:80]!r} is not a host name: {error}") from None
+
+
+def open_connection(host: str, port: int, end: Callable[[], float]) -> socket.socket:
+    """Connect over TCP; raises only `OSError`, also if ``host`` cannot be a host name.
+
+    Ports register any text as their host. ``end`` returns the deadline on the monotonic clock, and may return an
+    earlier one later. It does not limit the search for the host's addresses.
+    """
+    with host_checked(host):
+        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    problem = OSError(f"{host} has no address")
+    for family, kind, protocol, _, address in addresses:
+        try:
+            sock = socket.socket(family, kind, protocol)
+            with closed_on_failure(sock):
+                _connect(sock, address, end)
+        except TimeoutError:
+            raise
+        except OSError as error:
+            problem = error
+        else:
+            return sock
+    raise problem
+
+
+def _connect(sock: socket.socket, address: tuple[object, ...], end: Callable[[], float]) -> None:
+    sock.setblocking(False)
+    number = sock.connect_ex(address)
+    if number in _CONNECTING:
+        with selectors.DefaultSelector() as selector:
+            selector.register(sock, selectors.EVENT_WRITE)
+            while not selector.select(min(_left(end), _STEP)):
+                pass
+        number = sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+    if number:
+        raise OSError(number, os.strerror(number))
+    sock.settimeout(_left(end))
+
+
+def _left(end: Callable[[], float]) -> float:
+    left = end() - time.monotonic()
+    if left <= 0:
+        raise TimeoutError
+    return left
 
 
 def tune(sock: socket.socket) -> None:
@@ -190,5 +252,6 @@ def _bound_socket(family: int, host: str, number: int) -> socket.socket:
     with closed_on_failure(sock):
         if os.name == "posix":  # on Windows this would let two programs listen on one number
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        sock.bind((host, number))
+        with host_checked(host):
+            sock.bind((host, number))
     return sock

@@ -6,12 +6,14 @@ A line ``a`` precedes an administrative command, a line ``d`` a message for the 
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, Self
 
 from yarp_compat.ports.naming import PortError
+from yarp_compat.ports.sockets import open_connection
 from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
@@ -21,27 +23,37 @@ _STEP = 0.1  # seconds between two checks of the deadline, which may change mean
 
 
 class LineSocket:
-    """A short exchange of lines over TCP; raises `OSError`, also beyond ``timeout`` seconds or ``limit`` bytes."""
+    """A short exchange of lines over TCP.
+
+    All methods raise `OSError`, including when the exchange exceeds ``timeout`` seconds or ``limit`` bytes.
+    """
 
     def __init__(self, host: str, port: int, timeout: float, limit: int = 1 << 20) -> None:
+        self._host, self._port = host, port
         self._end = time.monotonic() + timeout
         self._limit = limit
         self._buffer = bytearray()
-        self._taken = 0
+        self._received_bytes = 0
         self._explain: Callable[[OSError], Exception] | None = None
-        self._socket = socket.create_connection((host, port), timeout)
+        self._socket: socket.socket | None = None
+
+    def open(self) -> Self:
+        """Connect."""
+        self._socket = open_connection(self._host, self._port, lambda: self._end)
         try:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError:  # it was closed at once
             self.close()
             raise
+        return self
 
     def on_error(self, explain: Callable[[OSError], Exception]) -> None:
-        """Replace the `OSError` that leaves the ``with`` block by the result of ``explain``."""
+        """If an `OSError` leaves the ``with`` block, raise ``explain(error)`` instead."""
         self._explain = explain
 
     def close(self) -> None:
-        self._socket.close()
+        if self._socket is not None:
+            self._socket.close()
 
     def __enter__(self) -> Self:
         return self
@@ -53,8 +65,11 @@ class LineSocket:
 
     def send(self, data: bytes) -> None:
         """Send all of ``data``."""
-        self._socket.settimeout(self._left())
-        self._socket.sendall(data)
+        unsent = memoryview(data)
+        while unsent:
+            sock = self._ready()
+            with contextlib.suppress(TimeoutError):
+                unsent = unsent[sock.send(unsent) :]
 
     def line(self) -> str:
         """Return the next line, without its end."""
@@ -71,28 +86,32 @@ class LineSocket:
         data = self._receive_some()
         if not data:
             raise ConnectionError("the connection was closed before the answer was complete")
-        self._taken += len(data)
-        if self._taken > self._limit:
+        self._received_bytes += len(data)
+        if self._received_bytes > self._limit:
             raise OSError(f"the answer is longer than {self._limit} bytes")
         self._buffer += data
 
     def _receive_some(self) -> bytes:
         while True:
-            self._socket.settimeout(min(self._left(), _STEP))
+            sock = self._ready()
             try:
-                return self._socket.recv(65536)
+                return sock.recv(65536)
             except TimeoutError:
                 continue
 
     def hurry(self, seconds: float) -> None:
-        """Limit the exchange to ``seconds`` from now; from any thread."""
+        """End the exchange within ``seconds`` of now, unless the host name is still being resolved. Thread-safe."""
         self._end = min(self._end, time.monotonic() + seconds)
 
-    def _left(self) -> float:
+    def _ready(self) -> socket.socket:
+        """Return the socket, with a timeout until the next check of the deadline."""
         left = self._end - time.monotonic()
         if left <= 0:
             raise TimeoutError
-        return left
+        if self._socket is None:
+            raise OSError("not connected")
+        self._socket.settimeout(min(left, _STEP))
+        return self._socket
 
 
 TIMEOUT = 5.0
@@ -116,14 +135,14 @@ def admin(contact: PortContact, command: Sequence[Any], timeout: float = TIMEOUT
 def raw(contact: PortContact, sender: str, text: str, timeout: float = TIMEOUT) -> list[str]:
     """Introduce this client as ``sender``, send lines, and return the lines before the acknowledgement."""
     try:
-        with LineSocket(contact.host, contact.port, timeout) as peer:
+        with LineSocket(contact.host, contact.port, timeout).open() as peer:
             peer.send(f"CONNACK {sender}\r\n{text}".encode("utf-8", "surrogateescape"))
             return _answer(peer, contact)
     except PortError:
         raise
     except OSError as err:
         reason = f"no answer within {timeout:g} s" if isinstance(err, TimeoutError) else (err.strerror or str(err))
-        raise PortError(f"{contact.name or 'the port'} does not answer at {contact.uri}: {reason}") from None
+        raise PortError(f"cannot query {contact.name or 'the port'} at {contact.uri}: {reason}") from None
 
 
 def _answer(peer: LineSocket, contact: PortContact) -> list[str]:

@@ -81,9 +81,10 @@ class PortContact:
         parts = [part for part in line.replace('"', "").strip("\r\n").split(" ") if part]
         if len(parts) < 9 or parts[0] != "registration":
             return None
-        if not parts[6].isdigit() or int(parts[6]) > 0xFFFF:
+        port = int(parts[6]) if parts[6].isascii() and parts[6].isdigit() and len(parts[6]) < 6 else -1
+        if not 0 <= port <= 0xFFFF:
             return None
-        return cls(name=parts[2], carrier=parts[8], host=parts[4], port=int(parts[6]))
+        return cls(name=parts[2], carrier=parts[8], host=parts[4], port=port)
 
 
 @dataclass(frozen=True, slots=True)

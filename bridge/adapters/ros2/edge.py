@@ -16,6 +16,7 @@ from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.environment import domain
 from bridge.adapters.ros2.graph import neighbours, spdp, vendors
 from bridge.adapters.ros2.graph.graph import GraphSnapshot, Ros2Graph, is_hidden
+from bridge.adapters.ros2.graph.heartbeats import Heartbeats
 from bridge.adapters.ros2.graph.interfaces import InterfaceWatch
 from bridge.adapters.ros2.graph.neighbours import ProcessWatch
 from bridge.adapters.ros2.graph.origins import Origins, new_prefix, participant_number
@@ -105,7 +106,9 @@ class Ros2Edge(SideEdge):
         loop = EpollReadLoop() if rcl.has_eventfd() else WaitSetReadLoop(participant)
         loop.start()
         graph = Ros2Graph(participant, self._prefix, self._changed)
-        self._context = Ros2Context(participant, loop, graph, ProcessWatch(self._prefix), later)
+        send_all = partial(spdp.send_all, domain=number, localhost_only=self._localhost_only)
+        heartbeats = Heartbeats(send_all, later)
+        self._context = Ros2Context(participant, loop, graph, ProcessWatch(self._prefix), later, heartbeats)
 
         def seen() -> frozenset[bytes]:
             return graph.snapshot.participants
@@ -141,11 +144,14 @@ class Ros2Edge(SideEdge):
         neighbours.clean_ports(port for number in numbers for port in spdp.unicast_ports(of_domain, number))
 
     def _changed(self, snapshot: GraphSnapshot) -> None:
+        context = self._context
+        if context is not None:
+            context.heartbeats.follow(snapshot.endpoints)
         if self._neighbours is not None:
             self._neighbours.follow(snapshot.participants)
         with self._lock:
-            following = [end for end in self._ends if not isinstance(end, Ros2Publisher)]
-        for end in following:
+            ends = list(self._ends)
+        for end in ends:
             end.refit()
         self._graph_changed()
 
@@ -232,10 +238,10 @@ class Ros2Edge(SideEdge):
     @override
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
         """Advertise; the topic is on the graph at once."""
-        participant = self._started().participant
+        context = self._started()
         self._check_one_type(topic, side_type.name)
         message_class = self._types.message_class(side_type.name, side_type.type_id)
-        return self._kept(Ros2Publisher(topic, message_class, qos, participant, self._closed, self.has_subscribers))
+        return self._kept(Ros2Publisher(topic, message_class, qos, context, self._closed, self.has_subscribers))
 
     def _check_one_type(self, topic: str, type_name: str) -> None:
         """Reject a second type for a topic: a DDS participant has only one, and Fast DDS's error omits the reason."""
@@ -282,7 +288,15 @@ class Ros2Edge(SideEdge):
         refuse = refusal(self._registry, side_type.name, side_type.type_id)
         if split(name)[1] == GET_RESULT:
             call, refuse = partial(_call_for_end, call), _ended_refusal(refuse)
-        return self._kept(Ros2Server(name, service_class, call, refuse, self._started(), self._closed))
+        replaced = partial(self._is_served, name)
+        return self._kept(Ros2Server(name, service_class, call, refuse, replaced, self._started(), self._closed))
+
+    def _is_served(self, name: str) -> bool:
+        """Return whether a service has an open server here, or one of another participant."""
+        with self._lock:
+            if any(isinstance(end, Ros2Server) and end.name == name for end in self._ends):
+                return True
+        return any(e.kind is Kind.SERVER and e.topic == name for e in self.endpoints())
 
     def _started(self) -> Ros2Context:
         if self._context is None:
@@ -312,14 +326,14 @@ class Ros2Edge(SideEdge):
 
     @override
     def warnings(self) -> list[str]:
-        """Return warnings of native subscriptions with incompatible QoS, nodes on Cyclone DDS, and new addresses."""
+        """Return warnings of incompatible QoS, of names served on Cyclone DDS and another DDS, and of new addresses."""
         offers: dict[str, set[Qos]] = {}
         with self._lock:
             for end in self._ends:
                 if isinstance(end, Ros2Publisher):
                     offers.setdefault(end.topic, set()).add(end.qos)
         cyclone = vendors.report(self.endpoints())
-        warnings = [vendors.warning(cyclone)] if cyclone else []
+        warnings = [text] if cyclone and (text := vendors.warning(cyclone)) else []
         warnings += [self._interfaces.text] if self._interfaces is not None and self._interfaces.text else []
         for endpoint in self.endpoints():
             if endpoint.kind is Kind.SUBSCRIPTION and endpoint.made_by is MadeBy.NATIVE:

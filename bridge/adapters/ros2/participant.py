@@ -16,6 +16,7 @@ from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import QoSProfile
 
+from bridge.adapters.ros2.rmw import RmwSubscription
 from bridge.hub.wire.qos import Durability, History, Qos, Reliability
 from bridge.messages.errors import MessageTypeError
 
@@ -94,6 +95,11 @@ class Participant:
         """Create a client; its ``pointer`` is ``rcl_client_t *``."""
         with self._lock, _explained(service, service_class):
             return _rclpy.Client(self._node, service_class, service, to_rclpy(qos))
+
+    def make_reply_reader(self, support: int, service: str) -> RmwSubscription:
+        """Create a reader of all replies of a service; ``support`` is the address of the responses' type support."""
+        with self._lock:
+            return RmwSubscription(self.pointer, support, reply_topic(service), SERVICE.depth)
 
     def make_server(self, service_class: Any, service: str, qos: Qos) -> Any:
         """Create a server; its ``pointer`` is ``rcl_service_t *``."""

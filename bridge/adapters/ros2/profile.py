@@ -137,7 +137,7 @@ def use_profile(config: Config, state: Path) -> FastDdsProfile:
     if not keep(path, text, "Fast DDS reads its profile from memory"):
         file = os.memfd_create("midspan-fastdds")  # in memory, until this process exits
         os.write(file, text.encode())
-        path = Path(f"/proc/self/fd/{file}")
+        path = Path(f"/proc/{os.getpid()}/fd/{file}")  # not /proc/self: child processes read it too
     os.environ.update(SWITCHES | dict.fromkeys(_PROFILE_VARIABLES, str(path)))
     for name in UNSET:
         os.environ.pop(name, None)

@@ -118,29 +118,35 @@ class Taken(NamedTuple):
 
 
 class Taker:
-    """Takes serialized messages into a reused buffer; not thread-safe."""
+    """Takes serialized messages into a reused buffer; not thread-safe.
+
+    Attributes:
+        buffer: a reference to the ``rmw_serialized_message_t``.
+    """
 
     def __init__(self) -> None:
         self._bytes = _Bytes(None, 0, 0, _rcutils.rcutils_get_default_allocator())
         self._info = create_string_buffer(_INFO.size)
-        self._bytes_ref = byref(self._bytes)
+        self.buffer = byref(self._bytes)
 
     def take(self, subscription: int, *, large: bool) -> Taken | None:
         """Return the next message of ``rcl_subscription_t *``, or None; ``large`` releases the GIL (`LARGE`)."""
         take = (_rcl if large else _rcl_held).rcl_take_serialized_message
-        code = take(subscription, self._bytes_ref, self._info, None)
+        code = take(subscription, self.buffer, self._info, None)
         if code != RET_OK:
             reset_error()
             if code == RET_TAKE_FAILED:
                 return None
             raise RclError("rcl_take_serialized_message", code)
-        content = self._bytes
-        payload = ctypes.string_at(content.buffer, content.length)
         source_ns, _, sequence, _, _, gid, _ = _INFO.unpack(self._info)
-        return Taken(payload, gid, source_ns, sequence)
+        return Taken(self.payload(), gid, source_ns, sequence)
+
+    def payload(self) -> bytes:
+        """Return a copy of the last message."""
+        return ctypes.string_at(self._bytes.buffer, self._bytes.length)
 
     def close(self) -> None:
-        _rcutils.rcutils_uint8_array_fini(self._bytes_ref)
+        _rcutils.rcutils_uint8_array_fini(self.buffer)
 
 
 def publish(publisher: int, payload: bytes) -> None:

@@ -214,6 +214,11 @@ class ServiceStructures(TypeStructures):
         }
         self._handles = {name: self._handle(lent, name) for name in (DISPATCH, FAST_DDS, INTROSPECTION)}
 
+    @property
+    def response(self) -> int:
+        """The address of the type support of its responses."""
+        return self._response.pointer
+
     def _make_members(self, type_name: TypeName, joint: str, implementation: bytes) -> _ServiceMembers:
         parts = [support.handle(implementation) for support in (self._request, self._response)]
         if implementation is INTROSPECTION:
@@ -264,6 +269,7 @@ class TypeSupports:
     def service_class(self, type_name: str, type_hash: str, part_hashes: Hashes) -> Any:
         """Return a class that the inner ``Client`` and ``Service`` accept; raises `MessageTypeError`.
 
+        Its ``response_support`` is the address of the type support of the responses.
         The type is ``package/srv/Name`` or ``package/action/Name_SendGoal``; DDS endpoints announce the
         ``part_hashes``, those of its request and its response.
         """
@@ -274,14 +280,14 @@ class TypeSupports:
                 name = TypeName.parse(type_name, type_hash)
                 assert self._for_services is not None
                 structures = ServiceStructures(self._lender, *self._for_services, name, part_hashes)
-                raw_class = self._make(name, type_hash, structures)
+                raw_class = self._make(name, type_hash, structures, response_support=structures.response)
             return raw_class
 
     @cached_property
     def _lender(self) -> Lender:
         return Lender()
 
-    def _make(self, name: TypeName, type_hash: str, structures: TypeStructures, **more: bool) -> Any:
+    def _make(self, name: TypeName, type_hash: str, structures: TypeStructures, **more: int) -> Any:
         self._structures.append(structures)
         meta = type("RawType", (type,), {"_TYPE_SUPPORT": make_capsule(structures.pointer), **more})
         raw_class = self._classes[str(name), type_hash] = meta(name.name, (), {"__slots__": (), "type_name": str(name)})

@@ -188,7 +188,7 @@ def _is_here(place: Address) -> bool:
     """Return whether this address belongs to this machine."""
     try:
         addresses = {info[4][0] for info in socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)}
-    except OSError:
+    except (OSError, UnicodeError):
         return False
     return all(ipaddress.ip_address(str(ip).partition("%")[0]).is_loopback or _is_own(str(ip)) for ip in addresses)
 

@@ -120,7 +120,7 @@ class Ros2ddsEdge(KeyEdge):
         assert graph is not None
         assert announcer is not None
         key = self._key(topic)
-        announced = [token.qos for token in graph.publishers(key) if token.type == side_type.name]
+        announced = [token.qos for token in graph.publishers(key).values() if token.type == side_type.name]
         our_qos = combined_qos(announced) if announced else Qos()
         announcement = self._announcement(Kind.SUBSCRIPTION, key, side_type, our_qos)
 
@@ -131,8 +131,8 @@ class Ros2ddsEdge(KeyEdge):
             static = side_type.name == TF_TYPE
 
             def depth(source: str) -> int:
-                depths = (t.qos.depth for t in graph.publishers(key) if endpoint_id(t.zid, key) == source)
-                return qos.depth if static else next(depths, 1)
+                token = None if static else graph.publishers(key).get(source)
+                return qos.depth if static else 1 if token is None else token.qos.depth
 
             wanted = qos.depth if static else _announced_depth(graph, key)
             part = LatchedSubscription(self.context, key, qos, deliver, source_of, announcement, depth, wanted)
@@ -146,14 +146,14 @@ class Ros2ddsEdge(KeyEdge):
         A bridge's time stamp has the id of its session; a plain program's has its own or a router's. A sample of an
         unknown publisher is attributed to the key's first publisher of this type.
         """
-        bridge, token = graph.who(key, sample)
+        publisher, token = graph.who(key, sample)
         if token is not None:
-            return endpoint_id(token.zid, key) if token.type == side_type.name else ""
+            return publisher if token.type == side_type.name else ""
         if key in self._plain:
             return endpoint_id(PLAIN, key)
-        if bridge:
-            return endpoint_id(bridge, key)  # its token for this key has not arrived yet
-        return next((endpoint_id(t.zid, key) for t in graph.publishers(key) if t.type == side_type.name), "")
+        if publisher:
+            return publisher  # its token for this key has not arrived yet
+        return next((id_ for id_, t in graph.publishers(key).items() if t.type == side_type.name), "")
 
     @override
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> Ros2ddsPublisher:
@@ -199,4 +199,4 @@ class Ros2ddsEdge(KeyEdge):
 
 
 def _announced_depth(graph: Ros2ddsGraph, key: str) -> int:
-    return max((token.qos.depth for token in graph.publishers(key)), default=1)
+    return max((token.qos.depth for token in graph.publishers(key).values()), default=1)

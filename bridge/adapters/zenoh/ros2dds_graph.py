@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import threading
 from collections.abc import Callable
@@ -31,7 +32,11 @@ _MAX_TOKENS = 50_000
 
 
 class Ros2ddsGraph:
-    """Follows the tokens of all bridges; thread-safe. Keys without ``prefix`` ("" or like ``robot1/``) are ignored."""
+    """Follows the tokens of all bridges; thread-safe. Keys without ``prefix`` ("" or like ``robot1/``) are ignored.
+
+    A bridge may announce a publisher of a key again, with another QoS or after its link was lost. Its endpoint then has
+    another id, so that a message of it is never attributed to the previous endpoint, whose cached messages are dropped.
+    """
 
     def __init__(self, session: zenoh.Session, prefix: str, changed: Callable[[], None]) -> None:
         self._own = str(session.zid())
@@ -39,35 +44,49 @@ class Ros2ddsGraph:
         self._lock = threading.Lock()
         self._tokens: dict[str, tuple[Token, ...]] = {}
         self._bridges: set[str] = set()
-        self._publishers: dict[str, dict[str, Token]] = {}
+        self._publishers: dict[str, dict[str, list[Token]]] = {}  # by key and bridge, the newest last
+        self._numbers: dict[tuple[str, str], int] = {}  # of the current publisher, by bridge and key
+        self._next_number = itertools.count(1)
         self._refused = 0
         self._subscriber = follow_tokens(session, tokens.ALL, self._on_token)
 
     def endpoints(self) -> list[Endpoint]:
         """Return the topics and services of all other bridges; of duplicates, the newest."""
         with self._lock:
-            known = [token for tokens_ in self._tokens.values() for token in tokens_]
+            known = [
+                (token, self._publisher_id(token.zid, token.key) if _is_native_publisher(token) else "")
+                for tokens_ in self._tokens.values()
+                for token in tokens_
+            ]
         endpoints: dict[tuple[str, Kind], Endpoint] = {}
-        for token in known:
+        for token, publisher in known:
             made_by = MadeBy.MIDSPAN if is_marked(token.zid) else MadeBy.NATIVE
             node = f"{'zenoh-bridge-ros2dds' if made_by is MadeBy.NATIVE else 'midspan'} {token.zid}"
-            id_, topic = endpoint_id(token.zid, token.key), "/" + token.key.removeprefix(self._prefix)
+            id_, topic = publisher or endpoint_id(token.zid, token.key), "/" + token.key.removeprefix(self._prefix)
             endpoints[id_, token.kind] = Endpoint(
                 id_, token.kind, topic, token.type, token.qos, made_by, node, token.type_hash
             )
         return list(endpoints.values())
 
-    def publishers(self, key: str) -> list[Token]:
-        """Return the native publishers that are announced for a key."""
+    def publishers(self, key: str) -> dict[str, Token]:
+        """Return the native publishers that are announced for a key, by id."""
         with self._lock:
-            return list(self._publishers.get(key, {}).values())
+            return {self._publisher_id(zid, key): known[-1] for zid, known in self._publishers.get(key, {}).items()}
 
     def who(self, key: str, sample: zenoh.Sample) -> tuple[str, Token | None]:
-        """Return the bridge that sent a sample ("" if no bridge did), and its token for the key."""
+        """Return the id of the publisher that sent a sample, "" if no bridge did, and its token, None before it."""
         zid = sender(sample)
         with self._lock:
-            token = self._publishers.get(key, {}).get(zid)
-            return (zid if zid in self._bridges else ""), token
+            known = self._publishers.get(key, {}).get(zid)
+            if known is None and zid not in self._bridges:
+                return "", None
+            return self._publisher_id(zid, key), None if known is None else known[-1]
+
+    def _publisher_id(self, zid: str, key: str) -> str:
+        number = self._numbers.get((zid, key))
+        if number is None:
+            number = self._numbers[zid, key] = next(self._next_number)
+        return f"{endpoint_id(zid, key)} {number}"
 
     def warnings(self) -> list[str]:
         """Return a warning with the number of invalid tokens."""
@@ -105,25 +124,39 @@ class Ros2ddsGraph:
                 self._bridges.add(zid)
             else:
                 self._bridges.discard(zid)
+                for key in [key for of, key in self._numbers if of == zid and zid not in self._publishers.get(key, {})]:
+                    del self._numbers[zid, key]
 
     def _add(self, text: str, announced: tuple[Token, ...]) -> bool:
-        if len(self._tokens) >= _MAX_TOKENS:
+        if text in self._tokens or len(self._tokens) >= _MAX_TOKENS:
             return False
         self._tokens[text] = announced
         for token in announced:
-            if token.kind is Kind.PUBLISHER and not is_marked(token.zid):
-                self._publishers.setdefault(token.key, {})[token.zid] = token
+            if _is_native_publisher(token):
+                known = self._publishers.setdefault(token.key, {}).setdefault(token.zid, [])
+                if known:
+                    self._numbers.pop((token.zid, token.key), None)
+                known.append(token)
         return True
 
     def _remove(self, text: str) -> bool:
         announced = self._tokens.pop(text, ())
         for token in announced:
             at_key = self._publishers.get(token.key, {})
-            if at_key.get(token.zid) == token:
-                del at_key[token.zid]
+            known = at_key.get(token.zid, [])
+            if token in known:
+                if token == known[-1]:
+                    self._numbers.pop((token.zid, token.key), None)
+                known.remove(token)
+                if not known:
+                    del at_key[token.zid]
                 if not at_key:
                     del self._publishers[token.key]
         return bool(announced)
+
+
+def _is_native_publisher(token: Token) -> bool:
+    return token.kind is Kind.PUBLISHER and not is_marked(token.zid)
 
 
 def endpoint_id(zid: str, key: str) -> str:

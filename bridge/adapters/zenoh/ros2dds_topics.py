@@ -94,7 +94,7 @@ class LatchedSubscription(KeySubscription):
         self._asked: Counter[str] = Counter()
         self._kept: dict[str, list[tuple[zenoh.Sample, str]]] = {}
         self._held: dict[str, list[tuple[zenoh.Sample, str]]] = {}
-        self._last: dict[tuple[str, str], tuple[int | None, int]] = {}
+        self._last: dict[tuple[str, str, str], tuple[int | None, int]] = {}
         super().__init__(context, key, qos, deliver, source_of, announcement)
         self._history = LatchedHistory(
             context.session, key, wanted, self, context.executor, context.ends, context.delays, recovers=False
@@ -151,7 +151,8 @@ class LatchedSubscription(KeySubscription):
 
     def _deliver(self, sample: zenoh.Sample, source: str) -> None:
         stamp, info = time_ns(sample) or 0, sample.source_info
-        publisher = sender(sample), "" if info is None else str(info.source_id.eid)
+        # a publisher that is announced again has another id, under which its cached messages are delivered again
+        publisher = source, sender(sample), "" if info is None else str(info.source_id.eid)
         number = None if info is None else info.source_sn
         last = self._last.get(publisher)
         if last is not None and not is_later(number, stamp, *last):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import shlex
 from typing import Any
 
 from bridge.cli.arguments import add_verb, add_verbs
@@ -18,17 +19,19 @@ from bridge.client.services import ServiceCaller
 from bridge.client.types import Types, ros2_spelling
 
 _TYPE = re.compile(r"[A-Za-z]\w*(?:/\w+){1,2}", re.ASCII)
+_VALUES = re.compile(r"[{\[]|\w+:")
 
 
 def type_and_values(words: list[str]) -> tuple[str, str]:
     """Split ``[TYPE] [VALUES]`` into the type, "" if missing, and the values' text; raises `CliError`."""
-    if len(words) > 2:
-        raise CliError(f"after the name come the type, if any, and the values in one word: quote {' '.join(words)!r}")
-    typed = bool(words) and _TYPE.fullmatch(words[0]) is not None
-    values = words[1:] if typed else words
+    has_type = bool(words) and _TYPE.fullmatch(words[0]) is not None
+    values = words[1:] if has_type else words
     if len(values) > 1:
-        raise CliError(f"{words[0]!r} is not a type: it should look like std_srvs/SetBool or std_srvs/srv/SetBool")
-    return (words[0] if typed else ""), (values[0] if values else "{}")
+        if not has_type and (_TYPE.fullmatch(words[1]) or not _VALUES.match(words[0])):
+            raise CliError(f"{words[0]!r} is not a type: it should look like std_srvs/SetBool or std_srvs/srv/SetBool")
+        quoted = shlex.quote(" ".join(values))
+        raise CliError(f"too many words: expected NAME [TYPE] [VALUES]; quote the values: {quoted}")
+    return (words[0] if has_type else ""), (values[0] if values else "{}")
 
 
 def register_service(parser: argparse.ArgumentParser) -> None:

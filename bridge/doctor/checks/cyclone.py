@@ -1,4 +1,4 @@
-"""Which ROS 2 nodes run on Cyclone DDS, and what does not work with them?"""
+"""Which ROS 2 nodes run on Cyclone DDS, and which services cannot be called for that reason?"""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bridge.doctor.context import CheckContext
 from bridge.status import CycloneNodes
 
 _SHOWN = 10
-_CURE = "nothing to do if only their topics are needed; else run them on Fast DDS: RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
+_CURE = "stop one of the servers, or rename one by a remapping of its node"
 
 
 def look_at_nodes(context: CheckContext) -> Findings:
@@ -22,14 +22,10 @@ def look_at_nodes(context: CheckContext) -> Findings:
 
 
 def _finding(daemon: str, cyclone: CycloneNodes) -> Finding:
-    lines = [f"{_listed(cyclone.nodes)} on Cyclone DDS, seen by {daemon}: topics cross"]
-    lines.append(_words("services, actions and parameters cannot be called", cyclone.served))
-    lines.append(_words("calls by these nodes are not answered", cyclone.called))
-    return warn("; ".join(lines), _CURE)
-
-
-def _words(what: str, names: Sequence[str]) -> str:
-    return f"{what} ({_listed(names)})" if names else what
+    seen = f"{_listed(cyclone.nodes)} on Cyclone DDS, seen by {daemon}"
+    if not cyclone.both:
+        return ok(f"{seen}: topics, services and actions cross")
+    return warn(f"{seen}; also served on another DDS, so that calls are refused: {_listed(cyclone.both)}", _CURE)
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -76,7 +76,7 @@ _FOR_EVER = 1e9
 class _PendingCall:
     """One call that waits for its reply."""
 
-    __slots__ = ("attached", "done", "number", "request", "sent", "token")
+    __slots__ = ("attached", "done", "number", "request", "sent", "servers", "token")
 
     def __init__(self, number: int, request: bytes, attached: bytes | None, done: Done) -> None:
         self.number = number
@@ -85,6 +85,7 @@ class _PendingCall:
         self.done = done
         self.token = zenoh.CancellationToken()
         self.sent = 0.0
+        self.servers: frozenset[bytes] = frozenset()
 
 
 class CallClient:
@@ -145,6 +146,10 @@ class CallClient:
     def _abandoned(self, attached: bytes | None) -> None:
         """Handle a client's cancellation of the request with this attachment."""
 
+    def _servers(self) -> frozenset[bytes]:
+        """Return the ids of the servers that are announced, as far as they have ids."""
+        return frozenset()
+
     @property
     def ready(self) -> bool:
         """Whether there is a server to call."""
@@ -181,7 +186,7 @@ class CallClient:
         handler = zenoh.handlers.Callback(
             partial(self._on_reply, number), partial(self._on_over, number), indirect=False
         )
-        pending.sent = time.monotonic()
+        pending.sent, pending.servers = time.monotonic(), self._servers()
         try:
             querier.get(
                 handler,
@@ -250,7 +255,7 @@ class CallClient:
         self._end(number, CallError(text))
 
     def _later(self, pending: _PendingCall) -> None:
-        """Repeat a call soon: zenoh had no route to the server yet."""
+        """Repeat a call soon, if no server left: zenoh had no route to the server yet."""
         with self._lock:
             self._again.append(pending)
             first = len(self._again) == 1
@@ -263,7 +268,10 @@ class CallClient:
             again, self._again = self._again, []
             again = [pending for pending in again if pending.number in self._waiting]
         for pending in again:
-            self._ask(pending)
+            if pending.servers <= self._servers():
+                self._ask(pending)
+            else:  # the server that left may have executed it
+                self._end(pending.number, CallError(LEFT.format(name=self.name)))
 
     def _end(self, number: int, result: bytes | CallError) -> None:
         with self._lock:

@@ -177,6 +177,10 @@ class HubClient(CallClient):
         return not servers or not all(servers)
 
     @override
+    def _servers(self) -> frozenset[bytes]:
+        return frozenset(server.gid for server in self._graph.servers(self.name))
+
+    @override
     def _attached(self, number: int) -> bytes:
         """Return the request's attachment: number, time and GID, as in rmw_zenoh."""
         return pack_attachment(number, time.time_ns(), self.gid)

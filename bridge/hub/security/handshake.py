@@ -99,7 +99,7 @@ class HostPort:
         """Return the parts of an endpoint; None if it is not of the form ``protocol/host:port``."""
         protocol, _, address = endpoint.partition("/")
         host, _, port = re.split(r"[?#]", address)[0].rpartition(":")
-        if not host or not port.isdecimal() or int(port) > 65535:
+        if not host or not port.isdecimal() or len(port) > 5 or int(port) > 65535:
             return None
         return cls(protocol, host.strip("[]"), int(port))
 
@@ -111,7 +111,10 @@ class HostPort:
 
 def resolve(place: HostPort) -> list[HostPort]:
     """Return the place by each of its addresses; raises `OSError` if its name cannot be resolved."""
-    results = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)
+    try:
+        results = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)
+    except UnicodeError as err:
+        raise OSError(f"{place.host!r} is not a host name: {err}") from None
     addresses = dict.fromkeys(str(address[0]) for *_, address in results)
     return [HostPort(place.protocol, address, place.port) for address in addresses][:_MOST_ADDRESSES]
 

@@ -32,8 +32,9 @@ class ImageFeed(NewestFeed):
 
     def __init__(self, host: Host, types: Types, executor: SerialExecutor, name: str) -> None:
         width, _, topic = name.removeprefix(PREFIX).partition(":")
-        if not (width.isascii() and width.isdecimal() and int(width) in WIDTHS and topic.startswith("/")):
-            sizes = ", ".join(map(str, WIDTHS))
+        widths = [str(known) for known in WIDTHS]
+        if width not in widths or not topic.startswith("/"):
+            sizes = ", ".join(widths)
             raise LookupError(f"{name[:80]!r} is not an image feed: use image:WIDTH:/NAME, with WIDTH one of {sizes}")
         super().__init__(host, executor, name, topic)
         self._types, self._most = types, int(width)

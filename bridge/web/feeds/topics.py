@@ -41,16 +41,18 @@ class NewestFeed(Feed):
         super().__init__(name)
         self._host, self._executor = host, executor
         self._topic, _, self._type = topic.partition("@")
-        self._ends: dict[TopicKey, SubscribedTopic] = {}
+        self._subscriptions: dict[TopicKey, SubscribedTopic] = {}
         self._newest: tuple[HubSample, str, str] | None = None
         self._count, self._since = 0, 0.0
         self._rate: float | None = None
+        self._shown: dict[str, Any] | None = None
         self._timers: list[Any] = []
         self._busy = False
 
     @override
     def open(self) -> None:
-        self._count, self._since, self._rate, self._newest = 0, time.monotonic(), None, None
+        self._count, self._since, self._rate = 0, time.monotonic(), None
+        self._newest = self._shown = None
         self._timers = [
             self._host.loop.every(TOPIC_SECONDS, self._decode_newest),
             self._host.loop.every(RATE_SECONDS, self._update_rate),
@@ -64,9 +66,9 @@ class NewestFeed(Feed):
         self._unsubscribe()
 
     def _unsubscribe(self) -> None:
-        ends, self._ends = self._ends, {}
-        for end in ends.values():
-            end.close()
+        subscriptions, self._subscriptions = self._subscriptions, {}
+        for subscription in subscriptions.values():
+            subscription.close()
 
     def _subscribe(self) -> None:
         groups: dict[TopicKey, list[HubEndpoint]] = {}
@@ -78,16 +80,22 @@ class NewestFeed(Feed):
         if len(types) > 1:
             self._unsubscribe()
             several = f"{self._topic} is published with several types: {', '.join(types)}"
-            self.put(None, f"{several}; watch {self.name}@TYPE to choose one")
+            self._show(None, f"{several}; watch {self.name}@TYPE to choose one")
             return
+        for key in self._subscriptions.keys() - groups.keys():  # its publishers have left
+            self._subscriptions.pop(key).close()
         for key, endpoints in groups.items():
-            if key not in self._ends:
+            if key not in self._subscriptions:
                 on_sample = partial(self._on_sample, key.type_name, key.type_hash)
-                self._ends[key] = SubscribedTopic(self._host.node.hub, key, on_sample)
-            self._ends[key].renew(endpoints)
-        if not self._ends:
+                self._subscriptions[key] = SubscribedTopic(self._host.node.hub, key, on_sample)
+            self._subscriptions[key].renew(endpoints)
+        if not self._subscriptions:
             wanted = f"{self._topic} as {self._type}" if self._type else self._topic
-            self.put(None, f"no publisher of {wanted} on the hub")
+            self._show(None, f"no publisher of {wanted} on the hub")
+            return
+        troubles = [subscription.trouble for subscription in self._subscriptions.values() if subscription.trouble]
+        if troubles and self._shown is None:
+            self._show(None, f"cannot subscribe to {self._topic}: {troubles[0]}")
 
     def _on_sample(self, type_name: str, type_hash: str, sample: HubSample) -> None:
         """Store the newest sample, on zenoh's thread."""
@@ -98,6 +106,8 @@ class NewestFeed(Feed):
         now = time.monotonic()
         self._rate, self._count, self._since = round(self._count / (now - self._since), 1), 0, now
         self._subscribe()
+        if self._shown is not None and not self._rate and self._shown["rate"]:  # no message updates it
+            self._show({**self._shown, "rate": self._rate})
 
     def _decode_newest(self) -> None:
         if self._busy:
@@ -123,8 +133,12 @@ class NewestFeed(Feed):
 
     def _decoded(self, type_name: str, value: dict[str, Any] | None, reason: str) -> None:
         self._busy = False
-        if self.watched and (self._ends or reason):
-            self.put(None if value is None else {"type": type_name, **value, "rate": self._rate}, reason)
+        if self.watched and self._subscriptions:
+            self._show(None if value is None else {"type": type_name, **value, "rate": self._rate}, reason)
+
+    def _show(self, shown: dict[str, Any] | None, reason: str = "") -> None:
+        self._shown = shown
+        self.put(shown, reason)
 
     @abstractmethod
     def value(self, type_name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 
 STATIC = Path(__file__).parents[1] / "static"
+_NAME = re.compile("[a-z]+")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,6 +32,10 @@ class Tab:
     label: str
     icon: str
     folder: Path | None = None
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            raise ValueError(f"view {self.name!r}: the name must consist of lower-case letters")
 
     @property
     def files(self) -> Path:
@@ -74,9 +80,11 @@ class PageFiles:
         return text
 
     def views(self) -> str:
-        """Return the module ``views.js``, which exports the function of each view by the view's name."""
-        imports = [f'import {tab.name} from "./views/{tab.name}/view.js";' for tab in self._tabs]
-        return "\n".join([*imports, f"export const VIEWS = {{ {', '.join(tab.name for tab in self._tabs)} }};", ""])
+        """Return the module ``views.js``, which exports each view's function under the view's name."""
+        # a name such as "new" can be a key in JavaScript, but not a variable
+        imports = [f'import view_{tab.name} from "./views/{tab.name}/view.js";' for tab in self._tabs]
+        views = ", ".join(f"{tab.name}: view_{tab.name}" for tab in self._tabs)
+        return "\n".join([*imports, f"export const VIEWS = {{ {views} }};", ""])
 
     async def _index(self, _request: Request) -> Response:
         return Response(self.index(), media_type="text/html; charset=utf-8")

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
 
+from bridge.adapters.ros2 import profile as profile_module
 from bridge.adapters.ros2.graph.origins import new_prefix
-from bridge.adapters.ros2.profile import FastDdsProfile, stamped
+from bridge.adapters.ros2.profile import FastDdsProfile, stamped, use_profile
+from bridge.config.model import Config
 
 PREFIX = new_prefix(b"\x01\x0f\x12\x34")
 SPACE = "{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}"
@@ -52,3 +57,17 @@ def test_an_unusable_custom_profile_is_rejected(tmp_path: Path, text: str, why: 
     custom.write_text(text)
     with pytest.raises(ValueError, match=why):
         stamped(custom, PREFIX)
+
+
+def test_child_processes_read_a_profile_that_could_not_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a writable state folder, the profile is in this process's memory."""
+    monkeypatch.setattr(profile_module, "_used", [])
+    monkeypatch.setattr(profile_module, "keep", lambda *_arguments: False)
+    monkeypatch.setattr("bridge.adapters.ros2.rcl.host_prefix", lambda: b"\x01\x0f\x12\x34")
+    monkeypatch.setattr(os, "environ", os.environ.copy())
+    profile = use_profile(Config.model_validate({"ros2": {"transport": "udp"}}), tmp_path)
+    code = "import os; print(open(os.environ['FASTRTPS_DEFAULT_PROFILES_FILE']).read())"
+    child = subprocess.run([sys.executable, "-c", code], env=os.environ, capture_output=True, text=True, timeout=60)
+    assert child.stdout.strip() == profile.xml(), child.stderr

@@ -100,3 +100,11 @@ def test_port_whose_connection_ends_during_an_update_is_discarded(names: Names) 
     graph.known["/b"].contact = Discarding(graph, "/c")  # type: ignore[assignment]
     graph.update(names.client, [PortContact(name, "127.0.0.1", 10002) for name in ("/a", "/b", "/c")], ())
     assert graph.known.keys() == {"/b"}
+
+
+def test_a_publisher_with_an_invalid_host_is_unreachable(names: Names) -> None:
+    """Ports register any text as their host; the other ports of the network are still listed."""
+    names.client.register(PORT, "a" * 70, 10999)
+    graph = YarpGraph(Registry())
+    update(graph, names)
+    assert not graph.is_present(PORT)

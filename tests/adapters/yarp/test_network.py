@@ -93,6 +93,14 @@ def test_worker_waits_for_an_external_name_server(place: Place) -> None:
     until(lambda: bridge.health().state == "running", "the network is joined", 10)
 
 
+def test_invalid_host_of_the_name_server_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bridge.adapters.yarp.network.PATIENCE", 0.0)
+    config = Config.model_validate({"yarp": {"nameserver": "auto", "address": "a" * 70 + ":10000"}})
+    network = YarpNetwork(config.yarp, tmp_path)
+    assert [network.list_ports() for _ in range(3)] == [None] * 3
+    assert "is not a host name" in network.trouble
+
+
 def test_connections_survive_a_name_server_that_restarts_empty(place: Place) -> None:
     place.bridge()
     out = place.far.advertise("/kept", STRING)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import threading
 from collections.abc import Iterator
@@ -10,6 +11,8 @@ from typing import Any
 
 import pytest
 
+from bridge.cli.graph.calls import type_and_values
+from bridge.cli.output import CliError
 from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
 from tests.cli.conftest import Midspan, Outcome
@@ -208,3 +211,25 @@ def test_goal_ends_when_its_server_disappears(midspan: Midspan, robot: Robot) ->
     thread.join()
     assert outcome.code == 1
     assert "left" in outcome.err or "no server" in outcome.err  # it may leave before its result is asked for
+
+
+@pytest.mark.parametrize(
+    ("words", "quoted"),
+    [
+        (["std_srvs/SetBool", "{data:", "true}"], "'{data: true}'"),
+        (["{data:", "true}"], "'{data: true}'"),
+        (["data:", "it's"], """'data: it'"'"'s'"""),
+    ],
+)
+def test_values_of_several_words_are_refused_with_a_cure_that_works(words: list[str], quoted: str) -> None:
+    with pytest.raises(CliError) as caught:
+        type_and_values(words)
+    assert str(caught.value) == f"too many words: expected NAME [TYPE] [VALUES]; quote the values: {quoted}"
+    values = words if len(words) == 2 else words[1:]
+    cured = [*words[: len(words) - len(values)], *shlex.split(quoted)]
+    assert type_and_values(cured)[1] == " ".join(values)
+
+
+def test_a_word_before_the_values_that_is_no_type_is_refused() -> None:
+    with pytest.raises(CliError, match="'SetBool' is not a type"):
+        type_and_values(["SetBool", "{data: true}"])

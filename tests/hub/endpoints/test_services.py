@@ -193,6 +193,29 @@ def test_lost_server_ends_calls_while_other_threads_query_and_declare(network: H
         assert result.startswith("the server of /do left before it answered")
 
 
+def test_lost_server_ends_its_calls_after_its_successor_has_joined(
+    network: HubNetwork, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The client then never lacks a server; the successor must not execute the call again."""
+    monkeypatch.setattr(queries, "_AGAIN", 1.0)  # until the loss is seen, however slow the machine is
+    with (
+        Hub.open(network.settings("b")) as b,
+        network.hub_peer("server") as server,
+        network.hub_peer("next") as successor,
+    ):
+        server.ask("serve", name="/do", type=SERVICE, hash=HASH, hold=True)
+        caller = client(b)
+        called, _ = call(caller)
+        until(lambda: server.ask("requests")["count"], "it was asked")
+        successor.ask("serve", name="/do", type=SERVICE, hash=HASH)
+        until(lambda: len(b.graph.servers("/do")) == 2, "the successor is seen")
+        server.signal(9)
+        assert str(called.wait()).startswith("the server of /do left before it answered")
+        until(lambda: len(b.graph.servers("/do")) == 1, "the loss is seen")
+        assert successor.ask("requests")["count"] == 0
+        assert call(caller)[0].wait() == b"go"
+
+
 def test_abandoned_call_notifies_only_the_server(network: HubNetwork) -> None:
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         serving = Serving(a)

@@ -134,6 +134,17 @@ def test_a_host_that_is_down(error: OSError, state: EndpointState, text: str) ->
     assert text in reason.text
 
 
+@pytest.mark.parametrize("host", ["a" * 70, "a..b"])
+def test_an_invalid_host_name_is_unreachable(host: str) -> None:
+    result = attempted(f"tcp/{host}:7447", None)
+    assert result.reason.state is EndpointState.UNREACHABLE
+    assert "is not a host name" in result.reason.text
+
+
+def test_an_overlong_port_number_is_refused() -> None:
+    assert HostPort.of("tcp/127.0.0.1:" + "1" * 5000) is None
+
+
 def test_a_host_that_drops_packets(keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Linux does not answer a port whose queue is full, as a machine that is off does not answer at all."""
     monkeypatch.setattr("bridge.hub.security.handshake._CONNECT_SECONDS", 0.3)

@@ -29,6 +29,7 @@ from tests.contract.hubside import HubSide
 from tests.peers.hub.quick import QuickHub
 from tests.support.ports import free_port
 from tests.support.wait import until
+from yarp_compat.ports.sockets import closed_on_failure
 
 TWIST = "geometry_msgs/msg/Twist"
 SPEED, TURN = 0.3, 0.6
@@ -40,8 +41,8 @@ _WARM = 1000
 _LOOK = 200
 _ANSWERS = {100, 101, 200, 206, 304, 307, 400, 403, 404, 405, 413, 416, 426, 431, 503}
 _OPS = {"hello", "value", "reply", "held", "error"}
-_LATER = 0.8
-"""Seconds after a page's last hold in which the base may still be commanded to move: 0.3 s, and the latency."""
+_LATER_NS = 800_000_000
+"""Nanoseconds after a page's last hold in which the base may still be commanded to move: 0.3 s, and the latency."""
 
 
 class HostileConsole:
@@ -50,7 +51,7 @@ class HostileConsole:
     Attributes:
         hubs: the console's hub.
         sent: number of requests and frames.
-        drove: number of velocities other than zero received while a page held.
+        drove: number of velocities other than zero that were received.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -83,9 +84,10 @@ class HostileConsole:
                 preexec_fn=_end_with_parent,
             )  # fmt: skip
         self._console = psutil.Process(self._process.pid)
-        until(self._answers, "the console responds", 60)
         self._warm_bytes = 0
         self._numbers = itertools.count(1)
+        with closed_on_failure(self):
+            until(self._answers, "the console responds", 60)
 
     def _answers(self) -> bool:
         with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 5):
@@ -98,7 +100,7 @@ class HostileConsole:
         if not any(velocity):
             return
         self.drove += 1
-        if time.monotonic() > self._may_drive:
+        if sample.source_time_ns > self._may_drive:
             self._wrong = f"the base is driven although no page holds: {velocity}"
         elif max(map(abs, velocity[:3])) > SPEED or max(map(abs, velocity[3:])) > TURN:
             self._wrong = f"the base is driven too fast: {velocity}"
@@ -166,7 +168,7 @@ class HostileConsole:
             except OSError:
                 pass  # the console has closed it
         if self._may_drive == math.inf:
-            self._may_drive = time.monotonic() + _LATER
+            self._may_drive = time.time_ns() + _LATER_NS
         self._after(1 + sum(piece[1] if piece[:1] == b"m" and len(piece) > 1 else 1 for piece in pieces))
 
     # -- consequences --------------------------------------------------------------------------------------------------

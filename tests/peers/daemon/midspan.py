@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from bridge.hub.session import HubSettings
-from tests.support.forks import DAEMON
+from tests.support.forks import DAEMON, DAEMON_AND_WORKERS
 from tests.support.ports import free_port
 from tests.support.process import Process
 
@@ -49,7 +49,8 @@ class MidspanDaemon:
 
     def midspan(self, *words: str) -> Process:
         """Start a ``midspan`` command."""
-        return Process([*MIDSPAN, *words, "--config", self.file], self.env, imports=DAEMON)
+        imports = DAEMON_AND_WORKERS if words[:1] == ("run",) else DAEMON
+        return Process([*MIDSPAN, *words, "--config", self.file], self.env, imports=imports)
 
     def command(self, *words: str, seconds: float = 60.0) -> subprocess.CompletedProcess[str]:
         """Run a ``midspan`` command, and return its output and exit code."""

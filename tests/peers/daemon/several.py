@@ -22,7 +22,7 @@ from tests.peers.daemon.midspan import MIDSPAN
 from tests.peers.peer import Peer
 from tests.peers.ros1.network import RosMaster
 from tests.peers.ros2.network import ROS2_PEER, new_domain, ros2_environment, ros2_python
-from tests.support.forks import DAEMON
+from tests.support.forks import DAEMON_AND_WORKERS
 from tests.support.lane import LANE
 from tests.support.ports import free_port
 from tests.support.process import Process
@@ -97,7 +97,7 @@ class Daemon:
 
     def start(self) -> None:
         """Start it without waiting for its workers."""
-        self.process = Process([*MIDSPAN, "run", "--config", self.file], imports=DAEMON)
+        self.process = Process([*MIDSPAN, "run", "--config", self.file], imports=DAEMON_AND_WORKERS)
 
     def status(self, side: str) -> dict[str, Any]:
         """Return the status of one of its workers."""

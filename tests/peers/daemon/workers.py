@@ -23,12 +23,13 @@ from bridge.routing.engine import Engine
 from tests.peers.fake import FakeEdge, FakeNetwork, Writer
 from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
+from yarp_compat.ports.sockets import closed_on_failure
 
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 
 
 def route(topic: str, direction: str = "in", **more: Any) -> dict[str, Any]:
-    """A route as it stands in a status document."""
+    """A route's entry in a status document."""
     return {
         "direction": direction, "topic": topic, "hub_topic": topic, "type": "sensor_msgs/msg/LaserScan",
         "side_type": "sensor_msgs/LaserScan", "priority": "stream", "state": "active", "sources": 1, "messages": 100,
@@ -55,36 +56,37 @@ class FakeWorker:
     ) -> None:  # fmt: skip
         settings = network.settings(f"midspan_{worker}", worker=worker, daemon=daemon, identity=identity)
         self.hub = Hub.open(settings)
-        self.kept: list[Any] = []
-        for verb, answer in answers.items():
-            self.hub.serve(verb, answer if callable(answer) else _constant(answer))
-        _await_known(network, f"{daemon}/{worker}", answers)
+        self.endpoints: list[Any] = []
+        with closed_on_failure(self.hub):
+            for verb, answer in answers.items():
+                self.hub.serve(verb, answer if callable(answer) else _constant(answer))
+            _wait_until_routable(network, f"{daemon}/{worker}", answers)
 
     def publish(self, topic: str, type_name: str, type_hash: str, cdr: bytes) -> None:
         """Publish one latched message, kept until the worker is closed."""
         publisher = self.hub.publisher(topic, type_name, type_hash, LATCHED)
-        self.kept.append(publisher)
+        self.endpoints.append(publisher)
         publisher.put(cdr)
 
     def subscribe(self, topic: str, type_name: str, qos: Qos) -> list[HubSample]:
-        """Subscribe until the worker is closed; the samples as they come."""
+        """Subscribe until the worker is closed; return a list that grows as samples arrive."""
         samples: list[HubSample] = []
-        self.kept.append(self.hub.subscription(topic, type_name, "*", qos, samples.append))
+        self.endpoints.append(self.hub.subscription(topic, type_name, "*", qos, samples.append))
         return samples
 
     def close(self) -> None:
         self.hub.close()
 
 
-def _await_known(network: HubNetwork, who: str, verbs: Iterable[str]) -> None:
-    """Return when clients of the router reach who answers: its verbs come to the router a moment later."""
+def _wait_until_routable(network: HubNetwork, worker_key: str, verbs: Iterable[str]) -> None:
+    """Wait until the router knows all verbs of a worker; it learns them slightly after they are declared."""
     config = zenoh.Config()
     for key, value in (("mode", "client"), ("connect/endpoints", [network.endpoint])):
         config.insert_json5(key, json.dumps(value))
     with zenoh.open(config) as session:
         for verb in verbs:
-            querier = session.declare_querier(f"{MIDSPAN_SPACE}/{network.domain}/{who}/{verb}")
-            until(lambda querier=querier: querier.matching_status.matching, f"the router knows {verb} of {who}")
+            querier = session.declare_querier(f"{MIDSPAN_SPACE}/{network.domain}/{worker_key}/{verb}")
+            until(lambda querier=querier: querier.matching_status.matching, f"the router knows {verb} of {worker_key}")
 
 
 def _constant(answer: Any) -> Callable[[dict[str, Any]], Any]:
@@ -92,7 +94,7 @@ def _constant(answer: Any) -> Callable[[dict[str, Any]], Any]:
 
 
 class _Edge(FakeEdge):
-    """The network in memory under the name of a real side, so that private names are private."""
+    """A fake edge that calls itself ros1, so that ROS 1's private names apply."""
 
     side = "ros1"
 
@@ -114,9 +116,10 @@ class EngineWorker:
             "tap": lambda params: self.engine.tap(params["topic"], params["seconds"]),
             "time": lambda _params: {"time_ns": time.time_ns()},
         }
-        for verb, handler in verbs.items():
-            self.hub.serve(verb, handler)
-        _await_known(network, "robot1/ros1", verbs)
+        with closed_on_failure(self):
+            for verb, handler in verbs.items():
+                self.hub.serve(verb, handler)
+            _wait_until_routable(network, "robot1/ros1", verbs)
 
     def advertise(self, topic: str, type_name: str, *, latched: bool = False) -> Writer:
         qos = LATCHED if latched else Qos()

@@ -21,7 +21,7 @@ class Scene:
     """The gateway with a planner on the hub, and the base's odometry.
 
     Attributes:
-        planner: serves the planner's action as a worker of its side does.
+        planner: the planner's action server, as a bridge worker would offer it.
         base: the base's odometry; `Odometry.speed` is the speed of the base.
     """
 
@@ -30,7 +30,7 @@ class Scene:
         self._first = len(rig.statuses)
 
     def goal(self, count: int = 1) -> bytes:
-        """Return the id of goal ``count`` (from 1) once the planner executes it and the gateway awaits its result."""
+        """Return the id of the ``count``-th goal once the planner executes it and the gateway awaits its result."""
         until(lambda: len(self.planner.goals) >= count, f"the planner has goal {count}", SECONDS)
         goal = self.planner.goals[count - 1]
         until(lambda: self.planner.waits(goal), "the gateway waits for its result", SECONDS)
@@ -59,12 +59,11 @@ class Scene:
         return self.rig.far.call(f"/navigation/{service}", "std_srvs/Trigger")
 
     def restart(self) -> int:
-        """Restart the gateway, as after a kill of the modules; return the number of statuses published before."""
-        running = self.rig.worker.running("gateway")
-        running.stop()
-        published = len(self.rig.statuses)
-        running.start()
-        return published
+        """Restart the gateway, as if the modules' worker had been killed.
+
+        Return how many statuses the old one published.
+        """
+        return _restart(self.rig)
 
     def reported(self, client_goal: ClientGoal) -> dict[str, Any]:
         """Return the first status that was published for a client's goal."""
@@ -81,7 +80,7 @@ class Scene:
         return {status["state"] for status in self.rig.statuses[begin:]}
 
     def check(self) -> None:
-        """Check that no published reason repeats a sentence."""
+        """Check that no published reason has "may still be moving" or "is not available" twice."""
         for status in self.rig.statuses[self._first :]:
             assert status["reason"].count("may still be moving") <= 1, status
             assert status["reason"].count("is not available") <= 1, status
@@ -105,4 +104,12 @@ def scene(rig: Rig, planner: str, *, lists: bool) -> Iterator[Scene]:
             until(lambda: rig.ask("stop") and not rig.gateway.driving, "no goal is active", SECONDS)
     finally:
         server.close()
-        driving.restart()
+        _restart(rig)
+
+
+def _restart(rig: Rig) -> int:
+    running = rig.worker.running("gateway")
+    running.stop()
+    published = len(rig.statuses)
+    running.start()
+    return published

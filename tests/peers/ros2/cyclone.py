@@ -33,9 +33,9 @@ class CyclonePeer(Peer):
         """Serve with one reply for all requests; return the server's id."""
         return int(self.ask("serve", service=service, type=type_, reply=reply.hex())["id"])
 
-    def act(self, action: str, type_: str, reply: bytes = b"\0\1\0\0\1") -> int:
-        """Serve the three services and two topics of an action; return the id of its servers."""
-        return int(self.ask("act", action=action, type=type_, reply=reply.hex())["id"])
+    def act(self, action: str, type_: str, result: bytes = b"\0\1\0\0\1") -> int:
+        """Serve the three services and two topics of an action, which accepts each goal; return its servers' id."""
+        return int(self.ask("act", action=action, type=type_, result=result.hex())["id"])
 
     def requests(self, server: int) -> list[bytes]:
         """Return all requests as received, with their headers."""
@@ -48,6 +48,10 @@ class CyclonePeer(Peer):
     def reply(self, call: int, seconds: float = 20.0) -> bytes:
         """Return the reply to a call, b"" if none arrives in time."""
         return bytes.fromhex(self.ask("result", id=call, seconds=seconds)["reply"])
+
+    def advertise_raw(self, topic: str, type_: str) -> int:
+        """Advertise a DDS topic by its own name and the name of its type in DDS; return the publisher's id."""
+        return int(self.ask("advertise_raw", topic=topic, type=type_)["id"])
 
     def put(self, endpoint: int, payload: bytes) -> None:
         """Publish one message as CDR."""

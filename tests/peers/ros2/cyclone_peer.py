@@ -4,10 +4,12 @@ Payloads are CDR in hex, with their encapsulation header, so the program needs n
 rmw_cyclonedds_cpp, its readers accept payloads of any size, and requests and replies carry 16 bytes behind the
 encapsulation header: the client's id and the number of the request (rmw_cyclonedds_cpp, serdata.hpp).
 
-Commands: ``advertise`` topic, type -> id; ``subscribe`` topic, type -> id; ``publish`` id, payload; ``wait`` id, count,
-seconds -> payloads; ``serve`` service, type, reply -> id; ``requests`` id -> payloads of all requests as received;
+Commands: ``advertise`` topic, type -> id; ``advertise_raw`` the same with names as in DDS; ``subscribe`` topic, type ->
+id; ``publish`` id, payload; ``wait`` id, count, seconds -> payloads; ``serve`` service, type, reply -> id; ``requests``
+id -> payloads of all requests as received;
 ``call`` service, type, request -> id, once a server has matched; ``result`` id, seconds -> reply ("" without one);
-``act`` action, type, reply -> id: three services and two topics.
+``act`` action, type, result -> id: three services and two topics; each goal is accepted, ``result`` is the reply to
+requests for its result, and a request to cancel is rejected.
 Types are spelled ``package/Name`` for topics and services alike, ``package/action/Name_Feedback`` for parts of actions.
 """
 # ruff: noqa: A002  # parameters are named as in the commands
@@ -39,6 +41,11 @@ from tests.peers.commands import Commands, Record, only_answers, serve
 from tests.support.wait import until
 
 HEADER = slice(4, 20)
+ACCEPTED = b"\0\1\0\0" + b"\1\0\0\0" + bytes(8)
+"""Reply to ``send_goal``: accepted, and a time of zero."""
+
+REJECTED = b"\0\1\0\0" + b"\1\0\0\0" + bytes(4)
+"""Reply to ``cancel_goal``: its return code ERROR_REJECTED, and no goal."""
 RELIABLE = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(100))
 LATCHED = Qos(Policy.Durability.TransientLocal, base=RELIABLE)
 
@@ -104,7 +111,7 @@ class Writer:
 
 
 class Server:
-    """A service: answers each request with the same reply, under the request's header."""
+    """A service: answers each request with the same reply, under the request's header; b"" sends none."""
 
     def __init__(self, peer: Peer, service: str, type_: str, reply: bytes) -> None:
         self._reply = reply
@@ -112,7 +119,7 @@ class Server:
         self.reader = Reader(peer, f"rq{service}Request", dds_type(f"{type_}_Request", "srv"), RELIABLE, self._answer)
 
     def _answer(self, request: bytes) -> None:
-        if len(request) >= HEADER.stop:
+        if self._reply and len(request) >= HEADER.stop:
             self._writer.write(self._reply[:4] + request[HEADER] + self._reply[4:])
 
 
@@ -158,6 +165,9 @@ class Peer(Commands):
     def advertise(self, topic: str, type: str) -> dict[str, Any]:
         return self.add(Writer(self, f"rt{topic}", dds_type(type, "msg"), RELIABLE))
 
+    def advertise_raw(self, topic: str, type: str) -> dict[str, Any]:
+        return self.add(Writer(self, topic, type, RELIABLE))
+
     def subscribe(self, topic: str, type: str) -> dict[str, Any]:
         return self.add(Reader(self, f"rt{topic}", dds_type(type, "msg"), RELIABLE))
 
@@ -176,11 +186,14 @@ class Peer(Commands):
         servers = server if isinstance(server, list) else [server]
         return {"payloads": [request.hex() for served in servers for request in served.reader.record.wait(0, 0)]}
 
-    def act(self, action: str, type: str, reply: str) -> dict[str, Any]:
-        services = {"send_goal": f"{type}_SendGoal", "get_result": f"{type}_GetResult"}
-        services["cancel_goal"] = "action_msgs/CancelGoal"
+    def act(self, action: str, type: str, result: str) -> dict[str, Any]:
+        services = {
+            "send_goal": (f"{type}_SendGoal", ACCEPTED),
+            "get_result": (f"{type}_GetResult", bytes.fromhex(result)),
+            "cancel_goal": ("action_msgs/CancelGoal", REJECTED),
+        }
         prefix = f"{action}/_action/"
-        servers = [Server(self, prefix + name, part, bytes.fromhex(reply)) for name, part in services.items()]
+        servers = [Server(self, prefix + name, part, reply) for name, (part, reply) in services.items()]
         Writer(self, f"rt{prefix}feedback", dds_type(f"{type}_FeedbackMessage", "msg"), RELIABLE)
         status = Writer(self, f"rt{prefix}status", dds_type("action_msgs/GoalStatusArray", "msg"), LATCHED)
         self.add(status)

@@ -18,8 +18,10 @@ from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 from yarp_compat.ports import text_client
+from yarp_compat.ports.dial import dial, dial_group, send_farewell
 from yarp_compat.ports.naming import NameRefusedError, NamingConfigError, NamingError, NoNameServerError, PortError
 from yarp_compat.ports.text_client import LineSocket
+from yarp_compat.wire import carriers
 from yarp_compat.wire.carriers import CARRIERS
 from yarp_compat.wire.contact import PortContact
 
@@ -199,5 +201,31 @@ def test_a_reply_that_is_not_a_bottle_is_an_error() -> None:
     with (
         Scripted([(3, b"Welcome admin\r\n" + b"(" * 200 + b"\r\n<ACK>\r\n")]) as peer,
         pytest.raises(PortError, match="not a Bottle"),
+    ):
+        text_client.admin(PortContact("/odd", "127.0.0.1", peer.port), ["list"], 20.0)
+
+
+@pytest.mark.parametrize("host", ["a" * 70, "a..b", "\udc80"])
+def test_a_host_that_is_not_a_name_is_an_error_of_its_port(host: str) -> None:
+    """Ports register any text as their host."""
+    contact = PortContact("/odd", host, 10000)
+    assert not connections.responds(contact)
+    with pytest.raises(PortError, match=r"cannot query /odd at tcp://.*: .* is not a host name"):
+        text_client.admin(contact, ["list"])
+    for connect in (
+        lambda: dial(contact, carriers.TCP, "/me"),
+        lambda: dial_group(contact, "/me", "", lambda _interface: ("224.1.1.1", 10001)),
+        lambda: send_farewell(contact, "/me"),
+    ):
+        with pytest.raises(OSError, match="not a host name"):
+            connect()
+    with pytest.raises(NoNameServerError, match="not a host name"):
+        NameClient(Address(host, 10000)).register("/p")
+
+
+def test_an_overlong_answer_is_the_reason_of_the_error() -> None:
+    with (
+        Scripted([(3, b"Welcome admin\r\n" + b"x" * (1 << 21))]) as peer,
+        pytest.raises(PortError, match=r"cannot query /odd at .*: the answer is longer than 1048576 bytes"),
     ):
         text_client.admin(PortContact("/odd", "127.0.0.1", peer.port), ["list"], 20.0)

@@ -77,6 +77,7 @@ def test_both_forms_of_the_file_are_parsed(text: str, address: Address) -> None:
         ("127.0.0.1 ten", "must be a number from 1 to 65535, not 'ten'"),
         ("127.0.0.1 0", "must be a number"),
         ("127.0.0.1 70000 yarp", "not '70000'"),
+        ("127.0.0.1 " + "1" * 5000, "must be a number"),
         ("[name]\nhost x", "expected"),
         ("[nome]\nhost x\nport 1", "expected"),
     ],

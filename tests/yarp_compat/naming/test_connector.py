@@ -85,6 +85,23 @@ def _request_again(connector: Connector, ports: Ports) -> bool:
     return "/never" in ports.made
 
 
+def test_the_connector_survives_unexpected_errors(ports: Ports, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each error would otherwise end one of its few threads."""
+
+    def connect(_naming: object, source: str, target: str, *, timeout: float) -> None:
+        if source.startswith("/odd"):
+            raise LookupError(source)
+        ports.connect(_naming, source, target, timeout=timeout)
+
+    monkeypatch.setattr(module, "connect", connect)
+    connector = Connector(LocalNaming())
+    for number in range(module.WORKERS):
+        connector.request(WantedConnection(f"/odd{number}", "/r"))
+    connector.request(WantedConnection("/a", "/r"))
+    until(lambda: ports.made == ["/a"], "the connection is made")
+    connector.close()
+
+
 def test_a_forced_connection_replaces_one_to_a_former_port(ports: Ports) -> None:
     """A writer that reports itself as connected must connect to the new port."""
     connector = Connector(LocalNaming())

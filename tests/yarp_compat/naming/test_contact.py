@@ -41,8 +41,10 @@ def test_registration_lines_are_parsed_and_formatted() -> None:
     contact = PortContact("/reader", "127.0.0.1", 10002, "tcp")
     assert PortContact.from_registration(line) == contact
     assert contact.registration == line
-    for other in ("", "*** end of message", "[ok]", line.replace("10002", "none"), line.replace("10002", "123456")):
+    for other in ("", "*** end of message", "[ok]"):
         assert PortContact.from_registration(other) is None
+    for number in ("none", "123456", "-1", "²", "1" * 5000):
+        assert PortContact.from_registration(line.replace("10002", number)) is None
 
 
 @pytest.mark.parametrize("name", ["/a", "/a/b:o", "/tmp/port/1", "/topic+@/node", "/ü"])

@@ -67,7 +67,7 @@ def test_every_recorded_exchange_is_reproduced(server: NameServer) -> None:
 
 def test_one_connection_may_send_many_commands(server: NameServer) -> None:
     """As from old name clients or telnet, with both kinds of line ends."""
-    with LineSocket("127.0.0.1", server.address.port, 10.0) as peer:
+    with LineSocket("127.0.0.1", server.address.port, 10.0).open() as peer:
         peer.send(b"NAME_SERVER query /none\nNAME_SERVER register /p\r\n\r\nNAME_SERVER query /p\n")
         lines = [peer.line() for _ in range(5)]
     line = f"registration name /p ip 127.0.0.1 port {server.address.port + 2} type tcp"
@@ -250,6 +250,21 @@ def test_persistent_connections_are_made_and_restored(names: NameClient, open_po
     assert names.command(["subscribe"]) == ["subscriptions"]
 
 
+@pytest.mark.parametrize("host", ["a" * 70, "a..b"])
+def test_invalid_hosts_do_not_stop_persistent_connections(names: NameClient, open_port: OpenPorts, host: str) -> None:
+    """Host names with an overlong or empty part raise `UnicodeError` while they are resolved."""
+    for number in range(connections.WORKERS):
+        names.register(f"/x{number}", host, 10999)
+        names.command(["subscribe", f"/x{number}", "/y"])
+        names.lines(["announce", f"/x{number}"])  # not kept registered
+    names.register("/y", host, 10998)
+    names.lines(["announce", "/y"])
+    names.command(["subscribe", "/w", "/r"])
+    open_port("/r")
+    writer = open_port("/w")
+    until(lambda: [route.target for route in writer.outputs()] == ["/r"], "the ports are connected")
+
+
 def test_ports_are_connected_through_a_topic(names: NameClient, open_port: OpenPorts) -> None:
     """The topic is one of YARP's."""
     writer, _ = open_port("/w"), open_port("/r")
@@ -272,6 +287,14 @@ def test_dead_ports_are_removed(server: NameServer, names: NameClient, monkeypat
         names.register("/dead", "127.0.0.1", free_port())
         assert names.lines(["gc"]) == ["garbage collection done."]
         assert {c.name for c in names.list()} == {"/live", "/group", "/far", "/root"}
+
+
+def test_ports_with_invalid_addresses_are_probed_like_others() -> None:
+    with socket.socket() as bound:  # refuses connections, as it does not listen
+        bound.bind(("127.0.0.1", 0))
+        dead = PortContact("/dead", "127.0.0.1", bound.getsockname()[1])
+        odd = PortContact("/odd", "127.0.0.1%\udc80", 10000)
+        assert server_module.refused([odd, dead], 10.0) == {"/dead"}
 
 
 def test_new_ports_are_not_probed(server: NameServer, names: NameClient) -> None:

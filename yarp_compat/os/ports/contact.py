@@ -106,7 +106,7 @@ class Contact:
         """Return a host name's IPv4 address, or the name itself if it cannot be resolved."""
         try:
             return socket.gethostbyname(host)
-        except OSError:
+        except (OSError, ValueError):
             return host
 
 

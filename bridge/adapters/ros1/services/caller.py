@@ -14,12 +14,13 @@ from typing import NamedTuple
 
 from typing_extensions import override
 
+from bridge import resources
 from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.graph.probe import Ros1Context
 from bridge.adapters.ros1.graph.state import Registration
 from bridge.adapters.ros1.handshake import connect_service
 from bridge.adapters.ros1.services.connection import LENGTH, ServiceConnection
-from bridge.adapters.ros1_peers import ExhaustedError, Ros1Error, UnreachableError, unanswered
+from bridge.adapters.ros1_peers import EXHAUSTED, ExhaustedError, Ros1Error, UnreachableError, unanswered
 from bridge.hub.endpoints.calls import Abandon, CallError, Done
 from bridge.messages.transcode.conversion import SideType
 
@@ -52,6 +53,12 @@ class _Pending:
     def waits(self) -> bool:
         return self._done is not None
 
+    def attach(self, connection: _ServerConnection) -> bool:
+        """Store the connection that is to send the request; return False if the call has ended."""
+        with self._lock:
+            self.connection = connection
+            return self._done is not None
+
     def finish(self, result: bytes | CallError) -> None:
         done = self._take()
         if done is not None:
@@ -59,7 +66,12 @@ class _Pending:
 
     def abandon(self) -> None:
         """End the call of a client that left; closing the connection is ROS 1's only signal for that."""
-        if self._take() is not None and self.connection is not None:
+        if self._take() is not None:
+            self.cut()
+
+    def cut(self) -> None:
+        """Close the call's connection, so that a request that is not sent yet stays unsent."""
+        if self.connection is not None:
             self.connection.cut()
 
     def _take(self) -> Done | None:
@@ -84,11 +96,11 @@ class _ServerConnection(ServiceConnection):
         self._pending: _Pending | None = None
 
     def begin(self, pending: _Pending) -> bool:
-        """Send a call's request; return False if nothing was sent because the connection has ended."""
+        """Send a call's request; return False if it was not sent because the connection or the call has ended."""
         with self._lock:
-            if self._over:
+            if self._over or not pending.attach(self):
                 return False
-            self._pending, pending.connection = pending, self
+            self._pending = pending
         request = pending.request
         if self.send(LENGTH.pack(len(request)), request):
             return True
@@ -208,6 +220,7 @@ class Ros1Caller:
             calls, connections = list(self._calls), list(self._connections)
         for pending in calls:
             pending.finish(CallError(f"{self.name} no longer crosses"))
+            pending.cut()  # its connection may be newer than the list
         for connection in connections:
             connection.cut()
 
@@ -249,6 +262,9 @@ class Ros1Caller:
         while (connection := self._take()) is not None:
             if connection.begin(pending):
                 return
+            if not pending.waits:
+                connection.cut()
+                return
         threading.Thread(target=self._begin_anew, args=(pending,), name="midspan-ros1-call", daemon=True).start()
 
     def _take(self) -> _ServerConnection | None:
@@ -272,8 +288,10 @@ class Ros1Caller:
         elif connection.begin(pending):
             connection.start()
         else:
+            exhausted = not resources.has_descriptor()
             connection.end("closed the connection")
-            pending.finish(CallError(f"the server {link.node} of {self.name} closed the connection at once"))
+            reason = f"cannot be called: {EXHAUSTED}" if exhausted else "closed the connection at once"
+            pending.finish(CallError(f"the server {link.node} of {self.name} {reason}"))
 
     def _connect(self, link: Registration) -> _ServerConnection:
         """Open a connection; raises `Ros1Error`. Blocks up to `_CONNECT_SECONDS`."""

@@ -120,25 +120,29 @@ class Ros2Graph:
             tuple(endpoints), publishers, servers, frozenset(prefixes - {self._own}), subscribed, obstacles
         )
 
-    def obstacle(self, service: str) -> Obstacle | None:
-        """Return why a service's current servers cannot be called, None if they can; reads the graph."""
-        return vendors.of_servers(service, (e for _, e in self._servers(service, request_topic(service))))
+    def servers(self, service: str) -> list[Endpoint]:
+        """Return a service's current servers; reads the graph."""
+        return [e for _, e in self._servers(service, request_topic(service))]
+
+    def reply_readers(self, service: str) -> list[bytes]:
+        """Return the GIDs of all readers of a service's replies; reads the graph."""
+        return [bytes(info["endpoint_gid"]) for info in self._participant.readers(reply_topic(service), dds=True)]
+
+    def own_writer(self, dds_topic: str) -> bytes | None:
+        """Return the GID of this participant's writer of a DDS topic; reads the graph."""
+        gids = (bytes(info["endpoint_gid"]) for info in self._participant.writers(dds_topic, dds=True))
+        return next((gid for gid in gids if gid[:PREFIX_BYTES] == self._own), None)
 
     def clients(self, service: str) -> set[bytes]:
         """Return the GIDs that a service's clients may use in requests; reads the graph."""
         asking = self._participant.writers(request_topic(service), dds=True)
-        waiting = self._participant.readers(reply_topic(service), dds=True)
-        return {bytes(info["endpoint_gid"]) for info in (*asking, *waiting)}
+        return {bytes(info["endpoint_gid"]) for info in asking} | set(self.reply_readers(service))
 
     def _servers(self, service: str, requests: str) -> list[tuple[bytes, Endpoint]]:
         return self._others(service, Kind.SERVER, self._participant.readers(requests, dds=True))
 
     def _clients(self, service: str, requests: str) -> list[Endpoint]:
-        clients = [e for _, e in self._others(service, Kind.CLIENT, self._participant.writers(requests, dds=True))]
-        obstacle = vendors.of_clients(service, clients)
-        if obstacle is None:
-            return clients
-        return [replace(e, obstacle=obstacle) if vendors.is_cyclone(bytes.fromhex(e.id)) else e for e in clients]
+        return [e for _, e in self._others(service, Kind.CLIENT, self._participant.writers(requests, dds=True))]
 
     def _endpoints_of(self, topic: str, kind: Kind) -> list[tuple[bytes, Endpoint]]:
         query = self._participant.writers if kind is Kind.PUBLISHER else self._participant.readers

@@ -1,4 +1,4 @@
-"""Hand-written DDS discovery messages: dispose a dead participant, and prompt all others to announce themselves.
+"""Hand-written RTPS messages: dispose a dead participant, prompt all others to announce themselves, and heartbeats.
 
 **Disposal.** Other participants notice a crash only when the lease expires, after 20 s. A short lease does not help:
 after a longer suspension or disconnection, the others have dropped the participant, but it has not dropped them, and
@@ -17,7 +17,7 @@ from __future__ import annotations
 import logging
 import socket
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 MULTICAST = "239.255.0.1"
 """The SPDP multicast address (DDSI-RTPS 2.5, 9.6.1.4.1)."""
@@ -32,7 +32,12 @@ _UDP_V4 = 1
 _VERSION = b"\x02\x03"
 _PARTICIPANT = b"\x00\x00\x01\xc1"
 _SPDP_WRITER, _SPDP_READER = b"\x00\x01\x00\xc2", b"\x00\x01\x00\xc7"
+_ANY_READER = bytes(4)
 _DATA, _LITTLE_ENDIAN, _INLINE_QOS, _PAYLOAD, _KEY = 0x15, 0x01, 0x02, 0x04, 0x08
+_HEARTBEAT, _FINAL = 0x07, 0x02
+_BATCH = 40
+"""Heartbeats in one message of 1.3 kB, which fits into an Ethernet frame."""
+
 _TO_INLINE_QOS = 16
 """Bytes from the end of this field to the inline QoS."""
 _LAST = 0x7FFFFFFF
@@ -70,6 +75,23 @@ def announcement(prefix: bytes, domain: int, number: int) -> bytes:
     return _message(prefix, _PAYLOAD, 1, payload)
 
 
+def heartbeats(written: Mapping[bytes, int]) -> list[bytes]:
+    """Return the RTPS messages that tell all readers of some writers how many samples each has written.
+
+    ``written`` is by the writers' GUIDs, all of one participant. The heartbeats are final: no reader responds to them
+    (DDSI-RTPS 2.5, 9.4.5.7). Their count is 0, so that readers on Fast DDS ignore them.
+    """
+    submessages = [_heartbeat(guid[12:16], last) for guid, last in written.items()]
+    prefix = next(iter(written), bytes(16))[:12]
+    batches = [submessages[start : start + _BATCH] for start in range(0, len(submessages), _BATCH)]
+    return [_header(prefix) + b"".join(batch) for batch in batches]
+
+
+def _heartbeat(writer: bytes, last: int) -> bytes:
+    body = _ANY_READER + writer + struct.pack("<iIiIi", 0, 1, last >> 32, last & 0xFFFFFFFF, 0)
+    return struct.pack("<BBH", _HEARTBEAT, _LITTLE_ENDIAN | _FINAL, len(body)) + body
+
+
 def send_all(messages: Sequence[bytes], domain: int, *, localhost_only: bool) -> None:
     """Send messages to all reachable participants, on loopback only or on all interfaces."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
@@ -83,8 +105,11 @@ def send_all(messages: Sequence[bytes], domain: int, *, localhost_only: bool) ->
 def _message(prefix: bytes, flags: int, number: int, content: bytes) -> bytes:
     """Return a header and one ``DATA`` submessage from an SPDP writer to all SPDP readers."""
     body = struct.pack("<HH", 0, _TO_INLINE_QOS) + _SPDP_READER + _SPDP_WRITER + struct.pack("<iI", 0, number) + content
-    header = b"RTPS" + _VERSION + prefix[:2] + prefix
-    return header + struct.pack("<BBH", _DATA, _LITTLE_ENDIAN | flags, len(body)) + body
+    return _header(prefix) + struct.pack("<BBH", _DATA, _LITTLE_ENDIAN | flags, len(body)) + body
+
+
+def _header(prefix: bytes) -> bytes:
+    return b"RTPS" + _VERSION + prefix[:2] + prefix
 
 
 def _parameters(*parameters: tuple[int, bytes]) -> bytes:

@@ -1,10 +1,9 @@
-"""Nodes on Cyclone DDS: their topics cross, their calls do not.
+"""Nodes on Cyclone DDS, whose requests and replies have another form than those of Fast DDS.
 
 The first two bytes of a GUID prefix are its vendor's (DDSI-RTPS 2.5, 9.3.1.5): 01 0f is eProsima, whose Fast DDS
-Midspan uses, 01 10 is Eclipse Cyclone DDS. rmw_fastrtps sends the identity of a request as inline QoS, rmw_cyclonedds
-as the first 16 bytes of the payload (serdata.hpp). So a server on Cyclone DDS would execute Midspan's request shifted
-by 16 bytes, which for most types means all zeros, and a request of a client on Cyclone DDS would arrive shifted in the
-other direction.
+Midspan uses, 01 10 is Eclipse Cyclone DDS. A server on Cyclone DDS would execute a request in Fast DDS's form shifted
+by 16 bytes, which for most types means all zeros (see `bridge.adapters.ros2.services.cyclone`). DDS delivers a request
+to all servers of a name, so those of a name that has servers of both kinds cannot be called.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from bridge.messages.actions import split
 from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 
 _CYCLONE = b"\x01\x10"
-_CURE = "run that node on Fast DDS: RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
+_CURE = "stop one of them, or rename one by a remapping of its node"
 _UNNAMED = "a node with an unknown name"
 
 _OF_EACH_NODE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
@@ -32,66 +31,55 @@ def _is_cyclone_endpoint(endpoint: Endpoint) -> bool:
     return endpoint.made_by is MadeBy.NATIVE and endpoint.id.startswith(_CYCLONE.hex())
 
 
+def _servers(endpoints: Iterable[Endpoint]) -> tuple[list[Endpoint], list[Endpoint]]:
+    """Return the native servers on Cyclone DDS, and the others."""
+    native = [server for server in endpoints if server.made_by is MadeBy.NATIVE]
+    cyclone = [server for server in native if _is_cyclone_endpoint(server)]
+    return cyclone, [server for server in native if server not in cyclone]
+
+
+def are_cyclone(servers: Iterable[Endpoint]) -> bool:
+    """Return whether requests to these servers need Cyclone DDS's form."""
+    cyclone, others = _servers(servers)
+    return bool(cyclone) and not others
+
+
 def of_servers(service: str, servers: Iterable[Endpoint]) -> Obstacle | None:
-    """Return why a service with these servers cannot be called; None if it can.
-
-    DDS delivers a request to all servers of a name, so one on Cyclone DDS is enough.
-    """
-    servers = [server for server in servers if server.made_by is MadeBy.NATIVE]
-    cyclone = [server for server in servers if _is_cyclone_endpoint(server)]
-    if not cyclone:
+    """Return why a service with these servers cannot be called; None if it can."""
+    cyclone, others = _servers(servers)
+    if not cyclone or not others:
         return None
-    also = " too, and DDS delivers each request to all servers" if len(cyclone) < len(servers) else ""
     reason = (
-        f"{service} is served on Cyclone DDS ({_nodes(cyclone)}){also}: Cyclone DDS expects another request header than"
-        " Fast DDS writes and would execute the request with wrong values, so it was not sent"
-    )
-    return Obstacle(reason, _CURE)
-
-
-def of_clients(service: str, clients: Iterable[Endpoint]) -> Obstacle | None:
-    """Return why requests of these clients are refused; None without a client on Cyclone DDS."""
-    cyclone = [client for client in clients if _is_cyclone_endpoint(client)]
-    return _of_requests(service, _nodes(cyclone)) if cyclone else None
-
-
-def of_unknown_client(service: str) -> Obstacle:
-    """Return the same obstacle for a request whose client is not on the graph."""
-    return _of_requests(service, _UNNAMED)
-
-
-def _of_requests(service: str, nodes: str) -> Obstacle:
-    reason = (
-        f"requests for {service} from Cyclone DDS ({nodes}) are refused, and their clients get no reply: Cyclone DDS"
-        " writes another request header than Fast DDS reads"
+        f"{service} is served on Cyclone DDS ({_nodes(cyclone)}) and on another DDS ({_nodes(others)}): DDS delivers"
+        " each request to all servers, and a server would execute one in the other's form with wrong values, so it was"
+        " not sent"
     )
     return Obstacle(reason, _CURE)
 
 
 def report(endpoints: Iterable[Endpoint]) -> dict[str, list[str]]:
-    """Return the ``nodes`` on Cyclone DDS, and the services and actions that they serve and call.
+    """Return the ``nodes`` on Cyclone DDS, and the names that ``both`` they and nodes on another DDS serve.
 
     Services that every node has, such as those of its parameters, are omitted.
     """
-    cyclone = [endpoint for endpoint in endpoints if _is_cyclone_endpoint(endpoint)]
-
-    def names(kind: Kind) -> list[str]:
-        relevant = (e for e in cyclone if e.kind is kind and not e.type.startswith(_OF_EACH_NODE))
-        return sorted({split(e.topic)[0] or e.topic for e in relevant})
-
-    if not cyclone:
+    by_name: dict[str, list[Endpoint]] = {}
+    nodes: set[str] = set()
+    for endpoint in endpoints:
+        if _is_cyclone_endpoint(endpoint):
+            nodes.add(endpoint.node or _UNNAMED)
+        if endpoint.kind is Kind.SERVER and not endpoint.type.startswith(_OF_EACH_NODE):
+            by_name.setdefault(endpoint.topic, []).append(endpoint)
+    if not nodes:
         return {}
-    nodes = sorted({endpoint.node or _UNNAMED for endpoint in cyclone})
-    return {"nodes": nodes, "served": names(Kind.SERVER), "called": names(Kind.CLIENT)}
+    both = {split(name)[0] or name for name, servers in by_name.items() if of_servers(name, servers)}
+    return {"nodes": sorted(nodes), "both": sorted(both)}
 
 
 def warning(cyclone: dict[str, Any]) -> str:
-    """Return a one-line warning for the result of `report`."""
-    served = f" ({', '.join(cyclone['served'])})" if cyclone["served"] else ""
-    return (
-        f"{', '.join(cyclone['nodes'])} on Cyclone DDS: topics cross; services, actions and parameters{served} cannot"
-        " be called, and calls by these nodes are not answered"
-    )
+    """Return a one-line warning for the result of `report`, "" without a name that cannot be called."""
+    if not cyclone["both"]:
+        return ""
+    return f"{', '.join(cyclone['both'])}: served on Cyclone DDS and on another DDS, so calls are refused; {_CURE}"
 
 
 def _nodes(endpoints: Iterable[Endpoint]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections import deque
@@ -11,13 +12,16 @@ from typing import Any, ClassVar
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.participant import SERVICE
 from bridge.adapters.ros2.rcl import ENCAPSULATION
+from bridge.adapters.ros2.services.cyclone import CycloneCalls
 from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context, ServiceEndpoint
 from bridge.adapters.ros2.services.matching import MatchCounter
 from bridge.adapters.ros2.services.pacing import SentRequests
 from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError
+from bridge.messages.errors import MessageTypeError
 from bridge.routing.edge import EdgeCaller, Obstacle
 
 _MOST = SERVICE.depth // 2
@@ -40,7 +44,11 @@ class _PendingCall:
 
 
 class Ros2Caller(ServiceEndpoint, EdgeCaller):
-    """An rcl client. DDS delivers a request to every server of the name; the first reply counts."""
+    """An rcl client. DDS delivers a request to every server of the name; the first reply counts.
+
+    Servers on Cyclone DDS get requests in their own form, and their replies arrive at a reader of their own. The form
+    is decided from the graph before each request, unless no server has matched since the last one.
+    """
 
     kind: ClassVar[str] = "client"
 
@@ -50,12 +58,17 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         self._waiting: deque[_PendingCall] = deque()
         self._sent: dict[int, _PendingCall] = {}
         self._requests = SentRequests()
-        self._matches = MatchCounter(self.pointer)
+        self._matches = MatchCounter(self.pointer, self.kind)
         self._verified: int | None = None
+        self._on_cyclone = False
+        self._response_support, self._context = int(service_class.response_support), context
+        self._written = 0
+        self._cyclone: CycloneCalls | None = None
         self._ended: set[bytes] = set()
         self._matched = self._due = False
         self._update_ended()
         self._loop.add(self)
+        self._prepare_cyclone()
 
     @override
     def call(self, request: bytes, done: Done) -> Abandon:
@@ -92,11 +105,38 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             return known
         matched = self._matches.total()
         if matched is None or matched != self._verified:
-            obstacle = self._graph.obstacle(self.name)
+            servers = self._graph.servers(self.name)
+            obstacle = vendors.of_servers(self.name, servers)
             if obstacle is not None:
                 return obstacle
-            self._verified = matched
+            self._verified, self._on_cyclone = matched, vendors.are_cyclone(servers)
         return None
+
+    def _prepare_cyclone(self) -> None:
+        """Prepare the servers before the first call, if all known ones are on Cyclone DDS."""
+        servers = self._graph.snapshot.servers.get(self.name, frozenset())
+        if servers and all(map(vendors.is_cyclone, servers)):
+            self._settle(time.monotonic() + _MATCH_SECONDS)
+
+    def _settle(self, end: float) -> None:
+        wait = 0.0
+        with self._lock, contextlib.suppress(MessageTypeError):  # a call reports that
+            if not self._closed:
+                wait = self._cyclone_wait(self._servers())
+        if wait and time.monotonic() < end:
+            self._later.after(wait, partial(self._settle, end))
+
+    def _cyclone_wait(self, servers: frozenset[bytes]) -> float:
+        return self._open_cyclone().wait(_MATCH, servers, self._written)
+
+    def _open_cyclone(self) -> CycloneCalls:
+        """Return the calls to servers on Cyclone DDS; raises `MessageTypeError`. The lock is held."""
+        if not rcl.has_eventfd():
+            raise MessageTypeError(f"{self.name} is served on Cyclone DDS, whose services need Linux")
+        if self._cyclone is None:
+            self._cyclone = CycloneCalls(self.name, self._response_support, self._context, self._replied)
+            self._loop.add(self._cyclone)
+        return self._cyclone
 
     def _servers(self) -> frozenset[bytes]:
         """Return the GIDs of the native servers whose processes are alive."""
@@ -141,12 +181,20 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             if obstacle is not None:
                 self._fail_waiting(failed, _refusal(obstacle))
                 return 0.0
+            late = time.monotonic() >= self._waiting[0].since + _MATCH_SECONDS
+            try:
+                wait = self._cyclone_wait(servers) if self._on_cyclone and self._matched else 0.0
+            except MessageTypeError as err:
+                self._fail_waiting(failed, UnsentCallError(str(err)))
+                return 0.0
+            if wait and not late:
+                return wait
             calling = self._waiting.popleft()
-            if not self._matched:
+            if wait or not self._matched:
                 failed.append((calling, CallError(f"the server of {self.name} on ROS 2 cannot be reached")))
                 continue
             try:
-                number = rcl.send_request(self.pointer, calling.request)
+                number = self._send(calling.request)
             except rcl.RclError as err:
                 failed.append((calling, CallError(f"{self.name}: {err}")))
                 continue
@@ -154,6 +202,15 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             self._sent[number] = calling
             self._requests.sent(number)
         return 0.0
+
+    def _send(self, request: bytes) -> int:
+        """Send a request in its servers' form; return its number. The lock is held."""
+        if not self._on_cyclone:
+            self._written = rcl.send_request(self.pointer, request)
+            return self._written
+        number, wrapped = self._open_cyclone().wrap(request)
+        self._written = rcl.send_request(self.pointer, wrapped)
+        return number
 
     def _fail_waiting(self, failed: list[tuple[_PendingCall, CallError]], error: CallError) -> None:
         failed += [(calling, error) for calling in self._waiting]
@@ -166,18 +223,22 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             if taken is None:
                 continue  # a reply to another client: DDS delivers each to all clients of a name
             request, payload = taken
-            with self._lock:
-                calling = self._sent.pop(request.number, None)
-                self._requests.answered(request.number)
-                waiting = bool(self._waiting)
-            if calling is not None:
-                _end(calling, payload)
-            if waiting:
-                self._advance()
+            self._replied(request.number, payload)
+
+    def _replied(self, number: int, payload: bytes) -> None:
+        with self._lock:
+            calling = self._sent.pop(number, None)
+            self._requests.answered(number)
+            waiting = bool(self._waiting)
+        if calling is not None:
+            _end(calling, payload)
+        if waiting:
+            self._advance()
 
     def refit(self) -> None:
         """End the calls whose servers have left the graph."""
         self._update_ended()
+        self._prepare_cyclone()
         with self._lock:
             servers = self._servers()
             self._matched = False
@@ -218,6 +279,9 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             ended = [*self._sent.values(), *self._waiting]
             self._sent.clear()
             self._waiting.clear()
+            cyclone, self._cyclone = self._cyclone, None
+        if cyclone is not None:
+            self._loop.remove(cyclone)
         self._loop.remove(self)
         for calling in ended:
             _end(calling, CallError(f"{self.name} is no longer bridged"))

@@ -5,13 +5,14 @@ from __future__ import annotations
 import threading
 from abc import abstractmethod
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph.graph import Ros2Graph
+from bridge.adapters.ros2.graph.heartbeats import Heartbeats
 from bridge.adapters.ros2.graph.neighbours import ProcessWatch
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.loop import EndpointReader, ReadLoop
@@ -24,14 +25,14 @@ _CHECK_SECONDS = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Ros2Context:
-    """The shared state of the edge's endpoints; ``warned`` are the services for which a warning has been logged."""
+    """The shared state of the edge's endpoints."""
 
     participant: Participant
     loop: ReadLoop
     graph: Ros2Graph
     processes: ProcessWatch
     later: DelayedCalls
-    warned: set[str] = field(default_factory=set)
+    heartbeats: Heartbeats
 
 
 Closed = Callable[[Any], None]

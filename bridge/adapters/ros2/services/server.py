@@ -16,16 +16,24 @@ from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
 from bridge.adapters.ros2.participant import SERVICE
 from bridge.adapters.ros2.rcl import ENCAPSULATION, RequestId
+from bridge.adapters.ros2.services import cyclone
+from bridge.adapters.ros2.services.cyclone import ReplyReach
 from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context, ServiceEndpoint
+from bridge.adapters.ros2.services.matching import MatchCounter
 from bridge.adapters.ros2.services.pacing import ClientReplies
 from bridge.hub.endpoints.calls import Abandon, Call, CallError
-from bridge.routing.edge import EdgeServer, Kind
+from bridge.routing.edge import EdgeServer
 
 _LINGER = 1.0
-"""Seconds that a server stays after its last reply: a client that first notices the server's exit drops the reply."""
+"""Seconds that a server stays after its last reply: a client that first notices the server's exit drops the reply. One
+that can refuse calls stays as long after `close`: a client that has not noticed may still call, for example for the
+result of a goal that was accepted just before.
+"""
 
+_CLOSED = "{} is no longer bridged"
 _MOST_CLIENTS = 1000
 _LOG_SECONDS = 10.0
+_NO_REPLY = "ROS 2 has no error replies, so its client keeps waiting"
 
 _log = logging.getLogger(__name__)
 
@@ -34,10 +42,12 @@ Refusal = Callable[[], bytes]
 
 
 class _PendingRequest:
-    __slots__ = ("abandon", "id", "left", "seen")
+    """A request that has no reply yet; ``header`` is the one of Cyclone DDS's form, b"" in Fast DDS's."""
 
-    def __init__(self, request: RequestId) -> None:
-        self.id = request
+    __slots__ = ("abandon", "header", "id", "left", "seen")
+
+    def __init__(self, request: RequestId, header: bytes) -> None:
+        self.id, self.header = request, header
         self.abandon: Abandon | None = None
         self.seen = self.left = False
 
@@ -46,55 +56,57 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
     """An rcl service.
 
     DDS has no error replies. A client whose call failed gets the rejecting response of the service's type
-    (``refusal``), or no reply if the type has none; the reason is logged.
+    (``refusal``), or no reply if the type has none; the reason is logged. ``replaced`` returns whether another server
+    of the name is open, which gets the requests that arrive after `close`.
     """
 
     kind: ClassVar[str] = "service"
 
     def __init__(
-        self, name: str, service_class: Any, call: Call, refusal: Refusal | None, context: Ros2Context, closed: Closed
-    ) -> None:
+        self, name: str, service_class: Any, call: Call, refusal: Refusal | None, replaced: Callable[[], bool],
+        context: Ros2Context, closed: Closed,
+    ) -> None:  # fmt: skip
         super().__init__(name, service_class, context.participant.make_server(service_class, name, SERVICE), context)
-        self._call, self._refusal, self._on_closed = call, refusal, closed
-        self._warned = context.warned
+        self._call, self._refusal, self._replaced, self._on_closed = call, refusal, replaced, closed
         self._pending: dict[RequestId, _PendingRequest] = {}
         self._clients: dict[bytes, ClientReplies] = {}
+        self._reach = ReplyReach(name, MatchCounter(self.pointer, self.kind), context)
         self._logged = self._replied = float("-inf")
         self._alive = threading.Lock()
         self._destroyed = False
+        self._written = 0
         self._loop.add(self)
 
     @override
     def drain(self, _taker: rcl.Taker, limit: int) -> None:
-        """Begin a call for each request of a native client on Fast DDS."""
+        """Begin a call for each request of a native client."""
         for _ in range(limit):
             taken = self._taker.request(self.pointer)
             # Midspan's own clients call the native server; DDS delivers their requests to all servers of the name.
             if taken is None or is_marked(taken[0].gid):
                 continue
-            if vendors.is_cyclone(taken[0].gid):
-                self._warn_of_cyclone()
-            else:
-                self._begin(*taken, limit)
+            request, payload = taken
+            header = b""
+            if vendors.is_cyclone(request.gid):
+                framed = cyclone.unwrap(payload)
+                if framed is None:
+                    self._log_failure("the request is not little-endian CDR with Cyclone DDS's header", _NO_REPLY)
+                    continue
+                header, payload = framed
+            self._begin(_PendingRequest(request, header), payload, limit)
 
-    def _warn_of_cyclone(self) -> None:
-        """Log once per service that a request from Cyclone DDS was refused; it is not decoded."""
-        if self.name in self._warned:
-            return
-        self._warned.add(self.name)
-        endpoints = self._graph.snapshot.endpoints
-        clients = [e for e in endpoints if e.topic == self.name and e.kind is Kind.CLIENT]
-        obstacle = vendors.of_clients(self.name, clients) or vendors.of_unknown_client(self.name)
-        _log.warning("%s; %s", obstacle.reason, obstacle.cure)
-
-    def _begin(self, request: RequestId, payload: bytes, backlog: int) -> None:
-        pending = _PendingRequest(request)
+    def _begin(self, pending: _PendingRequest, payload: bytes, backlog: int) -> None:
         with self._lock:
-            if self._closed:
+            closed = self._closed
+            if closed and (self._refusal is None or self._replaced()):
                 return
-            self._pending[request] = pending
-            self._client(request.gid).requested(backlog)
-            self._check_soon()
+            self._pending[pending.id] = pending
+            self._client(pending.id.gid).requested(backlog)
+            if not closed:
+                self._check_soon()
+        if closed:
+            self._answer(pending, CallError(_CLOSED.format(self.name)))
+            return
         try:
             abandon = self._call(payload, partial(self._answer, pending))
         except Exception:
@@ -119,36 +131,42 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
                 return
             result = refusal
         self._replied = time.monotonic()
-        client.send(pending.id, result)
+        client.send(pending.id, cyclone.wrap(pending.header, result) if pending.header else result)
 
     def _client(self, gid: bytes) -> ClientReplies:
         client = self._clients.get(gid)
         if client is None:
             if len(self._clients) >= _MOST_CLIENTS:
                 self._clients = {gid: entry for gid, entry in self._clients.items() if entry.busy}
+                self._reach.retain(set(self._clients))
             client = self._clients[gid] = ClientReplies(self._write, self._later)
             self._later.after(0.0, partial(self._processes.has_ended, gid[:PREFIX_BYTES]))
         return client
 
     def _refuse(self, reason: str) -> bytes | None:
         response = self._refusal() if self._refusal is not None else None
+        self._log_failure(reason, _NO_REPLY if response is None else "its client received a rejection")
+        return response
+
+    def _log_failure(self, reason: str, outcome: str) -> None:
         if time.monotonic() - self._logged > _LOG_SECONDS:
             self._logged = time.monotonic()
-            nothing = "ROS 2 has no error replies, so its client keeps waiting"
-            outcome = nothing if response is None else "its client received a rejection"
             _log.warning("a call of %s failed: %s; %s", self.name, reason, outcome)
-        return response
 
     def _write(self, request: RequestId, payload: bytes) -> bool:
         """Send a reply; return False if its client is unreachable."""
         with self._alive:
             if self._destroyed:
                 return True
+            if vendors.is_cyclone(request.gid) and not self._reach.reaches(request.gid, self._written):
+                return False
             try:
-                return rcl.send_response(self.pointer, request, payload)
+                reached = rcl.send_response(self.pointer, request, payload)
             except rcl.RclError as err:
                 _log.warning("%s: a reply could not be sent: %s", self.name, err)
                 return True
+            self._written += reached
+            return reached
 
     def refit(self) -> None:
         """Abandon the calls whose clients have left the graph."""
@@ -195,12 +213,12 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         for pending, abandon in waiting:
             if abandon is not None:
                 abandon()
-            self._answer(pending, CallError(f"{self.name} is no longer bridged"))
+            self._answer(pending, CallError(_CLOSED.format(self.name)))
         with self._lock:
             clients = list(self._clients.values())
         for client in clients:
             client.flush()
-        if self._replied > time.monotonic() - _LINGER:
+        if self._refusal is not None or self._replied > time.monotonic() - _LINGER:
             self._later.after(_LINGER, partial(self._loop.remove, self))
         else:
             self._loop.remove(self)

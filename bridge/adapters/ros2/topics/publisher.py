@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2 import rcl, rmw
+from bridge.adapters.ros2.graph.heartbeats import MATCH_SECONDS, Heartbeats
 from bridge.adapters.ros2.participant import Participant
-from bridge.adapters.ros2.services.endpoint import Closed
+from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context
 from bridge.hub.wire.qos import Qos
 
 
@@ -21,11 +23,39 @@ class _Writer:
         self._handle: Any = participant.make_writer(message_class, topic, qos)
         self._pointer = int(self._handle.pointer)
         self._lock = threading.Lock()
+        self._written = 0
+        self._held: deque[bytes] | None = None
 
     def send(self, payload: bytes) -> None:
         with self._lock:
+            if self._held is not None:
+                self._held.append(payload)
+            else:
+                self._publish(payload)
+
+    def _publish(self, payload: bytes) -> None:
+        """Publish unless closed; the lock is held."""
+        if self._handle is not None:
+            rcl.publish(self._pointer, payload)
+            self._written += 1
+
+    def hold(self, depth: int) -> None:
+        """Keep the last ``depth`` messages until `release`."""
+        with self._lock:
+            self._held = deque(maxlen=depth)
+
+    def release(self) -> None:
+        """Publish the kept messages."""
+        with self._lock:
+            held, self._held = self._held or (), None
+            for payload in held:
+                self._publish(payload)
+
+    def prepare(self, heartbeats: Heartbeats, readers: frozenset[bytes]) -> None:
+        """Prepare new readers on Cyclone DDS for the next message."""
+        with self._lock:
             if self._handle is not None:
-                rcl.publish(self._pointer, payload)
+                heartbeats.prepare(rmw.publisher_gid(self._pointer), self._written, readers)
 
     def close(self) -> None:
         with self._lock:
@@ -47,11 +77,13 @@ class Ros2Publisher:
     """
 
     def __init__(
-        self, topic: str, message_class: Any, qos: Qos, participant: Participant, closed: Closed, heard: Heard
+        self, topic: str, message_class: Any, qos: Qos, context: Ros2Context, closed: Closed, heard: Heard
     ) -> None:
         self.topic, self.qos, self.type_name = topic, qos, str(message_class.type_name)
         self._closed, self._heard = closed, heard
-        self._make = partial(_Writer, participant, message_class, topic, qos)
+        self._heartbeats, self._later = context.heartbeats, context.later
+        self._prepared = self._heartbeats.readers(topic)
+        self._new_writer = partial(_Writer, context.participant, message_class, topic, qos)
         self._lock = threading.Lock()
         self._open = True
         self._spare: _Writer | None = self._make()
@@ -84,6 +116,31 @@ class Ros2Publisher:
                 self._writers[source] = writer
             return writer
 
+    def _make(self) -> _Writer:
+        """Return a new writer. A latched one first waits until subscriptions on Cyclone DDS have matched.
+
+        They would lose a first message that is large (see `bridge.adapters.ros2.graph.heartbeats`), for ever.
+        """
+        writer = self._new_writer()
+        if self._prepared:
+            writer.prepare(self._heartbeats, self._prepared)
+            if self.qos.latched:
+                writer.hold(max(1, self.qos.depth))
+                self._later.after(MATCH_SECONDS, writer.release)
+        return writer
+
+    def refit(self) -> None:
+        """Prepare subscriptions on Cyclone DDS that have appeared since the last call."""
+        readers = self._heartbeats.readers(self.topic)
+        with self._lock:
+            new, self._prepared = readers - self._prepared, readers
+            writers = self._all_writers() if new else []
+        for writer in writers:
+            writer.prepare(self._heartbeats, new)
+
+    def _all_writers(self) -> list[_Writer]:
+        return [*self._writers.values(), *([self._spare] if self._spare else [])]
+
     def drop_source(self, source: str) -> None:
         """Drop what is retained for a source; the topic stays advertised."""
         with self._lock:
@@ -97,7 +154,7 @@ class Ros2Publisher:
         """Destroy the writers. Safe to call twice."""
         with self._lock:
             self._open = False
-            writers = [*self._writers.values(), *([self._spare] if self._spare else [])]
+            writers = self._all_writers()
             self._writers, self._spare = {}, None
         for writer in writers:
             writer.close()

@@ -16,7 +16,9 @@ from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.graph.state import Registration
 from bridge.adapters.ros1.handshake import decode, encode
 from bridge.adapters.ros1.peer_pool import PeerPool
+from bridge.adapters.ros1.services import caller as caller_module
 from bridge.adapters.ros1.services.caller import MAX_CALLS, Ros1Caller
+from bridge.adapters.ros1.services.connection import ServiceConnection
 from bridge.messages.transcode.conversion import SideType
 from tests.peers.hub.calls import Ends
 from tests.peers.ros1.servers import tcp_server, until_closed
@@ -414,3 +416,36 @@ def test_without_descriptors(bench):
         go_on.set()
         assert slow.wait() == [b"slow"]
         assert bench.call().wait() == [b"abc"]
+
+
+def test_a_call_that_is_abandoned_while_it_connects_is_not_sent(bench, monkeypatch):
+    """Not even if its client leaves right before the request is sent."""
+    outcomes = []
+
+    def serve(sock, _header) -> None:
+        try:
+            outcomes.append(request_of(sock))
+        except ConnectionResetError:
+            outcomes.append("closed")
+
+    begin = caller_module._ServerConnection.begin
+
+    def begin_late(connection, pending) -> bool:
+        pending.abandon()
+        return begin(connection, pending)
+
+    monkeypatch.setattr(caller_module._ServerConnection, "begin", begin_late)
+    with tcp_server(Server(serve)) as address:
+        bench.toward(address)
+        ends = bench.call()
+        until(lambda: outcomes, "the call's connection ends, or its request arrives")
+        assert (outcomes, ends.items) == (["closed"], [])
+
+
+def test_a_call_that_lacks_a_descriptor_for_its_request_reports_that(bench, monkeypatch):
+    monkeypatch.setattr(ServiceConnection, "send", lambda *_arguments: False)
+    monkeypatch.setattr("bridge.resources.has_descriptor", lambda: False)
+    with tcp_server(Server(echo)) as address:
+        bench.toward(address)
+        (result,) = bench.call().wait()
+        assert "no file descriptor left" in str(result)

@@ -1,4 +1,4 @@
-"""Which endpoints prevent calls from crossing, by the vendor in their GIDs."""
+"""Which form of requests servers need, and when they cannot be called, by the vendor in their GIDs."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from bridge.hub.wire.qos import Qos
 from bridge.routing.edge import Endpoint, Kind, MadeBy
 
 CYCLONE, FAST, OTHERS = "0110", "010f", ("0101", "0103", "0000", "4453")
+BOTH = (CYCLONE, FAST)
+ACTION = "nav2_msgs/action/NavigateToPose"
 
 
 def endpoint(vendor: str, kind: Kind = Kind.SERVER, made_by: MadeBy = MadeBy.NATIVE, **more: str) -> Endpoint:
@@ -16,48 +18,57 @@ def endpoint(vendor: str, kind: Kind = Kind.SERVER, made_by: MadeBy = MadeBy.NAT
     return Endpoint(f"{vendor:0<32}", kind, qos=Qos(), made_by=made_by, **described)
 
 
-def test_server_on_cyclone_dds_is_not_called() -> None:
-    obstacle = vendors.of_servers("/lamp", [endpoint(CYCLONE)])
-    assert obstacle is not None
-    assert "/lamp is served on Cyclone DDS (/of_0110): " in obstacle.reason
-    assert "RMW_IMPLEMENTATION=rmw_fastrtps_cpp" in obstacle.cure
+def test_servers_on_cyclone_dds_can_be_called_in_their_own_form() -> None:
+    servers = [endpoint(CYCLONE), endpoint(CYCLONE)]
+    assert vendors.of_servers("/lamp", servers) is None
+    assert vendors.are_cyclone(servers)
 
 
-def test_one_of_several_servers_on_cyclone_dds_suffices() -> None:
-    obstacle = vendors.of_servers("/lamp", [endpoint(FAST), endpoint(CYCLONE)])
+def test_servers_on_two_kinds_of_dds_cannot_be_called() -> None:
+    servers = [endpoint(FAST), endpoint(CYCLONE)]
+    obstacle = vendors.of_servers("/lamp", servers)
     assert obstacle is not None
-    assert "(/of_0110) too, and DDS delivers each request to all servers" in obstacle.reason
+    assert "/lamp is served on Cyclone DDS (/of_0110) and on another DDS (/of_010f): " in obstacle.reason
+    assert "stop one of them" in obstacle.cure
+    assert not vendors.are_cyclone(servers)
 
 
 @pytest.mark.parametrize("vendor", [FAST, *OTHERS])
-def test_servers_and_clients_of_other_vendors_are_no_obstacle(vendor: str) -> None:
+def test_servers_of_other_vendors_are_called_like_those_on_fast_dds(vendor: str) -> None:
     assert vendors.of_servers("/lamp", [endpoint(vendor)]) is None
-    assert vendors.of_clients("/lamp", [endpoint(vendor, Kind.CLIENT)]) is None
+    assert not vendors.are_cyclone([endpoint(vendor)])
     assert not vendors.is_cyclone(bytes.fromhex(endpoint(vendor).id))
 
 
-def test_server_of_a_midspan_is_no_obstacle() -> None:
-    assert vendors.of_servers("/lamp", [endpoint(CYCLONE, made_by=MadeBy.MIDSPAN)]) is None
+@pytest.mark.parametrize("vendor", [FAST, CYCLONE])
+def test_servers_of_another_midspan_do_not_count(vendor: str) -> None:
+    """Midspan's servers drop requests of Midspan's clients."""
+    own = endpoint(FAST, made_by=MadeBy.MIDSPAN)
+    servers = [endpoint(vendor), own]
+    assert vendors.of_servers("/lamp", servers) is None
+    assert vendors.are_cyclone(servers) is (vendor == CYCLONE)
 
 
-def test_clients_on_cyclone_dds_are_named() -> None:
-    clients = [endpoint(vendor, Kind.CLIENT) for vendor in (FAST, CYCLONE)]
-    obstacle = vendors.of_clients("/lamp", clients)
-    assert obstacle is not None
-    assert "from Cyclone DDS (/of_0110) are refused" in obstacle.reason
+def test_without_a_server() -> None:
+    assert not vendors.are_cyclone([])
+    assert vendors.of_servers("/lamp", []) is None
 
 
-def test_report_omits_services_that_every_node_has() -> None:
+def test_report_names_nodes_and_what_is_served_twice() -> None:
     result = vendors.report(
         [
             endpoint(CYCLONE),
-            endpoint(CYCLONE, topic="/n/get_parameters", type="rcl_interfaces/srv/GetParameters"),
-            endpoint(CYCLONE, topic="/go/_action/send_goal", type="nav2_msgs/action/NavigateToPose_SendGoal"),
-            endpoint(CYCLONE, topic="/go/_action/get_result", type="nav2_msgs/action/NavigateToPose_GetResult"),
+            endpoint(FAST),
+            *(endpoint(vendor, topic="/n/get_parameters", type="rcl_interfaces/srv/GetParameters") for vendor in BOTH),
+            *(endpoint(vendor, topic="/go/_action/send_goal", type=f"{ACTION}_SendGoal") for vendor in BOTH),
+            *(endpoint(vendor, topic="/go/_action/get_result", type=f"{ACTION}_GetResult") for vendor in BOTH),
             endpoint(CYCLONE, Kind.PUBLISHER, topic="/scan", type="sensor_msgs/msg/LaserScan", node=""),
-            endpoint(FAST, topic="/fine"),
+            endpoint(CYCLONE, topic="/fine"),
         ]
     )
-    assert result == {"nodes": ["/of_0110", "a node with an unknown name"], "served": ["/go", "/lamp"], "called": []}
-    assert "(/go, /lamp) cannot be called" in vendors.warning(result)
+    assert result == {"nodes": ["/of_0110", "a node with an unknown name"], "both": ["/go", "/lamp"]}
+    assert "/go, /lamp: served on Cyclone DDS and on another DDS, so calls are refused" in vendors.warning(result)
+    only_nodes = vendors.report([endpoint(CYCLONE)])
+    assert only_nodes == {"nodes": ["/of_0110"], "both": []}
+    assert vendors.warning(only_nodes) == ""
     assert vendors.report([endpoint(FAST)]) == {}

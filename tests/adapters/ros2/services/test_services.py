@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.services import server as server_module
 from bridge.hub.endpoints.calls import CallError
 from bridge.kernels import CURE
 from bridge.messages.definitions.hashes import rihs01
@@ -222,6 +223,32 @@ def test_the_last_replies_of_a_closing_server_reach_its_clients(
         server.close()
     for called, _, _ in servers:
         assert native.ask("result", id=called, seconds=40)["reply"] == {"success": False, "message": "last reply"}
+
+
+@pytest.mark.parametrize("successor", ["own", "native"])
+def test_requests_to_a_server_that_has_closed(
+    edge: RunningEdge, peer: Peers, registry: Registry, monkeypatch: pytest.MonkeyPatch, successor: str
+) -> None:
+    """A client that has not noticed gets a refusal, but none while another server of the name is open."""
+    monkeypatch.setattr(server_module, "_LINGER", 60.0)
+    native, cancel, name = peer(), Service(registry, "action_msgs/srv/CancelGoal"), f"/s/closed_{successor}"
+
+    def code(seconds: float) -> int | None:
+        reply = native.ask("result", id=call(native, name, "action_msgs/CancelGoal"), seconds=seconds)["reply"]
+        return reply and int(reply["return_code"])
+
+    server = edge.edge.serve(name, cancel.type, answering(cancel.response(return_code=2)))
+    assert code(20.0) == 2
+    server.close()
+    assert code(20.0) == 1
+    if successor == "own":
+        edge.edge.serve(name, cancel.type, answering(cancel.response(return_code=3)))
+    else:
+        peer().ask("serve", service=name, type="action_msgs/CancelGoal", reply={"return_code": 3})
+        edge.until_seen(name, Kind.SERVER)
+    codes: list[int | None] = []
+    until(lambda: codes.append(code(0.5)) or codes[-1] == 3, "the new server replies")
+    assert 1 not in codes
 
 
 def test_replies_out_of_order(edge: RunningEdge, peer: Peers, echo: Service) -> None:

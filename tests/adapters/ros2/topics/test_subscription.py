@@ -61,7 +61,8 @@ def test_a_publisher_that_appears_during_construction_is_received(tmp_path: Path
 
     participant = SimpleNamespace(make_reader=make_reader)
     loop = SimpleNamespace(add=lambda _: None, remove=lambda _: None)
-    context: Any = SimpleNamespace(participant=participant, loop=loop, graph=graph)
+    heartbeats = SimpleNamespace(follow=lambda _: None)
+    context: Any = SimpleNamespace(participant=participant, loop=loop, graph=graph, heartbeats=heartbeats)
     types: Any = SimpleNamespace(message_class=lambda *_: SimpleNamespace(type_name=TYPE))
     edge._context, edge._types = context, types
     edge.subscribe("/t", SideType(TYPE, "", ""), RELIABLE, lambda *_: None)

@@ -36,6 +36,11 @@ def test_address_without_a_name_has_no_carrier() -> None:
     assert (contact.getCarrier(), contact.toString(), contact.toURI()) == ("", "/127.0.0.1:10", "/127.0.0.1:10/")
 
 
+def test_an_invalid_host_name_has_no_address() -> None:
+    assert yarp.Contact.convertHostToIp("a" * 70) == "a" * 70
+    assert yarp.Contact.convertHostToIp("127.0.0.1") == "127.0.0.1"
+
+
 def test_contact_from_a_property() -> None:
     contact = yarp.Contact.fromConfig(yarp.Property("(name /a) (ip 10.0.0.7) (port_number 5)"))
     assert (contact.getName(), contact.toURI()) == ("/a", "tcp://10.0.0.7:5/")

@@ -199,7 +199,10 @@ function topicBlock(socket, typeOf) {
       end = socket.watch(`topic:${name}`, (value, reason) => {
         write(why, value ? "" : reason || "Waiting for a message.");
         newest = value?.message ?? null;
-        if (!value) return;
+        if (!value) {
+          write(often, "");
+          return;
+        }
         write(type, value.type);
         if (PICTURES.has(value.type)) picture.open(name);
         write(often, rate(value.rate));

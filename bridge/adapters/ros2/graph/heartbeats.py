@@ -1,0 +1,99 @@
+"""Heartbeats that prepare readers on Cyclone DDS for the first message of a writer.
+
+A reliable, volatile reader on Cyclone DDS skips everything before the first HEARTBEAT that it receives from a writer
+(``handle_Heartbeat`` in its q_receive.c). Fast DDS sends no HEARTBEAT before the writer's first sample, and after that
+only with a sample. So what is written before the reader has matched is lost although Fast DDS keeps it, and so is the
+first sample that consists of fragments: its HEARTBEAT arrives before it is whole. A HEARTBEAT that announces only what
+was written before (first 1, last the number of samples) prevents both.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+from bridge.adapters.ros2.graph import spdp, vendors
+from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
+from bridge.concurrency import DelayedCalls
+from bridge.routing.edge import Endpoint, Kind
+
+PAUSE_SECONDS = 0.05
+MATCH_SECONDS = 0.3
+"""Seconds until a new endpoint has matched at a participant that has been discovered before: it takes milliseconds. A
+reader ignores heartbeats until then, and DDS does not report when it has matched, so they are repeated."""
+
+_SETTLE_SECONDS = 3.5
+"""Seconds from the discovery of a participant until it knows all endpoints here: Fast DDS repeats an announcement that
+the other was not yet ready to receive after up to 3 s (the heartbeat period of its discovery writers)."""
+
+
+class _Prepared(NamedTuple):
+    """The number of samples that a writer had written, and the end of its heartbeats on the monotonic clock."""
+
+    last: int
+    end: float
+
+
+class Heartbeats:
+    """Sends heartbeats in the name of this participant's writers.
+
+    Args:
+        send_all: sends RTPS messages to all participants.
+        later: the thread that sends them.
+    """
+
+    def __init__(self, send_all: Callable[[Sequence[bytes]], None], later: DelayedCalls) -> None:
+        self._send_all, self._later = send_all, later
+        self._lock = threading.Lock()
+        self._discovered: dict[bytes, float] = {}
+        self._readers: dict[str, frozenset[bytes]] = {}
+        self._pending: dict[bytes, _Prepared] = {}
+
+    def follow(self, endpoints: Iterable[Endpoint]) -> None:
+        """Record the endpoints on Cyclone DDS: when each participant was discovered, and who subscribes to what."""
+        readers: dict[str, set[bytes]] = {}
+        prefixes: set[bytes] = set()
+        for endpoint in endpoints:
+            gid = bytes.fromhex(endpoint.id)
+            if vendors.is_cyclone(gid):
+                prefixes.add(gid[:PREFIX_BYTES])
+                if endpoint.kind is Kind.SUBSCRIPTION:
+                    readers.setdefault(endpoint.topic, set()).add(gid)
+        now = time.monotonic()
+        with self._lock:
+            self._discovered = {prefix: self._discovered.get(prefix, now) for prefix in prefixes}
+            self._readers = {topic: frozenset(gids) for topic, gids in readers.items()}
+
+    def readers(self, topic: str) -> frozenset[bytes]:
+        """Return the GIDs of a ROS topic's subscriptions on Cyclone DDS."""
+        return self._readers.get(topic, frozenset())
+
+    def prepare(self, writer: bytes, last: int, peers: Iterable[bytes]) -> float:
+        """Announce to new readers that a writer has written ``last`` samples; return when they are prepared.
+
+        Args:
+            writer: the GID of a writer of this participant.
+            last: the number of samples that it has written.
+            peers: GIDs of the participants to prepare; not only those of the readers, any of their endpoints will do.
+
+        Returns:
+            A time on the monotonic clock.
+        """
+        with self._lock:
+            now = time.monotonic()
+            discovered = (self._discovered.setdefault(gid[:PREFIX_BYTES], now) for gid in peers)
+            end = max(max(discovered, default=now) + _SETTLE_SECONDS, now) + MATCH_SECONDS
+            self._pending[writer] = _Prepared(last, end)
+        self._later.after(0.0, self._send, once=True)
+        return end
+
+    def _send(self) -> None:
+        now = time.monotonic()
+        with self._lock:
+            self._pending = {writer: prepared for writer, prepared in self._pending.items() if now < prepared.end}
+            pending = dict(self._pending)
+        if pending:
+            self._send_all(spdp.heartbeats({writer: prepared.last for writer, prepared in pending.items()}))
+            self._later.after(PAUSE_SECONDS, self._send, once=True)

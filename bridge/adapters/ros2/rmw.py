@@ -1,0 +1,135 @@
+"""Calls of rmw_fastrtps that rcl does not offer, through ctypes, above all subscriptions of any DDS topic.
+
+rcl adds a slash to every name, so it cannot subscribe to ``rr/lampReply``, the topic on which a service replies.
+Structures as in Jazzy's rmw/types.h and rmw/qos_profiles.h.
+"""
+
+from __future__ import annotations
+
+from ctypes import (
+    CDLL,
+    POINTER,
+    Structure,
+    byref,
+    c_bool,
+    c_char_p,
+    c_int,
+    c_int32,
+    c_size_t,
+    c_ubyte,
+    c_uint64,
+    c_void_p,
+    cast,
+    create_string_buffer,
+)
+from functools import cache
+from typing import Any, Self
+
+from bridge.adapters.ros2 import rcl
+from bridge.messages.errors import MessageTypeError
+
+_KEEP_LAST, _RELIABLE, _VOLATILE = 1, 1, 2
+_OPTIONS_BYTES = 64
+"""More than the size of ``rmw_subscription_options_t``, whose defaults are zeros."""
+
+
+class _Time(Structure):
+    _fields_ = [("sec", c_uint64), ("nsec", c_uint64)]
+
+
+class _QosProfile(Structure):
+    _fields_ = [
+        ("history", c_int), ("depth", c_size_t), ("reliability", c_int), ("durability", c_int), ("deadline", _Time),
+        ("lifespan", _Time), ("liveliness", c_int), ("lease", _Time), ("avoid_ros_namespace_conventions", c_bool),
+    ]  # fmt: skip
+
+
+@cache
+def _library() -> tuple[CDLL, CDLL]:
+    """Return rcl and rmw_fastrtps; raises `OSError`, or `AttributeError` for another rmw."""
+    of_rcl, rmw = CDLL("librcl.so"), CDLL("librmw_fastrtps_cpp.so")
+    for handle in (of_rcl.rcl_node_get_rmw_handle, of_rcl.rcl_publisher_get_rmw_handle):
+        handle.restype, handle.argtypes = c_void_p, [c_void_p]
+    signatures: tuple[tuple[Any, Any, list[Any]], ...] = (
+        (rmw.rmw_create_subscription, c_void_p, [c_void_p, c_void_p, c_char_p, c_void_p, c_void_p]),
+        (rmw.rmw_get_gid_for_publisher, c_int32, [c_void_p, c_void_p]),
+        (rmw.rmw_destroy_subscription, c_int32, [c_void_p, c_void_p]),
+        (rmw.rmw_subscription_set_on_new_message_callback, c_int32, [c_void_p, c_void_p, c_void_p]),
+        (rmw.rmw_subscription_count_matched_publishers, c_int32, [c_void_p, POINTER(c_size_t)]),
+        (rmw.rmw_take_serialized_message, c_int32, [c_void_p, c_void_p, POINTER(c_bool), c_void_p]),
+    )
+    for function, result, arguments in signatures:
+        function.restype, function.argtypes = result, arguments
+    return of_rcl, rmw
+
+
+class _Gid(Structure):
+    """``rmw_gid_t``."""
+
+    _fields_ = [("implementation", c_char_p), ("data", c_ubyte * 16)]
+
+
+def publisher_gid(publisher: int) -> bytes:
+    """Return the GID of ``rcl_publisher_t *``, 16 bytes."""
+    of_rcl, rmw = _library()
+    gid = _Gid()
+    code = rmw.rmw_get_gid_for_publisher(of_rcl.rcl_publisher_get_rmw_handle(publisher), byref(gid))
+    if code != rcl.RET_OK:
+        raise rcl.RclError("rmw_get_gid_for_publisher", code)
+    return bytes(gid.data)
+
+
+class RmwSubscription:
+    """A reliable, volatile reader of a DDS topic; ``pointer`` is its ``rmw_subscription_t *``.
+
+    It has the methods of rclpy's inner objects that `bridge.adapters.ros2.loop.EndpointReader` uses. Raises
+    `MessageTypeError` if the middleware refuses it.
+
+    Args:
+        node: the address of the ``rcl_node_t``.
+        support: the address of the type support of the topic's messages.
+        topic: the name of the DDS topic.
+        depth: number of messages in its history.
+    """
+
+    def __init__(self, node: int, support: int, topic: str, depth: int) -> None:
+        of_rcl, self._rmw = _library()
+        self._node = of_rcl.rcl_node_get_rmw_handle(node)
+        qos = _QosProfile(_KEEP_LAST, depth, _RELIABLE, _VOLATILE, avoid_ros_namespace_conventions=True)
+        options = create_string_buffer(_OPTIONS_BYTES)
+        pointer = self._rmw.rmw_create_subscription(self._node, support, topic.encode(), byref(qos), options)
+        if not pointer:
+            rcl.reset_error()
+            raise MessageTypeError(f"ROS 2 does not accept a subscription of the DDS topic {topic}")
+        self.pointer = int(pointer)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def destroy_when_not_in_use(self) -> None:
+        """Destroy it: unlike rclpy's objects it has one user, which calls this last."""
+        self._rmw.rmw_destroy_subscription(self._node, self.pointer)
+
+    def wake(self, descriptor: int | None) -> None:
+        """Count each new message in an eventfd; None stops that before returning."""
+        callback: Any = None if descriptor is None else cast(CDLL(None).eventfd_write, c_void_p)
+        code = self._rmw.rmw_subscription_set_on_new_message_callback(self.pointer, callback, descriptor)
+        if code != rcl.RET_OK:
+            raise rcl.RclError("rmw_subscription_set_on_new_message_callback", code)
+
+    def matched(self) -> int:
+        """Return the number of writers that are matched."""
+        count = c_size_t()
+        self._rmw.rmw_subscription_count_matched_publishers(self.pointer, byref(count))
+        return count.value
+
+    def take(self, taker: rcl.Taker) -> bytes | None:
+        """Return the next message as CDR, or None."""
+        taken = c_bool()
+        code = self._rmw.rmw_take_serialized_message(self.pointer, taker.buffer, byref(taken), None)
+        if code != rcl.RET_OK:
+            raise rcl.RclError("rmw_take_serialized_message", code)
+        return taker.payload() if taken.value else None

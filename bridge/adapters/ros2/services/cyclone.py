@@ -1,0 +1,145 @@
+"""Requests and replies as Cyclone DDS exchanges them.
+
+rmw_fastrtps sends the identity of a request as inline QoS. rmw_cyclonedds puts it into the payload of the request and
+of its reply: behind the encapsulation header stand the client's id (8 bytes) and the request's number (int64 in the
+payload's byte order; ``cdds_request_header_t`` in rmw_cyclonedds_cpp's serdata.hpp). 16 bytes do not change the
+alignment of what follows. rcl's client drops replies without inline QoS, so another reader receives those.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import time
+from collections.abc import Callable, Collection
+from typing import NamedTuple
+
+from typing_extensions import override
+
+from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
+from bridge.adapters.ros2.loop import EndpointReader
+from bridge.adapters.ros2.participant import reply_topic, request_topic
+from bridge.adapters.ros2.rcl import ENCAPSULATION
+from bridge.adapters.ros2.services.endpoint import Ros2Context
+from bridge.adapters.ros2.services.matching import MatchCounter
+
+_HEADER = struct.Struct("<8sq")
+_BODY = len(ENCAPSULATION) + _HEADER.size
+_PADDING = 3
+"""Bits of the encapsulation's last byte that count the padding bytes at the end (DDS-XTypes 1.3, 7.6.3.1.2)."""
+
+FIRST_NUMBER = 1 << 40
+"""Beyond the numbers of requests to servers on Fast DDS, which count from 1."""
+
+_PATIENCE_SECONDS = 1.0
+"""Seconds after which a reply is sent although not all readers of its topic have matched."""
+
+
+class Framed(NamedTuple):
+    """A payload without its header: ``header`` is 16 bytes, ``payload`` is CDR."""
+
+    header: bytes
+    payload: bytes
+
+
+def unwrap(payload: bytes) -> Framed | None:
+    """Separate the header from a request or a reply; return None unless it is little-endian CDR with a header."""
+    if payload[:2] != ENCAPSULATION[:2] or len(payload) < _BODY:
+        return None
+    end = len(payload) - (payload[3] & _PADDING)
+    return Framed(payload[len(ENCAPSULATION) : _BODY], ENCAPSULATION + payload[_BODY : max(end, _BODY)])
+
+
+def wrap(header: bytes, payload: bytes) -> bytes:
+    """Return a request or a reply with its header."""
+    return ENCAPSULATION + header + payload[len(ENCAPSULATION) :]
+
+
+Replied = Callable[[int, bytes], None]
+"""Called with the number of a request, and its reply as CDR."""
+
+
+class CycloneCalls(EndpointReader):
+    """The requests of one client to servers on Cyclone DDS, and the reader of their replies.
+
+    Raises `MessageTypeError` if the middleware refuses the reader.
+    """
+
+    def __init__(self, name: str, response_support: int, context: Ros2Context, replied: Replied) -> None:
+        self._reader = context.participant.make_reply_reader(response_support, name)
+        super().__init__(context.participant, self._reader)
+        self._topic, self._graph, self._heartbeats = request_topic(name), context.graph, context.heartbeats
+        self._replied = replied
+        self._id = os.urandom(8)
+        self._number = FIRST_NUMBER
+        self._matched, self._prepared = 0, 0.0
+
+    @override
+    def wake(self, descriptor: int | None) -> None:
+        self._reader.wake(descriptor)
+
+    def wait(self, poll: float, servers: Collection[bytes], last: int) -> float:
+        """Return the seconds until a request may be sent, 0 for now; ``poll`` while no server has matched.
+
+        The first call after a match begins to prepare the servers; ``last`` is the number of requests written before.
+        """
+        matched = self._reader.matched()
+        writer = self._graph.own_writer(self._topic) if matched != self._matched else None
+        if writer is not None:
+            self._matched, self._prepared = matched, self._heartbeats.prepare(writer, last, servers)
+        return max(0.0, self._prepared - time.monotonic()) if self._matched else poll
+
+    def wrap(self, request: bytes) -> tuple[int, bytes]:
+        """Return a request's number, and its payload with a header."""
+        self._number += 1
+        return self._number, wrap(_HEADER.pack(self._id, self._number), request)
+
+    @override
+    def drain(self, taker: rcl.Taker, limit: int) -> None:
+        for _ in range(limit):
+            payload = self._reader.take(taker)
+            if payload is None:
+                return
+            framed = unwrap(payload)
+            if framed is None:
+                continue
+            client, number = _HEADER.unpack(framed.header)
+            if client == self._id:  # DDS delivers each reply to all clients of a name
+                self._replied(number, framed.payload)
+
+
+class ReplyReach:
+    """Whether a server's replies reach clients on Cyclone DDS: rmw_fastrtps checks that for its own clients alone."""
+
+    def __init__(self, service: str, matches: MatchCounter, context: Ros2Context) -> None:
+        self._service, self._matches = service, matches
+        self._graph, self._heartbeats = context.graph, context.heartbeats
+        self._reached: set[bytes] = set()
+        self._tried: dict[bytes, float] = {}
+
+    def reaches(self, gid: bytes, last: int) -> bool:
+        """Return whether the client with this request writer can receive, as far as can be known.
+
+        It cannot at the first call, which sends a heartbeat; ``last`` is the number of replies written before.
+        """
+        if gid in self._reached:
+            return True
+        readers = self._graph.reply_readers(self._service)
+        if not any(reader[:PREFIX_BYTES] == gid[:PREFIX_BYTES] for reader in readers):
+            return False
+        now, matched = time.monotonic(), self._matches.current()
+        first = self._tried.setdefault(gid, now)
+        if first == now or (matched is not None and matched < len(readers) and now - first < _PATIENCE_SECONDS):
+            writer = self._graph.own_writer(reply_topic(self._service))
+            if writer is not None:
+                self._heartbeats.prepare(writer, last, [gid])
+            return False
+        self._tried.pop(gid)
+        self._reached.add(gid)
+        return True
+
+    def retain(self, gids: set[bytes]) -> None:
+        """Remove all clients except these."""
+        self._reached &= gids
+        self._tried = {gid: since for gid, since in self._tried.items() if gid in gids}

@@ -1,0 +1,186 @@
+"""Messages that arrive before the engine knows their publishers: none replaces a newer one, and none is lost."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Durability, Qos, Reliability
+from bridge.messages.registry import Registry
+from bridge.messages.transcode.conversion import Conversion
+from bridge.routing import backlog, hub_to_side, side_to_hub
+from bridge.routing.decision import RouteKey
+from bridge.routing.dispatcher import Dispatcher
+from bridge.routing.edge import Endpoint, Kind, MadeBy
+from bridge.routing.peer_watch import Lease
+from bridge.routing.route import EngineContext
+from bridge.routing.rules import RoutePolicy
+from bridge.routing.side_to_hub import SideToHubRoute
+from bridge.routing.stall import StallDetector
+from tests.peers.fake import FakeEdge, FakeNetwork
+from tests.routing.test_route import STRING, LatchedRoute, line
+
+TOPIC = "/state"
+LATCHED = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=1)
+
+
+class HubRecord:
+    """The hub's end of a route: it records what its publishers publish."""
+
+    max_payload = 1000
+
+    def __init__(self) -> None:
+        self.published: list[bytes] = []
+
+    def publisher(self, *_: object, **__: object) -> SimpleNamespace:
+        return SimpleNamespace(put=lambda data, _time: self.published.append(data), close=lambda: None)
+
+
+class RouteToHub:
+    """A route to the hub for latched publishers of the side."""
+
+    def __init__(self) -> None:
+        self.hub, self.lease, registry = HubRecord(), Lease(), Registry()
+        self.lease.extend(math.inf)
+        self.during_conversion: Callable[[], object] = lambda: None
+        idle, type_ = Dispatcher("idle"), registry.ros2(STRING)
+        context = EngineContext(
+            cast("Hub", self.hub), FakeEdge(FakeNetwork(), registry), StallDetector(), self.lease, cast("Any", None),
+            idle, idle, lambda: None,
+        )  # fmt: skip
+        self.route = SideToHubRoute(
+            RouteKey(TOPIC, STRING, type_.type_id), TOPIC, Conversion(type_, type_, self.convert),
+            RoutePolicy(allowed=True, why="", name=TOPIC), context,
+        )  # fmt: skip
+
+    def convert(self, data: bytes) -> bytes:
+        self.during_conversion()
+        return data
+
+    def deliver(self, text: str, source: str = "this") -> None:
+        self.route.deliver(line(text), source, None)
+
+    def update(self, *sources: str) -> None:
+        self.route.update([Endpoint(name, Kind.PUBLISHER, TOPIC, STRING, LATCHED, MadeBy.NATIVE) for name in sources])
+
+
+class Newer:
+    """Delivers a message on another thread once it is called, and gives it time to overtake the caller."""
+
+    def __init__(self, deliver: Callable[[], None]) -> None:
+        self._thread = threading.Thread(target=deliver)
+
+    def __call__(self, **_: object) -> None:
+        if self._thread.ident is None:
+            self._thread.start()
+            self._thread.join(0.5)
+
+    def join(self) -> None:
+        self._thread.join(40)
+
+
+@pytest.mark.parametrize("standby", [False, True])
+def test_message_held_by_a_route_to_the_hub_is_published_before_newer_ones(*, standby: bool) -> None:
+    to_hub = RouteToHub()
+    to_hub.update("this" if standby else "other")
+    if standby:
+        to_hub.lease.end()
+    to_hub.deliver("old")
+    to_hub.lease.extend(math.inf)
+    to_hub.during_conversion = newer = Newer(lambda: to_hub.deliver("new"))
+    to_hub.update("this")
+    newer.join()
+    assert to_hub.hub.published == [line("old"), line("new")]
+    to_hub.route.close()
+
+
+def test_newer_message_of_another_thread_waits_for_held_ones_that_a_third_publishes() -> None:
+    to_hub = RouteToHub()
+    to_hub.update("this", "other")
+    to_hub.lease.end()
+    to_hub.deliver("old")
+    to_hub.lease.extend(math.inf)
+    to_hub.during_conversion = newer = Newer(lambda: to_hub.deliver("new"))
+    to_hub.deliver("different", "other")
+    newer.join()
+    assert to_hub.hub.published == [line("old"), line("different"), line("new")]
+    to_hub.route.close()
+
+
+def test_pending_message_does_not_replace_one_that_arrives_after_its_removal(monkeypatch: pytest.MonkeyPatch) -> None:
+    latched = LatchedRoute(monkeypatch)
+    latched.route.update([latched.other], [])
+    latched.receive("old")
+    newer = Newer(lambda: latched.receive("new"))
+    monkeypatch.setattr(latched.route, "over_rate", newer)
+    latched.route.update([latched.other, latched.publisher], [])
+    newer.join()
+    latched.route.queue._next()
+    assert latched.network.retained() == [line("new")]
+
+
+@pytest.mark.parametrize("waits", [False, True], ids=["allowed", "waiting"])
+def test_pending_message_does_not_replace_one_that_arrives_once_its_publisher_is_known(
+    monkeypatch: pytest.MonkeyPatch, *, waits: bool
+) -> None:
+    """The loop names the publisher, a newer message arrives, and then the loop publishes the pending one."""
+    latched = LatchedRoute(monkeypatch)
+    latched.route.update([latched.other], [])
+    latched.receive("old")
+    with monkeypatch.context() as patch:
+        patch.setattr(latched.route, "_follow_demand", lambda _: latched.receive("new"))
+        latched.route.update(
+            *(([latched.other], [], [latched.publisher]) if waits else ([latched.other, latched.publisher], []))
+        )
+    assert latched.wakes == 2, "a check is due"
+    latched.route.update([latched.other, latched.publisher], [])
+    assert latched.network.retained() == [line("new")]
+
+
+def suspend(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Return a function that advances the clock of the routes by seconds."""
+    now = [100.0]
+    monkeypatch.setattr(backlog, "time", SimpleNamespace(monotonic=lambda: now[0]))
+
+    def advance(seconds: float) -> None:
+        now[0] += seconds
+
+    return advance
+
+
+def test_process_that_was_suspended_drops_no_message_to_the_hub_before_it_looked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    advance, to_hub = suspend(monkeypatch), RouteToHub()
+    to_hub.update("other")
+    to_hub.deliver("only")
+    advance(2 * side_to_hub.PENDING_SECONDS)
+    to_hub.deliver("different", "other")
+    to_hub.update("other")  # this list was made before the suspension
+    to_hub.update("other", "this")
+    assert to_hub.hub.published == [line("different"), line("only")]
+    to_hub.deliver("unknown", "nobody")
+    for _ in range(2):
+        advance(2 * side_to_hub.PENDING_SECONDS)
+        to_hub.update("other", "this")
+    assert not to_hub.route.pending
+    assert to_hub.route.counters.drops["unknown"] == 1
+    to_hub.route.close()
+
+
+def test_process_that_was_suspended_drops_no_message_to_the_side_before_it_looked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    advance, latched = suspend(monkeypatch), LatchedRoute(monkeypatch)
+    latched.route.update([latched.other], [])
+    latched.receive("only")
+    advance(2 * hub_to_side.PENDING_SECONDS)
+    latched.route.update([latched.other], [])
+    latched.route.update([latched.other, latched.publisher], [])
+    assert latched.network.retained() == [line("only")]
