@@ -13,11 +13,11 @@ from bridge.client.publishing import encode
 from bridge.client.services import ServiceCaller
 from bridge.client.session import Client
 from bridge.client.types import Types
-from bridge.client.velocity import VELOCITIES
+from bridge.client.velocity import VELOCITIES, subscribers, velocity_message
+from bridge.clock import RunClock
 from bridge.config.sections.navigation import NavigationSection
 from bridge.hub.control import RECORDED
 from bridge.hub.endpoints.calls import CallError
-from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.wire.qos import Qos
 from bridge.messages.actions import CANCEL_GOAL, part_name
 
@@ -42,7 +42,7 @@ class Halted:
         topics: the topics of velocities, with their number of subscribers on the hub.
         cancels: the result for each action's goals.
         bases: the modules that were asked to halt, and why they may not stand; "" if they do.
-        trouble: why the configured planner may drive on; "" if it does not.
+        trouble: why the configured planner may drive on, or a base did not get zero; "" otherwise.
         published: name, type and type hash of each topic of velocities.
     """
 
@@ -73,9 +73,10 @@ def halt(client: Client, types: Types, seconds: float = DEFAULT_SECONDS) -> Halt
         zeros.put()
     asking.join()  # it has its own time limit
     topics = {topic: zeros.listeners(topic) for topic in zeros.topics}
+    missed = zeros.missed()
     zeros.close()
     trouble = unreached(client.config.navigation, bases, [cancel.name for cancel in cancels])
-    return Halted(topics, cancels, bases, trouble, zeros.published)
+    return Halted(topics, cancels, bases, "; ".join(filter(None, (trouble, missed))), zeros.published)
 
 
 def unreached(section: NavigationSection, asked: Iterable[str], cancelled: Collection[str]) -> str:
@@ -95,28 +96,43 @@ def actions(client: Client) -> list[str]:
 
 
 class ZeroVelocities:
-    """Publishes zero velocity on every topic of velocities on the hub."""
+    """Publishes zero velocity on every topic of velocities of the hub, and on those that nodes of a side subscribe to.
+
+    A side has one type for each topic. So a topic with subscribers to one form gets only that form.
+    """
 
     def __init__(self, client: Client, types: Types) -> None:
-        graph = client.hub.graph
-        self._graph = graph
+        graph = self._graph = client.hub.graph
+        self._types, self._frame = types, client.config.navigation.base_frame
+        self._clock = RunClock(simulated=client.config.clock.simulated)  # a simulated one is not fed: 0 means now
         ends = [*graph.publishers(), *graph.subscriptions()]
-        topics = sorted({(e.topic, e.type_name, e.type_hash) for e in ends if e.type_name in VELOCITIES})
-        self.published = topics
-        self.topics = [topic for topic, _, _ in topics]
-        self._publishers: list[tuple[HubPublisher, bytes]] = []
-        for topic, name, type_hash in topics:
-            publisher = client.hub.publisher(topic, name, type_hash, Qos(depth=1), priority="command")
-            self._publishers.append((publisher, encode(types, name, {})))
+        known = {(e.topic, e.type_name, e.type_hash) for e in ends if e.type_name in VELOCITIES}
+        known |= {(topic, name, types.hash_of(name)) for _, topic, name in graph.velocities() if name in VELOCITIES}
+        wanted = {topic: subscribers(graph, topic) for topic, _, _ in known}
+        self.published = sorted(kind for kind in known if kind[1] in (wanted[kind[0]] or VELOCITIES))
+        self.topics = [topic for topic, _, _ in self.published]
+        self._publishers = [
+            (client.hub.publisher(*kind, Qos(depth=1), priority="command"), kind[1]) for kind in self.published
+        ]
 
     def put(self) -> None:
         """Publish zero once on each topic."""
-        for publisher, zero in self._publishers:
-            publisher.put(zero)
+        for publisher, name in self._publishers:
+            publisher.put(encode(self._types, name, velocity_message(name, self._clock, self._frame)))
 
     def listeners(self, topic: str) -> int:
         """Return a topic's number of subscribers on the hub."""
         return len(self._graph.subscriptions(topic))
+
+    def missed(self) -> str:
+        """Return which nodes of a side no zero can reach, "" if there are none: the side has another type there."""
+        reached = {(end.zid, end.topic, end.type_name) for end in self._graph.subscriptions()}
+        return "; ".join(
+            f"{topic}: nodes of a side subscribe to {name}, and zero does not reach them: the robot may still be"
+            f" moving; see 'midspan explain {topic}'"
+            for zid, topic, name in self._graph.velocities()
+            if (zid, topic, name) not in reached
+        )
 
     def close(self) -> None:
         """Withdraw the publishers."""

@@ -49,6 +49,17 @@ class VelocityForm:
     frame: str = "base_link"
 
 
+def velocity_message(
+    type_name: str, clock: RunClock, frame: str, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> dict[str, Any]:
+    """Return a message of one of the types, by default zero; ``velocity`` in m/s and rad/s."""
+    x, y, turn = velocity
+    twist: dict[str, Any] = {"linear": {"x": x, "y": y}, "angular": {"z": turn}}
+    if type_name != TWIST_STAMPED:
+        return twist
+    return {"header": {"stamp": clock.stamp(), "frame_id": frame}, "twist": twist}
+
+
 def subscribers(graph: HubGraph, topic: str) -> dict[str, list[str]]:
     """Return the nodes of the hub, and the sides with nodes, that subscribe to velocities of only one type, by type.
 
@@ -112,11 +123,8 @@ class VelocityPublisher:
 
     def _publish(self, x: float, y: float, turn: float) -> None:
         assert self._out is not None
-        twist: dict[str, Any] = {"linear": {"x": x, "y": y}, "angular": {"z": turn}}
-        if self.type_name == TWIST_STAMPED:
-            twist = {"header": {"stamp": self._clock.stamp(), "frame_id": self._form.frame}, "twist": twist}
         self._used = True
-        self._out.publish(twist)
+        self._out.publish(velocity_message(self.type_name, self._clock, self._form.frame, (x, y, turn)))
 
     def _wanted(self) -> str:
         if self._form.stamped != "auto":

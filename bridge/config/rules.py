@@ -10,7 +10,7 @@ from typing import Any
 from bridge.config.sections.navigation import ACTION, GOAL_POSE, NavigationSection
 from bridge.config.sections.routing import RoutingSection, Rule
 
-TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseStamped"
+VELOCITIES, POSE = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"), "geometry_msgs/msg/PoseStamped"
 PATH, GRID = "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid"
 
 
@@ -42,18 +42,19 @@ def made_rules(section: NavigationSection) -> Iterator[MadeRule]:
             for action in planner.motion:
                 yield _rule(of, kind="action", topic=action, from_=planner.side)
         if planner.velocity and section.velocity and planner.velocity != section.velocity:
-            yield _rule(
-                of, kind="topic", topic=planner.velocity, type=TWIST, from_=planner.side, rename=section.velocity,
-                priority="command",
-            )  # fmt: skip
+            for velocity in VELOCITIES:
+                yield _rule(
+                    of, kind="topic", topic=planner.velocity, type=velocity, from_=planner.side,
+                    rename=section.velocity, priority="command",
+                )  # fmt: skip
     owners: dict[tuple[str, str], str] = {
         (planner.side, planner.action): planner.name for planner in section.others.values()
     }
     for side, action, goal in (("ros1", doors.ros1, doors.ros1_goal), ("ros2", doors.ros2, doors.ros2_goal)):
         yield from _entry_rules(side, action, goal, owners.get((side, action), ""))
     yield _rule("navigation", topic="/navigation/**")
-    if section.velocity:
-        yield _rule("navigation.velocity", kind="topic", topic=section.velocity, type=TWIST, priority="command")
+    for velocity in VELOCITIES if section.velocity else ():
+        yield _rule("navigation.velocity", kind="topic", topic=section.velocity, type=velocity, priority="command")
 
 
 def _telemetry_rules(section: NavigationSection) -> Iterator[MadeRule]:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from enum import Enum
 from functools import partial
 
+from bridge.client.velocity import subscribers
 from bridge.hub.wire.qos import Qos
 from bridge.modules.endpoints import Subscription
 from bridge.modules.host import Host
@@ -122,23 +123,26 @@ _FRAME_ID = _HEADER + 8
 
 
 class VelocityWatch:
-    """Follows the velocity commands to the base, stamped or not, only while it is open: for stops without odometry."""
+    """Follows the velocity commands to the base, stamped or not, only while it is open: for stops without odometry.
+
+    Zero counts in the form that the base subscribes to, or in both if its form is unknown.
+    """
 
     def __init__(self, host: Host, topic: str) -> None:
         self._host, self._topic = host, topic
         self._subscriptions: list[Subscription] = []
         self._opened = 0.0
         self._moving_at = -math.inf  # when the last command other than zero arrived (monotonic)
-        self._zero_at = -math.inf
+        self._zero_at: dict[str, float] = {}
 
     def open(self) -> None:
         """Subscribe, if not subscribed yet."""
         if self._subscriptions or not self._topic:
             return
         self._opened = time.monotonic()
-        self._moving_at = self._zero_at = -math.inf
+        self._moving_at, self._zero_at = -math.inf, {}
         for kind, begin in ((TWIST, _begin_of_twist), (TWIST_STAMPED, _begin_of_stamped)):
-            receive = partial(self._on_velocity, begin)
+            receive = partial(self._on_velocity, kind, begin)
             self._subscriptions.append(
                 self._host.node.subscription_cdr(self._topic, kind, receive, Qos(depth=1), at_once=True)
             )
@@ -155,15 +159,22 @@ class VelocityWatch:
         if not self._subscriptions:
             return False
         begin = max(self._moving_at, self._opened, since)
-        return time.monotonic() > begin + (ZERO_SECONDS if self._zero_at > begin else SILENCE_SECONDS)
+        return time.monotonic() > begin + (ZERO_SECONDS if self._last_zero() > begin else SILENCE_SECONDS)
 
-    def _on_velocity(self, begin: Callable[[bytes], int], cdr: bytes) -> None:
+    def _last_zero(self) -> float:
+        """Return when the base received the last zero; if both forms have subscribers, when the later of them did."""
+        forms, zeros = subscribers(self._host.node.hub.graph, self._topic), self._zero_at
+        if forms:
+            return min(zeros.get(form, -math.inf) for form in forms)
+        return max(zeros.values(), default=-math.inf)
+
+    def _on_velocity(self, kind: str, begin: Callable[[bytes], int], cdr: bytes) -> None:
         """Runs on a thread of zenoh. ``begin`` returns the offset of the six numbers."""
         now, offset = time.monotonic(), begin(cdr)
         if len(cdr) < offset + _TWIST.size or any(_TWIST.unpack_from(cdr, offset)):
             self._moving_at = now
         else:
-            self._zero_at = now
+            self._zero_at[kind] = now
 
 
 def _begin_of_twist(_cdr: bytes) -> int:

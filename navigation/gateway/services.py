@@ -11,16 +11,15 @@ from typing import Any, NamedTuple
 
 from typing_extensions import override
 
-from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host, ModuleNode
 from bridge.modules.loop import Timer
 from bridge.modules.services import Answer
+from bridge.modules.velocity import velocity_publisher
 from navigation.gateway.choice import RequestError
 from navigation.gateway.entry import STOP_SERVICE
 from navigation.gateway.gateway import Gateway
 from navigation.gateway.stop import OVERRIDE_SECONDS, StopAnswer, wait_for
 from navigation.gateway.targets import StoredPlaces, Target
-from navigation.messages import TWIST
 from navigation.pose import Pose
 from navigation.yarp import Calls, NavigationDevice
 from yarp_compat.dev.inavigation2d import NavigationMapTypeEnum, TrajectoryTypeEnum
@@ -47,7 +46,7 @@ class VelocityCommander:
 
     def __init__(self, host: Host, topic: str) -> None:
         self._host = host
-        self._publisher = host.node.publisher(topic, TWIST, Qos(depth=1), priority="command")
+        self._publisher = velocity_publisher(host, topic)
         self._velocity, self._until = YarpVelocity(), 0.0
         self._timer: Timer | None = None
 
@@ -82,8 +81,7 @@ class VelocityCommander:
             self._send(self._velocity)
 
     def _send(self, velocity: YarpVelocity) -> None:
-        rotation = math.radians(velocity.turn)
-        self._publisher.publish({"linear": {"x": velocity.x, "y": velocity.y}, "angular": {"z": rotation}})
+        self._publisher.publish(velocity.x, velocity.y, math.radians(velocity.turn))
 
 
 TRIGGER, NAMED = "std_srvs/srv/Trigger", "midspan_msgs/srv/Named"

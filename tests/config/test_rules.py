@@ -16,6 +16,7 @@ from bridge.routing.rules import RoutePolicy, RuleSet
 from navigation.map2d_server.section import Map2DServerSection
 
 GOAL, POSE, TWIST = "nav2_msgs/action/NavigateToPose", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/Twist"
+TWIST_STAMPED = "geometry_msgs/msg/TwistStamped"
 MOVE = "move_base_msgs/action/MoveBase"
 
 
@@ -74,8 +75,9 @@ def test_a_planner_with_another_name_leaves_the_entry_point_open() -> None:
     rule_set = rules("robot_goto", planners=[mine])
     assert rule_set.enter("ros1", "/robot/nav/move_base", MOVE, "action").name == "/planner/mine/navigate_to_pose"
     assert door(rule_set, "ros1").name == "/move_base"
-    velocity = rule_set.enter("ros1", "/robot/nav/cmd_vel", TWIST)
-    assert (velocity.name, velocity.priority) == ("/cmd_vel", "command")
+    for type_name in (TWIST, TWIST_STAMPED):
+        velocity = rule_set.enter("ros1", "/robot/nav/cmd_vel", type_name)
+        assert (velocity.name, velocity.priority) == ("/cmd_vel", "command"), "a hold blocks it under this name"
 
 
 def test_the_file_renames_and_closes_entry_points() -> None:

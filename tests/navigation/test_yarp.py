@@ -12,6 +12,8 @@ from unittest.mock import MagicMock
 
 import pytest
 
+from bridge.clock import SYSTEM
+from bridge.config.model import Config
 from bridge.modules.loop import EventLoop
 from navigation import yarp as calls_module
 from navigation.gateway import services as gateway
@@ -86,9 +88,9 @@ def test_a_move_that_has_started_is_waited_for() -> None:
 def test_a_velocity_whose_client_timed_out_is_not_published(held: tuple[EventLoop, threading.Event]) -> None:
     loop, resume = held
     out = MagicMock()
-    host: Any = SimpleNamespace(
-        loop=loop, log=MagicMock(), node=SimpleNamespace(publisher=lambda *_args, **_options: out)
-    )
+    graph = SimpleNamespace(subscriptions=lambda _topic: [], velocities=list)
+    node = SimpleNamespace(publisher=lambda *_args, **_options: out, hub=SimpleNamespace(graph=graph))
+    host: Any = SimpleNamespace(loop=loop, log=MagicMock(), node=node, config=Config(), clock=SYSTEM)
     commander = VelocityCommander(host, "/cmd_vel")
     device = gateway.GatewayDevice(host, MagicMock(has_base=False), MagicMock(), commander, MagicMock())
     refused(lambda: device.applyVelocityCommand(0.3, 0.0, 0.0, 1.0))

@@ -20,14 +20,15 @@ from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
 from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
+from bridge.routing.edge import MadeBy
 from tests.cli.conftest import Midspan, config_file
-from tests.peers.daemon.workers import FakeWorker
+from tests.peers.daemon.workers import EngineWorker, FakeWorker
 from tests.peers.hub.network import HubNetwork
 from tests.support.faults import FaultProxy
 from tests.support.wait import until
 
 LOOKUP = "tf2_msgs/action/LookupTransform"
-TWIST = "geometry_msgs/msg/Twist"
+TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 
 
 class Robot:
@@ -123,6 +124,40 @@ def test_halt_sends_zeros_if_velocities_are_published(
     until(lambda: any(to_json(registry, TWIST, s.data())["linear"]["x"] == 0.0 for s in received), "zero is heard")
     subscription.close()
     hub.close()
+
+
+@pytest.mark.parametrize("form", [TWIST, TWIST_STAMPED])
+def test_halt_reaches_a_base_on_a_side_that_no_program_of_the_hub_drives(
+    midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any], form: str
+) -> None:
+    """Its own side's planner drives it; BaseControl on the hub accepts both forms."""
+    both = Hub.open(network.settings("base_control"))
+    for name in (TWIST, TWIST_STAMPED):
+        both.subscription("/cmd_vel", name, registry.ros2(name).type_id, Qos(), lambda _: None)
+    worker = EngineWorker(network, registry)
+    closing += [both, worker]
+    received: list[bytes] = []
+    worker.side.read_from("/cmd_vel", form, Qos(), MadeBy.NATIVE, "/base", lambda data, *_: received.append(data))
+    until(lambda: both.graph.velocities(), "the base is announced")
+    done = midspan("halt", "--seconds", "1")
+    assert (done.code, done.out) == (0, "/cmd_vel: zero velocity, 3 listeners on the hub\n"), done
+    twists = [to_json(registry, form, data) for data in received]
+    assert twists
+    assert all(twist.get("twist", twist)["linear"]["x"] == 0.0 for twist in twists)
+    if form == TWIST_STAMPED:
+        assert twists[-1]["header"]["frame_id"] == "base_link"
+        assert twists[-1]["header"]["stamp"]["sec"]
+
+
+def test_halt_reports_a_base_on_a_side_that_zero_does_not_reach(
+    midspan: Midspan, network: HubNetwork, closing: list[Any]
+) -> None:
+    worker = FakeWorker(network, "ros2")
+    closing.append(worker)
+    worker.hub.graph.announce_velocity("/far/cmd_vel", TWIST_STAMPED)
+    done = midspan("halt", "--seconds", "0.1")
+    assert done.code == 1
+    assert f"/far/cmd_vel: nodes of a side subscribe to {TWIST_STAMPED}, and zero does not reach them" in done.err
 
 
 def test_halt_over_a_slow_network(midspan: Midspan, network: HubNetwork, registry: Registry) -> None:

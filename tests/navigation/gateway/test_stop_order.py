@@ -46,6 +46,7 @@ class Base:
         odometry: whether it publishes odometry.
         commands: velocities that its commanders publish in each step, m/s.
         kind: type of these commands.
+        form: the type that the base subscribes to, "" if it is unknown.
         released: whether the planner has released its goals.
         reachable: whether the planner is reachable.
     """
@@ -61,6 +62,9 @@ class Base:
         self.released, self.reachable = False, True
         self._seen_at = self.clock.now
         self.subscribed: list[tuple[str, Callable[[bytes], None]]] = []
+        self.form = ""
+        self.hub = SimpleNamespace(graph=SimpleNamespace(subscriptions=lambda _: [], velocities=self._velocities))
+        self.hub.graph.origin_of = lambda _: None
         host = SimpleNamespace(node=self)
         self.motion = Motion(cast("Any", SimpleNamespace(odometry=self._pose)))
         self.order = StopOrder(self.motion, VelocityWatch(cast("Any", host), "/cmd_vel"))
@@ -73,6 +77,9 @@ class Base:
 
     def release(self, subscription: tuple[str, Callable[[bytes], None]]) -> None:
         self.subscribed.remove(subscription)
+
+    def _velocities(self) -> list[tuple[str, str, str]]:
+        return [("zid", "/cmd_vel", self.form)] if self.form else []
 
     def _pose(self) -> Pose:
         if not self.odometry:
@@ -240,6 +247,16 @@ def test_without_odometry_velocities_other_than_zero_keep_it_open(blind: Base, k
     assert blind.run(3.0) is StopState.SETTLING
     blind.commands = (0.0,)
     assert blind.until(StopState.CONFIRMED, 1.0) >= ZERO_SECONDS
+
+
+@pytest.mark.parametrize(("kind", "form"), [(TWIST, TWIST_STAMPED), (TWIST_STAMPED, TWIST)])
+def test_without_odometry_zeros_in_a_form_that_the_base_ignores_count_as_silence(
+    blind: Base, kind: str, form: str
+) -> None:
+    blind.order.ask("it was stopped")
+    blind.kind, blind.form = kind, form
+    blind.released, blind.commands = True, (0.0,)
+    assert blind.until(StopState.CONFIRMED, 2.0) >= SILENCE_SECONDS
 
 
 def test_without_odometry_a_second_commander_that_drives_keeps_it_open_despite_zeros(blind: Base) -> None:

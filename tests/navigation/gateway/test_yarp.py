@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -12,6 +13,7 @@ from bridge.stores.kinds import MAP
 from navigation.gateway import services
 from navigation.maps.grid import to_grid
 from navigation.status import State
+from tests.peers.hub.node import HubNode
 from tests.peers.navigation.gateway import LATCHED, ClientGoal, Rig, pose
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
@@ -174,11 +176,26 @@ def test_the_path_and_the_maps(rig: Rig, yarp: INavigation2DMsgs) -> None:
     rig.state(State.MOVING)
 
 
+@pytest.fixture
+def base(rig: Rig) -> Iterator[HubNode]:
+    with HubNode(rig.hubs.settings("base")) as node:
+        yield node
+
+
+def test_velocities_have_the_form_of_the_base(base: HubNode, yarp: INavigation2DMsgs) -> None:
+    velocities: list[dict[str, Any]] = []
+    base.node.subscription("/cmd_vel", "geometry_msgs/msg/TwistStamped", velocities.append)
+    until(lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 0.2) and velocities, "a velocity is published", 20)
+    assert (velocities[-1]["header"]["frame_id"], velocities[-1]["twist"]["linear"]["x"]) == ("base_link", 0.2)
+    assert velocities[-1]["header"]["stamp"]["sec"]
+    until(lambda: velocities[-1]["twist"]["linear"]["x"] == 0.0, "the command has expired", 20)
+
+
 def test_velocities_are_commanded_while_no_goal_is_active(
-    rig: Rig, yarp: INavigation2DMsgs, monkeypatch: pytest.MonkeyPatch
+    rig: Rig, base: HubNode, yarp: INavigation2DMsgs, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     velocities: list[tuple[float, float]] = []
-    rig.client.node.subscription(
+    base.node.subscription(
         "/cmd_vel", "geometry_msgs/msg/Twist", lambda m: velocities.append((m["linear"]["x"], m["angular"]["z"]))
     )
     until(lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 0.2) and velocities, "a velocity is published", 20)

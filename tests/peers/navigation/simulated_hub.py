@@ -143,6 +143,8 @@ class Node:
         graph = SimpleNamespace(
             publishers=lambda topic: [SimpleNamespace(gid=gid) for gid in hub.publishers.get(topic, ())],
             servers=lambda name: [SimpleNamespace(gid=hub.gids[name])] if name in hub.servers else [],
+            subscriptions=lambda _topic: [],
+            velocities=list,
             origins=lambda: {side: SimpleNamespace(side=side) for side in hub.sides},
         )
         self.hub = SimpleNamespace(graph=graph, zid="gateway")
