@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.hub.wire.qos import LATCHED
 from bridge.modules.host import Host
-from navigation.messages import GRID, TWIST, Message, pose_message
+from bridge.modules.velocity import velocity_publisher
+from navigation.messages import GRID, Message, pose_message
 from navigation.planner_module import PlannerDevice, PlannerModule, PlannerTopics
 from navigation.pose import Pose
 from navigation.robot_goto.driver import Driver
@@ -39,7 +40,7 @@ class GotoTopics(PlannerTopics):
 
     def __init__(self, host: Host, frame: str, cmd_vel: str, prefix: str) -> None:
         super().__init__(host, "robot_goto", frame)
-        self._twist = host.node.publisher(cmd_vel, TWIST, Qos(depth=1), priority="command")
+        self._velocity = velocity_publisher(host, cmd_vel)
         self._map = host.node.publisher(f"{self._prefix}/local_map", GRID, LATCHED, priority="state")
         names = ("control:o", "status:o", "speak:o", "gui:o") if prefix else ()
         self._ports = {name: host.yarp.output(f"{prefix}/{name}") for name in names}
@@ -52,7 +53,7 @@ class GotoTopics(PlannerTopics):
         if silent and self._silent:
             return
         self._silent = silent
-        self._twist.publish({"linear": {"x": command.vx, "y": command.vy}, "angular": {"z": command.omega}})
+        self._velocity.publish(command.vx, command.vy, command.omega)
         if self._ports:
             self._write("control:o", [_POLAR, *command.polar, _FULL_GAIN])
 

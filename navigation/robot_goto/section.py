@@ -55,7 +55,9 @@ class RobotGotoSection(ModuleSection):
         ge=0.0,
         le=1.0,
     )
-    cmd_vel: str = setting("/cmd_vel", "Topic of the velocity commands (`Twist`).", min_length=1)
+    cmd_vel: str = setting(
+        "/cmd_vel", "Topic of the velocity commands, in the form of `navigation.stamped`.", min_length=1
+    )
     prefix: str = setting("/robotGoto", "Prefix of the YARP ports; empty: none.", pattern=PORT_OR_NONE)
     period: float = setting(0.05, "Seconds between two commands.", ge=0.01, le=0.2)
     robot_is_holonomic: bool = setting(False, "Whether the robot can drive sideways.")

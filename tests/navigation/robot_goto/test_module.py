@@ -21,6 +21,7 @@ from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
 from navigation.constraints import Constraints
 from navigation.frames import FramesError
+from navigation.messages import TWIST, TWIST_STAMPED
 from navigation.planner_module import PlannerModule
 from navigation.pose import Pose
 from navigation.status import Fault, State
@@ -62,7 +63,7 @@ class Robot(Program):
             self.node.publisher(f"/localization/{name}", "std_msgs/msg/String", latched)
             for name in ("status", "reason")
         )
-        self.node.subscription("/cmd_vel", "geometry_msgs/msg/Twist", self._command)
+        self._commanded = self.node.subscription("/cmd_vel", TWIST, self._command)
         self.stand(0.0, 0.0, 0.0)
         self.beat(TICK, self._tick)
 
@@ -70,12 +71,18 @@ class Robot(Program):
         self.x, self.y, self.yaw = x, y, yaw
         self._velocity = (0.0, 0.0, 0.0)
 
+    def subscribe_to(self, type_name: str) -> None:
+        """Subscribe to velocities of another type, on the robot's thread."""
+        self.node.release(self._commanded)
+        self._commanded = self.node.subscription("/cmd_vel", type_name, self._command)
+
     def localized(self, status: str, reason: str = "") -> None:
         self._localized.publish({"data": status})
         self._reason.publish({"data": reason})
 
     def _command(self, message: dict[str, Any]) -> None:
-        linear, angular = message["linear"], message["angular"]
+        twist = message.get("twist", message)
+        linear, angular = twist["linear"], twist["angular"]
         self._velocity = (linear["x"], linear["y"], angular["z"])
         self._until = time.monotonic() + TIMEOUT
         self.commands.append(self._velocity)
@@ -194,6 +201,17 @@ def test_a_hub_goal_is_reached_and_commands_end(place: Goto) -> None:
     assert (grid["info"]["width"], grid["header"]["frame_id"]) == (100, "map")
     assert {0, -1} <= set(grid["data"])
     assert "moving" in [status["state"] for status in place.far.wait(states, 0, 0)]
+
+
+def test_a_base_with_stamped_velocities_is_driven_and_stopped(place: Goto) -> None:
+    robot = place.robot
+    robot.loop.call(lambda: robot.subscribe_to(TWIST_STAMPED))
+    try:
+        assert robot.send(0.5, 0.0, 0.0, Constraints(tolerance_lin=0.08).to_text()).end()[0] is GoalState.SUCCEEDED
+        assert math.hypot(robot.x - 0.5, robot.y) < 0.2
+        until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "the robot is stopped", 20)
+    finally:
+        robot.loop.call(lambda: robot.subscribe_to(TWIST))
 
 
 def test_a_new_goal_preempts_the_first_and_a_canceled_goal_stops_the_robot(place: Goto) -> None:
