@@ -3,29 +3,38 @@
 from __future__ import annotations
 
 import argparse
+import base64
 import hashlib
 import json
 import math
 import sys
 import tempfile
 import time
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
 from tests.fuzz.machines import load
-from tests.fuzz.run import warm
+from tests.fuzz.run import Finding, warm
 from tests.fuzz.shrink import probe
 from tests.fuzz.target import Target
 from tests.fuzz.targets import TARGETS
 from tests.fuzz.watch import Fuzzing
+
+MARK = "== "
+"""Begins the text of each finding."""
+
+_LONGEST_INPUT = 4000
+"""Maximum characters of a finding's compressed input in its text."""
 
 
 def main() -> int:
     """Fuzz the selected targets; return 1 if there are findings."""
     args = _arguments()
     chosen = [TARGETS[name] for name in args.target or TARGETS]
-    if args.file is not None:
-        return _run_file(chosen, args.file)
+    content = args.file.read_bytes() if args.file is not None else args.input
+    if content is not None:
+        return _run_input(chosen, content)
     begun = time.monotonic()
     fuzzing = Fuzzing(shares(chosen, args.inputs), args.seed, args.jobs, args.seconds)
     fuzzing.run()
@@ -44,14 +53,27 @@ def main() -> int:
             file = args.save / f"{name}-{digest}"
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(finding.content)
-            print(f"\n== {name}: {finding.signature} (seed {args.seed})\n{finding.trouble}")
-            print(f"input of {len(finding.content)} bytes: {finding.content[:300]!r}")
-            print(f"reproduce: python -m tests.fuzz --target {name} --file {file}")
+            print(report(name, finding, args.seed, file))
     if args.json is not None:
         args.json.write_text(
             json.dumps({n: {"inputs": o.inputs, "seconds": o.seconds} for n, o in fuzzing.outcomes.items()})
         )
     return 1 if bad else 0
+
+
+def report(name: str, finding: Finding, seed: int, file: Path) -> str:
+    """Return a finding's text, which reproduces it without the file unless the input is too long."""
+    packed = base64.b64encode(zlib.compress(finding.content, 9)).decode()
+    given = f"--input {packed}" if len(packed) <= _LONGEST_INPUT else f"--file {file}"
+    return (
+        f"\n{MARK}{name}: {finding.signature} (seed {seed})\n{finding.trouble}\n"
+        f"input of {len(finding.content)} bytes in {file}: {finding.content[:300]!r}\n"
+        f"reproduce: python -m tests.fuzz --target {name} {given}"
+    )
+
+
+def _unpacked(text: str) -> bytes:
+    return zlib.decompress(base64.b64decode(text))
 
 
 def shares(targets: Sequence[Target], inputs: int) -> dict[Target, int]:
@@ -63,12 +85,12 @@ def shares(targets: Sequence[Target], inputs: int) -> dict[Target, int]:
     return counts
 
 
-def _run_file(targets: Sequence[Target], file: Path) -> int:
+def _run_input(targets: Sequence[Target], content: bytes) -> int:
     load()
     for target in targets:
         subject = target.make()
         warm(subject)
-        failure = probe(subject, file.read_bytes())
+        failure = probe(subject, content)
         print(f"{target.name}: {failure or 'passed'}")
         if failure:
             return 1
@@ -85,6 +107,9 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=1, help="seed of the random inputs (default 1)")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--file", type=Path, help="run the parser on this input only")
+    parser.add_argument(
+        "--input", type=_unpacked, metavar="BASE64", help="run the parser on this input only, as findings print it"
+    )
     parser.add_argument(
         "--save", type=Path, default=Path(tempfile.gettempdir()) / "midspan-fuzz", metavar="FOLDER",
         help="folder for inputs that fail (default %(default)s)",

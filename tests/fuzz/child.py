@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import base64
+import faulthandler
 import json
 import logging
 import os
+import resource
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
 from tests.fuzz.machines import load
-from tests.fuzz.run import JOURNAL_IDLE, Journal, fuzz
+from tests.fuzz.run import JOURNAL_IDLE, STACKS, Journal, fuzz
 from tests.fuzz.shrink import shrunk
 from tests.fuzz.target import Subject
 from tests.fuzz.targets import TARGETS
@@ -22,7 +24,10 @@ def main() -> None:
     """Run jobs until the input ends."""
     logging.disable()
     load()
-    journal = Journal(Path(sys.argv[1]))
+    path = Path(sys.argv[1])
+    journal = Journal(path)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    faulthandler.enable(path.with_name(STACKS).open("w"))  # open until the process exits
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     subjects: dict[str, Subject] = {}

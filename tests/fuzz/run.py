@@ -31,6 +31,12 @@ JOURNAL = 1 << 20
 JOURNAL_IDLE = (1 << 64) - 1
 """Number in the journal while no input is being run."""
 
+STACKS = "stacks"
+"""Name of the file, beside the journal, to which a dying process writes the stacks of its threads."""
+
+TRACE_CHARACTERS = 3000
+"""Maximum length of a finding's traceback."""
+
 _HEAD = struct.Struct("<QQ")
 _ROUND = 2000
 _TRACE_EVERY = 50
@@ -158,7 +164,7 @@ def finding_of(err: BaseException, content: bytes) -> Finding:
     ours = [f for f in frames if f.filename.startswith(_ROOT)] or frames
     last = ours[-1]
     signature = f"{type(err).__name__} at {Path(last.filename).name}:{last.lineno}"
-    return Finding(signature, content, "".join(traceback.format_exception(err))[-3000:])
+    return Finding(signature, content, "".join(traceback.format_exception(err))[-TRACE_CHARACTERS:])
 
 
 def fingerprint_of(err: BaseException) -> int:

@@ -11,7 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.fuzz.__main__ import shares
+from tests.fuzz import watch
+from tests.fuzz.__main__ import MARK, report, shares
+from tests.fuzz.run import Finding
+from tests.fuzz.target import Subject, Target
 from tests.fuzz.targets import TARGETS
 
 ROOT = Path(__file__).parents[2]
@@ -28,11 +31,12 @@ def test_all_parsers_survive_a_million_inputs(tmp_path: Path) -> None:
     command += ["--json", str(figures), "--save", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     print(done.stdout)
-    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
-    report = json.loads(figures.read_text())
-    assert set(report) == set(TARGETS)
+    findings = done.stdout[done.stdout.find(f"\n{MARK}") :]  # at the end of the output, without the table
+    assert done.returncode == 0, findings + done.stderr[-3000:]
+    results = json.loads(figures.read_text())
+    assert set(results) == set(TARGETS)
     for target, inputs in shares(list(TARGETS.values()), MILLION).items():
-        figure = report[target.name]
+        figure = results[target.name]
         assert figure["inputs"] >= inputs or figure["seconds"] > 0.9 * BUDGET
 
 
@@ -99,3 +103,38 @@ def test_the_same_seed_yields_the_same_inputs() -> None:
     first = engine(code)
     assert first.startswith("500 ")
     assert first == engine(code)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("content", [b"x" * 8000, bytes(range(256)) * 8])
+def test_a_findings_text_reproduces_it_without_its_file(content: bytes, tmp_path: Path) -> None:
+    text = report("ros1_requests", Finding("hang", content, "Traceback"), 7, tmp_path / "lost")
+    assert all(part in text for part in ("ros1_requests", "hang", "seed 7", "Traceback"))
+    command = text.rpartition("reproduce: python ")[2].split()
+    done = subprocess.run([sys.executable, *command], cwd=ROOT, capture_output=True, text=True, timeout=100, check=True)
+    assert done.stdout == "ros1_requests: passed\n"
+
+
+def test_a_findings_text_is_bounded(tmp_path: Path) -> None:
+    text = report("ros1_requests", Finding("hang", os.urandom(1 << 20), "Traceback"), 7, tmp_path / "long")
+    assert len(text) < 5000
+    assert f"--file {tmp_path / 'long'}" in text
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("failure", ["threading.Event().wait()", "os.kill(os.getpid(), signal.SIGSEGV)"])
+def test_a_hang_and_a_crash_are_reported_with_the_stack(monkeypatch: pytest.MonkeyPatch, failure: str) -> None:
+    program = (
+        "import os, signal, threading\nfrom tests.fuzz import child\nfrom tests.fuzz.target import Subject, Target\n"
+        f"def broken_parser(data):\n    if data != b'seed': {failure}\n"
+        "child.TARGETS['broken'] = Target('broken', 1, lambda: Subject(broken_parser, [b'seed'], ()))\n"
+        "child.shrunk = lambda subject, content: ('', content)\nchild.main()\n"
+    )
+    monkeypatch.setattr(watch, "_PROGRAM", ("-c", program))
+    monkeypatch.setattr(watch, "_STUCK_SECONDS", 0.5)
+    monkeypatch.setattr(watch, "_MOST_DEATHS", 1)
+    fuzzing = watch.Fuzzing({Target("broken", 1, lambda: Subject(len, [b""], ())): 100}, 1, 1)
+    fuzzing.run()
+    (finding,) = fuzzing.outcomes["broken"].findings.values()
+    assert finding.content != b"seed"
+    assert "broken_parser" in finding.trouble

@@ -21,7 +21,7 @@ from typing import Any
 
 import psutil
 
-from tests.fuzz.run import JOURNAL, JOURNAL_IDLE, Finding, Journal
+from tests.fuzz.run import JOURNAL, JOURNAL_IDLE, STACKS, TRACE_CHARACTERS, Finding, Journal
 from tests.fuzz.target import Target
 
 _HANG_SECONDS = 4.0
@@ -30,8 +30,10 @@ _HANG_SECONDS = 4.0
 _STUCK_SECONDS = 60.0
 """Real time after which an input counts as a hang, seconds: it waits forever."""
 
+_STACKS_SECONDS = 2.0
 _PIECE = 150_000
 _MOST_DEATHS = 5
+_PROGRAM = ("-m", "tests.fuzz.child")
 
 
 @dataclass
@@ -44,11 +46,11 @@ class Outcome:
 
 
 class _DeadError(Exception):
-    """The process exited, or was killed, during an input."""
+    """The process exited, or was killed, during an input; ``stacks`` are those of its threads then."""
 
-    def __init__(self, how: str, number: int, content: bytes) -> None:
+    def __init__(self, how: str, number: int, content: bytes, stacks: str) -> None:
         super().__init__(how)
-        self.how, self.number, self.content = how, number, content
+        self.how, self.number, self.content, self.stacks = how, number, content, stacks
 
 
 class _Worker:
@@ -59,8 +61,10 @@ class _Worker:
         path = Path(self._folder.name) / "journal"
         path.write_bytes(bytes(JOURNAL))
         self._journal = Journal(path)
+        self._journal.write(JOURNAL_IDLE, b"")  # until the first input, as the start of the process may take long
+        self._stacks = path.with_name(STACKS)
         self._process = subprocess.Popen(
-            [sys.executable, "-W", "ignore", "-m", "tests.fuzz.child", str(path)],
+            [sys.executable, "-W", "ignore", *_PROGRAM, str(path)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             cwd=Path(__file__).parents[2],
@@ -80,16 +84,28 @@ class _Worker:
             if number != last or number == JOURNAL_IDLE:
                 last, since, spent = number, time.monotonic(), self._spent()
             elif self._spent() - spent > _HANG_SECONDS or time.monotonic() - since > _STUCK_SECONDS:
+                stacks = self._stop_with_stacks()
                 self.close()
-                raise _DeadError("hang", number, content)
+                raise _DeadError("hang", number, content, stacks)
         line = self._process.stdout.readline()
         if not line:
             number, content = self._journal.read()
             code = self._process.wait()
+            stacks = self._read_stacks()
             self.close()
-            raise _DeadError(f"signal {-code}" if code < 0 else f"exit code {code}", number, content)
+            raise _DeadError(f"signal {-code}" if code < 0 else f"exit code {code}", number, content, stacks)
         answer: dict[str, Any] = json.loads(line)
         return answer
+
+    def _stop_with_stacks(self) -> str:
+        """Have the process write the stacks of its threads and exit, and return them."""
+        self._process.send_signal(signal.SIGABRT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_STACKS_SECONDS)
+        return self._read_stacks()
+
+    def _read_stacks(self) -> str:
+        return self._stacks.read_text(errors="replace")[:TRACE_CHARACTERS] if self._stacks.is_file() else ""
 
     def _spent(self) -> float:
         try:
@@ -158,7 +174,7 @@ class Fuzzing:
                                      "limit": self._limits[name] * (inputs - done)})  # fmt: skip
             except _DeadError as dead:
                 worker = _Worker()
-                findings.append(Finding(dead.how, dead.content, f"the process died: {dead.how}"))
+                findings.append(Finding(dead.how, dead.content, f"the process died: {dead.how}\n{dead.stacks}"))
                 done += 0 if dead.number == JOURNAL_IDLE else dead.number + 1
                 continue
             done += answer["inputs"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import struct
 import threading
@@ -48,12 +49,22 @@ class _Loop:
             self.reads.clear()
 
 
-def _drive(connection: Any, loop: _Loop) -> None:
-    """Read a connection to its end, like the shared thread; a separate thread may read large messages."""
+def _drive(connection: Any, loop: _Loop, peer: socket.socket) -> bytes:
+    """Read a connection to its end, like the shared thread, and return what the peer receives meanwhile.
+
+    A separate thread may read large messages. The peer must receive: a send to a full socket waits for it forever.
+    """
+    received = bytearray()
     connection.start()
     while not loop.over.is_set():
         if loop.reads.wait(0.001) and not loop.over.is_set():
             connection.ready()
+        with contextlib.suppress(BlockingIOError, ConnectionResetError):
+            received += peer.recv(1 << 20, socket.MSG_DONTWAIT)
+    with contextlib.suppress(ConnectionResetError):  # the connection was closed with unread data
+        while data := peer.recv(1 << 20):
+            received += data
+    return bytes(received)
 
 
 def _connection(data: bytes) -> tuple[socket.socket, socket.socket]:
@@ -77,7 +88,7 @@ def _requests() -> Subject:
 
         def call(request: bytes, done: Any) -> Any:
             requests.append(request)
-            done(b"ok" if len(request) % 2 else CallError("no"))
+            done(b"ok" if _succeeds(request) else CallError("no"))
             return lambda: None
 
         loop = _Loop()
@@ -86,12 +97,22 @@ def _requests() -> Subject:
         )
         ours, theirs = _connection(data)
         with theirs:
-            _drive(_ClientConnection(ours, server, loop, _LIMIT, persistent=True), loop)  # type: ignore[arg-type]
-        taken = [_frame(request) for request in requests]
-        assert data.startswith(b"".join(taken)) or any(size > _LIMIT for size in _announced(data))
+            connection = _ClientConnection(ours, server, loop, _LIMIT, persistent=True)  # type: ignore[arg-type]
+            replies = _drive(connection, loop, theirs)
+        if all(size <= _LIMIT for size in _announced(data)):
+            assert data.startswith(b"".join(map(_frame, requests)))
+            assert b"".join(map(_reply, requests)).startswith(replies)
 
     seeds = [_frame(b"\1") * 3, _frame(b""), _frame(bytes(5000)) + _frame(b"x"), _frame(bytes(66_000))]
     return Subject(parse, seeds, (), _SIZES)
+
+
+def _succeeds(request: bytes) -> bool:
+    return len(request) % 2 == 1
+
+
+def _reply(request: bytes) -> bytes:
+    return _frame(b"ok", b"\1") if _succeeds(request) else _frame(b"no", b"\0")
 
 
 def _announced(data: bytes) -> list[int]:
@@ -116,7 +137,7 @@ def _replies() -> Subject:
         with theirs:
             line = _ServerConnection(ours, SimpleNamespace(node="/server"), owner, loop, _LIMIT)  # type: ignore[arg-type]
             line.begin(_Pending(b"request", ends.append, lambda _pending: None))
-            _drive(line, loop)
+            _drive(line, loop, theirs)
         (end,) = ends
         whole = len(data) >= 5 and 5 + (size := struct.unpack_from("<I", data, 1)[0]) <= len(data) and size <= _LIMIT
         assert isinstance(end, bytes) == bool(whole and data[0])
