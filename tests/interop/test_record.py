@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, Protocol
 
 import pytest
 from mcap.reader import make_reader
@@ -51,16 +52,43 @@ def recorded(tmp_path_factory: pytest.TempPathFactory, names: Names) -> Iterator
         yield deployment
 
 
-def written(deployment: Deployment, *topics: str) -> dict[str, Any] | None:
-    """Return the recorder's status if it has written a message of each topic."""
-    recording: dict[str, Any] = deployment.worker("record").get("recording", {})
-    counted = {entry["topic"] for entry in recording.get("topics", []) if entry["messages"]}
-    return recording if counted >= set(topics) else None
+class Recorded(Protocol):
+    """A deployment whose recorder reports its status."""
+
+    def worker(self, side: str, /) -> dict[str, Any]:
+        """Return the status of a worker, empty if it does not answer."""
 
 
-def until_written(deployment: Deployment, *topics: str) -> dict[str, Any]:
-    """Wait until the recorder has written a message of each topic; return its status."""
-    return until(lambda: written(deployment, *topics), f"{topics} are written", 40, every=0.1)
+def until_written(deployment: Recorded, send: Callable[[], None], *topics: str, seconds: float = 40.0) -> None:
+    """Send again until the recorder has written a message of each topic; a failure reports its last status."""
+    document: dict[str, Any] = {}
+    missing = list(topics)
+
+    def written() -> bool:
+        nonlocal document, missing
+        send()
+        document = deployment.worker("record")
+        counted = {entry["topic"] for entry in document.get("recording", {}).get("topics", []) if entry["messages"]}
+        missing = [topic for topic in topics if topic not in counted]
+        return not missing
+
+    try:
+        until(written, "a message of each topic is written", seconds, every=0.2)
+    except AssertionError as err:
+        recording = document.get("recording", {})
+        counts = {entry["topic"]: (entry["messages"], entry["dropped"]) for entry in recording.get("topics", [])}
+        status = f"{document.get('state', 'no answer')}, pid {document.get('pid')}, file {recording.get('file')}"
+        raise AssertionError(f"{err}; missing: {missing}; recorder: {status}, messages and drops: {counts}") from None
+
+
+def test_a_failure_names_the_missing_topics_and_the_file() -> None:
+    counts = [{"topic": "/a", "messages": 3, "dropped": {}}, {"topic": "/b", "messages": 0, "dropped": {"queue": 1}}]
+    document = {"state": "running", "pid": 7, "recording": {"file": "/tmp/x.mcap", "topics": counts}}
+    stand_in = SimpleNamespace(worker=lambda _side: document)
+    expected = r"missing: \['/b', '/c'\]; recorder: running, pid 7, file /tmp/x.mcap"
+    with pytest.raises(AssertionError, match=expected) as failure:
+        until_written(stand_in, lambda: None, "/a", "/b", "/c", seconds=0.0)
+    assert "'/b': (0, {'queue': 1})" in str(failure.value)
 
 
 def test_rosbags_and_mcaps_decoder_read_messages_from_all_sides(recorded: Deployment, names: Names) -> None:
@@ -72,12 +100,11 @@ def test_rosbags_and_mcaps_decoder_read_messages_from_all_sides(recorded: Deploy
     late = ros1.advertise("/kept", "geometry_msgs/PoseStamped", latched=True)
     ros1.publish(late, pose)
 
-    def published() -> bool:
+    def publish() -> None:
         for side, (program, end) in ends.items():
             program.publish(end, {"data": side})
-        return written(recorded, "/kept", *(f"/from_{side}" for side in programs)) is not None
 
-    until(published, "a message of each is written", 40, every=0.1)
+    until_written(recorded, publish, "/kept", *(f"/from_{side}" for side in programs))
     done = recorded.command("record", "--daemon", "split", "--json")
     assert done.returncode == 0, done.stderr
     file = Path(recorded.worker("record")["recording"]["file"])
@@ -113,14 +140,17 @@ def test_a_recorded_goal_is_converted_for_rosbag_and_for_rosbags(recorded: Deplo
     }
     topics = [f"{action}/_action/{part}" for action in goals for part in ("feedback", "status")]
 
-    def recorded_goals() -> bool:
-        """Send a goal to each: feedback is not latched, and the recorder may have missed that of the first goal."""
+    def send_goals() -> None:
+        """Send a goal to each: feedback is not latched, and the recorder may have missed that of the first goal.
+
+        The clients need not receive it: their goals end right after it, and a result has its own path through the hub.
+        """
         for action, (client, request) in goals.items():
             goal = client.ask("send_goal", action=action, seconds=30.0, **request)["id"]
-            client.ask("goal", id=goal, until={"accepted": True, "feedback": 1, "status": 4}, seconds=30.0)
-        return written(recorded, *topics) is not None
+            state = client.ask("goal", id=goal, until={"accepted": True, "status": 4}, seconds=30.0)
+            assert (state["accepted"], state["status"]) == (True, 4), f"the goal for {action} did not end: {state}"
 
-    until(recorded_goals, "a message of each topic is written", 40, every=0.5)
+    until_written(recorded, send_goals, *topics)
     assert recorded.command("record", "--daemon", "split").returncode == 0
     file = recorded.worker("record")["recording"]["file"]
     for name in ("new.mcap", "new.db3", "new.bag"):
