@@ -135,21 +135,30 @@ class WorkerPool:
         self._closed = False
 
     def submit(self, job: Callable[[], Any]) -> Future[Any]:
-        """Run a job as soon as a thread is free; after `close` it is cancelled at once."""
+        """Run a job as soon as a thread is free; it is cancelled at once after `close`, or if no thread can start."""
         future: Future[Any] = Future()
         with self._condition:
-            if self._closed:
-                future.cancel()
-                return future
-            self._jobs.append((future, job))
-            if len(self._jobs) > self._idle and len(self._threads) < self._limit:
-                name = f"{self._name}-{next(self._numbers)}"
-                thread = threading.Thread(target=self._run, name=name, daemon=True)
-                self._threads.add(thread)
-                thread.start()
-            else:
-                self._condition.notify()
+            if not self._closed:
+                self._jobs.append((future, job))
+                if len(self._jobs) > self._idle and len(self._threads) < self._limit:
+                    self._add_thread()
+                else:
+                    self._condition.notify()
+                if self._threads:
+                    return future
+                self._jobs.clear()
+        future.cancel()
         return future
+
+    def _add_thread(self) -> None:
+        name = f"{self._name}-{next(self._numbers)}"
+        thread = threading.Thread(target=self._run, name=name, daemon=True)
+        try:
+            thread.start()
+        except RuntimeError as err:  # the system is out of threads; those that exist run the job
+            _log.warning("%s: cannot start a thread: %s", self._name, err)
+        else:
+            self._threads.add(thread)
 
     def close(self, seconds: float = 0.0) -> None:
         """Cancel the jobs that have not started, and wait up to ``seconds`` for each thread that still runs one."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 
 import pytest
 
 from bridge.concurrency import BoundedQueue, DelayedCalls, InlineExecutor, WorkerPool
+from tests.support.descriptors import no_threads
 from tests.support.wait import until
 
 
@@ -168,3 +170,17 @@ def test_an_interrupted_job_leaves_the_executor_usable() -> None:
         executor.submit(interrupted)
     executor.submit(lambda: done.append("next"))
     assert done == ["left", "next"]
+
+
+def test_without_threads_a_job_is_cancelled_or_waits_for_a_running_one() -> None:
+    pool, gate, begun = WorkerPool(2, "pool"), threading.Event(), threading.Event()
+    with contextlib.closing(pool):
+        with no_threads("pool"):
+            assert pool.submit(lambda: 1).cancelled()
+        running = pool.submit(lambda: (begun.set(), gate.wait(20)))
+        assert begun.wait(20)
+        with no_threads("pool"):
+            waiting = pool.submit(lambda: 2)
+        assert not waiting.cancelled()
+        gate.set()
+        assert (running.result(20)[1], waiting.result(20)) == (True, 2)

@@ -74,11 +74,17 @@ class DeadlineSocket(socket.socket):
         left = deadline - time.monotonic()
         if left <= 0:
             raise TimeoutError
-        plain = socket.create_connection((host, port), timeout=left)
-        sock = cls(fileno=plain.detach())
+        with socket.create_connection((host, port), timeout=left) as plain:
+            # http.client sends a request in two parts: the second would wait 40 ms for the first's acknowledgement
+            plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            return cls.adopt(plain, deadline)
+
+    @classmethod
+    def adopt(cls, plain: socket.socket, deadline: float) -> DeadlineSocket:
+        """Take over the descriptor of a connected socket."""
+        # without its family and type, this would ask the system, which fails on macOS if the peer has disconnected
+        sock = cls(plain.family, plain.type, plain.proto, fileno=plain.detach())
         sock.deadline = deadline
-        # http.client sends a request in two parts, of which the second would wait 40 ms for the first's acknowledgement
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return sock
 
     def _arm(self) -> None:

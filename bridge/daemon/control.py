@@ -160,9 +160,15 @@ class ControlServer:
                 continue
             client.settimeout(_SEND_SECONDS)
             self._greetings.acquire()  # each is released within _SEND_SECONDS
-            threading.Thread(
+            serving = threading.Thread(
                 target=self._serve, args=(client, next(numbers)), name="control-client", daemon=True
-            ).start()
+            )
+            try:
+                serving.start()
+            except RuntimeError as err:  # the system is out of threads
+                logger.warning("the daemon cannot connect: %s; trying again", err)
+                self._greetings.release()
+                client.close()
 
     def _serve(self, client: socket.socket, number: int) -> None:
         try:

@@ -79,7 +79,11 @@ class QueryServer:
             self._close(self._clients[0])  # connected long ago, without a request
         client = _Client(sock)
         self._clients.append(client)
-        self._loop.on_readable(sock, partial(self._read, listener, client))
+        try:
+            self._loop.on_readable(sock, partial(self._read, listener, client))
+        except OSError as err:  # the system cannot watch more
+            logger.warning("a command cannot query the daemon: %s", err.strerror)
+            self._close(client)
 
     def _turn_away(self, listener: local_socket.LocalListener) -> None:
         """Accept and close a connection with the spare descriptor: if it stayed pending, the loop would spin."""

@@ -1,6 +1,7 @@
 """XML-RPC with deadlines and limits."""
 
 import contextlib
+import math
 import socket
 
 import pytest
@@ -134,3 +135,11 @@ def test_invalid_addresses_are_refused(uri):
 def test_a_refused_connection_is_reported():
     with pytest.raises(UnreachableError):
         ros1_peers.ask(f"http://127.0.0.1:{free_port()}/", 1.0, "getPid", "/me")
+
+
+def test_a_connection_whose_options_cannot_be_set_is_closed(monkeypatch):
+    near, far = socket.socketpair()  # without TCP's options
+    monkeypatch.setattr(socket, "create_connection", lambda *_args, **_options: near)
+    with far, pytest.raises(OSError, match="supported"):
+        ros1_peers.DeadlineSocket.connected("host", 1, math.inf)
+    assert near.fileno() == -1

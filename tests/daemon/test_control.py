@@ -13,7 +13,7 @@ from bridge.daemon.control import ControlServer
 from bridge.daemon.local_socket import LocalListener
 from bridge.daemon.protocol import Beat
 from bridge.worker import Health
-from tests.support.descriptors import no_descriptors
+from tests.support.descriptors import no_descriptors, no_threads
 from tests.support.wait import until
 
 
@@ -73,3 +73,16 @@ def test_a_connection_admitted_late_does_not_replace_a_later_one(
         assert first.recv(4096) == b""
         server.report(Beat(1, Health("running", "x")))
         assert b"running" in second.recv(4096)
+
+
+def test_a_daemon_can_connect_after_a_lack_of_threads(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    server = ControlServer(tmp_path / "socket", "daemon", lambda _: None)
+    with contextlib.closing(server), socket.socket(socket.AF_UNIX) as first, socket.socket(socket.AF_UNIX) as second:
+        for daemon in (first, second):
+            daemon.settimeout(20)
+        with no_threads("control-client"):
+            first.connect(str(tmp_path / "socket"))
+            assert first.recv(4096) == b""
+        assert "the daemon cannot connect: can't start new thread" in caplog.text
+        second.connect(str(tmp_path / "socket"))
+        assert b"hello" in second.recv(4096)

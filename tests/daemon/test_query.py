@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import signal
 import socket
@@ -141,3 +142,18 @@ def test_the_daemon_reports_why_the_state_folder_is_unusable(daemon: Daemon) -> 
     status = ask_daemon(config)
     assert status is not None
     assert "state folder" not in status.status
+
+
+def test_a_client_that_cannot_be_watched_is_disconnected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = SelectorLoop()
+    server = QueryServer(loop, tmp_path / "sock", {})
+    with contextlib.closing(loop), contextlib.closing(server), socket.socket(socket.AF_UNIX) as client:
+        client.settimeout(5.0)
+        client.connect(str(tmp_path / "sock"))
+
+        def fail(*_: object) -> None:
+            raise OSError(errno.ENOSPC, "no space left on device")
+
+        monkeypatch.setattr(loop, "on_readable", fail)
+        loop.step(5.0)
+        assert client.recv(100) == b""

@@ -76,7 +76,12 @@ class Input:
     def _begin(self) -> None:
         name = f"yarp {self.route.source} > {self.port.name}"
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._thread.start()
+        try:
+            self._thread.start()
+        except RuntimeError as error:  # the system is out of threads
+            _log.warning("port %s: cannot read the connection from %s: %s", self.port.name, self.route.source, error)
+            self._thread = None
+            self._end()
 
     def close(self) -> None:
         """Begin to end the connection; the reply to the message that the owner is handling is still sent."""

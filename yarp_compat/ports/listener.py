@@ -9,7 +9,7 @@ import socket
 from collections.abc import Callable
 
 from yarp_compat.ports.loop import PortLoop
-from yarp_compat.ports.sockets import tune
+from yarp_compat.ports.sockets import closed_on_failure, tune
 from yarp_compat.wire import carriers
 from yarp_compat.wire.carriers import Opening
 from yarp_compat.wire.errors import WireError
@@ -145,4 +145,5 @@ class _Introduction:
             return
         if opened is not None:
             self._release()
-            self._listener.opened(self._sock, opened, bytes(self._received[opened.size :]), self._address)
+            with closed_on_failure(self._sock):
+                self._listener.opened(self._sock, opened, bytes(self._received[opened.size :]), self._address)

@@ -242,13 +242,18 @@ class XmlRpcServer:
         if len(body) <= _SMALL and any(name in body[_METHOD] for name in self._quick):
             self._serve(connection, body)
         else:
-            self._pool.submit(lambda: self._serve(connection, body))
+            call = self._pool.submit(lambda: self._serve(connection, body))
+            call.add_done_callback(lambda future: self._on_cancelled(connection) if future.cancelled() else None)
 
     def _reject(self, connection: _Connection, status: http.HTTPStatus) -> None:
         connection.persistent = False
         connection.received.clear()
         line = f"HTTP/1.1 {status.value} {status.phrase}\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
         self._respond(connection, line.encode())
+
+    def _on_cancelled(self, connection: _Connection) -> None:
+        """Close a connection whose call no thread makes, on any thread."""
+        self._loop.call_soon(lambda: self._close(connection) if connection in self._connections else None)
 
     def _on_result(self, connection: _Connection, response: bytes) -> None:
         connection.served = False

@@ -19,6 +19,7 @@ import pytest
 from bridge.adapters.ros1 import xmlrpc as xmlrpc_server
 from bridge.adapters.ros1.xmlrpc import XmlRpcServer
 from bridge.adapters.ros1.xmlrpc_request import Limits, decode_response, encode_response, encode_responses
+from tests.support.descriptors import no_threads
 from tests.support.wait import until
 from yarp_compat.threaded_loop import ThreadedLoop
 
@@ -442,3 +443,11 @@ def test_quick_calls_are_answered_while_all_threads_are_busy():
     finally:
         served.release.set()
         served.server.close()
+
+
+def test_a_client_is_disconnected_if_no_thread_can_make_its_call(
+    served: Served, proxy: xmlrpc.client.ServerProxy
+) -> None:
+    with no_threads("midspan-xmlrpc-call"), pytest.raises(http.client.RemoteDisconnected):
+        served.post(xmlrpc.client.dumps((1,), "echo").encode())
+    assert proxy.echo(1) == 1

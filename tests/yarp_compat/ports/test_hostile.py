@@ -13,6 +13,7 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
+from tests.support.descriptors import no_threads
 from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
 from yarp_compat.ports import connecting, connections, datagrams, listener
@@ -317,4 +318,28 @@ def test_the_datagram_socket_of_a_peer_that_left_is_closed(
     works = Works(make_port)
     assert not make_port("/w").add_output("udp://r")[0]
     until(lambda: [sock.fileno() for sock in made] == [-1], "it is closed", 10)
+    works.check()
+
+
+def test_a_peer_is_disconnected_if_no_thread_can_read_it(make_port: MakePort) -> None:
+    works = Works(make_port)
+    with no_threads("yarp /x > /r"):
+        assert not receive_all(call(works.port, TCP, WRITER, HELLO)).endswith(HELLO)
+    until(lambda: not any(i.route.source == "/x" for i in works.port.connections.inputs), "it is removed")
+    works.check()
+
+
+def test_a_peer_whose_introduction_fails_unexpectedly_is_disconnected(
+    make_port: MakePort, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    works = Works(make_port)
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("broken")
+
+    listening = works.port._listener
+    assert listening is not None
+    with monkeypatch.context() as failures:
+        failures.setattr(listening, "opened", fail)
+        assert receive_all(call(works.port, TCP, WRITER)) == b""
     works.check()

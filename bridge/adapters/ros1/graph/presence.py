@@ -266,9 +266,8 @@ class _NodeConnection:
                 self._live(False, str(err))
             else:
                 before = self._heard
-                with contextlib.suppress(OSError, Ros1ProtocolError):
+                with sock, contextlib.suppress(OSError, Ros1ProtocolError):
                     self._hear(sock)
-                sock.close()
                 if self._heard != before:
                     # reconnect to a live node at once; a dead one refuses
                     self._closing.wait(_AGAIN_SECONDS)

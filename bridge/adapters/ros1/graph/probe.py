@@ -116,9 +116,11 @@ class Prober:
         self._facts: dict[Registration, Facts] = {}
         self._open: dict[Registration, _Attempt] = {}
         self._held: dict[Registration, ProbedConnection] = {}
+        self._closed = False
 
     def close(self) -> None:
         with self._lock:
+            self._closed = True
             for link in list(self._held):
                 self._release(link)
 
@@ -237,7 +239,7 @@ class Prober:
             known = self._open.pop(link, None) is not None
             if known:
                 self._facts[link] = facts
-            if known and facts.native and self._holds:
+            if known and facts.native and self._holds and not self._closed:
                 self._release(link)
                 self._held[link] = sock, header
                 self._timer.after(HOLD_SECONDS, lambda: self._expire(link, sock))

@@ -121,13 +121,13 @@ class TcprosServer(PolledConnection):
         self._bytes -= count
 
     def complete(self, sock: socket.socket, body: bytes) -> None:
-        """Admit a peer that has sent its header."""
-        self._pool.submit(lambda: self._complete(sock, body))
+        """Admit a peer that has sent its header; disconnect it if the server closes first, or no thread can start."""
+        admission = self._pool.submit(lambda: self._complete(sock, body))
+        admission.add_done_callback(lambda future: sock.close() if future.cancelled() else None)
 
     def _complete(self, plain: socket.socket, body: bytes) -> None:
-        sock = DeadlineSocket(fileno=plain.detach())
+        sock = DeadlineSocket.adopt(plain, time.monotonic() + _SECONDS)
         try:
-            sock.deadline = time.monotonic() + _SECONDS
             error = self._admit(sock, decode(body))
             if error:
                 sock.sendall(encode({"error": error}))

@@ -193,17 +193,16 @@ class PlainNode:
             _log.debug("%s does not accept the connection of %s: %s", uri, self.name, err)
             self._retry_later(subscription, uri)
             return
-        try:
-            self._read(subscription, topic, uri, sock, header)
-        except OSError:  # it has disconnected
-            sock.close()
-            self._retry_later(subscription, uri)
+        with sock:  # closes it unless the reader has taken it over
+            try:
+                self._read(subscription, topic, uri, sock, header)
+            except OSError:  # it has disconnected
+                self._retry_later(subscription, uri)
 
     def _read(self, subscription: _Subscription, topic: str, uri: str, sock: DeadlineSocket, header: Header) -> None:
         node = header.get("callerid", uri)
         if header.get("md5sum") != subscription.type.type_id:
             _log.warning("%s publishes another %s on %s; it is not read", node, header.get("type"), topic)
-            sock.close()
             return
         reader = PublisherConnection(
             sock, topic, uri, lambda payload: subscription.deliver(payload, uri),

@@ -119,8 +119,14 @@ class ServiceConnection(PolledConnection):
                 self._sending = True
         if unsent is None:
             self._sent()
-        else:
-            threading.Thread(target=self._send_rest, args=(copy, unsent), name="midspan-ros1-send", daemon=True).start()
+            return True
+        sending = threading.Thread(target=self._send_rest, args=(copy, unsent), name="midspan-ros1-send", daemon=True)
+        try:
+            sending.start()
+        except RuntimeError as err:  # the system is out of threads
+            _log.warning("a large message cannot be sent: %s", err)
+            copy.close()
+            return False
         return True
 
     def _send_rest(self, copy: socket.socket, unsent: memoryview) -> None:

@@ -42,9 +42,9 @@ class SubscriberConnection(TopicConnection):
         self, sock: socket.socket, name: str, node: str = "",
         ended: Callable[[SubscriberConnection], None] | None = None,
     ) -> None:  # fmt: skip
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # if this fails, the caller still has the socket
         super().__init__(sock, node)
         self.listens = False
-        self._sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._name, self._ended = name, ended
         self._condition = threading.Condition()
         self._queue: deque[tuple[str, bytes]] = deque()

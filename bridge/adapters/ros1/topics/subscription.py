@@ -137,23 +137,22 @@ class Ros1Subscription:
             self._failed(link, source, err)
             return
         facts = Facts.of(header)
-        if not facts.fits(self._md5):
-            sock.close()
-            self._prober.doubt(link, "the publisher changed its type or its origin")
-            return
-        self._prober.learned(link, facts)
-        endpoint = publisher_id(link, latching=facts.latching)
-        try:
-            reader = PublisherConnection(
-                sock, self.topic, link.uri,
-                lambda payload: self._deliver(payload, endpoint, None),
-                lambda trouble: self._ended(link, source, reader, trouble),
-                self._refused, self._context.limit, self._context.loop,
-            )  # fmt: skip
-        except OSError as err:  # the connection broke
-            sock.close()
-            self._failed(link, source, unanswered(f"{link.node} disconnected", err))
-            return
+        with sock:  # closes it unless the reader has taken it over
+            if not facts.fits(self._md5):
+                self._prober.doubt(link, "the publisher changed its type or its origin")
+                return
+            self._prober.learned(link, facts)
+            endpoint = publisher_id(link, latching=facts.latching)
+            try:
+                reader = PublisherConnection(
+                    sock, self.topic, link.uri,
+                    lambda payload: self._deliver(payload, endpoint, None),
+                    lambda trouble: self._ended(link, source, reader, trouble),
+                    self._refused, self._context.limit, self._context.loop,
+                )  # fmt: skip
+            except OSError as err:  # the connection broke
+                self._failed(link, source, unanswered(f"{link.node} disconnected", err))
+                return
         with self._lock:
             wanted = self._publishers.get(link) is source
             if wanted:

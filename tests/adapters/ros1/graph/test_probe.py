@@ -1,6 +1,7 @@
 """Probing publishers: valid, dead, slow and malformed ones."""
 
 import contextlib
+import socket
 import struct
 import threading
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ from bridge.adapters.ros1.graph.probe import Facts, Prober
 from bridge.adapters.ros1.graph.state import Registration
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD, decode, encode, read_exactly
 from bridge.adapters.ros1.peer_pool import PeerPool
+from bridge.adapters.ros1_peers import DeadlineSocket
 from bridge.concurrency import DelayedCalls
 from tests.peers.ros1.servers import node, publisher, tcp_server, until_closed
 from tests.support.ports import free_port
@@ -215,3 +217,26 @@ def test_a_yarp_port_without_a_type_is_probed_again(prober):
         until(lambda: "has no type" in prober.troubles().get(link, ""), "the missing type is reported")
         port.type = "std_msgs/String"
         assert known(prober, links, link).type == "std_msgs/String"
+
+
+def test_a_connection_that_completes_after_the_end_is_closed():
+    link, shaken, go_on = Registration("/a", "/t", "http://x:1/"), threading.Event(), threading.Event()
+    near, far = socket.socketpair()
+    sock = DeadlineSocket.adopt(near, 0.0)
+
+    def shake(*_: object) -> tuple[DeadlineSocket, dict[str, str]]:
+        shaken.set()
+        assert go_on.wait(20)
+        return sock, HEADER
+
+    pool, timer, known = PeerPool(), DelayedCalls("test-later"), threading.Event()
+    prober = Prober(asking(pool, timer), lambda _link: known.set(), shake, holds=True)
+    with far:
+        prober.follow(frozenset({link}))
+        assert shaken.wait(20)
+        timer.close()
+        prober.close()
+        go_on.set()
+        assert known.wait(20)
+        pool.stop()
+    assert sock.fileno() == -1

@@ -19,6 +19,7 @@ from bridge.adapters.ros1.node import greeting
 from bridge.adapters.ros1.node.greeting import TcprosServer
 from bridge.adapters.ros1_peers import DeadlineSocket, Ros1ProtocolError
 from bridge.concurrency import DelayedCalls
+from tests.support.descriptors import no_threads
 from tests.support.wait import until
 
 
@@ -35,8 +36,8 @@ class Bench:
             return header["reject"]
         if "fail" in header:
             raise RuntimeError(header["fail"])
+        self.peers.enter_context(sock)  # before the reply, after which the test may end
         sock.sendall(encode(header))
-        self.peers.enter_context(sock)
         return ""
 
     def connect(self, data: bytes = b"") -> DeadlineSocket:
@@ -199,3 +200,38 @@ def test_a_closed_server_accepts_nobody(bench: Bench) -> None:
     bench.server.close()
     with pytest.raises(ConnectionRefusedError):
         bench.connect()
+
+
+def test_peers_that_wait_for_admission_are_disconnected_when_the_server_closes(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, go_on = threading.Semaphore(0), threading.Event()
+
+    def hang(*_: object) -> str:
+        begun.release()
+        go_on.wait(20)
+        return "closed"
+
+    monkeypatch.setattr(bench.server, "_admit", hang)
+    waiting = []
+    for _ in range(greeting._ADMITTED_AT_ONCE + 1):
+        near, far = socket.socketpair()
+        bench.peers.enter_context(far)
+        bench.server.complete(near, b"")
+        waiting.append(near)
+    for _ in range(greeting._ADMITTED_AT_ONCE):
+        assert begun.acquire(timeout=20)
+    bench.server.close()
+    late, far = socket.socketpair()
+    bench.peers.enter_context(far)
+    bench.server.complete(late, b"")
+    go_on.set()
+    assert waiting[-1].fileno() == late.fileno() == -1
+
+
+def test_a_peer_is_disconnected_if_no_thread_can_admit_it(bench: Bench) -> None:
+    near, far = socket.socketpair()
+    with far, no_threads("midspan-ros1-greet"):
+        bench.server.complete(near, b"")
+    assert near.fileno() == -1
+    assert bench.greet(topic="/a") == {"topic": "/a"}

@@ -14,11 +14,13 @@ import pytest
 
 from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.handshake import decode, encode
+from bridge.adapters.ros1.services import connection
 from bridge.adapters.ros1.services.server import MAX_CLIENTS, ServiceServers
 from bridge.adapters.ros1_peers import DeadlineSocket
 from bridge.hub.endpoints.calls import CallError
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.transcode.conversion import SideType
+from tests.support.descriptors import no_threads
 from tests.support.wait import until
 
 TYPE = SideType("pkg/Serve", "5e7e", "")
@@ -385,3 +387,18 @@ def test_many_clients_at_once(bench):
     for thread in threads:
         thread.join(30)
     assert replies == [True] * 600
+
+
+def test_a_client_is_disconnected_if_no_thread_can_send_its_reply(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    client = bench.open()
+
+    def refuse(*_: object) -> int:
+        raise BlockingIOError
+
+    with monkeypatch.context() as failures, no_threads("midspan-ros1-send"):
+        failures.setattr(connection, "send_now", refuse)
+        client.send(b"abc")
+        assert client.sock.recv(1) == b""
+    assert bench.open().call(b"abc") == (1, b"cba")

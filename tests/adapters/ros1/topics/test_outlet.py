@@ -155,3 +155,12 @@ def test_queued_messages_of_many_sources_are_limited(pair, monkeypatch):
     assert pair.outlet.dropped >= 100
     received = [pair.message()[0] for _ in range(200 - pair.outlet.dropped)]
     assert received[-10:] == list(range(190, 200))
+
+
+def test_a_socket_whose_options_cannot_be_set_stays_the_callers():
+    """On macOS they cannot once the peer has reset the connection."""
+    near, far = socket.socketpair()  # without TCP's options
+    with near, far:
+        with pytest.raises(OSError, match="supported"):
+            SubscriberConnection(near, "test-out")
+        assert near.fileno() >= 0
