@@ -102,10 +102,10 @@ class Server:
         self._log.close()
 
 
-def server_for(python: str, env: Mapping[str, str]) -> Server:
-    """Return the process to fork from."""
+def server_for(python: str, env: Mapping[str, str], *, workers: bool = False) -> Server:
+    """Return the process to fork from; those for daemons with their workers also import what workers use."""
     early = {name: value for name, value in env.items() if name.startswith(_AT_START)}
-    key = (python, *(f"{name}={early[name]}" for name in sorted(early)))
+    key = (python, "workers" if workers else "", *(f"{name}={early[name]}" for name in sorted(early)))
     with _lock:
         server = _servers.get(key)
         if server is None or server.ended:
@@ -142,7 +142,7 @@ class Forked:
         self.stdin: IO[str] | None = None
         self.stdout: IO[str] | None = None
         request = {"args": self.args[1:], "env": dict(env), "cwd": str(Path.cwd()), "imports": list(imports)}
-        request["workers"] = set(WORKERS) <= set(imports)
+        workers = set(WORKERS) <= set(imports)
         self._owner, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with contextlib.ExitStack() as passed:
             passed.enter_context(theirs)
@@ -153,8 +153,10 @@ class Forked:
                 reads, writes = os.open(os.devnull, os.O_RDONLY), os.dup(log.fileno())
             passed.callback(os.close, reads)
             passed.callback(os.close, writes)
-            server = server_for(self.args[0], env)
-            server.ask(json.dumps(request).encode(), [reads, writes, log.fileno(), theirs.fileno()])
+            server = server_for(self.args[0], env, workers=workers)
+            server.ask(
+                json.dumps({**request, "workers": workers}).encode(), [reads, writes, log.fileno(), theirs.fileno()]
+            )
         started = self._receive(None)
         if not started or "pid" not in started:
             for end in (self._owner, self.stdin, self.stdout):

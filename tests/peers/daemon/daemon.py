@@ -10,11 +10,12 @@ from pathlib import Path
 
 import psutil
 
-from tests.support.forks import DAEMON
+from tests.support.forks import DAEMON, DAEMON_AND_WORKERS
 from tests.support.process import Process
 from tests.support.wait import until
 
 ROOT = Path(__file__).parents[3]
+IMPORTS = (*DAEMON_AND_WORKERS, "tests.peers.daemon.fakes")
 FAKES = ",".join(f"{name}=tests.peers.daemon.fakes:{name.capitalize()}" for name in ("router", "ros1", "ros2"))
 
 
@@ -53,14 +54,15 @@ class Daemon:
         """Start a daemon with other limits (`Timing`), as on a machine with this number of cores."""
         options = [f"{name}={seconds}" for name, seconds in limits.items()]
         command = [sys.executable, "-m", "tests.peers.daemon.quick", str(self.file), str(cores), *options]
-        process = Process(command, self.env, imports=DAEMON)
+        process = Process(command, self.env, imports=IMPORTS)
         self.processes.append(process)
         return process
 
     def midspan(self, *arguments: str, env: dict[str, str] | None = None) -> Process:
         """Start any midspan command."""
         command = [sys.executable, "-m", "bridge.cli.main", *arguments]
-        process = Process(command, {**self.env, **(env or {})}, imports=DAEMON)
+        imports = IMPORTS if arguments[:1] == ("run",) else DAEMON
+        process = Process(command, {**self.env, **(env or {})}, imports=imports)
         self.processes.append(process)
         return process
 
