@@ -17,6 +17,7 @@ from bridge.client.topics import SubscribedTopic, TopicKey
 from bridge.client.types import Types
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.graph import HubEndpoint, origin_side
+from bridge.hub.wire.keys import NO_HASH
 from bridge.hub.wire.qos import LATCHED, Durability, Qos
 from bridge.messages.errors import ConversionError
 from bridge.text import side_name
@@ -92,6 +93,9 @@ class TopicFeed:
                     groups.setdefault(TopicKey(name, endpoint.type_name, endpoint.type_hash), []).append(endpoint)
         for key, endpoints in groups.items():
             self._subscription(key).renew(endpoints)
+        hashed = {key._replace(type_hash=NO_HASH) for key in groups if key.type_hash != NO_HASH}
+        for key in self._subscriptions.keys() & hashed:  # the other one receives these publishers, too
+            self._subscriptions.pop(key).close()
         if self._taps or not self._subscriptions:
             self._tap()
 

@@ -9,6 +9,7 @@ from bridge.config.sections.navigation import OURS, NavigationSection, Planner
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.owners import owner
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
+from bridge.hub.wire.keys import NO_HASH
 from bridge.messages.actions import split
 from bridge.sides import label
 from bridge.status import StatusDocument, refused_routes
@@ -32,7 +33,7 @@ def conflicts(endpoints: Iterable[HubEndpoint]) -> list[Note]:
         if endpoint.kind in (EndpointKind.PUBLISHER, EndpointKind.SUBSCRIPTION):
             ends.setdefault(endpoint.topic, []).append(endpoint)
             hashes = topics.setdefault(endpoint.topic, {}).setdefault(endpoint.type_name, {})
-            if endpoint.type_hash != UNKNOWN_HASH:
+            if endpoint.type_hash not in (NO_HASH, UNKNOWN_HASH):
                 hashes.setdefault(endpoint.type_hash, []).append(endpoint)
     notes: list[Note] = []
     for topic, types in sorted(topics.items()):

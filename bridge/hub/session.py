@@ -27,6 +27,7 @@ from bridge.hub.endpoints.latched_subscription import LatchedHubSubscription
 from bridge.hub.endpoints.publisher import EndpointContext, HubPublisher, PublisherOptions
 from bridge.hub.endpoints.services import HubClient, HubServer
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription, Refused
+from bridge.hub.endpoints.variants import KeyVariants
 from bridge.hub.errors import HubClosedError, HubConfigError, HubError, zenoh_reason
 from bridge.hub.graph import HubGraph
 from bridge.hub.graph.tokens import (
@@ -236,10 +237,11 @@ class Hub:
         self._origin: tuple[Origin, Callable[[], None]] | None = None
         self._node = NodeToken(settings.domain, self.zid, str(next(session.ids)), settings.namespace, settings.node)
         self._control = Control(self._session, settings.domain, settings.daemon, settings.worker, settings.identity)
+        executor = SerialExecutor("hub-executor")
         self._context = EndpointContext(
-            self._session, session.reach, self._own, self.graph, settings.max_payload,
-            SerialExecutor("hub-executor"), SerialExecutor("hub-ends"), SerialExecutor("hub-asking"),
-            DelayedCalls("hub-heartbeats"), self._remove, session.lane,
+            self._session, session.reach, self._own, self.graph, settings.max_payload, executor,
+            SerialExecutor("hub-ends"), SerialExecutor("hub-asking"), DelayedCalls("hub-heartbeats"),
+            KeyVariants(self.graph, executor), self._remove, session.lane,
         )  # fmt: skip
         session.add(self)
         self._withdraw = self.graph.announce(node_key(self._node))
@@ -394,6 +396,7 @@ class Hub:
             endpoint.close()
         for space in self._spaces:
             space.close()
+        self._context.variants.close()
         self._context.executor.close()
         self._context.ends.close()
         self._context.asking.close()

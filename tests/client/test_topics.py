@@ -119,7 +119,7 @@ def test_invalid_zenoh_key_is_reported_not_raised(far: Hub, topics: HubTopics) -
     key = string_key("/said")
     far.publisher(*key, Qos())
     topic = wait_for(topics, key)
-    bad = HubTopic(key._replace(type_hash="TypeHashNotSupported"), topic.publishers)
+    bad = HubTopic(key._replace(type_hash="md5"), topic.publishers)
     assert "RIHS01" in topics.subscribe(bad, lambda _: None).trouble
 
 

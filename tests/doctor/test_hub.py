@@ -19,6 +19,7 @@ from bridge.doctor.context import HubSnapshot
 from bridge.doctor.hub_problems import conflicts
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind, Origin
+from bridge.hub.wire.keys import NO_HASH
 from bridge.hub.wire.qos import Qos
 from tests.doctor.parts import around, every, hub, only, results
 from tests.peers.hub.network import HubNetwork
@@ -29,7 +30,7 @@ def endpoint(
     node: str, type_name: str, digit: str, kind: EndpointKind = EndpointKind.PUBLISHER, topic: str = "/topic"
 ) -> HubEndpoint:
     """An endpoint whose type's hash is made of one digit."""
-    type_hash = UNKNOWN_HASH if digit == "0" else f"RIHS01_{digit * 64}"
+    type_hash = {"0": UNKNOWN_HASH, "": NO_HASH}.get(digit, f"RIHS01_{digit * 64}")
     return HubEndpoint(
         "ab", node, "/", kind, topic, type_name, type_hash, Qos(), bytes(16), origin=None, pending=False, own=False
     )
@@ -153,6 +154,8 @@ def test_refused_types_and_differing_definitions() -> None:
 def test_conflicts_on_the_hub() -> None:
     any_hash = endpoint("any", "a/msg/A", "0", EndpointKind.SUBSCRIPTION)
     assert conflicts([endpoint("one", "a/msg/A", "1"), any_hash]) == []
+    humble = endpoint("humble", "a/msg/A", "", EndpointKind.SUBSCRIPTION)
+    assert conflicts([endpoint("one", "a/msg/A", "1"), humble]) == []
     (hashes,) = conflicts([endpoint("one", "a/msg/A", "1"), endpoint("two", "a/msg/A", "2", EndpointKind.SUBSCRIPTION)])
     assert "/one RIHS01_1" in hashes.text
     assert "/two RIHS01_2" in hashes.text

@@ -153,6 +153,11 @@ class CallClient:
     @property
     def ready(self) -> bool:
         """Whether there is a server to call."""
+        return self._reachable
+
+    @property
+    def _reachable(self) -> bool:
+        """Whether there is a server on the key."""
         querier = self._querier
         try:
             return querier is not None and _matching(querier.matching_status)
@@ -167,7 +172,7 @@ class CallClient:
         if len(request) > self._limit:
             done(CallError(f"the request has {len(request)} bytes, limits.message allows {self._limit}"))
             return nothing
-        if not self.ready:
+        if not self._reachable:
             done(CallError(_NO_SERVER.format(name=self.name, where=self.where)))
             return nothing
         with self._lock:
@@ -183,9 +188,8 @@ class CallClient:
             self._end(pending.number, CallError(_CLOSED.format(name=self.name)))
             return
         number = pending.number
-        handler = zenoh.handlers.Callback(
-            partial(self._on_reply, number), partial(self._on_over, number), indirect=False
-        )
+        replied, over = partial(self._on_reply, number), partial(self._on_over, number)
+        handler = zenoh.handlers.Callback(replied, over, indirect=False)
         pending.sent, pending.servers = time.monotonic(), self._servers()
         try:
             querier.get(
@@ -197,7 +201,7 @@ class CallClient:
             )
         except (zenoh.ZError, RuntimeError) as err:  # the client is being closed
             self._end(pending.number, CallError(f"{self.name} cannot be called: {zenoh_reason(err)}"))
-        if not self.ready:  # zenoh may never end a query without a server
+        if not self._reachable:  # zenoh may never end a query without a server
             self._over(number, time.monotonic())
 
     def close(self) -> None:
@@ -247,7 +251,7 @@ class CallClient:
             pending = self._waiting.get(number)
         if pending is None:
             return
-        if self.ready and now - pending.sent < _AT_ONCE:
+        if self._reachable and now - pending.sent < _AT_ONCE:
             if now - self._since < _SETTLING:
                 self._later(pending)
                 return
@@ -399,6 +403,10 @@ class CallServer:
         """The attachment of a reply."""
         return None
 
+    def _reply_key(self, query: zenoh.Query) -> str:  # noqa: ARG002
+        """The key of a reply."""
+        return self._key
+
     def _remembered(self, asked: PendingRequest) -> None:
         """Handle a new pending request; called with the lock held."""
 
@@ -467,7 +475,7 @@ class CallServer:
             result = CallError(f"the reply has {len(result)} bytes, limits.message allows {self._limit}")
 
         def reply(query: zenoh.Query, payload: bytes) -> None:
-            query.reply(self._key, payload, encoding=self.encoding, attachment=self._attached(asked))
+            query.reply(self._reply_key(query), payload, encoding=self.encoding, attachment=self._attached(asked))
 
         if isinstance(result, CallError):
             reply_error(asked.query, result, reply)

@@ -69,7 +69,7 @@ class LatchedPublisher:
         self._put = 0
         self._closed = False
 
-    def put(self, payload: bytes, attachment: bytes | None = None) -> None:
+    def put(self, payload: bytes | zenoh.ZBytes, attachment: bytes | None = None) -> None:
         """Publish; one at a time. Raises `zenoh.ZError` if the session is closed."""
         self._publisher.put(payload, attachment=attachment)
         self._put += 1

@@ -41,27 +41,37 @@ class LatchedHubSubscription(HubSubscription):
         self._depth = cache_depth(qos)
         self._recovers = qos.reliability is Reliability.RELIABLE
         self._asked: Counter[str] = Counter()  # by session
-        self._history = LatchedHistory(
-            context.session, key, self._depth, self, context.asking, context.ends, context.heartbeats,
-            reach=context.reach, recovers=self._recovers,
-        )  # fmt: skip
+        self._histories: tuple[LatchedHistory, ...] = ()  # one for each key
         super().__init__(context, token, key, topic, callback, on_refused)
 
     @override
     def _declare(self, context: EndpointContext, key: str) -> Callable[[], None]:
-        end = super()._declare(context, key)
-        self._history.open()
+        return self._with_history(context, key, super()._declare(context, key))
+
+    @override
+    def _declare_more(self, key: str) -> Callable[[], None]:
+        return self._with_history(self._context, key, super()._declare_more(key))
+
+    def _with_history(self, context: EndpointContext, key: str, end: Callable[[], None]) -> Callable[[], None]:
+        history = LatchedHistory(
+            context.session, key, self._depth, self, context.asking, context.ends, context.heartbeats,
+            reach=context.reach, recovers=self._recovers,
+        )  # fmt: skip
+        self._histories += (history,)
+        history.open()
 
         def undeclare_all() -> None:
             end()
-            self._history.close()
+            history.close()
+            self._histories = tuple(other for other in self._histories if other is not history)
 
         return undeclare_all
 
     def _read(self, sample: zenoh.Sample) -> HubSample | None:
         message = self._reader.read(sample)
         if message is not None:
-            self._history.saw(sample.source_info)
+            for history in self._histories:
+                history.saw(sample.source_info)
         return message
 
     @override
@@ -84,7 +94,8 @@ class LatchedHubSubscription(HubSubscription):
                 self._deliver(source, message)
             missing = missing and not self._asked[zid]
         if missing:
-            self._history.ask_session(zid)
+            for history in self._histories:
+                history.ask_session(zid)
 
     def asked(self, zid: str) -> None:
         """Handle the start of a query for the samples that a session's publishers store; see `LatchedHistory`."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
+from collections import deque
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
@@ -14,13 +15,14 @@ import zenoh
 
 from bridge.concurrency import DelayedCalls, SerialExecutor
 from bridge.hub.endpoints.latched import LatchedPublisher
+from bridge.hub.endpoints.variants import KeyVariants, Variants
 from bridge.hub.errors import HubClosedError, HubError, zenoh_reason
 from bridge.hub.graph import HubGraph
 from bridge.hub.graph.tokens import gid_of
 from bridge.hub.lane.lane import Lane
 from bridge.hub.lane.outlet import Outlet
 from bridge.hub.lane.writer import LaneWriter
-from bridge.hub.wire.keys import pack_attachment
+from bridge.hub.wire.keys import key_variant, pack_attachment
 from bridge.hub.wire.qos import History, Qos, Reliability
 from bridge.hub.zenoh_compat import BEHIND, keep_thread_state, source_infos, undeclare
 from bridge.hub.zenoh_config import POOL
@@ -52,6 +54,7 @@ class EndpointContext:
         ends: handles the ends of queries, see `bridge.hub.zenoh_compat`.
         asking: runs queries for the samples that latched publishers cache.
         heartbeats: publishes the numbers of latched publishers' last samples.
+        variants: gives the endpoints their further keys.
         closed: called with each endpoint that has closed.
         lane: the transport to this daemon's other workers; None if the session has no lane.
     """
@@ -65,6 +68,7 @@ class EndpointContext:
     ends: SerialExecutor
     asking: SerialExecutor
     heartbeats: DelayedCalls
+    variants: KeyVariants
     closed: Callable[[Any], None]
     lane: Lane | None = None
 
@@ -164,10 +168,13 @@ class _LatchedSink:
 
     def __init__(self, context: EndpointContext, key: str, options: PublisherOptions, qos: Qos) -> None:
         reliable = qos.reliability is Reliability.RELIABLE
+        depth = cache_depth(qos)
+        # zenoh's own buffers, which its cache shares, for keys that are added later
+        self.stored: deque[tuple[zenoh.ZBytes, bytes]] = deque(maxlen=depth)
         self._publisher = LatchedPublisher(
             context.session,
             key,
-            cache_depth(qos),
+            depth,
             context.heartbeats if reliable else None,
             reach=context.reach,
             congestion=options.congestion,
@@ -178,7 +185,16 @@ class _LatchedSink:
         self._shadow = context.session.declare_publisher(key, allowed_destination=context.reach)
 
     def send(self, payload: bytes, attached: bytes) -> None:
+        self._send(zenoh.ZBytes(payload), attached)
+
+    def _send(self, payload: zenoh.ZBytes, attached: bytes) -> None:
+        self.stored.append((payload, attached))
         self._publisher.put(payload, attached)
+
+    def restore(self, samples: Iterable[tuple[zenoh.ZBytes, bytes]]) -> None:
+        """Publish and cache the samples of another sink."""
+        for payload, attached in samples:
+            self._send(payload, attached)
 
     def matched(self) -> bool:
         return _matching(self._shadow)
@@ -211,6 +227,9 @@ def cache_depth(qos: Qos) -> int:
 class HubPublisher:
     """Publishes one topic on the hub; made by `bridge.hub.session.Hub.publisher`. Safe to use from any thread.
 
+    Each sample goes to all its keys (`bridge.hub.endpoints.variants`) with the same number, so that a subscription that
+    receives it under two of them delivers it once.
+
     Attributes:
         gid: the 16 bytes that name the publisher in its samples.
         by_lane: messages sent on at least one lane.
@@ -235,16 +254,25 @@ class HubPublisher:
         self._limit, self._on_close = context.limit, context.closed
         self._lock = Lock()
         self._sequence = 0
-        self._sink: _Sink | None
+        self._plain = partial(_PlainSink, context, options=options)
+        self._stored: _LatchedSink | None = None
         if qos.latched:
-            self._sink = _LatchedSink(context, key, options, qos)
+            self._latched = partial(_LatchedSink, context, options=options, qos=qos)
+            self._base: _Sink = (stored := self._latched(key))
+            self._stored = stored
             self._why = "it is kept for late joiners"
         else:
-            self._sink = _PlainSink(context, key, options)
+            self._base = self._plain(key)
             if context.lane is not None and not options.blocks:
                 self._writer = context.lane.writer
                 self._why = context.lane.why
-        if self._writer is not None:  # before the token announces the publisher
+        self._more: dict[str, _Sink] = {}  # by type hash
+        self._sinks: tuple[_Sink, ...] = (self._base,)
+        """The sinks of all keys; empty once the publisher is closed."""
+        # both before the token announces the publisher
+        self._variants = context.variants
+        self._variants.add(self, token)
+        if self._writer is not None:
             self._writer.add(self)
         self._withdraw = context.graph.announce(token)
 
@@ -261,7 +289,7 @@ class HubPublisher:
             source_time_ns = time.time_ns()
         # the lock is held while sending, so that the numbers arrive in order
         with self._lock:
-            if self._sink is None:
+            if not self._sinks:
                 raise HubClosedError(f"publisher of {self.topic} is closed")
             self._sequence += 1
             attached = pack_attachment(self._sequence, source_time_ns, self.gid)
@@ -270,7 +298,8 @@ class HubPublisher:
                 for outlet in self._outlets:
                     outlet.send(attached, payload)
             try:
-                self._sink.send(payload, attached)
+                for sink in self._sinks:
+                    sink.send(payload, attached)
             except zenoh.ZError as err:
                 raise HubClosedError(f"cannot publish on {self.topic}: {zenoh_reason(err)}") from None
 
@@ -281,9 +310,9 @@ class HubPublisher:
         if it had been put. Raises `HubClosedError` if the publisher is closed.
         """
         with self._lock:
-            if self._sink is None:
+            if not self._sinks:
                 raise HubClosedError(f"publisher of {self.topic} is closed")
-            if self._outlets or self._sink.keeps or self._sink.matched():
+            if self._outlets or any(sink.keeps or sink.matched() for sink in self._sinks):
                 return False
             self._sequence += 1
             return True
@@ -291,7 +320,7 @@ class HubPublisher:
     def matched(self) -> bool:
         """Return whether any subscription exists, on another session or on another node of a shared session."""
         with self._lock:
-            return self._sink is not None and (bool(self._outlets) or self._sink.matched())
+            return bool(self._sinks) and (bool(self._outlets) or any(sink.matched() for sink in self._sinks))
 
     def way(self) -> tuple[str, str]:
         """Return the current transport and, for zenoh, the reason.
@@ -300,7 +329,7 @@ class HubPublisher:
         """
         with self._lock:
             lane = bool(self._outlets)
-            other = self._sink is not None and self._sink.matched()
+            other = any(sink.matched() for sink in self._sinks)
         if lane or self._writer is not None:
             return {(True, False): "lane", (True, True): "both", (False, True): "zenoh"}.get((lane, other), ""), (
                 "a listener is not on the lane" if other else ""
@@ -321,14 +350,43 @@ class HubPublisher:
         with self._lock:
             self._outlets = tuple(other for other in self._outlets if other is not outlet)
 
+    def follow_variants(self, variants: Variants) -> None:
+        """Publish under the other hashes that subscriptions announce, to latched ones with the cached samples."""
+        for type_hash, latched in variants.items():
+            latched = latched and self._stored is not None
+            sink = self._more.get(type_hash)
+            if sink is None or (latched and not sink.keeps):
+                key = key_variant(self.key, type_hash)
+                self._replace(type_hash, self._latched(key) if latched else self._plain(key))
+        for type_hash in self._more.keys() - variants.keys():
+            self._replace(type_hash, None)
+
+    def _replace(self, type_hash: str, sink: _Sink | None) -> None:
+        with self._lock:
+            closed = not self._sinks
+            before = self._more.pop(type_hash, None)
+            if sink is not None and not closed:
+                if self._stored is not None and isinstance(sink, _LatchedSink):
+                    sink.restore(self._stored.stored)
+                self._more[type_hash] = sink
+            if not closed:
+                self._sinks = (self._base, *self._more.values())
+        if before is not None:
+            before.close()
+        if sink is not None and closed:
+            sink.close()
+
     def close(self) -> None:
         """Leave the graph and drop the cached samples. Safe to call twice."""
         with self._lock:
-            sink, self._sink = self._sink, None
+            sinks, self._sinks = self._sinks, ()
+            self._more.clear()
             self._outlets = ()
-        if sink is not None:
+        if sinks:
+            self._variants.remove(self)
             if self._writer is not None:
                 self._writer.remove(self)
             self._withdraw()
-            sink.close()
+            for sink in sinks:
+                sink.close()
             self._on_close(self)

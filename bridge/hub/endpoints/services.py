@@ -8,6 +8,9 @@ rmw_client_data.cpp). Midspan adds two extensions, which rmw_zenoh's programs ig
   it cannot report it to its program.
 - zenoh does not notify a server when a client leaves. Midspan's clients publish that on ``<key>/@abandon``, with the
   call's attachment; any other client has left when its liveliness token disappears.
+
+A server also answers calls without a type hash, as Humble's clients make them. That queryable always exists: a client
+may call as soon as it sees the server's token, before the server sees the client's, and a lost query is not repeated.
 """
 
 from __future__ import annotations
@@ -20,12 +23,23 @@ from typing import Any
 import zenoh
 from typing_extensions import override
 
-from bridge.hub.endpoints.calls import PRIORITY, Call, CallClient, CallError, CallServer, PendingRequest
+from bridge.hub.endpoints.calls import (
+    PRIORITY,
+    Abandon,
+    Call,
+    CallClient,
+    CallError,
+    CallServer,
+    Done,
+    PendingRequest,
+    nothing,
+)
 from bridge.hub.endpoints.publisher import EndpointContext
+from bridge.hub.endpoints.variants import Variants
 from bridge.hub.errors import HubWireError
 from bridge.hub.graph.tokens import gid_of
-from bridge.hub.wire.keys import GID_SIZE, pack_attachment, unpack_attachment
-from bridge.hub.zenoh_compat import keep_thread_state, subscribe
+from bridge.hub.wire.keys import GID_SIZE, NO_HASH, key_variant, pack_attachment, unpack_attachment
+from bridge.hub.zenoh_compat import answer, keep_thread_state, subscribe
 
 _MAX_CALLERS = 10_000
 
@@ -56,6 +70,7 @@ class HubServer(CallServer):
         self._graph, self._own = context.graph, context.own
         self._callers: dict[tuple[bytes, int | None], _HubRequest] = {}
         self._unwatch: Callable[[], None] | None = None
+        self._hashless_key = key_variant(key, NO_HASH)
         super().__init__(
             context.session, key, name, context.limit, call, context.closed, complete=True, reach=context.reach
         )
@@ -63,7 +78,15 @@ class HubServer(CallServer):
 
     @override
     def _heard_beside(self, session: zenoh.Session, reach: zenoh.Locality) -> list[Any]:
-        return [subscribe(session, abandon_key(self._key), self._heard_leaving, reach)]
+        beside: list[Any] = [subscribe(session, abandon_key(self._key), self._heard_leaving, reach)]
+        if self._hashless_key != self._key:
+            beside.append(answer(session, self._hashless_key, self._on_query, complete=True, origin=reach))
+        return beside
+
+    @override
+    def _reply_key(self, query: zenoh.Query) -> str:
+        key = str(query.key_expr)
+        return key if key == self._hashless_key else self._key
 
     @override
     def _takes(self, query: zenoh.Query) -> bool:
@@ -134,10 +157,31 @@ class HubServer(CallServer):
             request.seen = present
 
 
+class _VariantClient(CallClient):
+    """The calls of a client under another type hash, with the client's GID."""
+
+    def __init__(self, key: str, client: HubClient, context: EndpointContext, changed: Callable[[], None]) -> None:
+        self._client = client
+        super().__init__(
+            context.session, key, client.name, context.limit, context.executor, context.ends,
+            zenoh.QueryTarget.ALL_COMPLETE, lambda _self: None, changed, context.reach,
+        )  # fmt: skip
+        self._withdraw = nothing
+
+    @override
+    def _attached(self, number: int) -> bytes:
+        return pack_attachment(number, time.time_ns(), self._client.gid)
+
+    @override
+    def _servers(self) -> frozenset[bytes]:
+        return self._client._servers()
+
+
 class HubClient(CallClient):
     """Calls one service on the hub; created by `bridge.hub.session.Hub.client`. Safe to use from any thread.
 
-    If several servers reply, the first reply counts.
+    If several servers reply, the first reply counts. Servers that announce another type hash are called only while
+    there is none with the client's hash.
 
     Attributes:
         gid: the client's 16-byte id in its requests.
@@ -153,6 +197,7 @@ class HubClient(CallClient):
     ) -> None:
         self.gid = gid_of(token)
         self._graph, self._own, self._reach = context.graph, context.own, context.reach
+        self._context, self._more = context, dict[str, _VariantClient]()  # by type hash
         super().__init__(
             context.session,
             key,
@@ -165,13 +210,45 @@ class HubClient(CallClient):
             changed,
             context.reach,
         )
+        context.variants.add(self, token)
         self._withdraw = context.graph.announce(token)
+
+    def follow_variants(self, variants: Variants) -> None:
+        """Call under the other hashes that servers announce; such a client ends with this one."""
+        for type_hash in variants.keys() - self._more.keys():
+            key = key_variant(self._key, type_hash)
+            self._more[type_hash] = _VariantClient(key, self, self._context, self._changed or nothing)
+        if self._querier is None:
+            self._end_variants()
+
+    def _end_variants(self) -> None:
+        while self._more:
+            self._more.popitem()[1].close()
+
+    @override
+    def call(self, request: bytes, done: Done) -> Abandon:
+        if not self._reachable:
+            for variant in tuple(self._more.values()):
+                if variant.ready:
+                    return variant.call(request, done)
+        return super().call(request, done)
+
+    @override
+    def close(self) -> None:
+        self._context.variants.remove(self)
+        super().close()
+        self._end_variants()
 
     @property
     @override
     def ready(self) -> bool:
         """Return whether there is a server, other than one of the node itself."""
-        if not super().ready:
+        return self._reachable or any(variant.ready for variant in tuple(self._more.values()))
+
+    @property
+    @override
+    def _reachable(self) -> bool:
+        if not super()._reachable:
             return False
         servers = [server.gid in self._own for server in self._graph.servers(self.name)]
         return not servers or not all(servers)

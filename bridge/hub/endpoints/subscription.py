@@ -11,9 +11,10 @@ from threading import Lock
 import zenoh
 
 from bridge.hub.endpoints.publisher import NO_LANE, EndpointContext
+from bridge.hub.endpoints.variants import Variants
 from bridge.hub.errors import HubWireError
 from bridge.hub.graph import HubGraph
-from bridge.hub.wire.keys import unpack_attachment
+from bridge.hub.wire.keys import key_variant, unpack_attachment
 from bridge.hub.zenoh_compat import keep_thread_state, subscribe, undeclare
 from bridge.resources import LARGE_MESSAGES
 
@@ -87,8 +88,9 @@ class PublisherState:
         if last is None:
             return 0
         if sample.sequence <= last:
-            # a publisher that keeps its GID restarted its numbers, unless the sample is older
-            return None if 0 < sample.source_time_ns <= self.time_ns else 0
+            # a publisher that keeps its GID restarted its numbers, unless the sample is older or the last one again
+            again = sample.sequence == last and sample.source_time_ns == self.time_ns
+            return None if again or 0 < sample.source_time_ns <= self.time_ns else 0
         missing = sample.sequence - last - 1
         return missing if missing < _MAX_GAP else 0
 
@@ -271,6 +273,9 @@ class HubSubscription:
         self.sources = PublisherStates(context.graph)
         self._losses = Losses()
         self._undeclare = self._declare(context, key)
+        self._key, self._context = key, context
+        self._more: dict[str, Callable[[], None]] = {}  # by type hash
+        context.variants.add(self, token)
         self._withdraw = context.graph.announce(token)
 
     def _declare(self, context: EndpointContext, key: str) -> Callable[[], None]:
@@ -280,11 +285,30 @@ class HubSubscription:
         """
         return partial(undeclare, subscribe(context.session, key, self._on_sample, context.reach))
 
+    def _declare_more(self, key: str) -> Callable[[], None]:
+        """Subscribe to a further key on zenoh; return a function that ends it."""
+        return partial(undeclare, subscribe(self._context.session, key, self._on_sample, self._context.reach))
+
+    def follow_variants(self, variants: Variants) -> None:
+        """Subscribe under the other hashes that publishers announce."""
+        for type_hash in variants.keys() - self._more.keys():
+            self._more[type_hash] = self._declare_more(key_variant(self._key, type_hash))
+        for type_hash in self._more.keys() - (() if self._reader.closed else variants.keys()):
+            self._end_more(type_hash)
+
+    def _end_more(self, type_hash: str) -> None:
+        end = self._more.pop(type_hash, None)
+        if end is not None:
+            end()
+
     def close(self) -> None:
         """Stop receiving. Safe to call twice."""
         if self._reader.close():
+            self._context.variants.remove(self)
             self._withdraw()
             self._undeclare()
+            for type_hash in tuple(self._more):
+                self._end_more(type_hash)
             self._on_close(self)
 
     def _on_sample(self, sample: zenoh.Sample) -> None:

@@ -26,7 +26,16 @@ import xxhash
 
 from bridge import __version__
 from bridge.hub.errors import HubWireError
-from bridge.hub.wire.keys import ANY_HASH, check_hash, check_topic, dds_type_name, demangle, mangle, ros_type_name
+from bridge.hub.wire.keys import (
+    ANY_HASH,
+    check_topic,
+    dds_type_name,
+    demangle,
+    hash_chunk,
+    mangle,
+    parse_hash_chunk,
+    ros_type_name,
+)
 from bridge.hub.wire.qos import Qos, decode_qos, encode_qos
 from bridge.hub.wire.version import WIRE
 
@@ -98,7 +107,7 @@ class NodeToken:
 
 @dataclass(frozen=True, slots=True)
 class EndpointToken:
-    """An endpoint of a node; ``id`` is unique within its session."""
+    """An endpoint of a node; ``id`` is unique within its session, ``type_hash`` may be `NO_HASH`."""
 
     owner: NodeToken
     id: str
@@ -126,7 +135,7 @@ def node_key(token: NodeToken) -> str:
 def endpoint_key(token: EndpointToken) -> str:
     """Return the key of an endpoint's token."""
     any_hash = token.type_hash == ANY_HASH and token.kind is EndpointKind.SUBSCRIPTION
-    type_hash = UNKNOWN_HASH if any_hash else check_hash(token.type_hash)
+    type_hash = UNKNOWN_HASH if any_hash else hash_chunk(token.type_hash)
     return (
         f"{_head(token.owner, token.id, _LETTERS[token.kind])}/{mangle(check_topic(token.topic))}"
         f"/{dds_type_name(token.type_name)}/{type_hash}/{encode_qos(token.qos)}"
@@ -154,8 +163,8 @@ def parse_token(key: str) -> NodeToken | EndpointToken:
         raise HubWireError(f"token of the unknown kind {letters[:20]!r}")
     if len(parts) < _ENDPOINT_PARTS:
         raise HubWireError(f"{kind}'s token has {len(parts)} parts instead of {_ENDPOINT_PARTS} or more")
-    topic = _absolute(demangle(parts[9]))
-    return EndpointToken(owner, parts[4], kind, topic, ros_type_name(parts[10]), parts[11], decode_qos(parts[12]))
+    topic, type_hash = _absolute(demangle(parts[9])), parse_hash_chunk(parts[11])
+    return EndpointToken(owner, parts[4], kind, topic, ros_type_name(parts[10]), type_hash, decode_qos(parts[12]))
 
 
 def qos_text(key: str) -> str:

@@ -11,6 +11,7 @@ import zenoh
 
 from bridge.hub.errors import HubWireError
 from bridge.hub.graph.best_available import BestAvailable
+from bridge.hub.graph.hashes import KindOfEndpoint, MissingHashes
 from bridge.hub.graph.tokens import (
     ADMIN_SPACE,
     BRIDGE_ENCLAVE,
@@ -56,6 +57,8 @@ class HubEndpoint:
 
     Attributes:
         type_name: as ROS 2 spells it, ``std_msgs/msg/String``.
+        type_hash: of an endpoint that announces none, the hash that others of its kind, topic and type announce, or
+            `NO_HASH`; it changes with these.
         qos: with open policies (BEST_AVAILABLE) resolved against the topic's endpoints; it changes with these.
         gid: the 16 bytes that rmw_zenoh derives from the token; a publisher's samples carry them.
         origin: the foreign network of the session, None if the endpoint is native or the origin is not known yet.
@@ -100,6 +103,7 @@ class HubGraph:
         self._marked: set[str] = set()
         self._topics: dict[str, dict[str, HubEndpoint]] = {}
         self._best_available = BestAvailable()
+        self._missing_hashes = MissingHashes()
         self._unknown: set[str] = set()
         self._sessions: dict[str, dict[str, None]] = {}
         self._origin_tokens: dict[str, dict[str, Origin]] = {}
@@ -176,6 +180,17 @@ class HubGraph:
     def announce_velocity(self, topic: str, type_name: str) -> Callable[[], None]:
         """Announce that our side's own nodes subscribe to velocities, until the returned function is called."""
         return self.announce(velocity_key(self._domain, self._zid, topic, type_name))
+
+    @property
+    def hashless_version(self) -> int:
+        """A number that changes with each change of `hashless`."""
+        return self._missing_hashes.version
+
+    def hashless(self) -> dict[KindOfEndpoint, bool]:
+        """Return the endpoints that other sessions announce without a type hash, and whether any is latched."""
+        with self._lock:
+            self._resolve()
+            return self._missing_hashes.foreign(self._endpoints)
 
     def origin_of(self, zid: str) -> Origin | None:
         """Return a session's origin. Fast enough to call for each sample."""
@@ -373,6 +388,7 @@ class HubGraph:
         self._warn_of_unknown(key, endpoint)
         self._best_available.added(key, token.topic, token.qos)
         self._place(key, endpoint)
+        self._missing_hashes.added(key, endpoint)
         return True
 
     def _place(self, key: str, endpoint: HubEndpoint) -> None:
@@ -384,6 +400,8 @@ class HubGraph:
     def _resolve(self) -> None:
         for name, key, qos in self._best_available.resolved(self._topics):
             self._endpoints[key] = self._topics[name][key] = replace(self._endpoints[key], qos=qos)
+        for name, key, type_hash in self._missing_hashes.resolved(self._topics):
+            self._endpoints[key] = self._topics[name][key] = replace(self._endpoints[key], type_hash=type_hash)
 
     def _warn_of_unknown(self, key: str, endpoint: HubEndpoint) -> None:
         """Report each unknown policy once, however many endpoints have it."""
@@ -405,6 +423,7 @@ class HubGraph:
             if not topic:
                 del self._topics[endpoint.topic]
             self._best_available.removed(key, endpoint.topic, last=not topic)
+            self._missing_hashes.removed(key, endpoint, last=not topic)
         keys = self._sessions[known.zid]
         del keys[key]
         if not keys:

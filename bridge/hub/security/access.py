@@ -19,7 +19,7 @@ from bridge.config.sections.hub import OpenSection
 from bridge.config.sections.routing import RoutingSection
 from bridge.hub.endpoints.services import abandon_key
 from bridge.hub.graph.tokens import ADMIN_SPACE, MIDSPAN_SPACE
-from bridge.hub.wire.keys import dds_type_name
+from bridge.hub.wire.keys import NO_HASH, dds_type_name, hash_chunk
 
 ANYBODY = "*"
 """Entry of the list of trusted names that means every machine that may join."""
@@ -32,19 +32,22 @@ _SPACES = ("**", _CACHES, abandon_key("**"), f"{_STORE}/*/@sync/**", f"{ADMIN_SP
 _LISTENING = ("declare_subscriber", "liveliness_token", "liveliness_query", "declare_liveliness_subscriber")
 _EVERYTHING = ("put", "delete", "query", "reply", "declare_queryable", *_LISTENING)
 
+_HASHES = ("RIHS01_$*", hash_chunk(NO_HASH))
+"""Last parts of keys: a type's hash, or Humble's word for none."""
+
 _GOAL = "Goal_"
 """Endings of goal and cancel types: MoveBaseActionGoal_, NavigateToPose_SendGoal_, CancelGoal_."""
 
 QUESTIONS = (
-    *(f"*/**/$*::srv::dds_::{verb}$*/RIHS01_$*" for verb in ("Get", "List", "Describe")),
-    "*/**/$*::action::dds_::$*_GetResult_/RIHS01_$*",
+    *(f"*/**/$*::srv::dds_::{verb}$*/{end}" for verb in ("Get", "List", "Describe") for end in _HASHES),
+    *(f"*/**/$*::action::dds_::$*_GetResult_/{end}" for end in _HASHES),
 )
 """Services that change nothing."""
 
 _READING = (f"{_STORE}/**", f"{_STORE}/*/@sync/digest/**", f"{_STORE}/*/@sync/fetch/**")
 """Stored values (`bridge.stores`): every machine that may join reads them, only trusted ones change them."""
 
-_ANSWERS = tuple(f"*/**/$*::{middle}::dds_::$*/RIHS01_$*" for middle in ("srv", "action"))
+_ANSWERS = tuple(f"*/**/$*::{middle}::dds_::$*/{end}" for middle in ("srv", "action") for end in _HASHES)
 """A server may reply to its clients, also to goal requests."""
 
 _TYPE_LETTERS = string.ascii_letters + string.digits + "_:"
@@ -97,11 +100,11 @@ def harmless_keys(commanding: Mapping[str, Iterable[str]]) -> list[str]:
     """
     types = {type_name: dds_type_name(type_name) for type_name in commanding}
     endings = {_GOAL, *(f":{name.rpartition(':')[2]}" for name in types.values())}
-    keys = [f"*/**/{chunk}/RIHS01_$*" for chunk in not_ending("_", endings)]
+    chunks = list(not_ending("_", endings))
     for type_name, parts in commanding.items():
         if EVERY not in parts:
-            keys += [f"*/**/{chunk}/{types[type_name]}/RIHS01_$*" for chunk in not_beginning("", parts)]
-    return keys
+            chunks += [f"{chunk}/{types[type_name]}" for chunk in not_beginning("", parts)]
+    return [f"*/**/{chunk}/{end}" for end in _HASHES for chunk in chunks]
 
 
 def not_ending(tail: str, endings: Iterable[str]) -> Iterator[str]:

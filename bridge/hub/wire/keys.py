@@ -1,7 +1,8 @@
 """Names on the hub, the zenoh keys that carry them, and the attachment of each sample.
 
 A topic's key is ``<domain>/<topic without outer slashes>/<DDS type name>/<RIHS01 hash>``; in liveliness tokens a name
-is one chunk of the key, so that its slashes become ``%`` (rmw_zenoh, docs/design.md).
+is one chunk of the key, so that its slashes become ``%`` (rmw_zenoh, docs/design.md). Humble's types have no hash: its
+rmw_zenoh writes ``TypeHashNotSupported`` in tokens and keys (rmw_zenoh_cpp 0.1.9, rmw_publisher_data.cpp).
 
 The attachment has 33 bytes since Jazzy's 0.2.4: the sequence number and the source time (int64, little endian), then
 the GID as zenoh's serialisation writes an array: its length (16) in one byte, and the bytes (rmw_zenoh_cpp,
@@ -17,6 +18,11 @@ from bridge.hub.errors import HubWireError
 
 ANY_HASH = "*"
 """In place of a type hash: whatever hash the publisher has."""
+
+NO_HASH = ""
+"""In place of a type hash: the endpoint's release has none (Humble)."""
+
+_NO_HASH_CHUNK = "TypeHashNotSupported"
 
 _TOPIC = re.compile(r"/[^\s/*$?#%@][^\s/*$?#%]*(?:/[^\s/*$?#%@][^\s/*$?#%]*)*")
 _TYPE = re.compile(r"([A-Za-z]\w*)/(msg|srv|action)/([A-Za-z]\w*)", re.ASCII)
@@ -57,13 +63,28 @@ def check_hash(type_hash: str) -> str:
     return type_hash
 
 
+def hash_chunk(type_hash: str) -> str:
+    """Return a type hash, or `NO_HASH`, as a chunk of a key; raises `HubWireError`."""
+    return _NO_HASH_CHUNK if type_hash == NO_HASH else check_hash(type_hash)
+
+
+def parse_hash_chunk(chunk: str) -> str:
+    """Return the hash in a chunk of a token, or `NO_HASH`; a hash is not checked."""
+    return NO_HASH if chunk == _NO_HASH_CHUNK else chunk
+
+
 def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
-    """The key that a publisher's samples travel on."""
-    return f"{domain}/{check_topic(topic)[1:]}/{dds_type_name(type_name)}/{check_hash(type_hash)}"
+    """The key that a publisher's samples travel on; the hash may be `NO_HASH`."""
+    return f"{domain}/{check_topic(topic)[1:]}/{dds_type_name(type_name)}/{hash_chunk(type_hash)}"
+
+
+def key_variant(key: str, type_hash: str) -> str:
+    """Return the key of the same topic or service with another hash, which may be `NO_HASH`."""
+    return f"{key.rpartition('/')[0]}/{hash_chunk(type_hash)}"
 
 
 def subscription_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
-    """The key of a subscription; the hash may be `ANY_HASH`."""
+    """The key of a subscription; the hash may be `ANY_HASH` or `NO_HASH`."""
     if type_hash != ANY_HASH:
         return topic_key(domain, topic, type_name, type_hash)
     return f"{domain}/{check_topic(topic)[1:]}/{dds_type_name(type_name)}/*"

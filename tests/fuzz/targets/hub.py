@@ -190,7 +190,7 @@ def _samples() -> Subject:
         received: list[Any] = []
         qos = Qos(durability=Durability.TRANSIENT_LOCAL if data[:1] == b"1" else Durability.VOLATILE, depth=5)
         some: Any = Nothing()
-        context = EndpointContext(some, some, set(), some, 1000, some, some, some, some, lambda _closed: None)
+        context = EndpointContext(some, some, set(), some, 1000, some, some, some, some, some, lambda _closed: None)
         actions: dict[bytes, Any] = {}
         if qos.latched:
             latched = LatchedHubSubscription(context, "t", "k", "/t", qos, received.append)

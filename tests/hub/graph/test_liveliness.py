@@ -27,6 +27,7 @@ from bridge.hub.graph.tokens import (
     parse_token,
     qos_text,
 )
+from bridge.hub.wire.keys import NO_HASH
 from bridge.hub.wire.qos import Qos
 
 HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
@@ -108,9 +109,11 @@ def test_token_of_a_later_release(more: str):
 
 def test_token_without_a_type_hash():
     """Humble's rmw_zenoh writes a word in place of the hash, since Humble's types have none."""
-    token = parse_token(TALKER.replace(HASH, "TypeHashNotSupported"))
+    key = TALKER.replace(HASH, "TypeHashNotSupported")
+    token = parse_token(key)
     assert isinstance(token, EndpointToken)
-    assert token.type_hash == "TypeHashNotSupported"
+    assert token.type_hash == NO_HASH
+    assert endpoint_key(token) == key
 
 
 @pytest.mark.parametrize("key", BAD_TOKENS)

@@ -13,7 +13,7 @@ from bridge.config.rules import ALWAYS, EVERY, commands, untyped
 from bridge.config.sections.hub import OpenSection
 from bridge.config.sections.routing import RoutingSection
 from bridge.hub.security.access import access_control, harmless_keys, not_beginning
-from bridge.hub.wire.keys import dds_type_name, topic_key
+from bridge.hub.wire.keys import NO_HASH, dds_type_name, topic_key
 from bridge.routing.limits import COMMAND_TYPES
 
 HASH = "RIHS01_" + "5e" * 32
@@ -34,8 +34,10 @@ KEYS = [zenoh.KeyExpr(harmless_key) for harmless_key in harmless_keys(commands(R
 
 
 def allowed(topic: str, type_name: str) -> bool:
-    key = zenoh.KeyExpr(topic_key(0, topic, type_name, HASH))
-    return any(allowed_key.includes(key) for allowed_key in KEYS)
+    """Return whether a guest may publish; Humble's guests, whose keys have no hash, may do the same."""
+    keys = (zenoh.KeyExpr(topic_key(0, topic, type_name, type_hash)) for type_hash in (HASH, NO_HASH))
+    (may,) = {any(allowed_key.includes(key) for allowed_key in KEYS) for key in keys}
+    return may
 
 
 def test_command_types() -> None:

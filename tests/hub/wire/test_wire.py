@@ -159,7 +159,9 @@ def test_type_that_cannot_be_a_key(name: str):
         keys.topic_key(0, "/t", name, STRING_HASH)
 
 
-@pytest.mark.parametrize("type_hash", ["", "*", "md5", "RIHS01_", "RIHS01_XY", "RIHS01_00/..", "**"])
+@pytest.mark.parametrize(
+    "type_hash", [" ", "*", "md5", "TypeHashNotSupported", "RIHS01_", "RIHS01_XY", "RIHS01_00/..", "**"]
+)
 def test_hash_that_cannot_be_a_key(type_hash: str):
     with pytest.raises(HubWireError):
         keys.topic_key(0, "/t", "std_msgs/msg/String", type_hash)

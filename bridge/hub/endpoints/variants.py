@@ -1,0 +1,80 @@
+"""Key variants: additional keys of endpoints, one for each other type hash that peers on the same topic announce.
+
+A key ends with the hash of its type (`bridge.hub.wire.keys`), which differs between releases of ROS 2. An endpoint uses
+the key with its own hash, and the keys with the other hashes of its counterparts: subscriptions for a publisher,
+publishers for a subscription, servers for a client. At present `NO_HASH` (Humble) is the only other hash. A publisher
+or subscription uses a variant while the graph has such a counterpart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from threading import Lock
+from typing import Protocol
+
+from bridge.concurrency import SerialExecutor
+from bridge.hub.graph import HubGraph
+from bridge.hub.graph.hashes import KindOfEndpoint
+from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind, EndpointToken, parse_token
+from bridge.hub.wire.keys import NO_HASH
+
+Variants = Mapping[str, bool]
+"""The other hashes that the counterparts of an endpoint announce, and whether any of these is latched."""
+
+_COUNTERPARTS = {
+    EndpointKind.PUBLISHER: EndpointKind.SUBSCRIPTION,
+    EndpointKind.SUBSCRIPTION: EndpointKind.PUBLISHER,
+    EndpointKind.CLIENT: EndpointKind.SERVER,
+}
+
+
+class VariedEndpoint(Protocol):
+    """An endpoint with key variants."""
+
+    def follow_variants(self, variants: Variants) -> None:
+        """Add and remove keys; called by one thread at a time, also after the endpoint has closed."""
+
+
+class KeyVariants:
+    """Updates the key variants of one node's endpoints when the graph changes. Safe to use from any thread.
+
+    The updates run on the executor, since zenoh's thread, which reports the tokens, must not block.
+    """
+
+    def __init__(self, graph: HubGraph, executor: SerialExecutor) -> None:
+        self._graph, self._executor = graph, executor
+        self._endpoints: dict[VariedEndpoint, KindOfEndpoint] = {}
+        self._lock = Lock()
+        self._version = 0
+        self.close: Callable[[], None] = graph.watch(self._graph_changed)
+
+    def add(self, endpoint: VariedEndpoint, token: str) -> None:
+        """Add an endpoint's key variants, before its token announces it; then follow the graph."""
+        about = parse_token(token)
+        assert isinstance(about, EndpointToken)
+        if about.type_hash in (NO_HASH, UNKNOWN_HASH):  # the latter's key covers all hashes
+            return
+        counterpart = _COUNTERPARTS[about.kind], about.topic, about.type_name
+        with self._lock:
+            self._endpoints[endpoint] = counterpart
+            endpoint.follow_variants(_variants(self._graph.hashless(), counterpart))
+
+    def remove(self, endpoint: VariedEndpoint) -> None:
+        """Stop updating an endpoint. It does not wait for the lock, since its caller may hold other locks."""
+        self._endpoints.pop(endpoint, None)
+
+    def _graph_changed(self) -> None:
+        version = self._graph.hashless_version
+        if version != self._version:
+            self._version = version
+            self._executor.submit(self._follow)
+
+    def _follow(self) -> None:
+        with self._lock:
+            hashless = self._graph.hashless()
+            for endpoint, counterpart in tuple(self._endpoints.items()):
+                endpoint.follow_variants(_variants(hashless, counterpart))
+
+
+def _variants(hashless: Mapping[KindOfEndpoint, bool], counterpart: KindOfEndpoint) -> Variants:
+    return {NO_HASH: hashless[counterpart]} if counterpart in hashless else {}

@@ -1,0 +1,280 @@
+"""Topics and services between the hub and rmw_zenoh nodes of each ROS 2 release."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import replace
+
+import pytest
+
+from bridge.hub.endpoints.calls import Done, nothing
+from bridge.hub.endpoints.publisher import HubPublisher
+from bridge.hub.session import Hub
+from bridge.hub.wire.keys import ANY_HASH, NO_HASH
+from tests.peers.hub.endpoints import HASH, LATCHED, STREAM, TYPE, Subscriber, advertise, matched
+from tests.peers.hub.network import HubNetwork
+from tests.peers.zenoh.releases import (
+    HUMBLE,
+    JAZZY,
+    RELEASES,
+    Release,
+    ReleaseClient,
+    ReleaseNode,
+    ReleasePublisher,
+    ReleaseServer,
+    ReleaseSubscription,
+    Topic,
+)
+from tests.support.wait import until
+
+SERVICE = Topic("/do", "std_srvs/srv/SetBool", HASH)
+ACTION_PART = Topic("/turn/_action/send_goal", "example_interfaces/action/Fibonacci_SendGoal", HASH)
+CHATTER = Topic("/chatter", TYPE, HASH, STREAM)
+MAP = Topic("/map", TYPE, HASH, LATCHED)
+EACH_RELEASE = pytest.mark.parametrize("release", RELEASES, ids=lambda release: release.name)
+
+
+@pytest.fixture
+def hub(network: HubNetwork) -> Iterator[Hub]:
+    with Hub.open(network.settings("midspan")) as hub:
+        yield hub
+
+
+@pytest.fixture
+def node(network: HubNetwork) -> Iterator[Callable[[Release], ReleaseNode]]:
+    """Opens nodes of releases."""
+    nodes: list[ReleaseNode] = []
+
+    def opened(release: Release) -> ReleaseNode:
+        nodes.append(ReleaseNode(network.endpoint, network.domain, f"{release.name}_{len(nodes)}", release))
+        return nodes[-1]
+
+    yield opened
+    for node in nodes:
+        node.close()
+
+
+Nodes = Callable[[Release], ReleaseNode]
+
+
+def numbered(count: int) -> list[str]:
+    return [str(number) for number in range(count)]
+
+
+def put_all(publisher: HubPublisher | ReleasePublisher, texts: list[str]) -> None:
+    for text in texts:
+        publisher.put(text.encode())
+
+
+def arrives(publisher: ReleasePublisher, received: Subscriber) -> None:
+    """Publish until the subscription receives a message, then clear its messages."""
+
+    def put() -> bool:
+        publisher.put(b"first")
+        return bool(received.samples)
+
+    until(put, "the subscription is matched", every=0.05)
+    received.samples.clear()
+
+
+# topics
+
+
+@EACH_RELEASE
+def test_a_subscription_of_each_release_receives_each_message_once(hub: Hub, node: Nodes, release: Release) -> None:
+    received = ReleaseSubscription(node(release), CHATTER)
+    publisher = advertise(hub, "/chatter", priority="command")
+    matched(publisher)
+    put_all(publisher, numbered(20))
+    until(lambda: len(received.samples) >= 20, "all arrive")
+    assert received.texts() == numbered(20)
+    assert [sample.sequence for sample in received.samples] == list(range(1, 21))
+    assert {sample.gid for sample in received.samples} == {publisher.gid}
+
+
+@EACH_RELEASE
+def test_a_publisher_of_each_release_is_received_once(hub: Hub, node: Nodes, release: Release) -> None:
+    received = Subscriber(hub, "/chatter")
+    publisher = ReleasePublisher(node(release), CHATTER)
+    arrives(publisher, received)
+    put_all(publisher, numbered(20))
+    until(lambda: "19" in received.texts(), "the last one arrives")
+    assert [text for text in received.texts() if text != "first"] == numbered(20)
+    assert (received.subscription.lost, received.subscription.refused) == (0, 0)
+    assert {sample.gid for sample in received.samples} == {publisher.gid}
+
+
+@EACH_RELEASE
+def test_latched_messages_reach_late_subscriptions_of_each_release(hub: Hub, node: Nodes, release: Release) -> None:
+    advertise(hub, "/map", replace(LATCHED, depth=2), "1", "2", "3")
+    received = ReleaseSubscription(node(release), replace(MAP, qos=replace(LATCHED, depth=5)))
+    until(lambda: len(received.samples) >= 2, "both arrive")
+    assert received.texts() == ["2", "3"]
+    assert [sample.sequence for sample in received.samples] == [2, 3]
+
+
+@EACH_RELEASE
+def test_latched_messages_of_each_release_reach_a_late_subscription(hub: Hub, node: Nodes, release: Release) -> None:
+    publisher = ReleasePublisher(node(release), MAP)
+    until(lambda: hub.graph.publishers("/map"), "the sessions are linked")
+    put_all(publisher, ["1", "2"])
+    received = Subscriber(hub, "/map", LATCHED)
+    received.expect("2")
+    publisher.put(b"3")
+    received.expect("2", "3")
+
+
+def test_subscriptions_of_two_releases_and_of_any_hash_receive_each_message_once(
+    hub: Hub, node: Nodes, network: HubNetwork
+) -> None:
+    humble, jazzy = ReleaseSubscription(node(HUMBLE), CHATTER), ReleaseSubscription(node(JAZZY), CHATTER)
+    with Hub.open(network.settings("other")) as other:
+        same, all_hashes = Subscriber(other, "/chatter"), Subscriber(other, "/chatter", type_hash=ANY_HASH)
+        publisher = advertise(hub, "/chatter")
+        until(lambda: len(hub.graph.subscriptions("/chatter")) == 4, "all are seen")
+        last: list[ReleaseSubscription | Subscriber] = [humble, jazzy, same, all_hashes]
+
+        def put() -> bool:
+            publisher.put(b"first")
+            return all(received.samples for received in last)
+
+        until(put, "all are matched", every=0.05)
+        put_all(publisher, numbered(20))
+        for received in last:
+            until(lambda received=received: "19" in received.texts(), "the last one arrives")
+            assert [text for text in received.texts() if text != "first"] == numbered(20)
+            numbers = [sample.sequence for sample in received.samples]
+            assert len(set(numbers)) == len(numbers)
+
+
+def test_a_key_without_a_hash_exists_only_while_such_a_subscription_does(hub: Hub, node: Nodes) -> None:
+    publisher = advertise(hub, "/chatter")
+    assert not publisher.matched()
+    received = ReleaseSubscription(node(HUMBLE), CHATTER)
+    matched(publisher)
+    publisher.put(b"1")
+    until(lambda: received.texts() == ["1"], "it arrives")
+    received.close()
+    until(lambda: not publisher.matched(), "no subscription is left")
+    assert publisher.pass_over()
+    again = ReleaseSubscription(node(HUMBLE), CHATTER)
+    matched(publisher)
+    publisher.put(b"3")
+    until(lambda: again.texts() == ["3"], "it arrives")
+    assert again.samples[0].sequence == 3
+
+
+def test_a_volatile_subscription_without_a_hash_receives_no_cached_message(hub: Hub, node: Nodes) -> None:
+    publisher = advertise(hub, "/map", LATCHED, "cached")
+    received = ReleaseSubscription(node(HUMBLE), replace(MAP, qos=STREAM))
+    matched(publisher)
+    publisher.put(b"live")
+    until(lambda: received.texts(), "it arrives")
+    assert received.texts() == ["live"]
+
+
+def test_a_closed_publisher_leaves_no_key_behind(hub: Hub, node: Nodes) -> None:
+    publisher = advertise(hub, "/map", LATCHED, "old")
+    peer = node(HUMBLE)
+    first = ReleaseSubscription(peer, MAP)
+    until(lambda: first.texts() == ["old"], "it arrives")
+    publisher.close()
+    late = ReleaseSubscription(node(HUMBLE), MAP)
+    new = advertise(hub, "/map", LATCHED, "new")
+    until(lambda: "new" in late.texts(), "it arrives")
+    assert late.texts() == ["new"]
+    assert {sample.gid for sample in late.samples} == {new.gid}
+
+
+# the graph
+
+
+def test_an_endpoint_without_a_hash_counts_as_one_of_the_hash_that_others_announce(hub: Hub, node: Nodes) -> None:
+    humble = ReleasePublisher(node(HUMBLE), CHATTER)
+    (endpoint,) = until(lambda: hub.graph.publishers("/chatter"), "it is seen")
+    assert (endpoint.type_hash, endpoint.gid) == (NO_HASH, humble.gid)
+    jazzy = ReleasePublisher(node(JAZZY), CHATTER)
+    until(lambda: len(hub.graph.publishers("/chatter")) == 2, "both are seen")
+    assert {end.type_hash for end in hub.graph.publishers("/chatter")} == {HASH}
+    jazzy.close()
+    until(lambda: len(hub.graph.publishers("/chatter")) == 1, "one is left")
+    assert hub.graph.publishers("/chatter")[0].type_hash == NO_HASH
+
+
+def test_endpoints_of_the_hub_without_a_hash(hub: Hub, node: Nodes) -> None:
+    """Routes create such endpoints for topics and services that only Humble's nodes announce."""
+    peer = node(HUMBLE)
+    received = Subscriber(hub, "/chatter", type_hash=NO_HASH)
+    publisher = ReleasePublisher(peer, CHATTER)
+    arrives(publisher, received)
+    publisher.put(b"1")
+    until(lambda: "1" in received.texts(), "it arrives")
+    ReleaseServer(peer, SERVICE, lambda request: b"re " + request)
+    client = hub.client(SERVICE.name, SERVICE.type_name, NO_HASH)
+    assert answered(client, b"go") == b"re go"
+
+
+# services and the services of actions
+
+
+def answered(client, request: bytes) -> object:
+    replies: list[object] = []
+    until(lambda: client.ready, "there is a server")
+    client.call(request, replies.append)
+    return until(lambda: replies, "it ends")[0]
+
+
+@EACH_RELEASE
+@pytest.mark.parametrize("service", [SERVICE, ACTION_PART], ids=["service", "action"])
+def test_a_client_of_each_release_is_answered(hub: Hub, node: Nodes, release: Release, service: Topic) -> None:
+    """The first call must not be lost, although the server does not yet know of the client."""
+
+    def answer(request: bytes, done: Done) -> Callable[[], None]:
+        done(b"re " + request)
+        return nothing
+
+    hub.server(service.name, service.type_name, service.type_hash, answer)
+    peer = node(release)
+    query = f"@ros2_lv/**/SS/**/{service.name.replace('/', '%')}/**"
+    until(lambda: [*peer.session.liveliness().get(query)], "the server is seen")
+    client = ReleaseClient(peer, service)
+    assert client.call(b"1") == [b"re 1"]
+    assert client.call(b"2") == [b"re 2"]
+
+
+@EACH_RELEASE
+@pytest.mark.parametrize("service", [SERVICE, ACTION_PART], ids=["service", "action"])
+def test_a_server_of_each_release_is_called_once(hub: Hub, node: Nodes, release: Release, service: Topic) -> None:
+    client = hub.client(service.name, service.type_name, service.type_hash)
+    server = ReleaseServer(node(release), service, lambda request: b"re " + request)
+    assert answered(client, b"go") == b"re go"
+    assert server.requests == [b"go"]
+    server.close()
+    until(lambda: not client.ready, "the server has left")
+
+
+def test_of_two_releases_servers_the_one_with_the_clients_hash_is_called(hub: Hub, node: Nodes) -> None:
+    client = hub.client(SERVICE.name, SERVICE.type_name, HASH)
+    humble = ReleaseServer(node(HUMBLE), SERVICE, lambda _: b"humble")
+    assert answered(client, b"1") == b"humble"
+    jazzy = ReleaseServer(node(JAZZY), SERVICE, lambda _: b"jazzy")
+    until(lambda: answered(client, b"2") == b"jazzy", "the other one is called")
+    jazzy.close()
+    until(lambda: len(hub.graph.servers(SERVICE.name)) == 1, "it has left")
+    assert answered(client, b"3") == b"humble"
+    assert humble.requests.count(b"3") == 1
+
+
+def test_a_pending_call_of_a_server_without_a_hash_ends_when_the_server_leaves(hub: Hub, node: Nodes) -> None:
+    peer = node(HUMBLE)
+    client = hub.client(SERVICE.name, SERVICE.type_name, HASH)
+    server = ReleaseServer(peer, SERVICE, lambda _: until(lambda: False, "never", 0.01) or b"")
+    until(lambda: client.ready, "there is a server")
+    ended: list[object] = []
+    client.call(b"go", ended.append)
+    until(lambda: server.requests, "it is called")
+    with closing(peer):
+        pass
+    until(lambda: ended, "the call ends")
+    assert "left before it answered" in str(ended[0])
