@@ -11,11 +11,11 @@ import math
 import cython
 
 if cython.compiled:
-    from cython.cimports.libc.math import asin, atan2, ceil, cos, floor, hypot, isfinite, isinf, isnan, rint, sin, sqrt
+    from cython.cimports.libc.math import asin, atan2, ceil, cos, floor, isfinite, isinf, isnan, rint, sin, sqrt
 else:
     from math import asin, atan2, ceil, cos, floor, isfinite, isinf, isnan, sin, sqrt
 
-    from numpy import hypot, rint  # math.hypot rounds differently from C's
+    from numpy import rint
 
 _SLACK = cython.declare(cython.double, 1e-9)  # tolerance at the ends of a segment, in beams
 _PI = cython.declare(cython.double, math.pi)
@@ -109,7 +109,7 @@ def cast(
             ax = circles[k, 0] - x
             ay = circles[k, 1] - y
             radius: cython.double = circles[k, 2]
-            away: cython.double = hypot(ax, ay)
+            away: cython.double = sqrt(ax * ax + ay * ay)
             if not (away - radius <= farthest and 0.0 <= radius < away and isfinite(away)):
                 continue
             ax, ay = c * ax + s * ay, c * ay - s * ax
@@ -192,7 +192,7 @@ def blend(
                 px: cython.double = at_x + r * cos(angle)
                 py: cython.double = at_y + r * sin(angle)
                 angle = atan2(py, px)
-                r = hypot(px, py)
+                r = sqrt(px * px + py * py)
             angle -= floor(angle / two_pi) * two_pi
             slot = _beam(angle / merged_step, 2 * slots)
             if slot >= slots:

@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 from navigation.algorithms.distance_transform import distance_transform
 
 if cython.compiled:
-    from cython.cimports.libc.math import cos, hypot, isfinite, sin
+    from cython.cimports.libc.math import cos, isfinite, sin, sqrt
 else:
-    from math import cos, isfinite, sin
-
-    from numpy import hypot  # Python's hypot rounds differently from C's
+    from math import cos, isfinite, sin, sqrt
 
 Floats = NDArray[np.float64]
 Field = NDArray[np.float32]
@@ -54,8 +52,9 @@ class LikelihoodField:
             sigma: standard deviation of a beam's end from its wall, meters.
             hit: share of beams that end at walls of the map; the others may end anywhere.
         """
-        near = np.exp(-0.5 * np.square(self.distances / np.float32(sigma)))
-        logs: Field = np.log(np.float32(hit) * near + np.float32(1.0 - hit)).astype(np.float32)
+        # in float64, since NumPy's float32 exp and log are other ones on each processor
+        near = np.exp(-0.5 * np.square(self.distances / np.float64(sigma)))
+        logs: Field = np.log(hit * near + (1.0 - hit)).astype(np.float32)
         return logs
 
     def score(self, table: Field, worst: float, poses: Floats, points: Floats) -> Floats:
@@ -176,8 +175,8 @@ def _judge(
             ):
                 supporting += 1
                 continue
-            length: cython.double = hypot(dx, dy)
-            if length <= through:
+            length: cython.double = sqrt(dx * dx + dy * dy)
+            if length <= through or not isfinite(length):  # also if its square is too large
                 continue
             passed: cython.double = 0.0
             last: cython.double = length - through

@@ -17,11 +17,11 @@ import cython
 import numpy as np
 
 if cython.compiled:
-    from cython.cimports.libc.math import atan2, cos, hypot, isfinite, rint, sin
+    from cython.cimports.libc.math import atan2, cos, isfinite, rint, sin, sqrt
 else:
-    from math import atan2, cos, isfinite, sin
+    from math import atan2, cos, isfinite, sin, sqrt
 
-    from numpy import hypot, rint  # Python's hypot rounds differently from C's
+    from numpy import rint
 
 _SCALES = cython.declare(cython.double[9], [1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1, 0.05, 0.0])
 _UNKNOWN = cython.declare(cython.double, 2.0)
@@ -30,8 +30,20 @@ _CLOSER = cython.declare(cython.double, 1e-4)  # meters that do not count as nea
 _LONGEST = cython.declare(cython.double, 600.0)
 """Seconds for which the path to a stop is simulated; a robot that needs longer must not move."""
 
+_FASTEST = cython.declare(cython.double, 1e100)
+"""A speed whose square is not infinite, m/s; a faster robot must not move."""
+
 _PI = cython.declare(cython.double, math.pi)
 _INFINITY = cython.declare(cython.double, math.inf)
+
+
+@cython.cfunc
+@cython.inline
+@cython.nogil
+@cython.exceptval(check=False)
+def _length(x: cython.double, y: cython.double) -> cython.double:
+    """Return a vector's length; libm's ``hypot`` rounds differently on x86-64 and arm64."""
+    return sqrt(x * x + y * y)
 
 
 def slowed(
@@ -68,17 +80,17 @@ def slowed(
     cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t)
     scale: cython.double = 0.0
     blocker[2] = -1.0
-    longest: cython.double = hypot(has[0], has[1]) + hypot(wanted[0], wanted[1])
+    longest: cython.double = _length(has[0], has[1]) + _length(wanted[0], wanted[1])
     numbers: cython.double = x + y + theta + has[2] + wanted[2] + angular + radius + slow + fast
     if not (isfinite(numbers) and linear > 0.0):
         return 0.0
     stops: cython.double = reaction + longest / linear
-    if not stops < _LONGEST:
+    if not (stops < _LONGEST and longest < _FASTEST):
         return 0.0
     with cython.nogil:
         reach: cython.double = radius + fast + longest * stops + 0.1
         for i in range(count):
-            away: cython.double = hypot(points[i, 0] - x, points[i, 1] - y)
+            away: cython.double = _length(points[i, 0] - x, points[i, 1] - y)
             if away < reach:
                 near[kept, 0] = points[i, 0]
                 near[kept, 1] = points[i, 1]
@@ -127,14 +139,14 @@ def _struck(
     vx: cython.double = has[0]
     vy: cython.double = has[1]
     turn: cython.double = has[2]
-    speed: cython.double = max(hypot(vx, vy), hypot(to_x, to_y))
+    speed: cython.double = max(_length(vx, vy), _length(to_x, to_y))
     room: cython.double = radius + slow + (fast - slow) * (min(1.0, speed / top) if top > 0.0 else 1.0)
     passed: cython.double = 0.0
     i: cython.Py_ssize_t
     while passed < reaction or abs(vx) + abs(vy) >= 1e-6 or passed == 0.0:
         if passed >= reaction:
             to_x = to_y = to_turn = 0.0
-        change: cython.double = hypot(to_x - vx, to_y - vy)
+        change: cython.double = _length(to_x - vx, to_y - vy)
         share: cython.double = min(1.0, linear * _STEP / change) if change > 0.0 else 1.0
         vx = vx + (to_x - vx) * share
         vy = vy + (to_y - vy) * share
@@ -147,7 +159,7 @@ def _struck(
         passed += _STEP
         for i in range(count):
             least: cython.double = room if near[i, 2] != _UNKNOWN else radius
-            away: cython.double = hypot(near[i, 0] - x, near[i, 1] - y)
+            away: cython.double = _length(near[i, 0] - x, near[i, 1] - y)
             if away < least and away < near[i, 3] - _CLOSER:
                 return i
     return -1
@@ -191,7 +203,7 @@ def ahead(
         for i in range(count):
             dx: cython.double = points[i, 0] - x
             dy: cython.double = points[i, 1] - y
-            away: cython.double = hypot(dx, dy)
+            away: cython.double = _length(dx, dy)
             along: cython.double = c * dx + s * dy
             across: cython.double = c * dy - s * dx
             lately: cython.bint = points[i, 2] != 0.0

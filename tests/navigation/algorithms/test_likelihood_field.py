@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from types import ModuleType
 from typing import Any
 
@@ -51,6 +52,17 @@ def test_compiled_and_uncompiled_scores_are_equal() -> None:
     np.testing.assert_array_equal(shares, other_shares)
     assert np.isfinite(scores).all()
     assert (shares.max(axis=0) > 0.0).all()
+
+
+def test_the_table_is_rounded_from_float64(room: Any) -> None:
+    """NumPy has its own float32 ``exp`` and ``log`` for each processor, whose last bits differ."""
+    sigma, hit = 0.1, 0.9
+    distances = np.unique(room.distances)
+    expected = [math.log(hit * math.exp(-0.5 * (float(d) / sigma) ** 2) + (1.0 - hit)) for d in distances]
+    cells = room.table(sigma, hit)[
+        np.unravel_index(np.unique(room.distances, return_index=True)[1], room.distances.shape)
+    ]
+    np.testing.assert_array_equal(cells, np.array(expected, np.float32))
 
 
 def test_a_scan_fits_best_at_its_true_pose(room: Any) -> None:
