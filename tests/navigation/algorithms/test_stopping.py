@@ -110,6 +110,13 @@ class TestNotFinite:
             assert slowed([], velocity, (0.1, 0.0, 0.0), module)[0] == 0.0
             assert slowed([], (0.1, 0.0, 0.0), velocity, module)[0] == 0.0
 
+    @pytest.mark.timeout(30)
+    def test_a_speed_whose_square_is_infinite(self, module):
+        """Also with a base that accelerates like that; the simulated path to a stop would not end."""
+        has, still = (6e153, 0.0, 0.0), (0.0, 0.0, 0.0)
+        assert slowed([], has, (-6e153, 0.0, 0.0), module, braking=1e153)[0] == 0.0
+        assert slowed([], (1e200, 0.0, 0.0), still, module, braking=1e200)[0] == 0.0
+
     def test_a_pose_that_is_none(self, module):
         for odd in (math.nan, math.inf):
             for pose in ((odd, 0.0, 0.0), (0.0, odd, 0.0), (0.0, 0.0, odd)):
