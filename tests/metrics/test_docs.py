@@ -15,7 +15,7 @@ _ROUTE = ("side", "direction", "kind", "topic", "type")
 @pytest.mark.parametrize("family", FAMILIES, ids=lambda family: family.name)
 def test_the_page_documents_each_family(family: Family) -> None:
     of_route = family.labels[:5] == _ROUTE
-    labels = [*(["a route's"] if of_route else []), *(f"`{name}`" for name in family.labels[5 if of_route else 0 :])]
+    labels = [*(["route labels"] if of_route else []), *(f"`{name}`" for name in family.labels[5 if of_route else 0 :])]
     assert f"| `{family.name}` | {family.kind} | {', '.join(labels)} | {family.help} |" in PAGE
 
 
