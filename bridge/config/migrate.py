@@ -1,11 +1,11 @@
-"""Updates the text of an older configuration file to the current keys, with its comments.
+"""Updates an older configuration file to the current keys, and keeps its comments.
 
 ``version`` is the format of a file. Files before format 1 have none, so a file without it may be of any age: it is read
 as the current format, and a key that only older formats had is an error that names ``midspan config migrate``.
 
-Removed keys stay in the file as comments, like the comments around them: the text is edited at the keys' positions
-from YAML's parser, and is otherwise unchanged. The round trip of ruamel.yaml (0.19) would rewrite indents, spacing,
-line ends and scalars, and drop the comments in flow lists and before ``---``.
+Removed keys become comments (inside braces they are deleted), and existing comments stay: the text is edited at the
+positions that YAML's parser gives for the keys, and is otherwise unchanged. The round trip of ruamel.yaml (0.19) would
+rewrite indents, spacing, line ends and scalars, and drop the comments in flow lists and before ``---``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from bridge.config.sections.section import is_loopback, same_port
 
 COMMAND = "midspan config migrate"
 
-_INDOORS, _BESIDE = "tcp/127.0.0.1:7447", "tcp/127.0.0.1:7448"
+_DEFAULT_LISTEN, _SECOND_LISTEN = "tcp/127.0.0.1:7447", "tcp/127.0.0.1:7448"
 _LISTEN, _OPEN, _TLS = ("hub", "listen"), ("hub", "open"), ("transport", "link", "tls")
 _ROUTER_TLS: KeyPath = ("hub", "router_zenoh", *_TLS)
 _CERTIFICATES = {"ca": "root_ca_certificate", "certificate": "listen_certificate", "key": "listen_private_key"}
@@ -36,7 +36,7 @@ REMOVED: dict[KeyPath, str] = {
 
 
 def too_new(document: Document) -> Problem | None:
-    """Return the problem of a file with a newer format, None for a known one."""
+    """Return a problem if the file has a newer format than this Midspan reads, else None."""
     data = document.data
     version = data.get("version") if isinstance(data, dict) else None
     if isinstance(version, bool) or not isinstance(version, int) or version <= FORMAT:
@@ -65,13 +65,13 @@ def migrate(text: str, file: Path) -> Migration:
     for path, reason in REMOVED.items():
         if path in document.keys:
             _replace(migration, document, path, f"{key_text(path)} was removed: {reason}")
-    _open_door(migration, document)
+    _move_listener(migration, document)
     if ("version",) not in document.keys:
         _add_version(migration, document)
     return migration
 
 
-def _open_door(migration: Migration, document: Document) -> None:
+def _move_listener(migration: Migration, document: Document) -> None:
     """Move a router's listener for other machines to ``hub.open``, which also names the trusted machines."""
     data = document.data
     listen = _value(data, _LISTEN)
@@ -84,20 +84,23 @@ def _open_door(migration: Migration, document: Document) -> None:
     tls = _value(data, _ROUTER_TLS)
     files = {key: tls[old] for key, old in _CERTIFICATES.items() if tls.get(old)} if isinstance(tls, dict) else {}
     keys = "".join(f", {key}: {_quoted(value)}" for key, value in files.items())
-    door = [f"open: {{listen: [{_quoted(listen)}]{keys}}}"]
+    moved = [f"open: {{listen: [{_quoted(listen)}]{keys}}}"]
     done = "moved hub.listen to hub.open.listen"
-    if same_port(listen, _INDOORS):  # other machines connect to it, and go on to
-        door.append(f"listen: {_BESIDE}")
-        done += f"; this machine's own programs join at {_BESIDE}"
-    if not _replace(migration, document, _LISTEN, done, *door):
+    if same_port(listen, _DEFAULT_LISTEN):  # other machines already connect to this port, so it stays theirs
+        moved.append(f"listen: {_SECOND_LISTEN}")
+        done += f"; this machine's own programs join at {_SECOND_LISTEN}"
+    if not _replace(migration, document, _LISTEN, done, *moved):
         return
     if listen.startswith(("tls/", "quic/")):
         for section in ("router_zenoh", "zenoh"):
             path = "hub", section, *_TLS
             if isinstance(_value(data, path), dict):
                 reason = f"{key_text(path)} was removed: only hub.open uses TLS, with its own files"
-                _replace(migration, document, _alone(data, path), reason)
-    text = "no longer defines who may command; 'hub.open.trusted' names the machines, see docs/operate/security.md"
+                _replace(migration, document, _outermost_single(data, path), reason)
+    text = (
+        "no longer decides who may send commands; list the trusted machines in 'hub.open.trusted'"
+        " (docs/operate/security.md)"
+    )
     migration.left.append(document.problem(_LISTEN, text))
 
 
@@ -111,8 +114,8 @@ def _value(data: Any, path: KeyPath) -> Any:
     return data
 
 
-def _alone(data: Any, path: KeyPath) -> KeyPath:
-    """Return the outermost map below the sections that has only this part."""
+def _outermost_single(data: Any, path: KeyPath) -> KeyPath:
+    """Return the path of the outermost map, below section level, that contains nothing but this key."""
     while len(path) > 2 and len(_value(data, path[:-1])) == 1:
         path = path[:-1]
     return path
@@ -150,7 +153,10 @@ def _with_version(text: str) -> str:
 
 
 def _replace(migration: Migration, document: Document, path: KeyPath, done: str, *instead: str) -> bool:
-    """Remove a pair, and note it; return False if the text cannot be edited, for example if an anchor is in it."""
+    """Replace a key-value pair and record the change.
+
+    Return False if the edited text is invalid, for example because an anchor was removed.
+    """
     try:
         text = _edited(migration.text, path, instead)
         parse(document.file, text)
@@ -165,10 +171,10 @@ def _replace(migration: Migration, document: Document, path: KeyPath, done: str,
 
 def _edited(text: str, path: KeyPath, instead: tuple[str, ...]) -> str:
     """Return the text with the pair as a comment after its replacement; within braces the pair is only removed."""
-    around, key, value = _pair(text, path)
+    parent, key, value = _pair(text, path)
     start = key.start_mark.index
     end = start + len(text[start : _end(key, value)].rstrip())
-    if around.flow_style:
+    if parent.flow_style:
         if not instead:
             comma = re.compile(r"\s*,[ \t]*").match(text, end)
             before = re.search(r"\s*,\s*\Z", text[:start])
@@ -181,12 +187,12 @@ def _edited(text: str, path: KeyPath, instead: tuple[str, ...]) -> str:
 
 
 def _pair(text: str, path: KeyPath) -> tuple[MappingNode, Node, Node]:
-    """Return the map around a pair, its key and its value."""
+    """Return the map parent a pair, its key and its value."""
     node: Any = Yaml12Loader(text).get_single_node()
     for part in path:
-        around = node
-        key, node = next(pair for pair in around.value if pair[0].value == part)
-    return around, key, node
+        parent = node
+        key, node = next(pair for pair in parent.value if pair[0].value == part)
+    return parent, key, node
 
 
 def _end(key: Node, value: Node) -> int:

@@ -11,18 +11,18 @@ from bridge.hub.endpoints.subscription import HubSample
 from bridge.routing.counters import Counters
 
 MOST_CACHED = 64 << 20
-"""Bytes of latched messages that are cached for one topic while it is watched."""
+"""Most bytes of latched messages that are cached for one topic while it is watched."""
 MOST_PUBLISHERS = 256
-"""Latched publishers of one topic whose newest message is cached."""
+"""Most latched publishers of one topic whose newest message is cached."""
 MOST_EARLY = 4
-"""Publishers of one topic not yet in the graph, whose newest message is cached."""
+"""Most publishers of one topic that are not in the graph yet and whose newest message is cached."""
 
 
 class TopicChannel:
     """One topic, offered to clients. `on_sample` runs on zenoh's threads, everything else on the worker's.
 
     Attributes:
-        counters: of the messages passed to the SDK.
+        counters: messages passed to the SDK, and drops.
     """
 
     def __init__(self, topic: HubTopic, channel: Any) -> None:
@@ -30,7 +30,7 @@ class TopicChannel:
         self.counters = Counters()
         self.subscribed = False
         self._lock = Lock()
-        self._latched = self._plain = frozenset[bytes]()
+        self._latched = self._volatile = frozenset[bytes]()
         self._cached: dict[bytes, tuple[bytes, int]] = {}
         self._early: dict[bytes, tuple[bytes, int]] = {}
         self._size = 0
@@ -41,10 +41,10 @@ class TopicChannel:
         latched = frozenset(end.gid for end in topic.publishers if end.qos.latched)
         with self._lock:
             self._latched = latched
-            self._plain = frozenset(end.gid for end in topic.publishers) - latched
+            self._volatile = frozenset(end.gid for end in topic.publishers) - latched
             for gid in self._cached.keys() - latched:
                 self._drop(gid)
-            for gid in [gid for gid in self._early if gid in latched or gid in self._plain]:
+            for gid in [gid for gid in self._early if gid in latched or gid in self._volatile]:
                 data, at = self._early.pop(gid)
                 if gid in latched:
                     self._cache(gid, data, at)
@@ -53,11 +53,11 @@ class TopicChannel:
         """Pass a message to the SDK, which copies it without blocking."""
         data, at = sample.data(), sample.source_time_ns
         self.counters.crossed(len(data))
-        if sample.gid not in self._plain:
+        if sample.gid not in self._volatile:
             with self._lock:
                 if sample.gid in self._latched:
                     self._cache(sample.gid, data, at)
-                elif sample.gid not in self._plain:
+                elif sample.gid not in self._volatile:
                     self._cache_early(sample.gid, data, at)
         self.channel.log(data, at or None)
 
@@ -81,7 +81,7 @@ class TopicChannel:
             self._size += len(data)
 
     def _cache_early(self, gid: bytes, data: bytes, at: int) -> None:
-        """Cache until the graph lists the publisher, which may be after its message: a latched one sends no other."""
+        """Cache a message whose publisher the graph does not list yet: a latched publisher may send only one."""
         self._early.pop(gid, None)
         self._early[gid] = data, at
         if len(self._early) > MOST_EARLY:
@@ -121,7 +121,10 @@ class Channels:
                 self._refused[key] = reason
 
     def watch(self, watched: set[int], late: set[int]) -> None:
-        """Subscribe to exactly the watched channels; ``late``: channels with a new watcher."""
+        """Subscribe to the channels in ``watched`` and no others.
+
+        Latched messages are sent again on the channels in ``late``, which have a new watcher.
+        """
         for channel in self._channels.values():
             number = channel.channel.id()
             if number in watched:

@@ -1,4 +1,4 @@
-"""The cache of built packages, a folder that processes and checkouts share, and its use by programs.
+"""The cache of built message packages, shared by processes and checkouts, and how programs use it.
 
 ::
 
@@ -67,7 +67,7 @@ class BuildCache:
     def adding(self, final: Path) -> Iterator[Path | None]:
         """Lock a prefix, and yield a folder to fill, which then becomes ``final`` atomically.
 
-        Waits while another process builds the same prefix; yields None if that has completed it.
+        Waits while another process builds the same prefix; yields None if the other process has built it.
         """
         import fcntl
 
@@ -84,8 +84,8 @@ class BuildCache:
             if final.is_dir():
                 yield None
                 return
-            for left in final.parent.glob(f".{final.name}-*"):
-                shutil.rmtree(left, ignore_errors=True)  # of a process that was killed while it held the lock
+            for leftover in final.parent.glob(f".{final.name}-*"):
+                shutil.rmtree(leftover, ignore_errors=True)  # left by a process that was killed during a build
             scratch = Path(tempfile.mkdtemp(prefix=f".{final.name}-", dir=final.parent))
             try:
                 scratch.chmod(0o755)
@@ -119,14 +119,14 @@ def members(prefix: Path) -> dict[str, Path]:
 
 
 def _link(package: Path, prefix: Path) -> None:
-    """Link a built package's parts into a prefix, whose real folders contain only links."""
+    """Link the contents of a built package into a prefix that consists of folders and links."""
     for folder in (SITE, "share", "include", "lib", f"{_INDEX}/packages", f"{_INDEX}/rosidl_interfaces"):
         source, target = package / folder, prefix / folder
         target.mkdir(parents=True, exist_ok=True)
         for entry in sorted(source.iterdir()):
             if entry.name not in ("ament_index", Path(SITE).parent.name):
                 link = target / entry.name
-                # relative: the position of the two folders to each other does not change when the set is renamed
+                # relative links stay valid when the set is renamed
                 link.symlink_to(os.path.relpath(entry, target))
 
 
@@ -165,7 +165,10 @@ def environment(prefixes: Sequence[Path]) -> dict[str, str]:
 
 
 def link_into_venv(prefix: Path) -> Path | None:
-    """Make a prefix's packages importable in this virtual environment; return the created file, None without one."""
+    """Make a prefix's packages importable in this virtual environment.
+
+    Return the path of the created file, or None outside a virtual environment.
+    """
     if sys.prefix == sys.base_prefix:
         return None
     file = Path(sysconfig.get_path("purelib")) / _PTH

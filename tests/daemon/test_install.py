@@ -77,18 +77,18 @@ TEMPLATES = {"midspan@.service": "midspan.service", "midspan-router@.service": "
 
 
 def test_an_instance_runs_the_configuration_of_its_name(tmp_path: Path) -> None:
-    """Template and main unit differ only in these lines, so that a change to only one of them fails."""
+    """Template and main unit differ only in these lines, so this test fails if only one of them is changed."""
     main(["install", "--root", str(tmp_path)])
     folder = tmp_path / UNIT_FOLDER
     for template, single in TEMPLATES.items():
-        own_lines, others = (
+        template_lines, unit_lines = (
             {line for line in (folder / name).read_text().splitlines() if not line.startswith(("#", "Description="))}
             for name in (template, single)
         )
-        command = next(line for line in own_lines if line.startswith("ExecStart="))
+        command = next(line for line in template_lines if line.startswith("ExecStart="))
         router = "router" in template
         assert command.endswith(f"--config /etc/midspan/%i.yaml{'' if router else ' --adopt router'}")
-        assert own_lines - others - {command} == {
+        assert template_lines - unit_lines - {command} == {
             "AssertPathExists=/etc/midspan/%i.yaml",
             "EnvironmentFile=-/etc/midspan/%i.environment",
             "LogsDirectory=midspan/%i",
@@ -99,10 +99,10 @@ def test_an_instance_runs_the_configuration_of_its_name(tmp_path: Path) -> None:
                 else (f"{key}=network-online.target midspan-router@%i.service" for key in ("Wants", "After"))
             ),
         }
-        assert {line.partition("=")[0] for line in others - own_lines} <= {
+        assert {line.partition("=")[0] for line in unit_lines - template_lines} <= {
             "ExecStart", "LogsDirectory", "Environment", "RuntimeDirectory", "Wants", "After",
         }  # fmt: skip
-        assert "EnvironmentFile=-/etc/midspan/environment" in own_lines & others
+        assert "EnvironmentFile=-/etc/midspan/environment" in template_lines & unit_lines
 
 
 def test_the_services_name_all_four_sides(tmp_path: Path) -> None:
@@ -113,7 +113,7 @@ def test_the_services_name_all_four_sides(tmp_path: Path) -> None:
 
 
 def test_systemd_accepts_instances(tmp_path: Path) -> None:
-    """`systemd-analyze verify` of a name loads the unit as `systemctl start` does, with the instance inserted."""
+    """Given a unit name instead of a path, `systemd-analyze verify` loads the unit as `systemctl start` does."""
     main(["install", "--root", str(tmp_path)])
     for instance in ("robot2", "robot-3", "my_bridge_domain2"):
         for template in TEMPLATES:

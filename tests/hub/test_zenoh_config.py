@@ -1,4 +1,4 @@
-"""Midspan's zenoh configuration with the user's laid over it."""
+"""Tests of merging the user's zenoh configuration into Midspan's."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_file_settings_override_defaults(tmp_path: Path, name: str, text: str):
 
 
 @pytest.mark.parametrize("user", [{"mod": "peer"}, {"mode": "king"}, {"mode": {1, 2}}, "/nonexistent/zenoh.json5"])
-def test_settings_unknown_to_zenoh(user: Any):
+def test_invalid_settings_are_refused(user: Any):
     with pytest.raises(HubConfigError, match="zenoh configuration"):
         make_config(TREE, user)
 

@@ -1,4 +1,4 @@
-"""What real genpy and real rclpy serialise and read is what is converted here, for every type that is installed."""
+"""Conversions agree with genpy and rclpy byte for byte, for every installed type."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def ros2_names() -> list[str]:
 def test_ros1_bytes_are_those_of_genpy(registry: Registry):
     """Values in CDR, converted to ROS 1, are byte for byte what genpy writes; its bytes come back as that CDR."""
     items, cdrs = [], []
-    for name in sorted({*genpy_types(), *derivable(registry)} - RENAMED):
+    for name in sorted({*genpy_types(), *convertible_ros2_types(registry)} - RENAMED):
         to_ros1 = registry.hub_to_ros1(registry.ros1_to_hub(name).target.name)
         assert to_ros1.target.name == name
         for length in LENGTHS:
@@ -50,15 +50,15 @@ def test_ros1_bytes_are_those_of_genpy(registry: Registry):
         assert answer["md5"] == back.source.type_id, name
         assert answer["bytes"] == item["ros1"], name
         assert answer["same"], name
-        if not one_sided(registry, back.target.name, name):
+        if not has_ros2_only_fields(registry, back.target.name, name):
             assert back.convert(base64.b64decode(answer["bytes"])) == cdr, name
 
 
-def derivable(registry: Registry) -> list[str]:
-    """ROS 1 names derived from types that only ROS 2 has; genpy builds classes from their definitions."""
+def convertible_ros2_types(registry: Registry) -> list[str]:
+    """Return the ROS 1 name of each installed ROS 2 type; types with wstring must be refused."""
     names = []
     for name in ros2_names():
-        if wide(registry, name):
+        if has_wstring(registry, name):
             with pytest.raises(MessageTypeError, match="wstring"):
                 registry.hub_to_ros1(name)
         else:
@@ -66,8 +66,8 @@ def derivable(registry: Registry) -> list[str]:
     return names
 
 
-def one_sided(registry: Registry, ros2_name: str, ros1_name: str) -> bool:
-    """Whether ROS 2's type holds fields that ROS 1's does not."""
+def has_ros2_only_fields(registry: Registry, ros2_name: str, ros1_name: str) -> bool:
+    """Return whether the ROS 2 type has fields that the ROS 1 type lacks."""
 
     def fields(schema: Schema, name: str, expand: bool) -> set[str]:
         names = set()
@@ -103,7 +103,7 @@ def test_log_messages(registry: Registry):
 
 
 def test_cdr_bytes_are_those_of_rclpy(registry: Registry):
-    """Rclpy reads what is written here, and what it writes is accepted, trimmed of its slack, and means the same."""
+    """Our CDR is readable by rclpy; its CDR, without trailing padding, is accepted here and has the same values."""
     items = []
     for name in ros2_names():
         for length in LENGTHS:
@@ -121,7 +121,7 @@ def test_cdr_bytes_are_those_of_rclpy(registry: Registry):
         theirs = registry.hub_check(name)(base64.b64decode(answer["bytes"]))
         assert len(theirs) == len(ours), name
         assert to_json(registry, name, theirs) == to_json(registry, name, ours), name
-        if wide(registry, name):
+        if has_wstring(registry, name):
             continue
         ros1 = registry.hub_to_ros1(name)
         assert ros1.convert(base64.b64decode(answer["bytes"])) == ros1.convert(ours), name
@@ -129,7 +129,7 @@ def test_cdr_bytes_are_those_of_rclpy(registry: Registry):
     assert checked > 400
 
 
-def wide(registry: Registry, name: str) -> bool:
+def has_wstring(registry: Registry, name: str) -> bool:
     return any(f.type.base == "wstring" for d in registry.schema(name).types.values() for f in d.fields)
 
 

@@ -25,20 +25,20 @@ from yarp_compat.wire.values import Vocab
 def test_yarp_clients_receive_laser_odometry_depth_and_battery(tmp_path: Path) -> None:
     with Place(tmp_path) as place, NameServer(port=place.port, gc_seconds=0):
         names = NameClient(Address("127.0.0.1", place.port), namespace="/root")
-        section = {"beams": 8, "farthest": 15.0}
+        laser = {"beams": 8, "farthest": 15.0}
         camera = {"rate": 5.0, "width": 24, "height": 16, "noise": 0.0, "pitch": 0.0}
-        place.worker.start(place.config(plan="hall", start=(0.5, 0.0, 0.0), yarp="/cer", laser=section, camera=camera))
+        place.worker.start(place.config(plan="hall", start=(0.5, 0.0, 0.0), yarp="/cer", laser=laser, camera=camera))
         until(lambda: connections.exists(names, "/cer/battery/rpc:i"), "the last port is registered")
-        until(lambda: "waiting" not in str(place.answer("sim")["ports"]), "all are open")
-        streams(place, names)
-        settings(names)
-        batteries(names)
+        until(lambda: "waiting" not in str(place.answer("sim")["ports"]), "all ports are open")
+        check_streams(place, names)
+        check_settings(names)
+        check_batteries(names)
         with network_of(names):
-            devices()
+            check_devices()
         place.worker.stop()
 
 
-def streams(place: Place, names: NameClient) -> None:
+def check_streams(place: Place, names: NameClient) -> None:
     """Check the messages of all output ports."""
 
     def receive(port: str) -> Received:
@@ -50,13 +50,13 @@ def streams(place: Place, names: NameClient) -> None:
 
     scan = receive("/cer/laser:o").to(LaserScan2D)
     assert (scan.angle_min, scan.angle_max, scan.range_max, scan.status) == (0.0, 360.0, 15.0, 1)
-    # from the front to the left; the robot settles on its casters, and so moves by 2 mm
+    # Ranges ahead, left, behind and right. The robot settles on its casters and moves by 2 mm.
     assert all(
         abs(r - wanted) < 0.05 for r, wanted in zip(list(scan.scans)[::2], (9.45, 6.95, 10.45, 6.95), strict=True)
     )
     depth = receive("/cer/depthCamera/depthImage:o").to(yarp.ImageFloat)
     assert (depth.width(), depth.height()) == (24, 16)
-    assert depth.numpy()[7, 12] == pytest.approx(9.45 - 0.1, abs=0.05)  # the wall ahead, from the camera
+    assert depth.numpy()[7, 12] == pytest.approx(9.45 - 0.1, abs=0.05)  # from the camera to the wall ahead
     received = receive("/cer/odometry:o")
     odometry = received.to(OdometryData)
     assert abs(odometry.odom_x) < 0.01
@@ -72,8 +72,8 @@ def streams(place: Place, names: NameClient) -> None:
     assert (99 < charge <= 100, 50 < voltage < 55, current > 0, status == 2) == (True, True, True, True)
 
 
-def batteries(names: NameClient) -> None:
-    """Check that each client reads the battery in the order of its release, side by side."""
+def check_batteries(names: NameClient) -> None:
+    """Check that an older and a newer client, connected at once, each get the values in their release's order."""
     older, newer = Reader("/older/data:i", naming=names), Reader("/newer/data:i", naming=names)
     with older, newer, Client("/cer/battery/rpc:i", "/older/rpc:o", naming=names) as description:
         assert description.ask([Vocab("ibat"), Vocab("btnf")], timeout=20)[2] == "Midspan's simulated battery"
@@ -85,7 +85,7 @@ def batteries(names: NameClient) -> None:
         assert (50 < voltage < 55, 99 < charge <= 100) == (True, True)
 
 
-def devices() -> None:
+def check_devices() -> None:
     """Check the values that a script's devices return."""
     names = {
         "laser": "(device rangefinder2D_nwc_yarp) (remote /cer/laser:o)",
@@ -115,7 +115,7 @@ def devices() -> None:
     assert "Midspan" in battery.getBatteryInfo()
 
 
-def settings(names: NameClient) -> None:
+def check_settings(names: NameClient) -> None:
     """Check the replies of the RPC ports, in the newer and older protocol."""
     with ServiceClient(IRangefinder2DMsgs, "/cer/laser:o/rpc:i", naming=names) as laser:
         assert laser.remote.getDistanceRange_RPC()[1:] == (0.1, 15.0)

@@ -119,12 +119,15 @@ _ACK = "<ACK>"
 
 
 def ask(contact: PortContact, command: Sequence[Any], *, admin: bool = False, timeout: float = TIMEOUT) -> list[str]:
-    """Send a Bottle (``admin``: an administrative command), return the answer's lines; raises `PortError` if late."""
+    """Send a Bottle and return the lines of the reply; ``admin``: the Bottle is an administrative command.
+
+    Raises `PortError` if the port does not reply completely within ``timeout`` seconds.
+    """
     return raw(contact, "admin", f"{'a' if admin else 'd'}\r\n{to_text(command)}\r\n", timeout)
 
 
 def admin(contact: PortContact, command: Sequence[Any], timeout: float = TIMEOUT) -> list[Any]:
-    """Send an administrative command and return the values of its answer; raises like `ask`."""
+    """Send an administrative command and return the values of the reply; raises like `ask`."""
     lines = ask(contact, command, admin=True, timeout=timeout)
     try:
         return from_text(lines[0]) if lines else []
@@ -155,14 +158,17 @@ def _answer(peer: LineSocket, contact: PortContact) -> list[str]:
     return lines
 
 
-QUESTION = "getPid"
+_DIALECT_COMMAND = "getPid"  # YARP 3 knows no such command and replies 1 ""; YARP 4 replies "fail"
 PATIENCE = 1.0  # seconds for a port to answer the query of its dialect
 
 
 def ask_profile(contact: PortContact, timeout: float = PATIENCE) -> Profile | None:
-    """Return the dialect of a port; None if unknown. C++ ports that wait for a reply do not answer: do not ask them."""
+    """Return the dialect of a port; None if unknown.
+
+    A C++ port does not answer this query while it waits for a reply itself, so do not query such a port.
+    """
     try:
-        answer = admin(contact, [QUESTION], timeout)
+        answer = admin(contact, [_DIALECT_COMMAND], timeout)
     except (PortError, WireError):
         return None
     if answer[:2] == [1, ""]:

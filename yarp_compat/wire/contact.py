@@ -1,8 +1,8 @@
 """Contacts: a port's name, address and registered carrier; and the names of connections.
 
 Text forms (measured, see the tests): ``/name``, ``tcp://name`` and ``tcp:/name`` (the port ``/name`` with a carrier),
-``tcp://host:10002/``, ``/host:10002/name`` (an address, without the name server), and the name server's line
-``registration name /name ip 127.0.0.1 port 10002 type tcp``.
+``tcp://host:10002/``, ``/host:10002/name`` (an address, used without asking the name server), and the line of the name
+server, ``registration name /name ip 127.0.0.1 port 10002 type tcp``.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class PortContact:
 
     @property
     def target(self) -> str:
-        """The text form for a port's admin command ``[add]``: ``tcp://reader`` for ``/reader`` by tcp."""
+        """The form that the admin command ``[add]`` takes: ``tcp://reader`` connects to ``/reader`` over tcp."""
         return f"{self.carrier}:/{self.name}" if self.carrier else self.name
 
     @property
@@ -97,7 +97,7 @@ class ConnectionRoute:
 
 
 def rooted(name: str) -> bool:
-    """Return whether a name is a registered port's, in contrast to tools with names such as ``admin``."""
+    """Return whether a name has the leading slash of port names; tools use names such as ``admin``."""
     return name.startswith("/")
 
 

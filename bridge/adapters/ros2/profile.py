@@ -2,16 +2,17 @@
 
 Measured with Fast DDS 2.14.5, against nodes with its default settings:
 
-- Between different users, shared memory delivers nothing although the graph is complete, as its files belong to their
-  creator. If this end uses only UDP, data crosses in both directions, and the other end needs no change.
-- The discovery range LOCALHOST makes rmw_fastrtps add shared memory again. So this profile sets the range: loopback
-  only by the white list. It discovers the machine's nodes by multicast on loopback, and those that do not listen to
-  multicast (their range is LOCALHOST) by unicast to the ports of the first 32 participants.
+- Between different users, shared memory delivers nothing although the graph is complete, because each user's
+  shared-memory files are unreadable to others. If this end uses only UDP, data crosses in both directions, and the
+  other end needs no change.
+- The discovery range LOCALHOST makes rmw_fastrtps add shared memory again. So this profile limits the range itself:
+  the white list admits only loopback. It discovers the machine's nodes by multicast on loopback, and nodes that do not
+  listen to multicast (their range is LOCALHOST) by unicast to the ports of the first 32 participants.
 - The default queue of a participant's shared memory (512) overflows in a burst; the lost messages are resent only after
   the writer's next heartbeat, every 3 s.
 - The default shared-memory segment (512 kB) makes a message of 1 MB five times slower than a large segment.
-- Other participants notice a killed one after its lease, 20 s by default; see `bridge.adapters.ros2.graph.spdp` for
-  the reason why it is not shorter here.
+- Other participants notice a killed participant after its lease, 20 s by default; `bridge.adapters.ros2.graph.spdp`
+  explains why the lease is not shortened.
 """
 
 from __future__ import annotations
@@ -59,32 +60,34 @@ class FastDdsProfile:
         self._udp(ET.SubElement(transports, "transport_descriptor"))
         participant = ET.SubElement(profiles, "participant", profile_name="midspan", is_default_profile="true")
         rtps = ET.SubElement(participant, "rtps")
-        used = ET.SubElement(rtps, "userTransports")
+        user_transports = ET.SubElement(rtps, "userTransports")
         for name in names:
-            _texts(used, transport_id=name)
-        _texts(rtps, useBuiltinTransports="false")
+            _add_texts(user_transports, transport_id=name)
+        _add_texts(rtps, useBuiltinTransports="false")
         self._builtin(ET.SubElement(rtps, "builtin"))
-        _texts(rtps, participantID=str(participant_number(self.prefix)))
-        _stamp(rtps, self.prefix)
+        _add_texts(rtps, participantID=str(participant_number(self.prefix)))
+        _set_prefix(rtps, self.prefix)
         return ET.tostring(root, encoding="unicode", xml_declaration=True)
 
     def _shared_memory(self, descriptor: ET.Element) -> None:
         size, largest = str(self.segment), str(self.segment // 4)
-        _texts(descriptor, transport_id="shm", type="SHM", segment_size=size, maxMessageSize=largest)
-        _texts(descriptor, port_queue_capacity=_QUEUE)
+        _add_texts(descriptor, transport_id="shm", type="SHM", segment_size=size, maxMessageSize=largest)
+        _add_texts(descriptor, port_queue_capacity=_QUEUE)
 
     def _udp(self, descriptor: ET.Element) -> None:
-        _texts(descriptor, transport_id="udp", type="UDPv4", sendBufferSize=_UDP_BUFFER, receiveBufferSize=_UDP_BUFFER)
-        _texts(descriptor, maxInitialPeersRange=str(PARTICIPANTS))
+        _add_texts(
+            descriptor, transport_id="udp", type="UDPv4", sendBufferSize=_UDP_BUFFER, receiveBufferSize=_UDP_BUFFER
+        )
+        _add_texts(descriptor, maxInitialPeersRange=str(PARTICIPANTS))
         if self.localhost_only:
-            _texts(ET.SubElement(descriptor, "interfaceWhiteList"), address="127.0.0.1")
+            _add_texts(ET.SubElement(descriptor, "interfaceWhiteList"), address="127.0.0.1")
 
     def _builtin(self, builtin: ET.Element) -> None:
         discovery = ET.SubElement(builtin, "discovery_config")
-        _texts(ET.SubElement(discovery, "leaseAnnouncement"), sec="0", nanosec="500000000")
+        _add_texts(ET.SubElement(discovery, "leaseAnnouncement"), sec="0", nanosec="500000000")
         peers = ET.SubElement(builtin, "initialPeersList")
         for address in (MULTICAST, "127.0.0.1"):
-            _texts(ET.SubElement(ET.SubElement(peers, "locator"), "udpv4"), address=address)
+            _add_texts(ET.SubElement(ET.SubElement(peers, "locator"), "udpv4"), address=address)
 
 
 def stamped(own: Path, prefix: bytes) -> str:
@@ -99,25 +102,25 @@ def stamped(own: Path, prefix: bytes) -> str:
     for participant in root.iter("participant"):
         rtps = participant.find("rtps")
         if participant.get("is_default_profile") == "true" and rtps is not None:
-            _stamp(rtps, prefix)
+            _set_prefix(rtps, prefix)
             root.set("xmlns", _NAMESPACE)
             return ET.tostring(root, encoding="unicode", xml_declaration=True)
     raise ValueError(f'ros2.profile {own}: has no <participant is_default_profile="true"> with an <rtps> element')
 
 
-def _stamp(rtps: ET.Element, prefix: bytes) -> None:
+def _set_prefix(rtps: ET.Element, prefix: bytes) -> None:
     """Set the prefix, and make the participant's own writers and readers ignore each other."""
     for old in rtps.findall("prefix"):
         rtps.remove(old)
-    _texts(rtps, prefix=prefix.hex("."))
+    _add_texts(rtps, prefix=prefix.hex("."))
     properties = rtps
     for name in ("propertiesPolicy", "properties"):
         element = properties.find(name)
         properties = ET.SubElement(properties, name) if element is None else element
-    _texts(ET.SubElement(properties, "property"), name="fastdds.ignore_local_endpoints", value="true")
+    _add_texts(ET.SubElement(properties, "property"), name="fastdds.ignore_local_endpoints", value="true")
 
 
-def _texts(parent: ET.Element, **texts: str) -> None:
+def _add_texts(parent: ET.Element, **texts: str) -> None:
     for tag, text in texts.items():
         ET.SubElement(parent, tag).text = text
 
@@ -126,9 +129,9 @@ _PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILE
 
 
 def use_profile(config: Config, state: Path) -> FastDdsProfile:
-    """Write the Fast DDS profile for this process, which reads it only once: later edges use the first one."""
-    if _used:
-        return _used[0]
+    """Write this process's Fast DDS profile. Fast DDS reads it once, so later calls return the first one."""
+    if _loaded:
+        return _loaded[0]
     prefix = new_prefix(rcl.host_prefix(), stored_prefixes(state / "ros2"))
     profile = FastDdsProfile(prefix, _segment(config, state), config.ros2.localhost_only)
     custom = config.ros2.profile
@@ -141,11 +144,11 @@ def use_profile(config: Config, state: Path) -> FastDdsProfile:
     os.environ.update(SWITCHES | dict.fromkeys(_PROFILE_VARIABLES, str(path)))
     for name in UNSET:
         os.environ.pop(name, None)
-    _used.append(profile)
+    _loaded.append(profile)
     return profile
 
 
-_used: list[FastDdsProfile] = []
+_loaded: list[FastDdsProfile] = []
 """The profile that Fast DDS has loaded in this process."""
 
 

@@ -70,9 +70,9 @@ def register_action(parser: argparse.ArgumentParser) -> None:
     listing.register(verbs, "action", all_actions)
     goal = add_verb(
         verbs, "send", _send, "send a goal",
-        "Sends a goal, shows its feedback, and waits for its result. Ctrl-C cancels the goal and waits for its end; a"
-        " second one does not wait. SIGTERM and SIGHUP cancel it too. Exit code 0 if the goal succeeded, 130, 143 or"
-        " 129 after these signals, else 1.",
+        "Sends a goal, shows its feedback, and waits for its result. Ctrl-C cancels the goal and waits until it has"
+        " ended; press it again to exit at once. SIGTERM and SIGHUP cancel it too. Exit code 0 if the goal succeeded,"
+        " 130, 143 or 129 after these signals, else 1.",
         example="midspan action send /move_base"
         " '{pose: {header: {frame_id: map}, pose: {position: {x: 1.0}, orientation: {w: 1.0}}}}'",
     )  # fmt: skip
@@ -83,7 +83,9 @@ def register_action(parser: argparse.ArgumentParser) -> None:
     )
     goal.add_argument("--no-feedback", action="store_true", help="show only the result")
     goal.add_argument("--full", action="store_true", help="print long arrays and texts whole")
-    goal.add_argument("--json", action="store_true", help="print one JSON object a line: each feedback, then the end")
+    goal.add_argument(
+        "--json", action="store_true", help="print JSON, one object per line: each feedback message, then the result"
+    )
 
 
 def _send(args: argparse.Namespace) -> int:

@@ -1,17 +1,17 @@
 """Liveliness tokens: how each participant of the hub announces itself.
 
-A node's token is ``@ros2_lv/<domain>/<zid>/<node id>/<id>/NN/<enclave>/<namespace>/<node>``, an endpoint's has ``MP``,
-``MS``, ``SS`` or ``SC`` for ``NN`` and then ``/<name>/<type>/<hash>/<qos>`` (rmw_zenoh_cpp, liveliness_utils.cpp).
-Later releases append parts: since rmw_zenoh_cpp 0.10.5 (Lyrical), ``/backends:cpu:`` for a volatile endpoint whose
-type has variable-length arrays of primitives. They count for the GID, which is the 128-bit XXH3 of the whole key, low
-half first, and are ignored otherwise.
+A node's token is ``@ros2_lv/<domain>/<zid>/<node id>/<id>/NN/<enclave>/<namespace>/<node>``, an endpoint's token
+has ``MP``, ``MS``, ``SS`` or ``SC`` instead of ``NN``, followed by ``/<name>/<type>/<hash>/<qos>`` (rmw_zenoh_cpp,
+liveliness_utils.cpp). Later releases append parts: since rmw_zenoh_cpp 0.10.5 (Lyrical), ``/backends:cpu:`` for a
+volatile endpoint whose type has variable-length arrays of primitives. Midspan ignores these parts, except that they
+enter the GID: the 128-bit XXH3 of the whole key, low half first.
 
 Midspan's workers also announce the foreign network that they bridge, their origin:
 ``@midspan/<domain>/origin/<zid>/<side>/<network>/<daemon>``, one per session, declared before any endpoint. An endpoint
 declared while its session has an origin carries the enclave ``/midspan``, so that a participant that sees the endpoint
-first knows that an origin will follow. A worker that carries messages also announces the other workers on its network:
-``@midspan/<domain>/member/<zid>/<zid of the other>``, one for each and one for itself, which reveals that networks of
-two hubs are the same. For each topic of velocities that its side's own nodes subscribe to, it announces
+first knows that an origin will follow. A worker that carries messages also announces the workers on its network, itself
+included, with one token per worker: ``@midspan/<domain>/member/<zid>/<zid of the worker>``. From these tokens, two hubs
+see that they share a network. For each topic of velocities that its side's own nodes subscribe to, it announces
 ``@midspan/<domain>/velocity/<zid>/<topic on the hub>/<type>``. Before anything else, each Midspan session announces its
 protocol version: ``@midspan/<domain>/wire/<zid>/<version>/<Midspan's release>`` (`bridge.hub.wire.version`).
 """
@@ -47,11 +47,11 @@ class Origin:
     A hub session without an origin token is a native participant of the hub (an rmw_zenoh node, a zenoh program).
 
     Attributes:
-        side: ``ros1``, ``ros2``, ``yarp``, or of the zenoh adapter's dialects ``zenoh_ros2dds``, ``zenoh_ros1``,
+        side: ``ros1``, ``ros2``, ``yarp``, or a dialect of the zenoh adapter: ``zenoh_ros2dds``, ``zenoh_ros1``,
             ``zenoh_json``.
         network: identity of the network: the master's run id on ROS 1, the participant's marked GUID prefix (24 hex
-            digits) on ROS 2, the dialect session's id on zenoh. The adapter of that side decides whether it is its own
-            network.
+            digits) on ROS 2, the dialect session's id on zenoh. The side's adapter compares it with the
+            adapter's own network.
         daemon: identity of the daemon (its machine and name), for people.
     """
 
@@ -63,7 +63,7 @@ class Origin:
 ADMIN_SPACE = "@ros2_lv"
 MIDSPAN_SPACE = "@midspan"
 TAPS = "/_midspan/"
-"""Prefix of hub names for topics that do not cross and that workers show on request; they never leave the hub."""
+"""Prefix of hub topics that show an unbridged topic of a side on request; no side receives them."""
 
 BRIDGE_ENCLAVE = "/midspan"
 UNKNOWN_HASH = "RIHS01_" + "0" * 64
@@ -129,7 +129,7 @@ class OriginToken:
 
 def node_key(token: NodeToken) -> str:
     """Return the key of a node's token."""
-    return _head(token, token.node_id, _NODE)
+    return _token_prefix(token, token.node_id, _NODE)
 
 
 def endpoint_key(token: EndpointToken) -> str:
@@ -137,7 +137,7 @@ def endpoint_key(token: EndpointToken) -> str:
     any_hash = token.type_hash == ANY_HASH and token.kind is EndpointKind.SUBSCRIPTION
     type_hash = UNKNOWN_HASH if any_hash else hash_chunk(token.type_hash)
     return (
-        f"{_head(token.owner, token.id, _LETTERS[token.kind])}/{mangle(check_topic(token.topic))}"
+        f"{_token_prefix(token.owner, token.id, _LETTERS[token.kind])}/{mangle(check_topic(token.topic))}"
         f"/{dds_type_name(token.type_name)}/{type_hash}/{encode_qos(token.qos)}"
     )
 
@@ -176,13 +176,13 @@ def parse_origin(key: str) -> OriginToken:
     """Read an origin's token; raises `HubWireError`."""
     parts = _split(key, MIDSPAN_SPACE)
     if len(parts) != 7 or parts[2] != "origin":
-        raise HubWireError("token is not an origin's")
+        raise HubWireError("not an origin token")
     side, network, daemon = (_unquote(part) for part in parts[4:])
     return OriginToken(_domain(parts[1]), parts[3], Origin(side, network, daemon))
 
 
 def member_key(domain: int, zid: str, member: str) -> str:
-    """Return the key of the token by which a session announces that another one's worker is on its network."""
+    """Return the key of the token by which a session announces that another session's worker is on the same network."""
     return f"{MIDSPAN_SPACE}/{domain}/member/{zid}/{_quote(member)}"
 
 
@@ -190,7 +190,7 @@ def parse_member(key: str) -> tuple[str, str]:
     """Read a member's token: the session that announces, and the one that it announces; raises `HubWireError`."""
     parts = _split(key, MIDSPAN_SPACE)
     if len(parts) != 5 or parts[2] != "member":
-        raise HubWireError("token is not a member's")
+        raise HubWireError("not a member token")
     return parts[3], _unquote(parts[4])
 
 
@@ -203,7 +203,7 @@ def parse_velocity(key: str) -> tuple[str, str, str]:
     """Read a velocity's token: the session that announces it, the topic and its type; raises `HubWireError`."""
     parts = _split(key, MIDSPAN_SPACE)
     if len(parts) != 6 or parts[2] != "velocity":
-        raise HubWireError("token is not a velocity's")
+        raise HubWireError("not a velocity token")
     return parts[3], _unquote(parts[4]), _unquote(parts[5])
 
 
@@ -216,7 +216,7 @@ def parse_wire(key: str) -> tuple[str, str, str]:
     """Read a version's token: session, version and release, ignoring later additions; raises `HubWireError`."""
     parts = _split(key, MIDSPAN_SPACE)
     if len(parts) < 6 or parts[2] != "wire":
-        raise HubWireError("token is not a version's")
+        raise HubWireError("not a version token")
     return parts[3], parts[4], _unquote(parts[5])
 
 
@@ -226,7 +226,7 @@ def gid_of(key: str) -> bytes:
     return (value & (2**64 - 1)).to_bytes(8, "little") + (value >> 64).to_bytes(8, "little")
 
 
-def _head(owner: NodeToken, entity: str, letters: str) -> str:
+def _token_prefix(owner: NodeToken, entity: str, letters: str) -> str:
     return (
         f"{ADMIN_SPACE}/{owner.domain}/{owner.zid}/{owner.node_id}/{entity}/{letters}"
         f"/{mangle(owner.enclave)}/{mangle(owner.namespace)}/{mangle(owner.node)}"

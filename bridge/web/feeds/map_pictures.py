@@ -19,9 +19,9 @@ from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
 TILE = 1024
 """Width and height of a tile in cells: pages fetch only changed tiles."""
-_NEWEST = 2
+_CACHED_IMAGES = 2
 """Images of each kind that are cached: a page may still fetch the previous one."""
-_LEVELS, _CLEAR = 101, 101
+_LEVELS, _UNKNOWN_CELL = 101, 101
 """Grays for 0 to 100 percent occupied, and the color of unknown cells."""
 _DARK_FREE, _DARK_WALL = (0x14, 0x19, 0x1E), (0xA0, 0xB0, 0xBE)
 _TINTS = {
@@ -55,10 +55,10 @@ PALETTES = {
     ),
     "flags": Palette(_TINTED, _TINTED, bytes([0, *(tint[3] for tint in _TINTS.values())])),
 }
-CLEAR = {"occupancy": _CLEAR, "flags": 0}
-"""The number of a transparent cell."""
+CLEAR = {"occupancy": _UNKNOWN_CELL, "flags": 0}
+"""The cell value that is transparent, per kind of image."""
 
-_GREYS = np.full(256, _CLEAR, np.uint8)
+_GREYS = np.full(256, _UNKNOWN_CELL, np.uint8)
 _GREYS[:_LEVELS] = np.arange(_LEVELS)
 _TINT_OF = np.zeros(256, np.uint8)
 _TINT_OF[list(_TINTS)] = np.arange(1, len(_TINTS) + 1)
@@ -68,7 +68,7 @@ def occupancy_picture(grid: MapGrid2D) -> Cells:
     """Return the color of each cell (height, width): 0 free to 100 occupied, 101 unknown."""
     cells = _GREYS[np.asarray(grid.occupancy, np.uint8)]
     cells[grid.flags == MapFlag.WALL] = _LEVELS - 1
-    cells[grid.flags == MapFlag.UNKNOWN] = _CLEAR
+    cells[grid.flags == MapFlag.UNKNOWN] = _UNKNOWN_CELL
     return cells
 
 
@@ -79,15 +79,17 @@ def flags_picture(grid: MapGrid2D) -> Cells | None:
 
 
 class Pictures:
-    """The tiles of the newest images by address, below a prefix. Safe to use from any thread."""
+    """The newest map images, as PNG tiles that pages fetch by address. Safe to use from any thread."""
 
     def __init__(self, prefix: str = "") -> None:
         self._prefix = prefix
         self._lock = threading.Lock()
-        self._kept: dict[str, deque[dict[str, bytes]]] = {name: deque(maxlen=_NEWEST) for name in PALETTES}
+        self._cached: dict[str, deque[dict[str, bytes]]] = {name: deque(maxlen=_CACHED_IMAGES) for name in PALETTES}
 
     def put(self, name: str, cells: Cells) -> dict[str, Any]:
-        """Cache an image; ``{"size": width of a tile, "tiles": rows of addresses, null for a transparent tile}``.
+        """Cache an image and return its description for the page.
+
+        ``{"size": width of a tile, "tiles": rows of addresses, null for a transparent tile}``
 
         An address depends on the tile's content: an unchanged tile keeps its address, and is not compressed again.
         """
@@ -103,13 +105,13 @@ class Pictures:
                 packed[version] = self.get(name, version) or _png(tile, PALETTES[name])
                 row.append(f"{self._prefix}/map/{name}.png?v={version}")
         with self._lock:
-            self._kept[name].append(packed)
+            self._cached[name].append(packed)
         return {"size": TILE, "tiles": rows}
 
     def get(self, name: str, version: str, *, dark: bool = False) -> bytes | None:
         """Return the PNG of an address, in the colors for dark or light pages; None if it has expired."""
         with self._lock:
-            png = next((picture[version] for picture in self._kept.get(name, ()) if version in picture), None)
+            png = next((picture[version] for picture in self._cached.get(name, ()) if version in picture), None)
         return _recolored(png, PALETTES[name].dark) if png is not None and dark else png
 
 

@@ -1,4 +1,4 @@
-"""The feeds of arbitrary topics: their newest message, in a form for pages."""
+"""Feeds for arbitrary topics: the newest message of each, converted for the page."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class NewestFeed(Feed):
     Args:
         executor: decodes the messages.
         name: the name that pages use.
-        topic: the topic, followed by ``@`` and its type if pages choose one of several.
+        topic: ``/topic``, or ``/topic@type`` to choose one of several types.
     """
 
     most_bytes = MOST_BYTES
@@ -142,7 +142,10 @@ class NewestFeed(Feed):
 
     @abstractmethod
     def value(self, type_name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:
-        """Convert a message for pages. May block; raises `ClientError` or `ConversionError` if that is impossible."""
+        """Convert a message for pages. May block.
+
+        Raises `ClientError`, `ConversionError` or `HubError` if the message cannot be converted.
+        """
 
 
 class MessageFeed(NewestFeed):

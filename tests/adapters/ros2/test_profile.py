@@ -63,7 +63,7 @@ def test_child_processes_read_a_profile_that_could_not_be_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without a writable state folder, the profile is in this process's memory."""
-    monkeypatch.setattr(profile_module, "_used", [])
+    monkeypatch.setattr(profile_module, "_loaded", [])
     monkeypatch.setattr(profile_module, "keep", lambda *_arguments: False)
     monkeypatch.setattr("bridge.adapters.ros2.rcl.host_prefix", lambda: b"\x01\x0f\x12\x34")
     monkeypatch.setattr(os, "environ", os.environ.copy())

@@ -2,12 +2,12 @@
 
 It copies the measured behavior of move_base (navigation 1.17, Noetic): a goal in an unknown frame, or one with a slash,
 stays ACTIVE forever; a new goal preempts the old one; ``/move_base_simple/goal`` becomes a goal on ``/move_base/goal``;
-the texts are move_base's; it starts once it has received the pose of the base. RECALLED by stamps, repeated ids,
-cancel-all, long lists of statuses and results that are not latched come from actionlib's server.
+the texts are move_base's; it starts once it has received the pose of the base. actionlib's server itself provides the
+rest: the RECALLED state, repeated ids, cancel-all, long status lists, unlatched results.
 
-Goals with x of 900 and more are unreachable. Runs on the system's Python. It starts the base as a process, unless the
-argument ``there`` is given; such a base continues when the stand-in is killed or stopped.
-It prints ``ended`` and ``time.monotonic()`` when it ends a goal by itself.
+Goals with x of 900 and more are unreachable. Runs on the system's Python. It starts the base as a process. With the
+argument ``there`` it uses a base that already runs, and that keeps running when the stand-in is killed or stopped.
+It prints ``ended`` and ``time.monotonic()`` whenever it ends a goal, except by preemption.
 Usage: move_base.py SPEED PATIENCE [there [CYCLE]], CYCLE: seconds between two control cycles
 """
 # ruff: noqa: ANN204  # it runs without Midspan
@@ -27,7 +27,7 @@ from tf2_msgs.msg import TFMessage
 
 PERIOD = float(sys.argv[4]) if len(sys.argv) > 4 else 0.1
 NEAR, GAIN = 0.05, 5.0
-"""Distance at which the goal is reached, meters; speed per meter of distance before it, 1/s."""
+"""Distance at which the goal is reached, meters; gain of the approach, in m/s per meter left."""
 UNREACHABLE = 900.0
 FRAMES = ("map", "odom", "base_link")
 ACCEPTED = "This goal has been accepted by the simple action server"
@@ -69,7 +69,7 @@ class MoveBase:
         if self.current is not None:
             raise rospy.ServiceException("")
         answer = GetPlanResponse()
-        answer.plan.poses = [request.start, request.goal]  # the frame of its header stays empty
+        answer.plan.poses = [request.start, request.goal]  # as in move_base, the path's own header has no frame
         return answer
 
     def on_goal(self, handle):

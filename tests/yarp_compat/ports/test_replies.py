@@ -1,4 +1,4 @@
-"""Replies of ports: each request gets one, at once, later, or not at all."""
+"""Replies of ports: immediate, deferred, and missing ones."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_request_gets_the_owners_reply(make_port: MakePort, carrier: str) -> Non
 
 @pytest.mark.parametrize("carrier", REPLYING)
 def test_request_always_gets_a_reply(make_port: MakePort, carrier: str) -> None:
-    """Also from owners that give none or fail, and without an owner."""
+    """A port replies even if its owner does not, fails, or does not exist."""
 
     def fail(_: PortMessage) -> None:
         raise ValueError
@@ -62,14 +62,14 @@ def test_reply_from_another_thread(make_port: MakePort) -> None:
     assert got == [HELLO]
 
 
-def _as_it_closes(message: PortMessage) -> None:
+def _defer_while_closing(message: PortMessage) -> None:
     until(lambda: message.is_retired, "the port is closing")
     message.later()
 
 
-@pytest.mark.parametrize("owner", [PortMessage.later, _as_it_closes])
+@pytest.mark.parametrize("owner", [PortMessage.later, _defer_while_closing])
 def test_request_without_a_reply_ends_with_the_port(make_port: MakePort, owner: Callable[[PortMessage], None]) -> None:
-    """Also if the owner defers the reply while the port is closing: an empty reply would count as one."""
+    """An empty reply would look like a real one, so the connection must end, even if the port already closes."""
     server = make_port("/server", owner)
     client = make_port("/client")
     client.add_output("/server")
@@ -99,20 +99,20 @@ def test_request_during_closing_gets_no_reply(
     until(server.inputs, "the connection")
     close, failed = server.connections.close, list[Exception]()
 
-    def closing() -> None:
+    def close_after_request() -> None:
         try:
             client.request(HELLO, timeout=20)
         except ConnectionError as error:
             failed.append(error)
         close()
 
-    monkeypatch.setattr(server.connections, "close", closing)
+    monkeypatch.setattr(server.connections, "close", close_after_request)
     server.close()
     assert failed
 
 
 def test_late_reply_closes_the_connection(make_port: MakePort) -> None:
-    """The reply may still arrive, and must not be taken for the next one's."""
+    """The reply may still arrive, and must not be mistaken for the reply to the next request."""
     make_port("/server", PortMessage.later)
     client = make_port("/client")
     client.add_output("/server")

@@ -35,8 +35,8 @@ _CONNECT_SECONDS = 10.0
 _FIRST_WAIT = 0.2
 _LONGEST_WAIT = 5.0
 
-Doubt = Callable[[Registration, str], None]
-"""``doubt(link, trouble)``: a server did not respond, or has changed."""
+OnOutdated = Callable[[Registration, str], None]
+"""Called with a registration that may be outdated, and the reason."""
 
 
 class _Pending:
@@ -156,10 +156,15 @@ class Ros1Caller:
     """Calls the server of one name and type."""
 
     def __init__(
-        self, context: Ros1Context, name: str, side_type: SideType, doubt: Doubt, closed: Callable[[Ros1Caller], None]
+        self,
+        context: Ros1Context,
+        name: str,
+        side_type: SideType,
+        on_outdated: OnOutdated,
+        closed: Callable[[Ros1Caller], None],
     ) -> None:
         self.name, self.md5 = name, side_type.type_id
-        self._context, self._pool, self._doubt, self._on_closed = context, context.pool, doubt, closed
+        self._context, self._pool, self._on_outdated, self._on_closed = context, context.pool, on_outdated, closed
         self._lock = threading.Lock()
         self._link: Registration | None = None
         self._connections: set[_ServerConnection] = set()
@@ -171,12 +176,12 @@ class Ros1Caller:
 
     @property
     def restless(self) -> bool:
-        """Whether it needs to connect."""
+        """Whether there is a server but no connection to it."""
         return self._link is not None and not self._connections and not self._warming
 
     @property
     def connected(self) -> frozenset[Registration]:
-        """The server, if connected."""
+        """The registrations to which connections are open."""
         with self._lock:
             return frozenset(connection.link for connection in self._connections)
 
@@ -311,12 +316,15 @@ class Ros1Caller:
             return
         if isinstance(err, UnreachableError):
             self._pool.failed(link.uri)
-        self._doubt(link, str(err))
+        self._on_outdated(link, str(err))
 
     # -- the persistent connection -------------------------------------------------------------------------------------
 
     def _warm(self) -> None:
-        """Connect in advance, so that the next call is fast and a crash of the server is noticed; pauses grow."""
+        """Connect in advance, so that the next call is fast and a crash of the server is noticed.
+
+        Failed attempts are repeated with growing delays.
+        """
         now = time.monotonic()
         with self._lock:
             link = self._link
@@ -324,9 +332,9 @@ class Ros1Caller:
                 return
             self._warming = True
             self._due, self._wait = now + self._wait, min(2 * self._wait, _LONGEST_WAIT)
-        self._pool.submit(link.uri, lambda: self._warmed(link))
+        self._pool.submit(link.uri, lambda: self._connect_in_advance(link))
 
-    def _warmed(self, link: Registration) -> None:
+    def _connect_in_advance(self, link: Registration) -> None:
         try:
             connection = self._connect(link)
         except Ros1Error as err:

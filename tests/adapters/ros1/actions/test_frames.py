@@ -108,7 +108,9 @@ def test_frames_in_transforms_are_known():
     for name in (b"map", b"odom", b"base"):
         assert frames.trouble(frames_in(SCHEMA, goal(name))) == ""
     assert frames.trouble(frames_in(SCHEMA, goal(b""))) == "target.header.frame_id is empty"
-    assert frames.trouble(frames_in(SCHEMA, goal(b"map", [], b""))) == "", "an unused header"
+    assert frames.trouble(frames_in(SCHEMA, goal(b"map", [], b""))) == "", (
+        "an empty frame in an unused header must be accepted"
+    )
 
 
 class TopicSubscription:
@@ -116,16 +118,16 @@ class TopicSubscription:
         """Do nothing."""
 
 
-class Side:
+class GuardFixture:
     """A guard, its network and its clock."""
 
     def __init__(self, monkeypatch, *, check=True) -> None:
-        self.now, self.heard = 100.0, {}
+        self.now, self.callbacks = 100.0, {}
         monkeypatch.setattr(frames_module, "time", SimpleNamespace(monotonic=lambda: self.now))
 
         def subscribe(topic, _type, deliver, suffix) -> TopicSubscription:
-            assert suffix, "a route of the topic has a separate connection"
-            self.heard[topic] = deliver
+            assert suffix, "the guard must not share a route's connection: a suffix is expected"
+            self.callbacks[topic] = deliver
             return TopicSubscription()
 
         self.guard = FrameGuard(SimpleNamespace(subscribe=subscribe, check_frames=check))
@@ -137,14 +139,14 @@ class Side:
 
 
 def test_a_guard_waits_for_transforms(monkeypatch):
-    side = Side(monkeypatch)
-    assert side.heard == {}, "no action is open"
+    side = GuardFixture(monkeypatch)
+    assert side.callbacks == {}, "no action is open"
     side.guard.open("me")
-    assert set(side.heard) == {"/tf", "/old"}
+    assert set(side.callbacks) == {"/tf", "/old"}
     assert side.check(b"map") is None
     side.now += 5.0
     assert side.check(b"map") is None
-    side.heard["/tf"](transforms((b"map", b"odom")), "", None)
+    side.callbacks["/tf"](transforms((b"map", b"odom")), "", None)
     assert (side.check(b"map"), side.check(b"mpa")) == ("", None)
     side.now += frames_module.KNOW_SECONDS + 0.1
     assert side.check(b"map") == ""
@@ -156,21 +158,21 @@ def test_a_guard_waits_for_transforms(monkeypatch):
 
 
 def test_the_first_transform_may_arrive_long_after_the_action_opened(monkeypatch):
-    side = Side(monkeypatch)
+    side = GuardFixture(monkeypatch)
     side.guard.open("me")
     side.now += 3 * frames_module.SILENT_SECONDS
-    side.heard["/tf"](transforms((b"odom", b"base")), "", None)
-    assert side.check(b"map") is None, "the frame may be in the next message"
+    side.callbacks["/tf"](transforms((b"odom", b"base")), "", None)
+    assert side.check(b"map") is None, "the guard must wait, as the frame may be in the next message"
     side.now += frames_module.KNOW_SECONDS + 0.1
     assert "map" in side.check(b"map")
 
 
 def test_an_action_that_opens_while_the_last_one_closes_subscribes_again(monkeypatch):
-    """Latched transforms are received only by a new subscription."""
-    side = Side(monkeypatch)
+    """Only a new subscription receives the latched transforms again."""
+    side = GuardFixture(monkeypatch)
     side.guard.open("old")
-    side.heard["/tf"](transforms((b"map", b"odom")), "", None)
-    side.heard.clear()
+    side.callbacks["/tf"](transforms((b"map", b"odom")), "", None)
+    side.callbacks.clear()
 
     class Interrupted:
         """A lock; the other action opens as soon as it is first released."""
@@ -187,7 +189,7 @@ def test_an_action_that_opens_while_the_last_one_closes_subscribes_again(monkeyp
 
     monkeypatch.setattr(side.guard, "_lock", Interrupted())
     side.guard.close("old")
-    assert set(side.heard) == {"/tf", "/old"}
+    assert set(side.callbacks) == {"/tf", "/old"}
 
 
 def test_after_too_many_frames_every_frame_is_accepted(monkeypatch):
@@ -204,18 +206,18 @@ def test_after_too_many_frames_every_frame_is_accepted(monkeypatch):
 
 
 def test_a_side_without_transforms_accepts_all_frames(monkeypatch):
-    side = Side(monkeypatch)
+    side = GuardFixture(monkeypatch)
     side.guard.open("me")
     side.now += frames_module.SILENT_SECONDS + 0.1
     assert side.check(b"mpa") == ""
-    bare = Side(monkeypatch)
+    bare = GuardFixture(monkeypatch)
     bare.guard.open("me")
     bare.guard.seen(MasterState("run", "net"))
-    assert bare.check(b"mpa") == "", "the side has no topics with transforms"
+    assert bare.check(b"mpa") == "", "without topics for transforms, all frames must be accepted"
 
 
 def test_frames_are_not_checked_if_disabled(monkeypatch):
-    side = Side(monkeypatch, check=False)
+    side = GuardFixture(monkeypatch, check=False)
     side.guard.open("me")
-    assert side.heard == {}
+    assert side.callbacks == {}
     assert side.guard.check(SCHEMA, goal(b"/mpa")) == (goal(b"/mpa"), "")
