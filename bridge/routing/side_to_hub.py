@@ -42,6 +42,13 @@ class _Source:
     age: AgeGate
 
 
+class _Held(NamedTuple):
+    payload: bytes
+    time_ns: int | None
+    leased: bool
+    """Whether it arrived while messages might cross."""
+
+
 class _Message(NamedTuple):
     payload: bytes
     known: _Source
@@ -75,7 +82,7 @@ class SideToHubRoute(TopicRoute):
         self._static_lock = threading.Lock()
         self._by_lane_before = 0
         self._followed: Sequence[Endpoint] | None = None
-        self.pending = Backlog[tuple[bytes, int | None]](MAX_PENDING, QUEUE_BYTES, self.crowded_out)
+        self.pending = Backlog[_Held](MAX_PENDING, QUEUE_BYTES, self.crowded_out)
         self._releasing = threading.Lock()
         self._subscription: EdgeSubscription | None = None
         self._hold, self._lease = context.hold, context.lease
@@ -175,27 +182,33 @@ class SideToHubRoute(TopicRoute):
         for waiting in self.pending.pop_matching(lambda w: w.source in self._sources):
             source = str(waiting.source)
             known = self._sources.get(source)
+            payload, time_ns, leased = waiting.message
             if known is None:
                 self.counters.dropped("unknown")  # the publisher left meanwhile
+            elif leased or known.latched:
+                self._pass(known, source, payload, time_ns)
             else:
-                self._pass(known, source, *waiting.message)
+                self.counters.dropped("standby")
 
     def deliver(self, payload: bytes, source: str, time_ns: int | None) -> None:
         """Handle a message of one of the side's publishers; the edge calls it, on any thread."""
         known = self._sources.get(source)
         counters = self.counters
         if self._lease.over:
-            if known is not None and known.latched:  # it arrives only once, and the route may continue
-                depth = min(max(known.endpoint.qos.depth, 1), MAX_PENDING)
-                counters.dropped("standby", self.pending.keep(source, (payload, time_ns), len(payload), depth))
+            # a latched message arrives only once, and the route may continue
+            if known.latched if known is not None else self._priority is not Priority.COMMAND:
+                depth = 1 if known is None else min(max(known.endpoint.qos.depth, 1), MAX_PENDING)
+                held = _Held(payload, time_ns, leased=False)
+                counters.dropped("standby", self.pending.keep(source, held, len(payload), depth))
             else:
                 counters.dropped("standby")
-        elif known is None and not self._held():
+        elif known is None and not self._blocked():
             # The edge's graph has the publisher, ours not yet: hold the newest message until the engine calls `update`.
             if self._priority is Priority.COMMAND:
                 counters.dropped("unknown")  # a command is never held
             else:
-                counters.dropped("unknown", self.pending.keep(source, (payload, time_ns), len(payload), depth=1))
+                held = _Held(payload, time_ns, leased=True)
+                counters.dropped("unknown", self.pending.keep(source, held, len(payload), depth=1))
             self._context.wake()
         elif known is None:
             counters.dropped("held")
@@ -206,13 +219,13 @@ class SideToHubRoute(TopicRoute):
         else:
             self._pass(known, source, payload, time_ns)
 
-    def _held(self) -> bool:
+    def _blocked(self) -> bool:
         return self._hold is not None and self._hold.held and self.hub_topic in self._hold.topics
 
     def _pass(self, known: _Source, source: str, payload: bytes, time_ns: int | None) -> None:
         """Publish a message of a known publisher, unless it must not pass now."""
         since = time.monotonic()
-        if self._held():
+        if self._blocked():
             self.counters.dropped("held")
         elif self._priority is Priority.COMMAND and self._stale(known, time_ns):
             self.counters.dropped("stale")

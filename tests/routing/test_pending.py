@@ -39,7 +39,7 @@ class HubRecord:
         self.published: list[bytes] = []
 
     def publisher(self, *_: object, **__: object) -> SimpleNamespace:
-        return SimpleNamespace(put=lambda data, _time: self.published.append(data), close=lambda: None)
+        return SimpleNamespace(put=lambda data, _time: self.published.append(data), close=lambda: None, by_lane=0)
 
 
 class RouteToHub:
@@ -66,8 +66,8 @@ class RouteToHub:
     def deliver(self, text: str, source: str = "this") -> None:
         self.route.deliver(line(text), source, None)
 
-    def update(self, *sources: str) -> None:
-        self.route.update([Endpoint(name, Kind.PUBLISHER, TOPIC, STRING, LATCHED, MadeBy.NATIVE) for name in sources])
+    def update(self, *sources: str, qos: Qos = LATCHED) -> None:
+        self.route.update([Endpoint(name, Kind.PUBLISHER, TOPIC, STRING, qos, MadeBy.NATIVE) for name in sources])
 
 
 class Newer:
@@ -83,6 +83,21 @@ class Newer:
 
     def join(self) -> None:
         self._thread.join(40)
+
+
+@pytest.mark.parametrize("latched", [False, True])
+def test_only_a_latched_message_of_an_unknown_publisher_outlasts_a_missing_lease(*, latched: bool) -> None:
+    to_hub, qos = RouteToHub(), LATCHED if latched else Qos()
+    to_hub.update("other", qos=qos)
+    to_hub.lease.end()
+    to_hub.deliver("old")
+    to_hub.deliver("new")
+    to_hub.update("other", "this", qos=qos)
+    to_hub.lease.extend(math.inf)
+    to_hub.update("other", "this", qos=qos)
+    assert to_hub.hub.published == ([line("new")] if latched else [])
+    assert to_hub.route.counters.drops["standby"] == (1 if latched else 2)
+    to_hub.route.close()
 
 
 @pytest.mark.parametrize("standby", [False, True])
