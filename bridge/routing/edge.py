@@ -63,7 +63,8 @@ class Endpoint:
     ``get_result`` and the publishers ``<action>/_action/feedback`` and ``status``.
 
     Attributes:
-        id: unique on the side while the endpoint lives (ROS 2: GID in hex; ROS 1: node name and topic).
+        id: unique on the side while the endpoint lives (ROS 2: GID in hex; ROS 1: node name and topic). A publisher
+            that returns, or changes its QoS, needs another one: the engine may still follow the previous endpoint.
         topic: absolute name of the topic or service as the side spells it.
         type: the type's name as the side spells it (ROS 1 ``std_msgs/String``, ROS 2 ``std_msgs/msg/String``; services
             ``std_srvs/SetBool``, ``std_srvs/srv/SetBool``; an action's ``nav2_msgs/action/NavigateToPose_SendGoal``).

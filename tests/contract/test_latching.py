@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import pytest
 
 from tests.contract.hubside import HubSide
-from tests.contract.side import Bridge, Side
+from tests.contract.side import Bridge, PeerLike, Side
 from tests.support.wait import until
 
 STRING = "std_msgs/String"
@@ -20,11 +22,11 @@ def _told(side: Side) -> None:
 def test_three_latched_publishers_to_the_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
     peers = [side.peer() for _ in range(3)]
     ids = [p.advertise("/state", STRING, latched=True, depth=1) for p in peers]
-    for number, (peer, id_) in enumerate(zip(peers, ids, strict=True)):
-        peer.publish(id_, {"data": f"old {number}"})
-        peer.publish(id_, {"data": f"state {number}"})
+    _publish(peers, ids, "early")
     far.until_published("/state", 3)
-    until(lambda: _late(far, "/state", 3) == ["state 0", "state 1", "state 2"], "the last of each crossed", 20)
+    _publish(peers, ids, "old")  # live from here on
+    _publish(peers, ids, "state")
+    _until_late(far, "/state", ["state 0", "state 1", "state 2"], "the last of each crossed")
     assert _late(far, "/state", 3) == ["state 0", "state 1", "state 2"]
     peers[1].drop(ids[1])
     until(lambda: len(far.publishers("/state")) == 2, "the closed publisher left the hub", 15)
@@ -109,7 +111,7 @@ def test_a_program_that_advertises_anew_without_latching_and_with(side: Side, br
         out = peer.advertise("/mode", STRING, latched=latched, depth=1)
         if latched:
             peer.publish(out, {"data": text})
-            until(lambda t=text: _late(far, "/mode", 1) == [t], f"{text} is kept", 20)
+            _until_late(far, "/mode", [text], f"{text} is kept")
         else:
             until(lambda: [p.qos.latched for p in far.publishers("/mode")] == [False], "no longer latched", 20)
             subscription = far.subscribe("/mode", STRING)
@@ -121,8 +123,29 @@ def test_a_program_that_advertises_anew_without_latching_and_with(side: Side, br
             until(crossed, "it is received", 15)
             # the lane is faster than zenoh, over which the first late one may receive it live; retained messages reach
             # each
-            until(lambda: _late(far, "/mode", 0) == [], "nothing is retained", 20)
+            _until_late(far, "/mode", [], "nothing is retained")
         peer.drop(out)
+
+
+def _publish(peers: list[PeerLike], ids: list[int], text: str) -> None:
+    for number, (peer, id_) in enumerate(zip(peers, ids, strict=True)):
+        peer.publish(id_, {"data": f"{text} {number}"})
+
+
+def _until_late(far: HubSide, topic: str, expected: list[str], what: str) -> None:
+    """Wait until a late subscription receives exactly these messages; a failure shows what each one received."""
+    received = Counter[str]()
+
+    def once() -> bool:
+        messages = _late(far, topic, len(expected))
+        received[repr(messages)] += 1
+        return messages == expected
+
+    try:
+        until(once, what, 20)
+    except AssertionError as err:
+        publishers = [(publisher.gid.hex(), publisher.qos) for publisher in far.publishers(topic)]
+        raise AssertionError(f"{err}; received {received}; {publishers}; {far.route(topic, 'in')}") from None
 
 
 def _late(far: HubSide, topic: str, count: int) -> list[str]:

@@ -27,6 +27,10 @@ from datagrams.network import BEAT, End, Node
 
 _KINDS = {"pub": Kind.PUBLISHER, "sub": Kind.SUBSCRIPTION}
 
+_VOLATILE = Qos(Reliability.RELIABLE, depth=10)
+_LATCHED = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=1)
+"""A native program retains only its last message."""
+
 
 class DatagramSection(SideSection):
     """The section ``datagrams`` of the configuration."""
@@ -86,7 +90,7 @@ class DatagramEdge(Edge):
                 _KINDS[end.kind],
                 end.topic,
                 end.type,
-                Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL if end.latched else Durability.VOLATILE, depth=10),
+                _LATCHED if end.latched else _VOLATILE,
                 MadeBy.MIDSPAN if program.by else MadeBy.NATIVE,
                 program.node,
             )
@@ -124,7 +128,7 @@ class DatagramEdge(Edge):
 
         def on_message(message: bytes, publisher: str) -> None:
             program = node.programs.get(publisher.partition(".")[0])
-            end = None if program is None or program.by else program.ends.get(publisher)
+            end = None if program is None or program.by else program.ends.get(publisher.partition("@")[0])
             if end is not None and end.type == side_type.name:
                 deliver(message, publisher, None)
 

@@ -30,7 +30,11 @@ LARGEST = 60_000
 
 @dataclass
 class End:
-    """A publisher (``kind`` is "pub") or a subscription ("sub")."""
+    """A publisher (``kind`` is "pub") or a subscription ("sub").
+
+    Of another program, ``id`` ends with ``@`` and a number that changes when the program was silent and returns: its
+    latched messages are then received again, for the new endpoint.
+    """
 
     id: str
     kind: str
@@ -53,6 +57,7 @@ class Program:
     id: str
     address: tuple[str, int]
     last_seen: float
+    appearance: int
     node: str = ""
     by: str = ""
     record: str = ""
@@ -82,7 +87,7 @@ class Node:
         address, _, port = group.partition(":")
         self._group, self._changed = (address, int(port)), changed
         self._ends: dict[str, End] = {}
-        self._numbers = itertools.count(1)
+        self._numbers, self._appearances = itertools.count(1), itertools.count(1)
         self._lock = threading.RLock()
         self._closed = False
         self._own = self._socket(("", 0))
@@ -200,41 +205,45 @@ class Node:
                     self._send(data, address)
 
     def _on_exit(self, program: str) -> None:
-        if self.programs.pop(program, None) is None:
+        silent = self.programs.pop(program, None)
+        if silent is None:
             return
+        of_it = {end.id for end in silent.ends.values()}
         with self._lock:
             for end in self._ends.values():
-                end.received = {
-                    of: number for of, number in end.received.items() if not of[0].startswith(f"{program}.")
-                }
+                end.received = {of: number for of, number in end.received.items() if of[0] not in of_it}
         self._changed()
 
     def _message(self, datagram: dict[str, Any]) -> None:
         program = self.programs.get(str(datagram["from"]).partition(".")[0])
-        if "number" in datagram and (program is None or datagram["from"] not in program.ends):
+        publisher = None if program is None else program.ends.get(datagram["from"])
+        if publisher is None and "number" in datagram:
             return  # its next hello, which lists the number, has it requested again
+        id_ = str(datagram["from"]) if publisher is None else publisher.id
         with self._lock:
             ends = [e for e in self._ends.values() if e.topic == datagram["topic"] and e.take]
-            receivers = [e.take for e in ends if self._is_new(e, datagram)]
+            receivers = [e.take for e in ends if self._is_new(e, id_, datagram)]
         for take in receivers:
-            take(json.dumps(datagram["message"]).encode(), datagram["from"])
+            take(json.dumps(datagram["message"]).encode(), id_)
 
     @staticmethod
-    def _is_new(end: End, datagram: dict[str, Any]) -> bool:
+    def _is_new(end: End, publisher: str, datagram: dict[str, Any]) -> bool:
         if "number" not in datagram:
             return True
-        of, number = (str(datagram["from"]), str(datagram["source"])), int(datagram["number"])
+        of, number = (publisher, str(datagram["source"])), int(datagram["number"])
         new = number > end.received.get(of, 0)
         end.received[of] = max(number, end.received.get(of, 0))
         return new
 
     def _hello(self, datagram: dict[str, Any], address: tuple[str, int]) -> None:
         before = self.programs.get(datagram["hello"])
+        appearance = next(self._appearances) if before is None else before.appearance
         now = Program(
-            datagram["hello"], address, time.monotonic(), datagram["node"], datagram["by"], datagram["record"]
-        )
+            datagram["hello"], address, time.monotonic(), appearance, datagram["node"], datagram["by"],
+            datagram["record"],
+        )  # fmt: skip
         now.ends = {
-            id_: End(id_, str(k), str(t), str(ty), bool(la), numbers=[int(n) for n in numbers])
+            id_: End(f"{id_}@{appearance}", str(k), str(t), str(ty), bool(la), numbers=[int(n) for n in numbers])
             for id_, (k, t, ty, la, numbers) in datagram["ends"].items()
         }
         self.programs[now.id] = now
@@ -247,8 +256,8 @@ class Node:
         with self._lock:
             latched = [e for e in self._ends.values() if e.kind == "sub" and e.latched]
             incomplete = [
-                pub.id
-                for pub in program.ends.values()
+                id_
+                for id_, pub in program.ends.items()
                 for sub in latched
                 if sub.topic == pub.topic and pub.numbers
                 if set(pub.numbers) - {number for (of, _), number in sub.received.items() if of == pub.id}
