@@ -18,6 +18,7 @@ import subprocess
 import sys
 import threading
 import traceback
+import weakref
 from collections.abc import Mapping, Sequence
 from typing import IO, Any, NoReturn
 
@@ -26,7 +27,9 @@ from tests.support import fork_server
 WORKERS = (
     "bridge.adapters.ros1.edge", "bridge.adapters.ros2.edge", "bridge.adapters.worker", "bridge.adapters.yarp.edge",
     "bridge.adapters.zenoh.dialects", "bridge.cli.daemon.run", "bridge.hub.router", "bridge.modules.worker",
-    "bridge.record.worker", "navigation.gateway.module", "navigation.map2d_server.module",
+    "bridge.record.worker", "navigation.base_control.module", "navigation.gateway.module",
+    "navigation.localization_server.module", "navigation.map2d_server.module", "navigation.robot_goto.module",
+    "navigation.robot_path_planner.module", "sim.simulator",
 )  # fmt: skip
 """Modules of workers to import before the daemon is forked."""
 
@@ -127,7 +130,7 @@ def _become(command: list[str], env: Mapping[str, str], stdio: Sequence[int], pa
         for number, descriptor in enumerate(stdio):
             os.dup2(descriptor, number)
         _close_others(passed)
-        atexit._clear()
+        _forget_exit_handlers()
         _forget_logging()
         os.environ.clear()
         os.environ.update(env)
@@ -167,6 +170,14 @@ def _close_others(passed: Sequence[int]) -> None:
         os.closerange(first, keep)
         first = keep + 1
     os.closerange(first, int(os.sysconf("SC_OPEN_MAX")))
+
+
+def _forget_exit_handlers() -> None:
+    """Remove the daemon's exit handlers, such as those of temporary folders; keep that of the log."""
+    atexit._clear()
+    weakref.finalize._registry.clear()  # type: ignore[attr-defined]
+    weakref.finalize._registered_with_atexit = False  # type: ignore[attr-defined]
+    atexit.register(logging.shutdown)
 
 
 def _forget_logging() -> None:
