@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 
 from bridge.daemon.heartbeat import start_heartbeat
 
 if __name__ == "__main__":
+    gc.disable()  # imports leave no garbage; `WorkerMain` enables it
     heartbeat = start_heartbeat()
     try:
         from bridge.cli.main import main

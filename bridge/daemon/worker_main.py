@@ -7,6 +7,7 @@ worker, one that outlives its daemon, and one without a daemon.
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import queue
@@ -298,6 +299,7 @@ class WorkerMain:
         try:
             working.at(f"loading the code of {self._kind.name}")
             worker = self._kind.create()
+            gc.enable()
             companion = self._companion(worker, self._kind.name)
             loop = WorkerLoop(
                 worker, self._commands, report, load=load, end_for_restart=load is not None, companion=companion

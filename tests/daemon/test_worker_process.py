@@ -104,6 +104,13 @@ def test_threads_share_two_heaps(daemon: Daemon, supervised: Supervised, alone: 
     assert daemon.events("ros1", "heaps") == [["heaps", "2"]]
 
 
+def test_the_garbage_collector_runs_again_after_the_imports(daemon: Daemon, supervised: Supervised) -> None:
+    daemon.order("ros1", "collector")
+    supervised.send(config(daemon))
+    until(lambda: bool(daemon.events("ros1", "collector")), "its state")
+    assert daemon.events("ros1", "collector") == [["collector", "True"]]
+
+
 def test_a_worker_reports_its_steps_from_the_start(daemon: Daemon, supervised: Supervised) -> None:
     assert supervised.read_any() == {"busy": "loading Python's libraries", "used": 0.0, "read": 0}
     daemon.order("ros1", "compute-at-start")

@@ -7,6 +7,7 @@ They run in real processes of the real daemon, configured by ``$MIDSPAN_WORKERS`
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import subprocess
 import sys
@@ -87,6 +88,8 @@ class Fake(Worker):
         if "child" in orders:
             child = subprocess.Popen(["sleep", "1000"])
             self._note(f"child {child.pid}")
+        if "collector" in orders:
+            self._note(f"collector {gc.isenabled()}")
         if "heaps" in orders:
             self._note(f"heaps {_heaps()}")
         if "print" in orders:
