@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +14,7 @@ from tests.peers.daemon.deployment import Deployment
 from tests.peers.daemon.midspan import MIDSPAN
 from tests.peers.peer import Peer
 from tests.peers.ros2.network import ROS2_PEER, new_domain, ros2_environment, ros2_python
+from tests.support.forks import DAEMON_AND_WORKERS
 from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
@@ -150,7 +150,7 @@ class TwoDomains:
         self.daemons = []
         for file in imported("domain_bridge", source, folder / "made"):
             placed(file, hub={"listen": listen}, state=str(folder / "state"))  # type: ignore[arg-type]
-            self.daemons.append(Process([*MIDSPAN, "run", "--config", file], dict(os.environ)))
+            self.daemons.append(Process([*MIDSPAN, "run", "--config", file], imports=DAEMON_AND_WORKERS))
         self.open += self.daemons
         for daemon in self.daemons:
             until(lambda d=daemon: "ready: " in d.output(), "the daemon is ready", 40)
