@@ -64,13 +64,25 @@ def test_the_running_daemon_has_another_domain() -> None:
     assert "the running daemon uses 23" in finding.seen
 
 
+@pytest.mark.parametrize(("mine", "result"), [("", Result.WARN), ("10.0.0.1:11811", Result.OK)])
+def test_discovery_server_of_the_running_daemon(mine: str, result: Result) -> None:
+    env = {**os.environ, "ROS_DISCOVERY_SERVER": "10.0.0.1:11811"}
+    with Process([sys.executable, "-c", "import sys; sys.stdin.read()", "midspan"], env, pipes=True) as worker:
+        until(lambda: Path(f"/proc/{worker.pid}/cmdline").read_bytes().count(b"midspan"), "it runs")
+        view = hub({"worker": "ros2", "side": "ros2", "pid": worker.pid})
+        finding = only(ros2.look_at_environment(around(environ={"ROS_DISCOVERY_SERVER": mine}, hub=view)))
+    assert finding.result is result
+    assert result is Result.OK or "not set in this shell, 10.0.0.1:11811 for the daemon" in finding.seen
+
+
 @pytest.mark.parametrize(
     ("rmw", "result"),
     [
         ("", Result.OK),
         ("rmw_fastrtps_cpp", Result.OK),
         ("rmw_zenoh_cpp", Result.WARN),
-        ("rmw_cyclonedds_cpp", Result.WARN),
+        ("rmw_cyclonedds_cpp", Result.OK),
+        ("rmw_connextdds", Result.WARN),
         ("rmw_typo_cpp", Result.FAIL),
     ],
 )

@@ -16,6 +16,8 @@ SWITCHES = {
     # the profile sets the range; ROS 2's setting would add transports
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
     "SKIP_DEFAULT_XML": "1",
+    # with ROS_DISCOVERY_SERVER: a plain client of a discovery server learns only of endpoints that match its own
+    "ROS_SUPER_CLIENT": "TRUE",
 }
 UNSET = ("ROS_LOCALHOST_ONLY", "FASTDDS_BUILTIN_TRANSPORTS", "RMW_FASTRTPS_USE_QOS_FROM_XML")
 _CURE = (

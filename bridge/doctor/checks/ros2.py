@@ -33,6 +33,7 @@ def look_at_environment(context: CheckContext) -> Findings:
     profile = next(filter(None, set_to), None)
     if profile and not Path(profile).is_file():
         findings.append(warn(f"the Fast DDS profile {profile} of this shell does not exist", "unset the variable"))
+    findings += _discovery(context)
     return findings or ok(f"domain {meant}")
 
 
@@ -44,6 +45,8 @@ def look_at_rmw(context: CheckContext) -> Findings:
     if name == "rmw_zenoh_cpp":
         cure = "nothing to do if that is intended; else unset RMW_IMPLEMENTATION"
         return warn("RMW_IMPLEMENTATION is rmw_zenoh_cpp: this shell's programs are on the hub, not on DDS", cure)
+    if name == "rmw_cyclonedds_cpp":
+        return ok("RMW_IMPLEMENTATION is rmw_cyclonedds_cpp: this shell's programs are bridged; messages use UDP")
     if name in _KNOWN_RMW:
         cure = "nothing to do for topics; only Fast DDS (rmw_fastrtps_cpp) on both ends is tested"
         return warn(f"RMW_IMPLEMENTATION is {name}: not Midspan's DDS; large messages use UDP", cure)
@@ -71,6 +74,19 @@ def _range(context: CheckContext) -> list[Finding]:
     if shell_local and not local:
         cure = "unset ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE, or set ros2.localhost_only: true"
         return [warn("this shell's ROS 2 programs only discover this machine, ros2.localhost_only is false", cure)]
+    return []
+
+
+def _discovery(context: CheckContext) -> list[Finding]:
+    """Check that this shell and the running worker use the same discovery server, or none."""
+    mine = context.environ.get("ROS_DISCOVERY_SERVER", "")
+    for document in context.hub.of_side("ros2", context.config.name):
+        environment = environment_of(context.process(document))
+        theirs = environment.get("ROS_DISCOVERY_SERVER", "")
+        if environment and mine != theirs:
+            seen = f"ROS_DISCOVERY_SERVER is {mine or 'not set'} in this shell, {theirs or 'not set'} for the daemon"
+            cure = "set it alike in this shell and for the daemon, and restart the daemon (docs/sides/ros2.md)"
+            return [warn(f"{seen}: its ROS 2 programs and the daemon may not discover each other", cure)]
     return []
 
 
