@@ -19,6 +19,9 @@ QUICK = 5.0
 """Messages per second from which a stream counts as fast: a new subscriber misses some of them anyway. Rarer messages
 may be events, which a new subscriber must not miss."""
 
+_MAX_DEPARTED = 4096
+"""Maximum number of publishers that may return."""
+
 
 @dataclass(slots=True)
 class HubSource:
@@ -73,6 +76,7 @@ class RouteSubscription:
         self._current: HubSubscription | None = None
         self._durability: Durability | None = None
         self._lost_before = self._by_lane_before = 0
+        self._departed: dict[bytes, None] = {}
         self.since = 0.0
         """Time of the last opening (monotonic seconds)."""
 
@@ -90,6 +94,19 @@ class RouteSubscription:
         self.since = time.monotonic()  # before the first message arrives
         self._current = self._subscribe(qos)
         return True
+
+    def depart(self, gid: bytes) -> None:
+        """Note that the latched messages of a publisher were dropped on the side."""
+        self._departed[gid] = None
+        while len(self._departed) > _MAX_DEPARTED:
+            del self._departed[next(iter(self._departed))]
+
+    def request_returned(self, allowed: Mapping[bytes, HubSource]) -> None:
+        """Request the cached messages of publishers that departed and may pass again; they count as received."""
+        for gid in self._departed.keys() & allowed.keys():
+            del self._departed[gid]
+            if self._current is not None and allowed[gid].latched:
+                self._current.request_again(gid, allowed[gid].endpoint.zid)
 
     def close(self) -> None:
         """Close the subscription, if any."""

@@ -137,9 +137,11 @@ class HubToSideRoute(TopicRoute):
         for gid in before.keys() - self._sources.allowed.keys():
             if before[gid].latched and self._static is None:
                 self._publishers.drop_source(gid)
+                self._subscription.depart(gid)
         self._open_publishers(self._sources.allowed.values())
         if allowed and self._demand.state is not Demand.PAUSED:
             self._receive_from(allowed)
+        self._subscription.request_returned(self._sources.allowed)
 
     def _open_publishers(self, sources: Iterable[HubSource]) -> None:
         latched = [s.endpoint.qos.depth for s in sources if s.latched]

@@ -18,13 +18,16 @@ from bridge.routing import backlog, hub_to_side, side_to_hub
 from bridge.routing.decision import RouteKey
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.edge import Endpoint, Kind, MadeBy
+from bridge.routing.hub_to_side import HubToSideRoute
 from bridge.routing.peer_watch import Lease
 from bridge.routing.route import EngineContext
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.side_to_hub import SideToHubRoute
 from bridge.routing.stall import StallDetector
 from tests.peers.fake import FakeEdge, FakeNetwork
+from tests.peers.hub.network import HubNetwork
 from tests.routing.test_route import STRING, LatchedRoute, line
+from tests.support.wait import until
 
 TOPIC = "/state"
 LATCHED = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=1)
@@ -199,3 +202,29 @@ def test_process_that_was_suspended_drops_no_message_to_the_side_before_it_looke
     latched.route.update([latched.other], [])
     latched.route.update([latched.other, latched.publisher], [])
     assert latched.network.retained() == [line("only")]
+
+
+def test_messages_of_a_hub_publisher_that_returns_are_retained_again() -> None:
+    """Its link was lost, or another daemon carried its topic meanwhile; its messages count as received."""
+    registry, network = Registry(), FakeNetwork()
+    type_, idle, lease = registry.ros2(STRING), Dispatcher("idle"), Lease()
+    lease.extend(math.inf)
+    policy = RoutePolicy(allowed=True, why="", name=TOPIC)
+    with HubNetwork() as hubs, Hub.open(hubs.settings("here")) as hub, Hub.open(hubs.settings("there")) as there:
+        context = EngineContext(
+            hub, FakeEdge(network, registry), StallDetector(), lease, cast("Any", None), idle, idle, lambda: None
+        )
+        route = HubToSideRoute(
+            RouteKey(TOPIC, STRING, type_.type_id), TOPIC, None, Conversion(type_, type_, None), policy, context
+        )
+        for text in ("first", "second"):
+            there.publisher(TOPIC, STRING, type_.type_id, LATCHED).put(line(text))
+        publishers = until(lambda: hub.graph.publishers(TOPIC)[1:] and hub.graph.publishers(TOPIC), "both")
+        route.update(publishers, [])
+        until(lambda: sorted(network.retained()) == [line("first"), line("second")], "both messages")
+        route.update(publishers[:1], [])
+        assert len(network.retained()) == 1
+        route.update(publishers, [])
+        until(lambda: sorted(network.retained()) == [line("first"), line("second")], "both messages again")
+        assert route.counters.messages == 3, "the other publisher's message is not repeated"
+        route.close()

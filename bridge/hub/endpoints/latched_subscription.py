@@ -94,8 +94,19 @@ class LatchedHubSubscription(HubSubscription):
                 self._deliver(source, message)
             missing = missing and not self._asked[zid]
         if missing:
-            for history in self._histories:
-                history.ask_session(zid)
+            self._ask(zid)
+
+    def _ask(self, zid: str) -> None:
+        for history in self._histories:
+            history.ask_session(zid)
+
+    @override
+    def request_again(self, gid: bytes, zid: str) -> None:
+        with self._lock:
+            source = self.sources.pop(gid, None)
+            if source is not None:
+                self.sources.pop_all_held(source)
+        self._ask(zid)
 
     def asked(self, zid: str) -> None:
         """Handle the start of a query for the samples that a session's publishers store; see `LatchedHistory`."""

@@ -311,6 +311,9 @@ class HubSubscription:
                 self._end_more(type_hash)
             self._on_close(self)
 
+    def request_again(self, gid: bytes, zid: str) -> None:
+        """Deliver the samples that a latched publisher of a session caches again; other publishers cache none."""
+
     def _on_sample(self, sample: zenoh.Sample) -> None:
         message = self._reader.read(sample)
         if message is None:
