@@ -41,7 +41,7 @@ class Fleet:
         zid = self.worker.hub.zid
         self.document = status("ros1", daemon="operator1", zid=zid, routes=[route("/cmd_vel", messages=153)])
         for topic, type_name in (("/cmd_vel", TWIST), ("/scan", LASER)):
-            self.worker.kept.append(self.worker.hub.publisher(topic, type_name, HASH, Qos()))
+            self.worker.endpoints.append(self.worker.hub.publisher(topic, type_name, HASH, Qos()))
         self.machine = {"name": name, "zid": "d1", "address": "tls/10.0.0.2:1", "trusted": False}
         self.robot = router("robot1", door="d2", machines=[self.machine], commands=COMMANDS)
         self.operator = router("operator1", door="d1", members=[zid, "d1"], machines=[])
@@ -77,9 +77,9 @@ def test_only_refused_calls_are_reported(midspan: Midspan, network: HubNetwork, 
     fleet.document["routes"] += [route(name, "out", kind="service", calls=count) for name, count in calls.items()]
     types = {name: GET_PLAN if name == "/plan" else SET_BOOL for name in calls}
     for name, type_name in types.items():
-        fleet.worker.kept.append(fleet.worker.hub.client(name, type_name, HASH))
+        fleet.worker.endpoints.append(fleet.worker.hub.client(name, type_name, HASH))
         if name != "/gone":
-            robot.kept.append(robot.hub.server(name, type_name, HASH, lambda _request, _done: lambda: None))
+            robot.endpoints.append(robot.hub.server(name, type_name, HASH, lambda _request, _done: lambda: None))
     output = " ".join(midspan("status").out.split())
     assert "robot1 refuses the calls of operator1 to /lamp (/midspan_ros1); 2 calls so far" in output
     assert output.count("refuses the calls") == 1  # GetPlan only reads, and /quiet and /gone have no refused calls
