@@ -93,7 +93,7 @@ class Installation:
         ]
 
     def uninstall(self) -> list[str]:
-        """Remove the files that `install` wrote, except the administrator's."""
+        """Remove the files that `install` wrote, except files that the administrator edits."""
         lines = []
         for file in self.files():
             path = self._root / file.path

@@ -83,7 +83,7 @@ class LocalListener:
         return _Address(port, first.encode(), second.encode())
 
     def admit(self, client: socket.socket, greeting: bytes) -> bool:
-        """Return whether a client's first bytes are those of a process that can read the file; respond to it if so."""
+        """Return whether a client's first bytes prove that it can read the file; respond to the client if so."""
         if self._address is None:
             return True
         if not hmac.compare_digest(greeting, self._address.of_client):
@@ -123,7 +123,7 @@ def receive(client: socket.socket, size: int) -> bytes:
 
 
 def connect(path: Path, seconds: float) -> socket.socket:
-    """Connect to the listener at a path; raises `OSError` if there is none, or if it is not this user's.
+    """Connect to the listener at a path; raises `OSError` if no listener exists, or if it belongs to another user.
 
     A Unix socket connects at once or not at all. Elsewhere this waits up to ``seconds`` for each step. The socket has
     this timeout.

@@ -73,7 +73,7 @@ class Lock:
             self._file = os.open(path, os.O_RDONLY)
 
     def try_lock(self) -> bool:
-        """Try to lock, for this process or the one that it starts; return False if another one holds the lock."""
+        """Try to lock, for this process or a process that it starts; return False if another process holds the lock."""
         try:
             _lock(self._file)
         except (BlockingIOError, PermissionError):

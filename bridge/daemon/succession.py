@@ -70,7 +70,7 @@ def _lives(pid: int) -> bool:
 
 
 def succeed(acquire: Callable[[], T]) -> T:
-    """Stop the process that started this one for a handover, if any, and acquire what it releases.
+    """Stop the process that started this process for a handover, if any, and acquire what that process releases.
 
     ``acquire`` raises `RuntimeError` while another process holds the resource; this function does so after 10 s.
     """

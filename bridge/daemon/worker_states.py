@@ -9,7 +9,7 @@ from bridge.state_machine import Machine, Table
 
 
 class Phase(Enum):
-    """The state of a worker's process; the values are those of the daemon's status document."""
+    """The state of a worker's process; the values also appear in the daemon's status document."""
 
     OFF = "off"  #: not wanted
     UNAVAILABLE = "not available"  #: this machine lacks something that it requires

@@ -56,7 +56,7 @@ class WorkerAnswer:
 
 
 class Control:
-    """Answers for one worker. Handlers run on separate threads, never on zenoh's."""
+    """Answers queries to one worker. Handlers run on separate threads, never on zenoh's threads."""
 
     def __init__(
         self, session: zenoh.Session, domain: int, daemon: str, worker: str, identity: DaemonIdentity | None = None

@@ -21,7 +21,7 @@ def identity(daemon: str, pid: int) -> bytes:
 
 
 def ask_identity(session: zenoh.Session, zid: str, seconds: float) -> tuple[str, int]:
-    """Return a router's daemon and process; ("", 0) if it is not Midspan's, or does not answer in time."""
+    """Return a router's daemon and process; ("", 0) if the router is not Midspan's, or does not answer in time."""
     for reply in session.get(identity_key(zid), timeout=seconds):
         if reply.ok is not None:
             try:

@@ -128,7 +128,7 @@ class DaemonNames:
 
 
 def own_answers(answers: Sequence[WorkerAnswer], own_session: str, own: DaemonIdentity | None) -> list[WorkerAnswer]:
-    """Return the answers to ``status`` without those of other daemons that have the own one's name."""
+    """Return the replies to ``status``, without those of other daemons with this daemon's name."""
     names = DaemonNames(answers, own_session, [own.instance] if own else ())
     return [
         answer

@@ -165,7 +165,7 @@ class RouterWorker(Worker):
 
     @override
     def reload(self, config: Config) -> bool:
-        """Take a new configuration; only the router for other machines can change while this one runs."""
+        """Apply a new configuration; while the process runs, only the router for other machines can change."""
         old = self._config
         if old is None or config.name != old.name or config.hub.indoors != old.hub.indoors:
             return False

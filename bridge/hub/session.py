@@ -202,7 +202,7 @@ class HubSession:
         return self._at_routers("members")
 
     def _peers(self) -> set[str] | None:
-        """Return those of them that are peers."""
+        """Return the sessions among them that are peers."""
         return self._at_routers("peers")
 
     def _at_routers(self, kind: str) -> set[str] | None:
@@ -290,7 +290,7 @@ class Hub:
         return bool(info.routers_zid() or info.peers_zid())
 
     def neighbours(self) -> set[str]:
-        """Return the sessions with a direct link to this one, all of this machine's programs."""
+        """Return the sessions with a direct link to this session; they belong to programs of this machine."""
         self._check_open()
         return {str(zid) for zid in self._session.info.peers_zid()}
 
@@ -381,7 +381,7 @@ class Hub:
     def ask(
         self, verb: str, params: dict[str, Any], daemon: str = "*", worker: str = "*", timeout: float = 2.0
     ) -> list[WorkerAnswer]:
-        """Query a verb of all workers, of one daemon's, or of one worker."""
+        """Query a verb of all workers, of the workers of one daemon, or of one worker."""
         self._check_open()
         return self._joined.ask(verb, params, daemon, worker, timeout)
 

@@ -1,4 +1,4 @@
-"""The parts of the configuration that the router uses beyond those of every worker."""
+"""The parts of the configuration that the router uses in addition to the parts that every worker uses."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def follow_tokens(session: zenoh.Session, keys: str, callback: Callable[[zenoh.S
 
 
 SOURCE_NUMBERS = 1 << 32
-"""How many source numbers there are; 0 follows the last one."""
+"""Number of source numbers; 0 follows the highest."""
 
 
 def source_infos(publisher: zenoh.Publisher, first: int = 0) -> Iterator[zenoh.SourceInfo]:

@@ -17,7 +17,7 @@ one of its network, a velocity of a planner that was stopped (`bridge.routing.ho
 _LATENCIES = 512
 _NUMBER = re.compile(r"\d+")
 _PAUSE = 60.0
-"""Seconds without an error after which the same one is logged again."""
+"""Seconds without an error after which the same error is logged again."""
 
 LATENCY_BOUNDS = tuple(
     int(seconds * 1e9) for seconds in (0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5)
@@ -72,7 +72,7 @@ class Counters:
         self._carried[bisect_left(CARRY_BOUNDS, took)] += 1
 
     def latency(self, nanoseconds: int) -> None:
-        """Add the time that one message took from its source's time stamp to here."""
+        """Add the time from one message's source time stamp until now."""
         self._latencies.append(nanoseconds)
         self._buckets[bisect_left(LATENCY_BOUNDS, nanoseconds)] += 1
         if nanoseconds > 0:  # the clocks of two machines differ

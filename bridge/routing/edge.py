@@ -212,7 +212,7 @@ class Edge(ABC):
 
     @abstractmethod
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """Return the conversion of a hub type to the side's; raises `bridge.messages.errors.MessageTypeError`."""
+        """Return the conversion from a hub type to the side; raises `bridge.messages.errors.MessageTypeError`."""
 
     @abstractmethod
     def learn(self, type_name: str, definition: str) -> None:

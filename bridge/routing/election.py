@@ -121,7 +121,7 @@ class Record:
         return max((c.first for c in claims), default=0)
 
     def same(self, other: Record | None) -> bool:
-        """Whether a record equals another one except for its number and acknowledgements."""
+        """Return whether two records are equal except for their numbers and acknowledgements."""
         return other is not None and replace(self, seq=0, acks={}) == replace(other, seq=0, acks={})
 
 

@@ -33,7 +33,7 @@ def may_leave(endpoint: HubEndpoint, edge: Edge) -> bool:
 
 
 def may_carry(endpoint: HubEndpoint, outcome: Outcome) -> bool:
-    """Return whether this worker, rather than another one, carries a hub publisher's messages to its network."""
+    """Return whether this worker, and no other worker, bridges a hub publisher's messages to its network."""
     return outcome.active and (endpoint.origin is None or endpoint.zid in outcome.carried)
 
 

@@ -160,7 +160,7 @@ class HubToSideRoute(TopicRoute):
         return self._context.edge.advertise(self.side_topic, self.conversion.target, self.policy.override(qos))
 
     def _follow_demand(self, allowed: Sequence[HubEndpoint]) -> None:
-        """Keep a fast stream on the hub while it has no subscriber on the side; subscribe with the first one."""
+        """Keep a fast stream on the hub while the side has no subscriber; subscribe for the first subscriber."""
         streams = self._priority is Priority.STREAM and self._publishers.latched is None
         volatile = self._publishers.volatile if streams else None
         wanted = volatile is None or volatile.has_subscribers

@@ -48,7 +48,7 @@ ALONE = 1.5
 """The same without other workers on the network: a worker that joins meanwhile waits for longer."""
 
 _ALONE_PERIOD = 0.4
-"""Seconds between two rounds if no other worker is known; the first one that joins wakes the thread at once."""
+"""Seconds between two rounds if no other worker is known; the first worker that joins wakes the thread at once."""
 
 _TURN_SECONDS = 3.0
 """Seconds without progress after which a round hangs."""
@@ -161,7 +161,10 @@ class PeerWatch:
                 self._stopping.wait(_PAUSE)
 
     def turn(self) -> None:
-        """Read the others' records, announce this worker's, and decide; raises `HubError` if the hub is closed."""
+        """Read the other workers' records, announce this worker's record, and decide.
+
+        Raises `HubError` if the hub is closed.
+        """
         now = time.monotonic()
         if self._election.outcome.active and self.lease.over:
             hang = now - self._turned

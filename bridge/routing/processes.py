@@ -1,4 +1,4 @@
-"""Names of processes, by which workers on the same machine detect at once that one has exited.
+"""Names of processes, by which workers on the same machine detect at once that a process has exited.
 
 A process is named by the machine's boot id, the PID namespace, the id and the time of its start, so a name is invalid
 on other machines and in other containers, and a reused id does not match (proc(5)).
@@ -13,7 +13,7 @@ _PROC = Path("/proc")
 
 
 def process_name(pid: int = 0) -> str:
-    """Return the name of a process, by default of this one; "" if the system has no /proc."""
+    """Return the name of a process, by default of the calling process; "" if the system has no /proc."""
     pid = pid or os.getpid()
     place, started = process_space(), _started(pid)
     return f"{place} {pid} {started}" if place and started else ""

@@ -148,7 +148,7 @@ class TopicRoute(Route):
         self._static: StaticTransforms | None = None
 
     def priority_of(self, *, latched: bool) -> Priority:
-        """Return the route's class: the rule's, else by type and latching."""
+        """Return the priority class: from the rule, or else from type and latching."""
         if self.policy.priority:
             return Priority(self.policy.priority)
         return default_priority(self.hub_topic, self.hub_type, latched=latched)
@@ -166,7 +166,7 @@ class TopicRoute(Route):
         return True
 
     def crowded_out(self) -> None:
-        """Count a message that a newer one displaced from a queue."""
+        """Count a message that a newer message displaced from a queue."""
         self.counters.dropped("queue")
 
     @property

@@ -65,7 +65,7 @@ class EngineRoutes:
         return decisions
 
     def leave_network(self) -> None:
-        """Close the routes to the hub: the network of their endpoints is unavailable, or another one."""
+        """Close the routes to the hub: their endpoints' network is unavailable, or was replaced by another."""
         self._services_to_hub.close(f"the {self._edge.side} network of the server is unavailable")
         self.topics_to_hub.close()
 

@@ -21,7 +21,7 @@ _ASK_SECONDS = 2.0
 
 
 class TypeExchange:
-    """The types that this worker publishes on the hub, and its requests for those of others."""
+    """The types that this worker publishes on the hub, and its requests for other workers' types."""
 
     def __init__(self, hub: Hub, edge: Edge, learned: Callable[[], None]) -> None:
         self._hub, self._edge, self._learned = hub, edge, learned

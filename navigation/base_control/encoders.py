@@ -35,7 +35,7 @@ class ReadingTimes:
         self._stopped = False  # whether the driver's clock has stopped
 
     def add(self, stamp_ns: int, arrival: float, now_ns: int) -> ReadingTime | None:
-        """Return the time of a reading, or None if it is not newer than the last one.
+        """Return the time of a reading, or None if it is not newer than the previous reading.
 
         ``arrival`` is in seconds of a clock that is never set; ``now_ns`` is the time that replaces a missing stamp.
         """

@@ -147,7 +147,7 @@ class WheelOdometry:
         self.now = Travelled()
 
     def restart(self) -> None:
-        """Treat the next reading as the first one, because the clock was set; keep the pose."""
+        """Treat the next reading as the first reading, because the clock was set; keep the pose."""
         self._angles = None
         self._rates.clear()
 

@@ -82,7 +82,7 @@ class Limiter:
         return _between(start, target, share)
 
     def _reach(self, start: Velocity, target: Velocity, seconds: float) -> tuple[float, float]:
-        """Return the shares of the change in driving and turning that one period allows."""
+        """Return which shares of the changes in driving and turning one period allows."""
         limits = self.limits
         change = math.hypot(target.x - start.x, target.y - start.y)
         speeding = target.speed > start.speed

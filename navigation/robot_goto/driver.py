@@ -81,7 +81,7 @@ class Driver:
     # goals
 
     def goal(self, pose: Pose, constraints: Constraints | None = None) -> None:
-        """Drive to a goal, without a stop if another one is active. Raises `ValueError` if x or y is not finite.
+        """Drive to a goal, without a stop if another goal is active. Raises `ValueError` if x or y is not finite.
 
         The pose is on the map; its theta is NaN if the heading does not matter.
         """

@@ -216,7 +216,7 @@ class CallClient:
             self._on_close(self)
 
     def _match_changed(self, status: object) -> None:
-        """Handle the first server or the loss of the last one; runs on a zenoh thread."""
+        """Handle the first server or the loss of the last server; runs on a zenoh thread."""
         keep_thread_state()
         self._since = time.monotonic()
         if not _matching(status):

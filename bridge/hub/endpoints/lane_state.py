@@ -32,7 +32,7 @@ class Joined:
 
 
 class LeavingStep(Enum):
-    """The steps until a lane is left; each leads only to the next one."""
+    """The steps until a lane is left, in their order."""
 
     DECLARED = auto()
     """The subscriber on zenoh is declared; the other session may not know it yet."""
@@ -149,7 +149,7 @@ class ZenohSubscriber:
         self._subscriber = self._declare(self._reach)
 
     def listen(self, *, everywhere: bool) -> None:
-        """Receive from all sessions, or only from this one if it has several nodes."""
+        """Receive from all sessions, or only from this session if it has several nodes."""
         with self._switching:
             if self._closed or everywhere == self.everywhere:
                 return

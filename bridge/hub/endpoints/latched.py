@@ -240,7 +240,7 @@ class LatchedHistory:
             self._listener.on_stored(reply.ok)
 
     def _on_done(self, publishers: str, zid: str) -> None:
-        """End the query of a publisher, and prepare another one if nothing of it has ever arrived."""
+        """End the query of a publisher, and prepare another query if no sample of the publisher has arrived."""
         self._listener.done(zid)
         publisher = _identity(publishers)
         with self._lock:
@@ -257,7 +257,7 @@ class LatchedHistory:
 
 
 def is_newer(number: int, seen: int | None) -> bool:
-    """Whether a source number follows another one; the numbers wrap."""
+    """Return whether one source number directly follows another; the numbers wrap."""
     return seen is None or 0 < (number - seen) % SOURCE_NUMBERS < SOURCE_NUMBERS // 2
 
 

@@ -214,7 +214,7 @@ class HubClient(CallClient):
         self._withdraw = context.graph.announce(token)
 
     def follow_variants(self, variants: Variants) -> None:
-        """Call under the other hashes that servers announce; such a client ends with this one."""
+        """Call under the other hashes that servers announce; the clients for these hashes end with this client."""
         for type_hash in variants.keys() - self._more.keys():
             key = key_variant(self._key, type_hash)
             self._more[type_hash] = _VariantClient(key, self, self._context, self._changed or nothing)

@@ -83,7 +83,7 @@ class PublisherState:
         return missing
 
     def gap(self, sample: HubSample) -> int | None:
-        """Return the number of samples missing before this one, None if it was delivered already."""
+        """Return the number of samples missing before this sample, None if it was delivered already."""
         last = self.sequence
         if last is None:
             return 0

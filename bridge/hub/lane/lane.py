@@ -150,7 +150,7 @@ class Lane:
         return inlet
 
     def refuse(self, inlet: Inlet, why: str) -> None:
-        """Close an unusable connection, and try another one later."""
+        """Close an unusable connection, and connect again later."""
         self._refuse(inlet.zid, why)
         inlet.close()
 
@@ -186,7 +186,7 @@ class Lane:
     # -- barriers ------------------------------------------------------------------------------------------------------
 
     def passed(self, zid: str, since: float) -> bool:
-        """Return whether a session knows all declarations of this one before ``since``; query it if unknown."""
+        """Return whether a session knows all declarations of this session before ``since``; query it if unknown."""
         with self._lock:
             requested, confirmed = self._barriers.get(zid, (0.0, 0.0))
             if confirmed >= since:

@@ -40,5 +40,5 @@ def prefix(key: str) -> str:
 
 
 def fits(wanted: str, key: str) -> bool:
-    """Return whether a subscription's key matches a publisher's."""
+    """Return whether the key of a subscription matches the key of a publisher."""
     return wanted == key or (wanted.endswith("/*") and prefix(wanted) == prefix(key))

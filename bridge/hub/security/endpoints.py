@@ -158,7 +158,7 @@ class _Connect(_Endpoint):
             self._start_test(pool, now)
 
     def _link(self, links: Collection[ZenohLink]) -> ZenohLink | None:
-        """Return the endpoint's link, or another one to the same machine: zenoh makes one link in each direction."""
+        """Return the link of an endpoint, or another link to the same machine: zenoh makes one in each direction."""
         matching = (link for link in links if re.split(r"[?#]", link.dst)[0] in self._addresses)
         others = (link for link in links if self._machine and link.auth_identifier == self._machine)
         return next(matching, None) or next(others, None)

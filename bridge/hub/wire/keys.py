@@ -111,7 +111,7 @@ def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
 
 
 def unpack_attachment(data: bytes) -> tuple[int, int, bytes]:
-    """Read an attachment; raises `HubWireError` where it is not rmw_zenoh's.
+    """Read an attachment; raises `HubWireError` if it has another format than rmw_zenoh.
 
     Returns:
         The sample's number (per publisher, 1 for its first), the system time of its source in nanoseconds since 1970,
