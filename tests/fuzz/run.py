@@ -85,7 +85,9 @@ def fuzz(
 ) -> Fuzzed:
     """Run a parser on a number of inputs, or fewer if these exceed the processor time in seconds."""
     if not warm(subject):
-        return Fuzzed([Finding("no good seed", subject.seeds[0], "the target rejects all seeds")], inputs)
+        _, finding = _give(subject, subject.seeds[0], trace=False)
+        reason = f"; the first:\n{finding.trouble}" if finding is not None else ""
+        return Fuzzed([Finding("no good seed", subject.seeds[0], f"the target rejects all seeds{reason}")], inputs)
     mutator = Mutator(subject.seeds, subject.tokens, subject.largest, seed)
     findings: dict[str, Finding] = {}
     seen: set[Any] = set()

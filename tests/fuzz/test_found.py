@@ -49,6 +49,7 @@ FOUND = [
     ("control", b"[" * 3000),
     ("qos", b"::,:828372036,8547792233720365807:,:,,"),
     ("ros1_requests", bytes(4 * 2000)),
+    ("tcpros_frames", b"\5\0\0\0hello"),
 ]
 
 

@@ -85,6 +85,12 @@ def test_the_engine_detects_each_kind_of_failure(word: bytes, signature: str) ->
     assert any(line.startswith(signature) and line.endswith(repr(word)) for line in engine(code).splitlines())
 
 
+def test_a_target_whose_seeds_all_fail_is_reported_with_the_traceback() -> None:
+    trouble = engine("print(run.fuzz(Subject(hungry, [b'w'], ()), 500, '1', lambda *_: None).findings[0].trouble)")
+    assert "the target rejects all seeds" in trouble
+    assert "KeyError: b'w'" in trouble
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("first", ["w", "boom"])
 def test_a_finding_is_shortened(first: str) -> None:

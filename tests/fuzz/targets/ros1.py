@@ -64,10 +64,7 @@ def _greeting() -> Subject:
 
 def _frames() -> Subject:
     """A publisher's messages received on a connection."""
-    from bridge.adapters.ros1 import connection_loop
     from bridge.adapters.ros1.topics import connection as module
-
-    connection_loop.keep_alive = lambda _sock: None  # type: ignore[assignment]  # a socket pair is no TCP connection
 
     def frame(size: int) -> bytes:
         return struct.pack("<I", size) + bytes(range(256)) * (size // 256) + bytes(size % 256)
@@ -75,7 +72,9 @@ def _frames() -> Subject:
     def parse(data: bytes) -> None:
         messages: list[bytes] = []
         with _wire(data) as sock:
-            reader = module.PublisherConnection(_Addressed(sock), "/t", "http://x/", messages.append, print, print)  # type: ignore[arg-type]
+            reader = module.PublisherConnection(
+                _Addressed.adopt(sock, math.inf), "/t", "http://x/", messages.append, print, print
+            )
             try:
                 reader._read()
             finally:
@@ -87,20 +86,14 @@ def _frames() -> Subject:
     return Subject(parse, seeds, (Ros1ProtocolError,), [struct.pack("<I", n) for n in (0, 1, 2**20, 2**31, 2**32 - 1)])
 
 
-class _Addressed:
+class _Addressed(DeadlineSocket):
     """A socket without an address that pretends to have one."""
-
-    def __init__(self, sock: socket.socket) -> None:
-        self._sock = sock
 
     def getpeername(self) -> tuple[str, int]:
         return ("127.0.0.1", 1)
 
     def getsockname(self) -> tuple[str, int]:
         return ("127.0.0.1", 2)
-
-    def detach(self) -> int:
-        return self._sock.detach()
 
 
 def _rpc_client() -> Any:
