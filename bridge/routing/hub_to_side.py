@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
 from typing_extensions import override
 
@@ -24,6 +25,7 @@ from bridge.routing.limits import MAX_PENDING, QUEUE_BYTES, QUEUE_DEPTH, Priorit
 from bridge.routing.rewrites import TF_TYPE, StaticTransforms, with_spread
 from bridge.routing.route import EngineContext, RouteSet, TopicRoute
 from bridge.routing.rules import RoutePolicy
+from bridge.routing.velocities import native_velocities, preferred, velocity_to_side
 from bridge.status import RouteStatus
 
 PENDING_SECONDS = 2.0
@@ -318,22 +320,39 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
 
     direction = "out"
     _outcome = Outcome()
+    _velocities: Collection[tuple[str, str]] = ()
+    _published: Mapping[str, Collection[str]] = {}
 
     @override
     def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # the hub's graph counts
         publishers = self._context.hub.graph.publishers()
         return {(e.topic, e.type_name) for e in publishers if may_leave(e, self._context.edge)}
 
-    def follow(self, gate: ExitGate, decisions: list[RouteDecision], outcome: Outcome) -> None:
-        """Update the routes for the hub's graph, the rules and the election; append one decision for each topic."""
-        self._outcome = outcome
+    def follow(
+        self, gate: ExitGate, endpoints: Sequence[Endpoint], decisions: list[RouteDecision], outcome: Outcome
+    ) -> None:
+        """Update the routes for both graphs, the rules and the election; append one decision for each topic."""
+        self._outcome, self._velocities = outcome, native_velocities(endpoints)
         groups = hub_groups(self._context.hub.graph.publishers())
+        published: defaultdict[str, set[str]] = defaultdict(set)
+        for key in groups:
+            published[key.topic].add(key.type_name)
+        self._published = published
         # Close ended routes first: a side may have one type per topic.
-        self._end([k for k in self._routes if k[0] not in groups], gate)
+        outdated = (
+            k
+            for k, route in self._routes.items()
+            if k[0] not in groups or self._preferred(k[0].topic, k[1], route.side_type)
+        )
+        self._end(list(outdated), gate)
         live: set[tuple[RouteKey, str]] = set()
-        for key, endpoints in groups.items():
-            self._follow(key, endpoints, gate, live, decisions)
+        for key, publishers in groups.items():
+            self._follow(key, publishers, gate, live, decisions)
         self._end([k for k in self._routes if k[0] in groups and k not in live], gate)
+
+    def _preferred(self, hub_topic: str, side_topic: str, side_type: str) -> str:
+        """Return the type of velocities that the side's nodes subscribe to instead of this one, else ""."""
+        return preferred(side_topic, side_type, self._velocities, self._published.get(hub_topic, ()))
 
     def _end(self, out_keys: list[tuple[RouteKey, str]], gate: ExitGate) -> None:
         for out_key in out_keys:
@@ -392,9 +411,15 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
             self._routes.pop(out_key).close()
             route = None
         if route is None:
-            conversion = decision.convert(lambda: edge.from_hub(key.type_name, key.type_id))
+            conversion = decision.convert(lambda: velocity_to_side(edge, key.type_name, key.type_id, policy))
             if conversion is None:
                 self._context.types.ask(key.type_name, key.type_id)
+                return
+            if other := self._preferred(key.topic, side_topic, conversion.target.name):
+                decision.refuse(
+                    f"nodes of the side subscribe to {side_topic} as {other}, which another program publishes",
+                    f"convert it by a rule: 'to: {edge.side}', 'stamped: {str('Stamped' in other).lower()}'",
+                )
                 return
             route = HubToSideRoute(key, side_topic, endpoints[0][0].origin, conversion, policy, self._context)
             self._routes[out_key] = route

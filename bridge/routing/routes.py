@@ -49,7 +49,7 @@ class EngineRoutes:
             if self._edge.services:
                 self._services_to_hub.follow(entry, endpoints, decisions)
         leaving = ExitGate(rules, self._edge.side, self._daemon, self._graph.endpoints())
-        self._topics_to_side.follow(leaving, decisions, outcome)
+        self._topics_to_side.follow(leaving, endpoints, decisions, outcome)
         if self._edge.services:
             self._services_to_side.follow(leaving, endpoints, decisions, outcome)
         self.velocities = subscribed_velocities(self._edge, endpoints, leaving, rules) if joined else frozenset()

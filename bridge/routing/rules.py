@@ -122,6 +122,7 @@ class RoutePolicy:
         priority: forced by the rule, else "".
         depth: forced by the rule, else None.
         timeout: age in seconds beyond which a command is dropped.
+        stamped: whether velocities are ``TwistStamped`` or ``Twist`` beyond the gate, None for their own type.
     """
 
     allowed: bool
@@ -134,6 +135,7 @@ class RoutePolicy:
     priority: str = ""
     depth: int | None = None
     timeout: float = 0.5
+    stamped: bool | None = None
     qos: QosOverride = field(default_factory=QosOverride)
 
     def override(self, qos: Qos) -> Qos:
@@ -208,7 +210,7 @@ class RuleSet:
             return denied or _allowed(matches_here, topic) or self._default(topic, side)
         if general:
             policy = _allowed(general, topic) or self._default(topic, side)
-            return policy if native else replace(policy, name=topic, rate=None)
+            return policy if native else replace(policy, name=topic, rate=None, stamped=None)
         if matches and self.section.default == "deny":
             return RoutePolicy(False, "rules allow it to other sides only", topic, f"add a rule that {_allows(side)}")
         # a rule for another side may have let in what is private
@@ -337,5 +339,6 @@ def _by_rule(of: str, rule: Rule, match: re.Match[str] | None, topic: str) -> Ro
         priority=rule.priority or "",
         depth=rule.depth,
         timeout=0.5 if rule.timeout is None else rule.timeout,
+        stamped=rule.stamped,
         qos=rule.qos,
     )

@@ -28,6 +28,7 @@ from bridge.routing.rewrites import TF_TYPE, StaticTransforms
 from bridge.routing.route import EngineContext, RouteSet, TopicRoute
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.stall import AgeGate
+from bridge.routing.velocities import velocity_to_hub
 from bridge.status import RouteStatus
 
 PENDING_SECONDS = 5.0
@@ -351,7 +352,7 @@ class SideToHubTopics(RouteSet[RouteKey, SideToHubRoute]):
             )
             return
         if route is None:
-            conversion = decision.convert(lambda: self._context.edge.to_hub(endpoints[0]))
+            conversion = decision.convert(lambda: velocity_to_hub(self._context.edge, endpoints[0], policy))
             if conversion is None:
                 return
             self._context.types.offer(conversion.target)

@@ -70,10 +70,34 @@ def test_a_stamped_base_is_driven(side: Side, far: HubSide, config: Callable[...
     base = side.peer()
     stamped = base.subscribe(CMD_VEL, BASES[TWIST_STAMPED])
     until(lambda: subscribers(far.hub.graph, CMD_VEL) == {TWIST_STAMPED: [side.name]}, "its form is announced", 20)
+    obstacle = Output(far, TWIST)  # of another program
     driver = Driver(far)
     until(driver.drives(base, stamped), "the base receives stamped velocities", 20)
     if side.name == "ros1":  # its master knows one type for each topic, from now on Midspan's
         return
+    obstacle.close()
     base.drop(stamped)
     plain = base.subscribe(CMD_VEL, BASES[TWIST])
     until(driver.drives(base, plain), "the base receives velocities without a stamp", 20)
+
+
+@pytest.mark.parametrize(
+    ("side", "source", "form"), [("ros1", TWIST_STAMPED, TWIST), ("ros2", TWIST, TWIST_STAMPED)], indirect=["side"]
+)
+def test_a_rule_converts_the_velocities_of_another_program(
+    side: Side, far: HubSide, config: Callable[..., Any], source: str, form: str
+) -> None:
+    """Nav2 of Kilted drives a base on ROS 1, and a planner that publishes ``Twist`` one of Kilted."""
+    side.bridge(config(rules=[{"topic": CMD_VEL, "to": side.name, "stamped": form == TWIST_STAMPED}]))
+    base = side.peer()
+    end = base.subscribe(CMD_VEL, BASES[form])
+    twist = {"linear": {"x": SPEED, "y": -0.5}, "angular": {"z": 1.5}}
+    message = {"header": {"frame_id": "map"}, "twist": twist} if source == TWIST_STAMPED else twist
+    program = Output(far, source)
+    until(lambda: (program.publish(message), base.wait(end, 1, 0.05))[1], "the base receives velocities", 20)
+    (received, *_) = base.wait(end, 1)
+    velocity = received.get("twist", received)
+    assert (velocity["linear"]["x"], velocity["linear"]["y"], velocity["angular"]["z"]) == (SPEED, -0.5, 1.5)
+    if form == TWIST_STAMPED:
+        assert received["header"]["frame_id"] == "base_link"
+        assert received["header"]["stamp"]["sec"]

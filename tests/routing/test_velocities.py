@@ -1,4 +1,4 @@
-"""A side announces on the hub which velocities its own nodes subscribe to."""
+"""A side announces on the hub which velocities its own nodes subscribe to; rules convert velocities."""
 
 from __future__ import annotations
 
@@ -7,17 +7,32 @@ from typing import Any
 
 import pytest
 
+from bridge.clock import RunClock
 from bridge.config.sections.routing import RoutingSection
+from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
+from bridge.messages.errors import ConversionError
+from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from bridge.routing.edge import MadeBy
 from bridge.routing.engine import Engine
+from bridge.routing.velocities import unstamped, with_stamp
 from tests.peers.fake import FakeEdge, FakeNetwork, Reader
 from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
+CMD_VEL = "/cmd_vel"
 TWIST, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
+
+
+REGISTRY = Registry()
+
+
+class Edge(FakeEdge):
+    """A network in memory under the name of a side that rules can name."""
+
+    side = "ros1"
 
 
 class Side:
@@ -26,13 +41,19 @@ class Side:
     def __init__(self, hubs: HubNetwork) -> None:
         self.network = FakeNetwork()
         self.hub, self.far = Hub.open(hubs.settings("side")), Hub.open(hubs.settings("far"))
-        self.engine = Engine(FakeEdge(self.network, Registry()), self.hub, RoutingSection(), "side", pytest.fail)
+        self.engine = Engine(Edge(self.network, REGISTRY), self.hub, RoutingSection(), "side", pytest.fail)
 
     def rules(self, *rules: dict[str, Any]) -> None:
         self.engine.reload(RoutingSection.model_validate({"rules": rules}))
 
     def base(self, topic: str, type_name: str, made_by: MadeBy = MadeBy.NATIVE) -> Reader:
-        return self.network.read_from(topic, type_name, Qos(), made_by, "/base", lambda *_: None)
+        self.received = list[bytes]()
+        receive = lambda payload, *_: self.received.append(payload)  # noqa: E731
+        return self.network.read_from(topic, type_name, Qos(), made_by, "/base", receive)
+
+    def program(self, type_name: str) -> HubPublisher:
+        """Advertise velocities on the hub."""
+        return self.far.publisher(CMD_VEL, type_name, REGISTRY.ros2(type_name).type_id, Qos(depth=1))
 
     def announced(self, *velocities: tuple[str, str]) -> Callable[[], bool]:
         """Return a function that returns whether exactly these are announced."""
@@ -86,3 +107,99 @@ def test_announced_velocities_end_with_the_network_of_the_side(side: Side) -> No
     side.network.restart("fake-2")
     side.base("/cmd_vel", TWIST)
     until(side.announced(("/cmd_vel", TWIST)), "the new network's subscription is announced")
+
+
+MOTION = {"linear": {"x": 0.25, "y": -0.5, "z": 0.0}, "angular": {"x": 0.0, "y": 0.125, "z": 1.5}}
+WITHOUT_STAMP = from_json(REGISTRY, TWIST, MOTION)
+WITH_STAMP = from_json(REGISTRY, STAMPED, {"header": {"stamp": {"sec": 7}, "frame_id": "base"}, "twist": MOTION})
+MESSAGES = {TWIST: WITHOUT_STAMP, STAMPED: WITH_STAMP}
+
+
+def decoded(type_name: str, cdr: bytes) -> Any:
+    """Return the velocity in a message; its header, if any, has a stamp and a frame."""
+    message = to_json(REGISTRY, type_name, cdr)
+    if type_name == TWIST:
+        return message
+    assert message["header"]["stamp"]["sec"]
+    assert message["header"]["frame_id"]
+    return message["twist"]
+
+
+FORMS = pytest.mark.parametrize(("stamped", "form"), [(True, STAMPED), (False, TWIST)])
+SENT = pytest.mark.parametrize("type_name", [TWIST, STAMPED])
+
+
+@SENT
+@FORMS
+def test_a_rule_converts_velocities_to_a_side(side: Side, stamped: bool, form: str, type_name: str) -> None:
+    side.rules({"topic": CMD_VEL, "to": "ros1", "stamped": stamped})
+    side.base(CMD_VEL, form)
+    program = side.program(type_name)
+    until(lambda: (program.put(MESSAGES[type_name]), side.received)[1], "it arrives")
+    assert decoded(form, side.received[-1]) == MOTION
+    other = side.program({TWIST: STAMPED, STAMPED: TWIST}[type_name])
+    until(lambda: len(side.engine.routes()) == 2, "programs of both forms drive")
+    assert {e.type for e in side.network.endpoints() if e.topic == CMD_VEL} == {form}, "the side has one type"
+    assert not [decision for decision in side.engine.decisions() if decision.refused]
+    other.close()
+    until(side.announced((CMD_VEL, form)), "programs on the hub follow the base")
+
+
+@SENT
+@FORMS
+def test_a_rule_converts_velocities_to_the_hub(side: Side, stamped: bool, form: str, type_name: str) -> None:
+    side.rules({"topic": CMD_VEL, "from": "ros1", "stamped": stamped})
+    received: list[bytes] = []
+    type_id = REGISTRY.ros2(form).type_id
+    side.far.subscription(CMD_VEL, form, type_id, Qos(), lambda sample: received.append(sample.data()))
+    writer = side.network.write_on(CMD_VEL, type_name, Qos(), MadeBy.NATIVE, "/joystick")
+    until(lambda: (side.network.write(writer, MESSAGES[type_name]), received)[1], "it arrives")
+    assert decoded(form, received[-1]) == MOTION
+    assert {publisher.type_name for publisher in side.far.graph.publishers(CMD_VEL)} == {form}
+
+
+def test_a_base_that_gets_the_other_form_by_a_rule_is_not_announced(side: Side) -> None:
+    side.base(CMD_VEL, STAMPED)
+    until(side.announced((CMD_VEL, STAMPED)), "the base is announced")
+    side.rules({"topic": CMD_VEL, "to": "ros1", "stamped": False})
+    until(side.announced(), "nothing reaches it")
+
+
+def test_of_two_forms_a_side_gets_the_one_that_its_nodes_subscribe_to(side: Side) -> None:
+    """A side has one type for each topic: the other one would keep out what stops its base."""
+    program = side.program(TWIST)
+    until(lambda: [route.hub_type for route in side.engine.routes()] == [TWIST], "the first one has a route")
+    base = side.base(CMD_VEL, STAMPED)
+    stamped = side.program(STAMPED)
+    until(lambda: [route.hub_type for route in side.engine.routes()] == [STAMPED], "the base's form replaces it")
+    until(lambda: (stamped.put(WITH_STAMP), side.received)[1], "it arrives")
+    (refused,) = [decision for decision in side.engine.decisions() if decision.refused]
+    assert (refused.type, refused.cure) == (TWIST, "convert it by a rule: 'to: ros1', 'stamped: true'")
+    assert f"nodes of the side subscribe to {CMD_VEL} as {STAMPED}" in refused.reason
+    stamped.close()
+    until(lambda: [route.hub_type for route in side.engine.routes()] == [TWIST], "no other program needs the name")
+    side.network.remove(base)
+    program.close()
+    until(lambda: not side.engine.routes(), "its publisher left")
+
+
+def test_a_malformed_velocity_is_not_converted() -> None:
+    clock = RunClock()
+    for size in range(len(WITHOUT_STAMP)):
+        with pytest.raises(ConversionError):
+            with_stamp(WITHOUT_STAMP[:size], clock)
+    for size in range(len(WITH_STAMP)):
+        with pytest.raises(ConversionError):
+            unstamped(WITH_STAMP[:size])
+    big_endian = b"\0\0" + WITHOUT_STAMP[2:]
+    with pytest.raises(ConversionError, match="little-endian"):
+        with_stamp(big_endian, clock)
+    frame_too_long = WITH_STAMP[:12] + b"\xff" * 4 + WITH_STAMP[16:]
+    with pytest.raises(ConversionError, match="not a velocity"):
+        unstamped(frame_too_long)
+
+
+@pytest.mark.parametrize("more", [{"deny": True}, {"kind": "service"}, {"kind": "action"}])
+def test_only_topics_that_cross_are_converted(more: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="stamped is for topics that cross"):
+        RoutingSection.model_validate({"rules": [{"topic": CMD_VEL, "stamped": True, **more}]})

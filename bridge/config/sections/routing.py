@@ -122,6 +122,9 @@ class Rule(Section):
     )
     depth: int | None = setting(None, "Length of the route's queue, and history depth.", ge=1, le=100000)
     timeout: float | None = setting(None, "Seconds after which a command is too old (default 0.5).", gt=0, le=60)
+    stamped: bool | None = setting(
+        None, "Velocities cross as `TwistStamped` (true) or as `Twist` (false), whichever of the two they were."
+    )
     qos: QosOverride = subsection(QosOverride, "QoS forced on the bridge's endpoints.")
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
@@ -162,6 +165,10 @@ class Rule(Section):
                 raise ValueError(f"rename {self.rename!r} {trouble}")
         if self.deny and (self.rename or self.rate or self.priority or self.depth or self.timeout):
             raise ValueError("a rule that denies has no rename, rate, priority, depth or timeout")
+        if self.stamped is not None and (self.deny or self.kind in ("service", "action")):
+            raise ValueError(
+                "stamped is for topics that cross; leave it out of a rule that denies, and set kind: topic"
+            )
         if self.kind in ("service", "action") and (
             self.rate or self.priority or self.depth or self.timeout or self.qos != QosOverride()
         ):
