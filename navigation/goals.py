@@ -77,14 +77,14 @@ class CurrentGoal:
         return self.goal.id if self.goal else NO_GOAL
 
     def replace(self, goal: Goal | None) -> None:
-        """End the goal and execute another one."""
+        """End the goal and execute another goal."""
         self.end(PlannerStatus(State.IDLE, "another goal replaced it", Fault.OTHER))
         self.goal = goal
         if goal is not None:
             goal.execute()
 
     def cancel(self, goal: Goal) -> bool:
-        """Handle a client's cancellation of a goal; return whether it is this one."""
+        """Handle a client's cancellation of a goal; return whether it is this goal."""
         if goal is not self.goal:
             return False
         self._loop.post(lambda: self._stop("cancelled") if goal is self.goal else None)
@@ -166,7 +166,7 @@ class FarClients:
             self._see(far, goal, self._near())
 
     def _near(self) -> set[str]:
-        """Return the sessions with a direct link, and this one, which the nodes of all modules share."""
+        """Return the sessions with a direct link, and this session, which the nodes of all modules share."""
         return self._hub.neighbours() | {self._hub.zid}
 
     def _see(self, far: _Far, goal: Goal, near: Collection[str]) -> None:

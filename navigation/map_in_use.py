@@ -1,4 +1,4 @@
-"""The map that a module uses: the store's current one, or a topic's."""
+"""The map that a module uses: the store's current map, or the map of a topic."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class Fault(IntEnum):
 
     @property
     def anywhere(self) -> bool:
-        """Whether the fault is the robot's and not the path's: another path would not help."""
+        """Whether the robot is at fault, not the path: another path would not help."""
         return self in (Fault.NO_LASER, Fault.NOT_LOCALIZED, Fault.BASE_STANDS)
 
     @classmethod

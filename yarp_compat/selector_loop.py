@@ -146,7 +146,7 @@ class SelectorLoop:
         self.wake()
 
     def wake(self) -> None:
-        """Make a running `step` return, or else the next one."""
+        """Make a running `step` return, or else the next `step`."""
         with contextlib.suppress(OSError):  # full: it will wake anyway; or closed
             self._wake_out.send(b"\0")
 

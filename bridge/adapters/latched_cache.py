@@ -23,5 +23,5 @@ class LatchedCache:
         self._sources.pop(source, None)
 
     def all(self) -> list[bytes]:
-        """Return the messages of all sources; those of the source that published last are at the end."""
+        """Return the messages of all sources, ending with the source that published last."""
         return [payload for messages in self._sources.values() for payload in messages]

@@ -30,7 +30,7 @@ class CliClient(Client):
     file: Path | None = None
 
     def daemon(self, documents: Iterable[StatusDocument] = ()) -> DaemonState:
-        """Return the state of this machine's daemon, unknown on another hub; the documents are those of the hub."""
+        """Return the state of this machine's daemon, unknown on another hub, and the documents of the hub."""
         return daemon_state(self.config, documents, self.file) if self.here else DaemonState(self.config.name)
 
 

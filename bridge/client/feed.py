@@ -191,7 +191,7 @@ class LatestMessage:
         self._received.set()
 
     def wait(self, seconds: float) -> dict[str, Any] | None:
-        """Return the newest message, None if the first one does not arrive in time."""
+        """Return the newest message, None if no message arrives in time."""
         self._received.wait(seconds)
         return self._message
 

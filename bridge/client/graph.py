@@ -24,7 +24,7 @@ _PROVIDERS = (EndpointKind.PUBLISHER, EndpointKind.SERVER)
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """One worker's decision on a topic; the fields are those of its answer to ``explain``."""
+    """One worker's decision on a topic, with the fields of the reply to ``explain``."""
 
     daemon: str
     worker: str
@@ -157,7 +157,7 @@ def _topics(client: Client, decisions: Iterable[Decision]) -> Views:
 
 
 def _calls(client: Client, middle: str) -> Iterator[tuple[str, str, HubEndpoint | Decision]]:
-    """Yield name and type of each service, those of actions included, with its endpoint or decision."""
+    """Yield name and type of each service, including services of actions, with its endpoint or decision."""
     decisions = ask_decisions(client, "", kind="service")
     client.settle()
     for endpoint in _on_hub(client, EndpointKind.SERVER, EndpointKind.CLIENT):

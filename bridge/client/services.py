@@ -126,7 +126,7 @@ def _get(replies: SimpleQueue[Any], seconds: float | None, check: Callable[[], N
 
 
 class ServiceCaller(ServiceClient):
-    """A service client with JSON values; without a type it uses the server's.
+    """A service client with JSON values; without a type it uses the type of the server.
 
     Raises `ClientError` if no server of the type appears within `WAIT_SECONDS`, or the type is unknown.
     """

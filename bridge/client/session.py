@@ -53,7 +53,7 @@ class Client:
     def ask(
         self, verb: str, params: dict[str, Any] | None = None, *, worker: str = "*", timeout: float = ASK_SECONDS
     ) -> list[WorkerAnswer]:
-        """Query all workers on the hub, or those of one name; the answers are sorted by daemon and worker."""
+        """Query all workers on the hub, or all workers of one name; the replies are sorted by daemon and worker."""
         answers = self.hub.ask(verb, params or {}, worker=worker, timeout=timeout)
         return sorted(answers, key=lambda a: (a.daemon, a.worker))
 

@@ -33,7 +33,7 @@ def document_of(answer: WorkerAnswer) -> StatusDocument:
 
 
 def daemon_names(client: Client, status: Sequence[WorkerAnswer]) -> DaemonNames:
-    """Return the names of the hub's daemons; ``status`` are all answers to ``status``, or those of the routers."""
+    """Return the names of the hub's daemons; ``status``: the replies of all workers, or of the routers."""
     config = client.config
     places = [config] if config.state else [config, config.model_copy(update={"state": SERVICE_STATE})]
     own = [identity.instance for place in places if (identity := identity_of(place)) is not None]

@@ -106,7 +106,7 @@ class VelocityPublisher:
         self.follow()
 
     def follow(self) -> None:
-        """Change to the base's form, if that is another one now."""
+        """Change to the base's message type if it has changed."""
         wanted = self._wanted()
         if wanted == self.type_name:
             return

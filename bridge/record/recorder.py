@@ -84,12 +84,12 @@ class Recorder:
         return path
 
     def pause(self) -> Path | None:
-        """Unsubscribe from all topics, and close and return the file; `begin` continues in another one."""
+        """Unsubscribe from all topics, and close and return the file; `begin` continues in another file."""
         self._recorded.pause()
         return self.split()
 
     def split(self) -> Path | None:
-        """Close and return the file, None if none is open; the next message starts another one."""
+        """Close and return the file, None if none is open; the next message starts another file."""
         path: Path | None = self._do(self._files.close)
         return path
 

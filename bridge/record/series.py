@@ -1,4 +1,4 @@
-"""The files of a recording, one after the other: when the next one begins, and what happens on a full disk."""
+"""The files of a recording, one after the other: when the next file begins, and what happens on a full disk."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _DEFINITION_SECONDS = 2.5
 
 
 class FileSeries:
-    """Writes messages into a file, and starts another one when it is over. For the writer thread.
+    """Writes messages into a file, and starts another file at its limit. For the writer thread.
 
     Args:
         place: names the files.

@@ -77,7 +77,7 @@ class Triggers:
             self._keep(why).add_done_callback(self._kept)
 
     def _kept(self, future: Future[Path | None]) -> None:
-        """Accept the next trigger at once if this one kept nothing."""
+        """Accept the next trigger at once if this trigger saved nothing."""
         if future.exception() is not None or future.result() is None:
             self._quiet_until = 0.0
 

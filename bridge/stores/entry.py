@@ -74,7 +74,7 @@ class Version:
     seen: Mapping[str, int] = field(default_factory=dict)
 
     def knows(self, other: Version) -> bool:
-        """Return whether the writer of this version knew of the other one."""
+        """Return whether the writer of this version knew of the other version."""
         return self.seen.get(other.stamp.replica, -1) >= other.stamp.ns or self.stamp == other.stamp
 
 

@@ -256,7 +256,7 @@ class StoreSync:
                     self._due.setdefault(zid, tries + 1)
 
     def _align(self, zid: str) -> bool:
-        """Merge the entries that another replica has and this one lacks; return False if it does not answer."""
+        """Merge the entries that another replica has and this replica lacks; return False if it does not answer."""
         question = json.dumps({"wire": WIRE, "digests": digests(self._replica.versions())}).encode()
         answers = self._space.ask(f"@sync/digest/{zid}", question)
         if not answers:

@@ -101,7 +101,7 @@ class PageOutbox:
                 await socket.send_text(text)
 
     def _due(self) -> list[str]:
-        """Return the commanded velocity, and the newest values of the feeds whose last one the page has drawn."""
+        """Return the commanded velocity, and the newest values of the feeds whose previous value the page has drawn."""
         with self._lock:
             due = [name for name in self._news if name not in self._drawing]
             values = [(name, *self._news.pop(name)) for name in due]

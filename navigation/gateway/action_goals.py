@@ -51,7 +51,7 @@ class ActionGoals:
             del self._to_end[next(iter(self._to_end))]
 
     def end_all(self) -> None:
-        """Cancel all goals of the server; if they are unknown, those of its next valid list."""
+        """Cancel all goals of the server; if they are unknown, cancel the goals of its next valid list."""
         for goal in self.list.active:
             self.end(goal)
         self._end_next = not (self.there and self.list.known)

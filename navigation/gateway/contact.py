@@ -21,7 +21,7 @@ class Contact:
 
     @property
     def proven(self) -> bool:
-        """Whether nothing has failed since the last proof that the server is there."""
+        """Whether nothing has failed since the server was last known to respond."""
         return self._lost_at is None
 
     def lose(self, parts: AbstractSet[bytes]) -> None:

@@ -144,7 +144,7 @@ class Gateway:
         self.execution.begin(places, client, name)
 
     def stop(self) -> str:
-        """Stop the robot: cancel all goals of the planner, also those of clients that bypass the gateway.
+        """Stop the robot: cancel all goals of the planner, including goals of clients that bypass the gateway.
 
         Returns a message; `when_confirmed` reports whether the robot stands.
         """

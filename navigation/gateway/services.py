@@ -148,7 +148,7 @@ def _serving(action: Callable[[str], str | None]) -> Callable[[dict[str, Any], A
 
 CLIENT = "a YARP client"
 _FRESH_SECONDS = 0.3
-"""A velocity that waited longer for the module's thread is refused: its client has sent another one, or stops."""
+"""A velocity that waited longer for the module's thread is refused: its client has sent another velocity, or stops."""
 
 
 class GatewayDevice(NavigationDevice):

@@ -123,7 +123,7 @@ class StoredPlaces:
         return Target(Pose(place.x, place.y, math.radians(place.theta)), frame)
 
     def known(self, place: Map2DLocation) -> Target:
-        """Return a goal at a place; raises `LookupError` if the store has maps, but not the place's."""
+        """Return a goal at a place; raises `LookupError` if the store has maps, but not the map of the place."""
         target, store = self.target(place), self.store
         if target.frame != self._frame and store is not None and target.frame not in (maps := store.names(MAP)):
             raise LookupError(f"the store does not have its map {target.frame}, but {', '.join(maps[:20])}")

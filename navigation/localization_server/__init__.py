@@ -1,4 +1,4 @@
-"""LocalizationServer: publishes the robot's pose, from Midspan's own localizer or from another one."""
+"""LocalizationServer: publishes the robot's pose, from Midspan's own localizer or from an external localizer."""
 
 from bridge.descriptors import ModuleDescriptor
 

@@ -234,7 +234,7 @@ class Localizer:
         self.updates += 1
 
     def _turned(self, covariance: Floats) -> Floats:
-        """Rotate a covariance from the field's frame to the map's."""
+        """Rotate a covariance from the field's frame to the map frame."""
         turn = np.eye(3)
         c, s = math.cos(self._corner.theta), math.sin(self._corner.theta)
         turn[:2, :2] = [[c, -s], [s, c]]

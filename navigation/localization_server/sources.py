@@ -159,7 +159,7 @@ class AmclSource(FrameSource):
 
     @override
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
-        """Send amcl every map after its first one, since it does not follow the topic."""
+        """Send amcl every map after the first, since amcl does not follow the topic."""
         first, self._grid = self._grid is None, grid
         if first or self._set_map is None:
             super().use_map(grid, start)

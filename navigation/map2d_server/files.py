@@ -77,7 +77,7 @@ class MapFiles:
     def save_map(
         self, name: str, file: str, *, image: str = "", mode: str = "", thresholds: tuple[float, float] = (0.0, 0.0)
     ) -> None:
-        """Save a map, in YARP's format if the file ends in ``.map``, else in ROS's.
+        """Save a map, in YARP's format if the file ends in ``.map``, else in the ROS format.
 
         ROS's format has images (pgm, png, bmp; "" for pgm), modes (trinary, scale, raw; "" for what the map needs) and
         thresholds for free and occupied (0 for the usual ones).

@@ -28,7 +28,7 @@ _MOST_POINTS = 10_000
 
 
 class MapIntake:
-    """Imports the maps of one topic, except those of another Map2DServer, which are in the store already."""
+    """Imports the maps of one topic, except maps of another Map2DServer, which are in the store already."""
 
     def __init__(self, host: Host, rule: TakenMap, store: Store, on_refusal: Callable[[str], None]) -> None:
         self._host, self._rule, self._store, self._on_refusal = host, rule, store, on_refusal

@@ -97,7 +97,7 @@ _GREEN, _BLUE, _ORANGE, _GREY = (
 
 
 def markers_of(store: Store, map_name: str, head: Head) -> Message:
-    """Return markers of all places on a map; the first one deletes all previous markers."""
+    """Return markers of all places on a map; the first marker deletes all previous markers."""
     markers = _Markers(head)
     for name, location in store.all(LOCATION).items():
         if location.map_id == map_name:

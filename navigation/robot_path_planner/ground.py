@@ -148,7 +148,7 @@ _FORGET_EVERY = 1.0
 
 
 class Clutter:
-    """Obstacles that are not on the map: the laser's, which fade within ``memory`` seconds, and those of layers.
+    """Obstacles that are not on the map: obstacles of the laser, which fade within ``memory`` seconds, and of layers.
 
     A layer is an array of points, (n, 2) in meters on the map; its obstacles do not fade.
     """
@@ -224,7 +224,7 @@ class Clutter:
         return mask
 
     def weights(self, *, seen: bool = True) -> Weights:
-        """Return the map's weights with all obstacles, or only with those of the layers."""
+        """Return the map's weights with all obstacles, or only with obstacles of the layers."""
         closed = self.closed() if seen else self.closed_by_layers
         weights: Weights = np.where(closed, np.uint8(0), self._ground.weights)
         return weights

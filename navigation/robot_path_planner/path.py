@@ -310,7 +310,7 @@ class DriveTask:
 
     @property
     def last(self) -> bool:
-        """Whether the current waypoint is the last one."""
+        """Whether the current waypoint is the last waypoint."""
         return self.index == len(self.waypoints) - 1
 
 

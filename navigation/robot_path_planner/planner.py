@@ -89,7 +89,7 @@ class PathPlanner:
 
     @property
     def recoveries(self) -> int:
-        """How often the path was blocked and another one was tried."""
+        """How often the path was blocked and another path was tried."""
         return self.task.recoveries if self.task else 0
 
     @property
@@ -105,7 +105,7 @@ class PathPlanner:
         return length(self._ahead(pose)) if task.waypoints else pose.distance(task.goal.pose)
 
     def use_map(self, ground: Ground | None) -> None:
-        """Plan on another map from now on, or on a new version of this one."""
+        """Plan on another map from now on, or on a new version of this map."""
         before, self.ground = self.ground, ground
         self._forget_clutter()
         task = self.task
@@ -365,7 +365,7 @@ class PathPlanner:
         self._set_out(task, now, pose, local, alternative)
 
     def _recover(self, task: DriveTask, now: float, pose: Pose, reason: str) -> None:
-        """Handle a failure of the local navigator: try another path, or this one again."""
+        """Handle a failure of the local navigator: try another path, or the same path again."""
         self._count(task, pose)
         if task.attempts >= self.settings.recoveries:
             tried = f"; aborted after {task.attempts} more attempts" if task.attempts else ""

@@ -96,7 +96,7 @@ def write(address: Address, name: str | None = None, environment: Mapping[str, s
 
 
 def parse(text: str) -> Address:
-    """Parse either form of the file; raises `NamingConfigError` for another one."""
+    """Parse either form of the file; raises `NamingConfigError` for any other text."""
     parts = re.split(r'["\s]+', text.strip().strip('"'))
     fields = _old_form(text) if parts[0].startswith("[") else parts
     if len(fields) < 2 or not fields[0]:

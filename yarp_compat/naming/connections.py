@@ -138,7 +138,7 @@ WORKERS = 4
 MAX_WAITING = 10_000
 STEP_TIMEOUT = 3.0  # seconds for each step of making a connection
 PAUSES = (0.0, 0.5, 2.0, 8.0)
-"""Seconds before each attempt. After the last one, a missing port is connected when it announces itself again."""
+"""Seconds before each attempt. After the last attempt, a missing port is connected when it announces itself again."""
 
 
 class Connector:

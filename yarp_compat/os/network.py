@@ -248,7 +248,7 @@ class Network:
 
     @staticmethod
     def getConnectionQos(src: str, dest: str, srcStyle: QosStyle, destStyle: QosStyle, quiet: bool = True) -> bool:
-        """Fill two styles with those of a connection, as its two ends report them."""
+        """Fill two styles with the styles that the two ends of a connection report."""
 
         def read_end(port: str, other: str, style: QosStyle) -> bool:
             reply = Bottle()

@@ -14,7 +14,7 @@ YARP_CLOCK_CUSTOM = 3
 
 
 class Clock(Protocol):
-    """A clock other than the system's."""
+    """A clock other than the system clock."""
 
     @property
     def is_valid(self) -> bool:
@@ -31,7 +31,7 @@ class Clock(Protocol):
 
 
 class _InUse:
-    """The clock in use: a network clock, or None for the system's."""
+    """The clock in use: a network clock, or None for the system clock."""
 
     clock: Clock | None = None
     lock = threading.Lock()

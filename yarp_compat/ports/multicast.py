@@ -159,7 +159,7 @@ class SendingGroups:
         return group
 
     def leave(self, group: SendingGroup) -> None:
-        """Remove one reader; the last one releases the group."""
+        """Remove one reader; the removal of the last reader releases the group."""
         with self._lock:
             group.readers -= 1
             if group.readers > 0:

@@ -91,7 +91,7 @@ class ByteStream:
         return memoryview(memory)
 
     def _memory(self, length: int) -> bytearray:
-        """Return memory for a large message: the last one's, if it has the right size and is no longer referenced."""
+        """Return memory for a large message: the last message's, if it has the right size and is no longer used."""
         spare, self._spare = self._spare, bytearray()
         if len(spare) == length:
             try:

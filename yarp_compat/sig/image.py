@@ -263,7 +263,7 @@ class Image(Raster, Comparable, Portable):
         self.__dict__, alt.__dict__ = alt.__dict__, self.__dict__
 
     def move(self, alt: Image) -> None:
-        """Move another image's content into this one, which leaves the other empty."""
+        """Move another image's content into this image; the other image is then empty."""
         self.swap(alt)
         alt._place(0, 0, 0, memoryview(bytearray()))
 

@@ -87,7 +87,7 @@ class Matrix(Comparable, Portable):
         return type(self)(self._values[r1 : r2 + 1, c1 : c2 + 1])
 
     def setSubmatrix(self, other: Matrix, row: int, col: int) -> bool:
-        """Copy another matrix into this one; return False if it does not fit."""
+        """Copy another matrix into this matrix; return False if it does not fit."""
         return self._set_block(other.numpy(), row, col)
 
     def removeRows(self, first_row: int, how_many: int) -> Self:

@@ -204,7 +204,7 @@ class VectorOf(Comparable, Portable):
         return type(self)()
 
     def setSubvector(self, position: int, other: VectorOf) -> bool:
-        """Copy another vector's elements into this one; return False if they do not fit."""
+        """Copy another vector's elements into this vector; return False if they do not fit."""
         if position < 0 or position + len(other) > self._count:
             return False
         self._writable()[position : position + len(other)] = other.numpy()

@@ -33,7 +33,7 @@ def available(config: Config) -> str:
 
 
 def master_uri(config: Config, environ: Mapping[str, str]) -> str:
-    """Return the master's URI: the embedded or configured one, else the environment's, else rosgraph's default."""
+    """Return the master's URI: embedded, configured, from the environment, or else rosgraph's default."""
     return config.ros1.embedded_uri or config.ros1.master or environ.get("ROS_MASTER_URI") or DEFAULT_MASTER
 
 
@@ -57,7 +57,7 @@ def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, 
 
 
 def _python_folders(environ: Mapping[str, str]) -> tuple[list[str], list[str]]:
-    """Return the folders of PYTHONPATH with ROS 1's packages, and all others except those with ROS 2's.
+    """Return the folders of PYTHONPATH with ROS 1 packages, and all other folders without ROS 2 packages.
 
     The former are not on the worker's path: other packages in them, such as the system's NumPy, would shadow Midspan's.
     """

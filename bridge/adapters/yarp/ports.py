@@ -94,7 +94,7 @@ class OwnPorts:
         ]
 
     def peers(self) -> set[str]:
-        """Return all ports that write to Midspan's, and those with a held message."""
+        """Return all ports that write to Midspan's ports, and all ports with a held message."""
         peers = set[str]()
         for port in list(self.own.values()):
             if port.input_port is not None:

@@ -192,7 +192,7 @@ class PortCaller:
         return self._bottles.reply_to_hub(reply, profile)
 
     def finish(self, call: _PortCall, core: PortCore | None) -> None:
-        """Remove a finished call; its connection may be reused by the next one."""
+        """Remove a finished call; the next call may reuse its connection."""
         with self._lock:
             self._calls.discard(call)
             keep = core is not None and not self._closed and len(self._idle) < _IDLE

@@ -136,7 +136,7 @@ class InputPort:
                     self._changed.notify_all()
 
     def _next(self) -> tuple[str, PortMessage, Deliver] | None:
-        """Return a held message that can be delivered; its peer's next one waits until that is done."""
+        """Return a held message that can be delivered; the peer's next message waits until then."""
         now, deliver = time.monotonic(), self._deliver
         if deliver is None:
             return None
@@ -192,7 +192,7 @@ class TopicOutput:
         return publisher
 
     def remove(self, publisher: YarpPublisher) -> bool:
-        """Remove a closed publisher; return whether it was the last one."""
+        """Remove a closed publisher; return whether it was the last publisher."""
         with self._lock:
             if publisher in self._publishers:
                 self._publishers.remove(publisher)

@@ -207,7 +207,7 @@ class KeyEdge(SideEdge):
 
     @override
     def is_own_network(self, origin: Origin) -> bool:
-        """Return whether the origin's session is this one or another on this network."""
+        """Return whether the origin's session is this session or another session on this network."""
         neighbours = self._presence
         return origin.side == self.side and (neighbours is None or neighbours.is_own(origin.network))
 

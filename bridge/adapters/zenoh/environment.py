@@ -19,5 +19,5 @@ def enabled(config: Config) -> Enabled:
 
 
 def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:  # noqa: ARG001 - same signature for every side
-    """Return the environment of a zenoh worker, derived from its parent's."""
+    """Return the environment of a zenoh worker, derived from the environment of its parent."""
     return {**environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}  # prevents the ROS wheels from restarting Python

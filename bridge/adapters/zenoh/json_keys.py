@@ -80,7 +80,7 @@ class JsonKeysEdge(KeyEdge):
 
     @override
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """Return the conversion to JSON; as JSON has field names, the definition must equal the publisher's."""
+        """Return the conversion to JSON. Since JSON has field names, the publisher must use the same definition."""
         known = self._own_type(type_name, type_hash)
         return Conversion(known, known, cdr_to_text(self._registry, type_name))
 

@@ -128,7 +128,7 @@ class _Beacon:
 
 
 class Aloha:
-    """Receives the beacons of native bridges and sends Midspan's; thread-safe.
+    """Receives the beacons of native bridges and sends Midspan's own beacons; thread-safe.
 
     ``changed`` is called when a topic appears or disappears, ``newcomer`` when a bridge starts to announce a
     subscription, with the topic and whether the bridge is the first one.

@@ -167,7 +167,7 @@ class Ros2ddsEdge(KeyEdge):
 
     @override
     def caller(self, name: str, side_type: SideType) -> KeyCaller:
-        """Return a client of a key; each request has an id, like those of the plugin's clients."""
+        """Return a client of a key; each request has an id, like the requests of the plugin's clients."""
         key = self._key(name)
         client = secrets.token_bytes(8)
 

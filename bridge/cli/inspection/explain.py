@@ -146,7 +146,7 @@ def _decisions(everything: Sequence[Decision], topic: str) -> list[Decision]:
 
 
 def _connections(answers: Sequence[WorkerAnswer], names: set[str]) -> list[tuple[WorkerAnswer, ConnectionStatus]]:
-    """Return the connections of topics with one of the names, also those of an action's topics on ROS 1."""
+    """Return the connections of topics with one of the names, including topics of an action on ROS 1."""
     actions = {split(name)[0] for name in names if split(name)[1]}
     return [
         (answer, connection)

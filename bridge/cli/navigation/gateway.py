@@ -36,7 +36,7 @@ def _documents(answers: Iterable[WorkerAnswer]) -> list[StatusDocument]:
 
 
 def check_daemon(client: CliClient) -> None:
-    """Raise `CliError` if the daemon is down and no other one has a gateway: there is nothing to wait for."""
+    """Raise `CliError` if the daemon is down and no other daemon has a gateway, since waiting would be useless."""
     state = client.daemon()
     if state.trouble:
         client.settle()

@@ -1,4 +1,4 @@
-"""``midspan config`` and ``midspan import``: configuration files, and the conversion of another bridge's."""
+"""``midspan config`` and ``midspan import``: configuration files, and the conversion of other bridges' files."""
 
 from __future__ import annotations
 

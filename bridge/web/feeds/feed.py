@@ -107,7 +107,7 @@ Make = Callable[[str], Feed]
 
 
 class Feeds:
-    """All feeds of the console by name; those of topics (``topic:/name``) are created on request.
+    """All feeds of the console by name; feeds of topics (``topic:/name``) are created on request.
 
     Args:
         fixed: the feeds that always exist.

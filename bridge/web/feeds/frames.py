@@ -33,7 +33,7 @@ class FrameFollower:
         return self._frames
 
     def begin(self) -> None:
-        """Add a user; the first one subscribes."""
+        """Add a user; the first user causes the subscription."""
         self._users += 1
         if self._frames is None:
             section = self._config.navigation
@@ -42,7 +42,7 @@ class FrameFollower:
             self._frames.listen()
 
     def end(self) -> None:
-        """Remove a user; the last one unsubscribes."""
+        """Remove a user; without users, unsubscribe."""
         self._users -= 1
         if not self._users:
             self.frames.unsubscribe()

@@ -11,7 +11,7 @@ from bridge.web.feeds.feed import Feed
 
 
 class PatrolFeed(Feed):
-    """``patrol``: the current patrol, or how the last one ended."""
+    """``patrol``: the current patrol, or how the last patrol ended."""
 
     def __init__(self) -> None:
         super().__init__("patrol")

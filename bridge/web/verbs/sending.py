@@ -118,7 +118,7 @@ class Sending:
 
 
 def list_services(client: Client) -> list[dict[str, Any]]:
-    """Return the value of ``services``: services with a server or client on the hub, except those of actions."""
+    """Return the value of ``services``: services with a server or client on the hub, except services of actions."""
     services: dict[tuple[str, str], dict[str, Any]] = {}
     ends = {EndpointKind.SERVER: "servers", EndpointKind.CLIENT: "clients"}
     for end in client.hub.graph.endpoints():

@@ -81,7 +81,7 @@ def test_migrate_reports_what_remains_to_do(tmp_path: Path, capsys: pytest.Captu
     assert main(["config", "migrate", str(file)]) == 3
     errors = capsys.readouterr().err
     assert "moved hub.listen to hub.open.listen" in errors
-    assert f"{file}:1:15: hub.listen: no longer defines who may command" in errors
+    assert f"{file}:1:15: hub.listen: no longer decides who may send commands" in errors
     assert "has no TLS" in errors
     file.write_text("version: 7\n")
     assert main(["config", "migrate", str(file)]) == 1

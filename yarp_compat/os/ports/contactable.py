@@ -336,7 +336,7 @@ class Contactable:
     # -- a lock that callbacks hold -----------------------------------------------------------------------------------
 
     def setCallbackLock(self, mutex: Any = None) -> bool:
-        """Hold a lock during readers and callbacks: this one, or by default a new one."""
+        """Hold a lock during readers and callbacks: the given lock, or by default a new lock."""
         self._callback_lock = threading.RLock() if mutex is None else mutex
         return True
 

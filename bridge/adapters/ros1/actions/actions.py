@@ -1,4 +1,4 @@
-"""The actions of one ROS 1 edge: discovers and calls those of ROS 1, and serves those of the hub."""
+"""The actions of one ROS 1 adapter: discovers and calls ROS 1 actions, and serves the hub's actions."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def topics_of(name: str, type_: str) -> dict[str, str]:
 
 
 def find(look: MasterState, own: str) -> FoundActions:
-    """Return the actions in a master's state, without those of the node ``own``."""
+    """Return the actions in a master's state, without the actions of the node ``own``."""
     published = _by_node(look.publishers, own)
     subscribed = _by_node(look.subscribers, own)
     servers: dict[str, list[FoundServer]] = defaultdict(list)
@@ -102,7 +102,7 @@ def _type(name: str, types: Mapping[str, str]) -> str:
 
 
 def is_native(server: FoundServer, facts: Mapping[Registration, Facts]) -> bool | None:
-    """Return whether a server is native and not Midspan's; None until it has responded."""
+    """Return whether a server is native, not made by Midspan; None until it has responded."""
     known = [facts.get(server.link(part)) for part in FROM_SERVER]
     return None if None in known else all(f is not None and f.native for f in known)
 

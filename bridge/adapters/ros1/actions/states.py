@@ -88,5 +88,5 @@ def uuid_in(text: str) -> bytes | None:
 
 
 def uuid_of(action: str, text: str) -> bytes:
-    """Return the UUID of any ROS 1 id; always the same one."""
+    """Return the UUID of any ROS 1 id, always the same for one id."""
     return uuid_in(text) or uuid.uuid5(_SPACE, f"{action} {text}".encode(errors="surrogateescape").hex()).bytes

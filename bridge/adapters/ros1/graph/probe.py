@@ -317,7 +317,7 @@ class Follower(ABC, Generic[AnyEnd]):
             self.follow()
 
     def follow(self, name: str = "") -> None:
-        """Inform all ends, or those of one name."""
+        """Inform all ends, or the ends of one name."""
         with self._lock:
             ends = [end for end in self._ends if name in ("", end.name)]
         if not ends:

@@ -244,7 +244,7 @@ class MasterApi:
         return [1, message, count]
 
     def _register(self, kind: Kind, key: str, node: str, api: str, service_api: str = "") -> None:
-        """Register a node; if it replaces another one of the same name, shut that one down."""
+        """Register a node; if it replaces another node of the same name, shut the other node down."""
         now = time.monotonic()
         if self._replaced:
             self._replaced = {link: at for link, at in self._replaced.items() if now - at < REPLACED_SECONDS}

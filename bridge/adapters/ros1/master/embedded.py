@@ -24,7 +24,7 @@ _QUICK = (
     "registerPublisher", "unregisterPublisher", "registerSubscriber", "unregisterSubscriber", "registerService",
     "unregisterService", "lookupService", "lookupNode", "setParam", "hasParam", "searchParam", "getUri", "getPid",
 )  # fmt: skip
-"""Methods whose replies are short, unlike those of ``getParam`` or ``getSystemState``."""
+"""Methods with short replies; ``getParam`` and ``getSystemState`` have long replies."""
 
 _DISTRIBUTION = {"/rosdistro": "noetic\n", "/rosversion": "1.16.0\n"}
 """Parameters that roscore sets, the last release's values."""

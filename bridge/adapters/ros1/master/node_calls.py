@@ -38,7 +38,7 @@ class _Call(NamedTuple):
 
 
 class _Queue:
-    """The calls that wait for one address; the key of a call names what a newer one replaces."""
+    """The calls that wait for one address; a newer call replaces a waiting call with the same key."""
 
     def __init__(self) -> None:
         self.calls: dict[tuple[str, ...], _Call] = {}
@@ -149,7 +149,7 @@ class NodeCalls:
             del self._queues[api]
 
     def _requeue(self, queue: _Queue, key: tuple[str, ...], call: _Call) -> None:
-        """Put a failed call in front again, unless a newer one has replaced it."""
+        """Put a failed call in front again, unless a newer call has replaced it."""
         with self._lock:
             if key not in queue.calls:
                 queue.calls = {key: call, **queue.calls}

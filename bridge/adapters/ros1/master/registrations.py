@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 MAX_REGISTRATIONS = 200_000
 MAX_TYPES = 100_000
-"""Number of topic types beyond which those of topics without nodes are dropped."""
+"""Number of topic types beyond which the types of topics without nodes are dropped."""
 
 
 class Kind(Enum):
@@ -55,7 +55,7 @@ class Removal(NamedTuple):
 
 
 class RegistrationsFullError(Exception):
-    """There are too many registrations for another one."""
+    """There are too many registrations to add another."""
 
 
 class Registrations:

@@ -1,4 +1,4 @@
-"""A plain node, as any ROS 1 program has: topics of raw messages, also those of a Midspan."""
+"""A plain node, as any ROS 1 program has: topics of raw messages, including topics of a Midspan."""
 
 from __future__ import annotations
 

@@ -142,7 +142,7 @@ class MirroredNode:
         return True
 
     def _on_values(self, names: Sequence[str], response: Mapping[str, Any]) -> bool:
-        """Compare the node's values with ROS 1's and with those of the last comparison."""
+        """Compare the node's values with the values in ROS 1 and with the values of the last comparison."""
         values = [ParameterValue.read(value) for value in response["values"]]
         if len(values) != len(names):
             # rclcpp and rclpy return no values if any of the parameters was declared but never set.

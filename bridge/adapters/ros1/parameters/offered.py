@@ -1,4 +1,4 @@
-"""Parameters that ROS 1 owns, served on the hub as those of a ROS 2 node."""
+"""Parameters that ROS 1 owns, served on the hub as parameters of a ROS 2 node."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ class OfferedNode:
         return _no(f"ROS 1's master rejects {', '.join(refused)}") if refused else {"successful": True, "reason": ""}
 
     def _place(self, name: str) -> tuple[ParameterNames, str] | None:
-        """Return the rule that shares a name, and the part of the name after the rule's."""
+        """Return the rule that shares a name, and the part of the name after the prefix of the rule."""
         for names in self._names:
             path = names.rest(name)
             if path is not None:

@@ -37,7 +37,7 @@ class Ros1Publisher:
         self._publication.drop_source(source)
 
     def close(self) -> None:
-        """Close the publisher; the last one of a topic unregisters it. Safe to call twice."""
+        """Close the publisher; the last publisher of a topic unregisters the topic. Safe to call twice."""
         if self._closed:
             return
         self._closed = True

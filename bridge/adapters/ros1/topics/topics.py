@@ -1,4 +1,4 @@
-"""The topics of a ROS 1 graph: native publishers and subscribers, and Midspan's."""
+"""The topics of a ROS 1 graph: native publishers and subscribers, and Midspan's own."""
 
 from __future__ import annotations
 
