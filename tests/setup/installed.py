@@ -37,7 +37,7 @@ class Installed:
     def environ(self) -> dict[str, str]:
         """The environment of its programs, without references to the checkout."""
         kept = {k: v for k, v in os.environ.items() if k in ("LANG", "LC_ALL", "MIDSPAN_TEST_RUN", "TMPDIR")}
-        return {**kept, "PATH": f"{self.bin}:/usr/bin:/bin", "HOME": str(self.folder), "PYTHONDONTWRITEBYTECODE": "1"}
+        return {**kept, "PATH": f"{self.bin}:/usr/bin:/bin", "HOME": str(self.folder)}
 
     def pip(self, *words: str) -> None:
         """Run the tests' pip on it."""
