@@ -14,7 +14,8 @@ from bridge.hub.endpoints.publisher import NO_LANE, EndpointContext
 from bridge.hub.endpoints.variants import Variants
 from bridge.hub.errors import HubWireError
 from bridge.hub.graph import HubGraph
-from bridge.hub.wire.keys import key_variant, unpack_attachment
+from bridge.hub.wire.buffers import BUFFER_TYPES, CPU_BACKEND, group_key
+from bridge.hub.wire.keys import GID_SIZE, key_variant, ros_type_name, unpack_attachment
 from bridge.hub.zenoh_compat import keep_thread_state, subscribe, undeclare
 from bridge.resources import LARGE_MESSAGES
 
@@ -63,13 +64,18 @@ class HubSample:
 
 
 class PublisherState:
-    """A subscription's state of one publisher; a ``paired`` one is ours, and may send over both transports at once."""
+    """A subscription's state of one publisher.
 
-    __slots__ = ("held", "paired", "sequence", "time_ns", "zid")
+    Attributes:
+        paired: it is ours, and may send over both transports at once.
+        sparse: it counts samples that it sends to others, so that gaps are no losses.
+    """
+
+    __slots__ = ("held", "paired", "sequence", "sparse", "time_ns", "zid")
 
     def __init__(self, zid: str) -> None:
         self.zid = zid
-        self.paired = False
+        self.paired = self.sparse = False
         self.sequence: int | None = None
         self.time_ns = 0
         self.held: dict[int, HubSample] = {}
@@ -92,7 +98,7 @@ class PublisherState:
             again = sample.sequence == last and sample.source_time_ns == self.time_ns
             return None if again or 0 < sample.source_time_ns <= self.time_ns else 0
         missing = sample.sequence - last - 1
-        return missing if missing < _MAX_GAP else 0
+        return missing if missing < _MAX_GAP and not self.sparse else 0
 
 
 class PublisherStates(dict[bytes, PublisherState]):
@@ -275,8 +281,11 @@ class HubSubscription:
         self._undeclare = self._declare(context, key)
         self._key, self._context = key, context
         self._more: dict[str, Callable[[], None]] = {}  # by type hash
+        self._type_name = ros_type_name(key.split("/")[-2])
+        self._withdraw: Callable[[], None] | None = None
+        self._token, self._end_group = token, self._join_group() if self._type_name in BUFFER_TYPES else None
         context.variants.add(self, token)
-        self._withdraw = context.graph.announce(token)
+        self._announce()
 
     def _declare(self, context: EndpointContext, key: str) -> Callable[[], None]:
         """Subscribe on zenoh; return a function that ends it.
@@ -285,12 +294,41 @@ class HubSubscription:
         """
         return partial(undeclare, subscribe(context.session, key, self._on_sample, context.reach))
 
+    def _join_group(self) -> Callable[[], None]:
+        """Subscribe to the topic's CPU group on zenoh; return a function that ends it."""
+        context, key = self._context, group_key(self._key)
+        return partial(undeclare, subscribe(context.session, key, self._on_grouped, context.reach))
+
+    def _on_grouped(self, sample: zenoh.Sample) -> None:
+        """Handle a sample of the CPU group: its publisher also counts what it publishes on other keys."""
+        if sample.attachment is not None:
+            gid = sample.attachment.to_bytes()[-GID_SIZE:]
+            with self._lock:
+                source = self.sources.get(gid) or self.sources.add(gid)
+                source.sparse = True
+        self._on_sample(sample)
+
+    def _announce(self) -> None:
+        """Announce the subscription, in the CPU group if it is in it, instead of as before."""
+        if self._withdraw is not None:
+            # the old token goes first: releases before Lyrical do not distinguish the two
+            self._withdraw()
+        token = self._token if self._end_group is None else f"{self._token}/{CPU_BACKEND}"
+        self._withdraw = self._context.graph.announce(token)
+
     def _declare_more(self, key: str) -> Callable[[], None]:
         """Subscribe to a further key on zenoh; return a function that ends it."""
         return partial(undeclare, subscribe(self._context.session, key, self._on_sample, self._context.reach))
 
     def follow_variants(self, variants: Variants) -> None:
-        """Subscribe under the other hashes that publishers announce."""
+        """Subscribe under the other hashes that publishers announce, and in the CPU group if one has buffers."""
+        if self._end_group is None and self._context.graph.has_buffers(self.topic, self._type_name):
+            self._end_group = self._join_group()
+            if self._withdraw is not None:
+                self._announce()
+            if self._reader.closed and self._withdraw is not None:
+                self._withdraw()
+                self._end_group()
         for type_hash in variants.keys() - self._more.keys():
             self._more[type_hash] = self._declare_more(key_variant(self._key, type_hash))
         for type_hash in self._more.keys() - (() if self._reader.closed else variants.keys()):
@@ -305,8 +343,11 @@ class HubSubscription:
         """Stop receiving. Safe to call twice."""
         if self._reader.close():
             self._context.variants.remove(self)
-            self._withdraw()
+            if self._withdraw is not None:
+                self._withdraw()
             self._undeclare()
+            if self._end_group is not None:
+                self._end_group()
             for type_hash in tuple(self._more):
                 self._end_more(type_hash)
             self._on_close(self)

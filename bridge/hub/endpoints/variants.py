@@ -3,7 +3,8 @@
 A key ends with the hash of its type (`bridge.hub.wire.keys`), which differs between releases of ROS 2. An endpoint uses
 the key with its own hash, and the keys with the other hashes of its counterparts: subscriptions for a publisher,
 publishers for a subscription, servers for a client. At present `NO_HASH` (Humble) is the only other hash. A publisher
-or subscription uses a variant while the graph has such a counterpart.
+or subscription uses a variant while the graph has such a counterpart. Subscriptions also have the key of the CPU group
+(`bridge.hub.wire.buffers`).
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class KeyVariants:
 
     def __init__(self, graph: HubGraph, executor: SerialExecutor) -> None:
         self._graph, self._executor = graph, executor
-        self._endpoints: dict[VariedEndpoint, KindOfEndpoint] = {}
+        self._endpoints: dict[VariedEndpoint, KindOfEndpoint | None] = {}
         self._lock = Lock()
         self._version = 0
         self.close: Callable[[], None] = graph.watch(self._graph_changed)
@@ -52,9 +53,8 @@ class KeyVariants:
         """Add an endpoint's key variants, before its token announces it; then follow the graph."""
         about = parse_token(token)
         assert isinstance(about, EndpointToken)
-        if about.type_hash in (NO_HASH, UNKNOWN_HASH):  # the latter's key covers all hashes
-            return
-        counterpart = _COUNTERPARTS[about.kind], about.topic, about.type_name
+        covered = about.type_hash in (NO_HASH, UNKNOWN_HASH)  # the latter's key covers all hashes
+        counterpart = None if covered else (_COUNTERPARTS[about.kind], about.topic, about.type_name)
         with self._lock:
             self._endpoints[endpoint] = counterpart
             endpoint.follow_variants(_variants(self._graph.hashless(), counterpart))
@@ -64,7 +64,7 @@ class KeyVariants:
         self._endpoints.pop(endpoint, None)
 
     def _graph_changed(self) -> None:
-        version = self._graph.hashless_version
+        version = self._graph.variants_version
         if version != self._version:
             self._version = version
             self._executor.submit(self._follow)
@@ -76,5 +76,5 @@ class KeyVariants:
                 endpoint.follow_variants(_variants(hashless, counterpart))
 
 
-def _variants(hashless: Mapping[KindOfEndpoint, bool], counterpart: KindOfEndpoint) -> Variants:
-    return {NO_HASH: hashless[counterpart]} if counterpart in hashless else {}
+def _variants(hashless: Mapping[KindOfEndpoint, bool], counterpart: KindOfEndpoint | None) -> Variants:
+    return {} if counterpart is None or counterpart not in hashless else {NO_HASH: hashless[counterpart]}

@@ -3,7 +3,7 @@
 A node's token is ``@ros2_lv/<domain>/<zid>/<node id>/<id>/NN/<enclave>/<namespace>/<node>``, an endpoint's token
 has ``MP``, ``MS``, ``SS`` or ``SC`` instead of ``NN``, followed by ``/<name>/<type>/<hash>/<qos>`` (rmw_zenoh_cpp,
 liveliness_utils.cpp). Later releases append parts: since rmw_zenoh_cpp 0.10.5 (Lyrical), ``/backends:cpu:`` for a
-volatile endpoint whose type has variable-length arrays of primitives. Midspan ignores these parts, except that they
+volatile endpoint whose type has buffers (`bridge.hub.wire.buffers`). Midspan ignores other parts, except that they
 enter the GID: the 128-bit XXH3 of the whole key, low half first.
 
 Midspan's workers also announce the foreign network that they bridge, their origin:
@@ -26,6 +26,7 @@ import xxhash
 
 from bridge import __version__
 from bridge.hub.errors import HubWireError
+from bridge.hub.wire.buffers import announces_backends
 from bridge.hub.wire.keys import (
     ANY_HASH,
     check_topic,
@@ -165,6 +166,11 @@ def parse_token(key: str) -> NodeToken | EndpointToken:
         raise HubWireError(f"{kind}'s token has {len(parts)} parts instead of {_ENDPOINT_PARTS} or more")
     topic, type_hash = _absolute(demangle(parts[9])), parse_hash_chunk(parts[11])
     return EndpointToken(owner, parts[4], kind, topic, ros_type_name(parts[10]), type_hash, decode_qos(parts[12]))
+
+
+def has_buffers(key: str) -> bool:
+    """Return whether an endpoint's token that `parse_token` accepts announces backends of buffers (Lyrical)."""
+    return any(map(announces_backends, key.split("/")[_ENDPOINT_PARTS:]))
 
 
 def qos_text(key: str) -> str:

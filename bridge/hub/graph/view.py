@@ -21,6 +21,7 @@ from bridge.hub.graph.tokens import (
     NodeToken,
     Origin,
     gid_of,
+    has_buffers,
     member_key,
     parse_member,
     parse_origin,
@@ -62,6 +63,7 @@ class HubEndpoint:
         qos: with open policies (BEST_AVAILABLE) resolved against the topic's endpoints; it changes with these.
         gid: the 16 bytes that rmw_zenoh derives from the token; a publisher's samples carry them.
         origin: the foreign network of the session, None if the endpoint is native or the origin is not known yet.
+        buffers: it announces backends of buffers; see `bridge.hub.wire.buffers`.
         pending: a bridge made it, and its origin is not known (yet): nothing of it may cross.
     """
 
@@ -77,6 +79,7 @@ class HubEndpoint:
     origin: Origin | None
     pending: bool
     own: bool
+    buffers: bool = False
 
 
 def origin_side(endpoint: HubEndpoint) -> str:
@@ -104,6 +107,7 @@ class HubGraph:
         self._topics: dict[str, dict[str, HubEndpoint]] = {}
         self._best_available = BestAvailable()
         self._missing_hashes = MissingHashes()
+        self._buffered = 0
         self._unknown: set[str] = set()
         self._sessions: dict[str, dict[str, None]] = {}
         self._origin_tokens: dict[str, dict[str, Origin]] = {}
@@ -182,9 +186,14 @@ class HubGraph:
         return self.announce(velocity_key(self._domain, self._zid, topic, type_name))
 
     @property
-    def hashless_version(self) -> int:
-        """A number that changes with each change of `hashless`."""
-        return self._missing_hashes.version
+    def variants_version(self) -> int:
+        """A number that changes with each change of `hashless`, and each new publisher with buffers."""
+        return self._missing_hashes.version + self._buffered
+
+    def has_buffers(self, topic: str, type_name: str) -> bool:
+        """Return whether another session's publisher of this topic and type announces backends of buffers."""
+        publishers = self.publishers(topic) if self._buffered else ()
+        return any(end.buffers and end.type_name == type_name and not end.own for end in publishers)
 
     def hashless(self) -> dict[KindOfEndpoint, bool]:
         """Return the endpoints that other sessions announce without a type hash, and whether any is latched."""
@@ -384,7 +393,9 @@ class HubGraph:
         name = token.topic, token.type_name, token.type_hash
         place = owner.zid, owner.node, owner.namespace, token.kind
         is_own = owner.zid == self._zid
-        endpoint = HubEndpoint(*place, *name, token.qos, gid, origin=None, pending=False, own=is_own)
+        buffers = has_buffers(key)
+        endpoint = HubEndpoint(*place, *name, token.qos, gid, origin=None, pending=False, own=is_own, buffers=buffers)
+        self._buffered += buffers and token.kind is EndpointKind.PUBLISHER and not is_own
         self._warn_of_unknown(key, endpoint)
         self._best_available.added(key, token.topic, token.qos)
         self._place(key, endpoint)

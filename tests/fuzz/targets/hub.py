@@ -171,7 +171,7 @@ def _samples() -> Subject:
     from bridge.hub.endpoints.latched_subscription import LatchedHubSubscription
     from bridge.hub.endpoints.publisher import EndpointContext
     from bridge.hub.endpoints.subscription import HubSubscription
-    from bridge.hub.wire.keys import pack_attachment
+    from bridge.hub.wire.keys import NO_HASH, pack_attachment, topic_key
     from bridge.hub.wire.qos import Durability, Qos
 
     class Nothing:
@@ -190,16 +190,17 @@ def _samples() -> Subject:
         received: list[Any] = []
         qos = Qos(durability=Durability.TRANSIENT_LOCAL if data[:1] == b"1" else Durability.VOLATILE, depth=5)
         some: Any = Nothing()
+        key = topic_key(0, "/t", "std_msgs/msg/String", NO_HASH)
         context = EndpointContext(some, some, set(), some, 1000, some, some, some, some, some, lambda _closed: None)
         actions: dict[bytes, Any] = {}
         if qos.latched:
-            latched = LatchedHubSubscription(context, "t", "k", "/t", qos, received.append)
+            latched = LatchedHubSubscription(context, "t", key, "/t", qos, received.append)
             actions = {
                 b"c": latched.on_stored, b"d": lambda _: latched.done("0"), b"a": lambda _: latched.asked("0"),
             }  # fmt: skip
             subscription: HubSubscription = latched
         else:
-            subscription = HubSubscription(context, "t", "k", "/t", received.append)
+            subscription = HubSubscription(context, "t", key, "/t", received.append)
         count = 0
         for at in range(1, min(len(data), 1000), 34):
             attached, how = data[at : at + 33], data[at + 33 : at + 34]

@@ -5,18 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
+from threading import Lock
 
 import pytest
+import zenoh
 
 from bridge.hub.endpoints.calls import Done, nothing
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.session import Hub
+from bridge.hub.wire.buffers import BUFFER_TYPES
 from bridge.hub.wire.keys import ANY_HASH, NO_HASH
+from bridge.hub.wire.qos import Qos
+from bridge.messages.definitions.schema import Shape
+from bridge.messages.registry import Registry
 from tests.peers.hub.endpoints import HASH, LATCHED, STREAM, TYPE, Subscriber, advertise, matched
 from tests.peers.hub.network import HubNetwork
 from tests.peers.zenoh.releases import (
+    CPU_GROUP,
     HUMBLE,
     JAZZY,
+    LYRICAL,
     RELEASES,
     Release,
     ReleaseClient,
@@ -278,3 +286,137 @@ def test_a_pending_call_of_a_server_without_a_hash_ends_when_the_server_leaves(h
         pass
     until(lambda: ended, "the call ends")
     assert "left before it answered" in str(ended[0])
+
+
+# Lyrical's buffers
+
+
+IMAGE = Topic("/image", "sensor_msgs/msg/Image", HASH, STREAM, array=True)
+OWN_IMAGE = Topic("/own", "own_msgs/msg/Pixels", HASH, STREAM, array=True)
+
+
+class Images(Subscriber):
+    """Collects the messages of a subscription to a topic with buffers."""
+
+    def __init__(self, hub: Hub, topic: Topic, qos: Qos = STREAM, type_hash: str = HASH) -> None:
+        self.samples = []
+        self._lock = Lock()
+        self.subscription = hub.subscription(topic.name, topic.type_name, type_hash, qos, self._add)
+
+
+def group_of(publisher: ReleasePublisher) -> str:
+    return f"{publisher.key}/{CPU_GROUP}"
+
+
+@pytest.mark.parametrize("type_hash", [HASH, ANY_HASH], ids=["its hash", "any hash"])
+@pytest.mark.parametrize("topic", [IMAGE, OWN_IMAGE], ids=["standard type", "other type"])
+@pytest.mark.parametrize("first", ["publisher", "subscription"])
+def test_a_publisher_with_buffers_serves_the_hub_in_the_cpu_group(
+    hub: Hub, node: Nodes, topic: Topic, first: str, type_hash: str
+) -> None:
+    """In 0.10.5, subscriptions that announce no backend receive nothing. The GID follows from the whole token."""
+    peer = node(LYRICAL)
+    received = Images(hub, topic, type_hash=type_hash) if first == "subscription" else None
+    publisher = ReleasePublisher(peer, topic)
+    until(lambda: hub.graph.publishers(topic.name), "it is seen")
+    received = received or Images(hub, topic, type_hash=type_hash)
+    until(lambda: group_of(publisher) in publisher.discovered(), "the group is used")
+    arrives(publisher, received)
+    put_all(publisher, numbered(20))
+    until(lambda: "19" in received.texts(), "the last one arrives")
+    assert [text for text in received.texts() if text != "first"] == numbered(20)
+    assert {sample.gid for sample in received.samples} == {publisher.gid}
+    assert (received.subscription.lost, received.subscription.refused) == (0, 0)
+    known = topic is IMAGE or first == "publisher"
+    assert (publisher.put(b"once more") == [group_of(publisher)]) is known
+
+
+def test_the_hub_does_not_cost_a_publisher_with_buffers_a_message_for_each_subscription(
+    hub: Hub, node: Nodes, network: HubNetwork
+) -> None:
+    """The CPU subscriptions of Lyrical and of Midspan share one message."""
+    peer = node(LYRICAL)
+    publisher = ReleasePublisher(peer, IMAGE)
+    lyrical = ReleaseSubscription(node(LYRICAL), IMAGE)
+    with Hub.open(network.settings("other")) as other:
+        received = [Images(hub, IMAGE), Images(other, IMAGE)]
+        until(lambda: len(publisher.discovered()) == 3, "all are discovered")
+        assert publisher.put(b"1") == [group_of(publisher)]
+        for subscription in (lyrical, *received):
+            until(lambda s=subscription: s.texts() == ["1"], "it arrives")
+
+
+def test_numbers_that_other_keys_used_are_no_losses(hub: Hub, node: Nodes) -> None:
+    """The publisher also numbers its messages on the separate key of a Jazzy subscription."""
+    publisher = ReleasePublisher(node(LYRICAL), IMAGE)
+    received = Images(hub, IMAGE)
+    ReleaseSubscription(node(JAZZY), IMAGE)
+    until(lambda: len(publisher.discovered()) == 2, "both are discovered")
+    arrives(publisher, received)
+    put_all(publisher, numbered(5))
+    until(lambda: "4" in received.texts(), "the last one arrives")
+    numbers = [sample.sequence for sample in received.samples]
+    assert numbers == list(range(numbers[0], numbers[-1] + 1, 2))
+    assert received.subscription.lost == 0
+
+
+def test_serialized_messages_on_the_key_and_messages_of_the_group_arrive_in_order(hub: Hub, node: Nodes) -> None:
+    publisher = ReleasePublisher(node(LYRICAL), IMAGE)
+    received = Images(hub, IMAGE)
+    until(publisher.discovered, "it is discovered")
+    arrives(publisher, received)
+    for number in range(0, 20, 2):
+        publisher.put(str(number).encode())
+        publisher.put_serialized(str(number + 1).encode())
+    until(lambda: "19" in received.texts(), "the last one arrives")
+    assert [text for text in received.texts() if text != "first"] == numbered(20)
+
+
+@EACH_RELEASE
+def test_images_of_the_hub_reach_each_release_once(hub: Hub, node: Nodes, release: Release) -> None:
+    received = ReleaseSubscription(node(release), IMAGE)
+    publisher = hub.publisher(IMAGE.name, IMAGE.type_name, HASH, STREAM)
+    matched(publisher)
+    put_all(publisher, numbered(20))
+    until(lambda: len(received.samples) >= 20, "all arrive")
+    assert received.texts() == numbered(20)
+
+
+@EACH_RELEASE
+def test_images_of_each_release_reach_the_hub_once(hub: Hub, node: Nodes, release: Release) -> None:
+    received = Images(hub, IMAGE)
+    publisher = ReleasePublisher(node(release), IMAGE)
+    arrives(publisher, received)
+    put_all(publisher, numbered(20))
+    until(lambda: "19" in received.texts(), "the last one arrives")
+    assert [text for text in received.texts() if text != "first"] == numbered(20)
+
+
+def test_only_subscriptions_in_the_group_announce_it(hub: Hub, node: Nodes) -> None:
+    peer = node(JAZZY)
+    tokens: set[str] = set()
+
+    def on_token(sample: zenoh.Sample) -> None:
+        (tokens.discard if sample.kind == zenoh.SampleKind.DELETE else tokens.add)(str(sample.key_expr))
+
+    handler = zenoh.handlers.Callback(on_token, indirect=False)
+    watch = peer.session.liveliness().declare_subscriber(f"@ros2_lv/*/{hub.zid}/*/*/MS/**", handler, history=True)
+    image, chatter = Images(hub, IMAGE), Subscriber(hub, "/chatter")
+    hub.publisher(IMAGE.name, IMAGE.type_name, HASH, STREAM)
+    until(lambda: len(tokens) == 2, "both are announced")
+    assert {token.split("/")[9]: token.split("/")[13:] for token in tokens} == {
+        "%image": ["backends:cpu:"], "%chatter": [],
+    }  # fmt: skip
+    image.subscription.close()
+    chatter.subscription.close()
+    until(lambda: not tokens, "both are withdrawn")
+    watch.undeclare()
+
+
+def test_standard_types_with_buffers() -> None:
+    registry = Registry()
+    for type_name in BUFFER_TYPES:
+        definitions = registry.schema(type_name).types.values()
+        fields = [field.type for definition in definitions for field in definition.fields]
+        assert any(field.base == "uint8" and field.shape is Shape.SEQUENCE and not field.length for field in fields)
+    assert not {"sensor_msgs/msg/LaserScan", "nav_msgs/msg/OccupancyGrid", "std_msgs/msg/ByteMultiArray"} & BUFFER_TYPES

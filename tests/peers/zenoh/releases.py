@@ -171,7 +171,7 @@ class ReleasePublisher:
     """
 
     def __init__(self, node: ReleaseNode, topic: Topic) -> None:
-        self._node, self._topic, self._key = node, topic, node.key(topic)
+        self._node, self._topic, self.key = node, topic, node.key(topic)
         self._ends: dict[str, Any] = {}
         self._lock = Lock()
         self._discovered: dict[bytes, str] = {}
@@ -179,10 +179,10 @@ class ReleasePublisher:
         token = node.token("MP", topic)
         self.gid, self._sequence = gid_of(token), 0
         self._token = node.announce(token)
-        self._declared(self._key)
+        self._declared(self.key)
         self._watch: Any = None
         if node.buffered(topic):
-            self._declared(f"{self._key}/{CPU_GROUP}")
+            self._declared(f"{self.key}/{CPU_GROUP}")
             handler = zenoh.handlers.Callback(self._on_token, indirect=False)
             self._watch = node.session.liveliness().declare_subscriber("@ros2_lv/**", handler, history=True)
 
@@ -203,7 +203,7 @@ class ReleasePublisher:
                 return
             self._present.add(gid)
             cpu = parts[13:14] == ["backends:cpu:"]
-            self._discovered[gid] = f"{self._key}/{CPU_GROUP}" if cpu else f"{self._key}/_buf/{gid.hex()}"
+            self._discovered[gid] = f"{self.key}/{CPU_GROUP}" if cpu else f"{self.key}/_buf/{gid.hex()}"
 
     def discovered(self) -> list[str]:
         """Return the keys of the subscriptions that this publisher has discovered; with buffers only."""
@@ -212,11 +212,11 @@ class ReleasePublisher:
 
     def put(self, payload: bytes) -> list[str]:
         """Publish one message; return the keys that it went to."""
-        keys = [self._key]
+        keys = [self.key]
         if self._watch is not None:
             with self._lock:
                 if len(self._present) <= len(self._discovered):
-                    group = f"{self._key}/{CPU_GROUP}"
+                    group = f"{self.key}/{CPU_GROUP}"
                     found = list(self._discovered.values())
                     keys = [group] * (group in found) + [key for key in found if key != group]
         for key in keys:
@@ -227,7 +227,7 @@ class ReleasePublisher:
     def put_serialized(self, payload: bytes) -> None:
         """Publish as ``publish_serialized_message`` does, always on the key itself."""
         self._sequence += 1
-        self._declared(self._key).put(payload, attachment=attachment(self._sequence, self.gid))
+        self._declared(self.key).put(payload, attachment=attachment(self._sequence, self.gid))
 
     def close(self) -> None:
         """Withdraw the publisher with its cached samples."""
