@@ -2,7 +2,7 @@
 
 BIN := .venv/bin
 
-.PHONY: help setup demo mix bench-peers test test-fast test-all test-embedded-master test-everywhere lint types check bench screenshots dist deb lock clean
+.PHONY: help setup demo mix bench-peers test test-fast test-all test-embedded-master test-everywhere test-arm64 lint types check bench screenshots dist deb lock clean
 .DEFAULT_GOAL := help
 
 # each process receives one file at a time; bytecode is cached, otherwise each process would compile all tests and programs
@@ -15,7 +15,7 @@ again = [ -z "$$red" ] || $(BIN)/python scripts/unsteady.py
 forget = rm -rf .cache/pytest .cache/first-run
 
 help: ## list the targets
-	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 22
+	@sed -n 's/^\([a-z0-9-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 22
 
 test test-all: export BROWSER = yes # for the tests of the console
 
@@ -42,6 +42,9 @@ test-embedded-master: setup ## the tests with ROS 1, on Midspan's own master ins
 
 test-everywhere: setup ## the demo and the ROS 1 tests in other releases and with other Pythons (ARGS='trixie 3.13' for some)
 	@$(BIN)/python scripts/everywhere.py $(ARGS)
+
+test-arm64: setup ## the arm64 wheel under qemu in Debian 12 and 13 (needs root, debootstrap, qemu; ARGS=trixie for one)
+	@$(BIN)/python scripts/arm64.py $(ARGS)
 
 lint: setup ## ruff (rules and format), import cycles and sizes
 	@$(BIN)/ruff check .

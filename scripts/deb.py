@@ -60,12 +60,19 @@ class Release:
 RELEASES = {"bookworm": Release("~deb12", 11, 36), "noble": Release("~ubuntu24.04", 12, 39)}
 
 
-def libraries(arch: str) -> list[str]:
-    """Return the locked libraries of Midspan and its extras, in the installed versions (tests/setup/test_lock.py)."""
+def libraries(arch: str, extras: Sequence[str] = EXTRAS, more: Sequence[str] = ()) -> list[str]:
+    """Return the locked libraries of Midspan and its extras, in the installed versions (tests/setup/test_lock.py).
+
+    Args:
+        arch: Debian's name of the processor.
+        extras: Midspan's extras.
+        more: names of other packages.
+    """
     linux = lock.SYSTEMS[0]
     system = replace(linux, environment={**linux.environment, "platform_machine": processor.MACHINES[arch]})
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    wanted = [*project["dependencies"], *(text for extra in EXTRAS for text in project["optional-dependencies"][extra])]
+    wanted = [*project["dependencies"], *(text for extra in extras for text in project["optional-dependencies"][extra])]
+    wanted += more
     installed: dict[str, dict[str, Any]] = {
         canonicalize_name(distribution.name): {
             "name": distribution.name,
@@ -115,6 +122,10 @@ def _runs_on(library: Path, arch: str) -> bool:
 
 
 def _download(release: Release, to: Path, arch: str) -> list[Path]:
+    return download(release, to, arch, libraries(arch))
+
+
+def download(release: Release, to: Path, arch: str, wanted: Sequence[str]) -> list[Path]:
     """Download wheels for the release's Python by pip; pure libraries with only a source release are built here."""
     pip = [sys.executable, "-m", "pip", "-q", "--disable-pip-version-check"]
     command = [*pip, "download", "--no-deps", "-d", str(to), "--implementation", "cp"]
@@ -122,7 +133,7 @@ def _download(release: Release, to: Path, arch: str) -> list[Path]:
     tags = ["manylinux2014", *(f"manylinux_2_{minor}" for minor in range(5, release.glibc + 1))]
     for tag in tags:
         command += ["--platform", f"{tag}_{processor.MACHINES[arch]}"]
-    dist.run([*command, *libraries(arch)], ROOT)
+    dist.run([*command, *wanted], ROOT)
     for source in to.glob("*.tar.gz"):
         dist.run([*pip, "wheel", "--no-deps", "-w", str(to), str(source)], ROOT)
     return sorted(to.glob("*.whl"))

@@ -144,27 +144,28 @@ def test_the_daemon_works(other: OtherOs) -> None:
 
 
 def assert_crosses(other: OtherOs, word: str) -> None:
-    """A YARP program's messages reach zenoh and ROS 1."""
-    program = YarpProgram(other.names, f"/{word}", Definitions(()))
-    receivers: dict[str, PeerLike] = {
+    """Messages of a YARP, a zenoh and a ROS 1 program each reach the other two."""
+    programs: dict[str, PeerLike] = {
+        "YARP": YarpProgram(other.names, f"/{word}", Definitions(())),
         "zenoh": Ros2ddsBridge(other.hub, Messages(ros1=False)),
         "ROS 1": other.ros1_program(word),
     }
     try:
-        publisher = program.advertise(f"/{word}", STRING)
-        for name, receiver in receivers.items():
-            subscription = receiver.subscribe(f"/{word}", STRING)
+        for name, program in programs.items():
+            topic = f"/{word}/{name.replace(' ', '').lower()}"
+            publisher = program.advertise(topic, STRING)
+            for receiver in programs.keys() - {name}:
+                subscription = programs[receiver].subscribe(topic, STRING)
 
-            def arrived(receiver: PeerLike = receiver, subscription: int = subscription) -> bool:
-                program.publish(publisher, {"data": word})
-                return receiver.wait(subscription, 1, 0.2) != []
+                def arrived(receiver: PeerLike = programs[receiver], subscription: int = subscription) -> bool:
+                    program.publish(publisher, {"data": word})  # noqa: B023  called in this iteration
+                    return receiver.wait(subscription, 1, 0.2) != []
 
-            until(arrived, f"{name} receives it", 40, every=0.1)
-            assert receiver.wait(subscription, 1)[0] == {"data": word}
+                until(arrived, f"{receiver} receives messages of {name}", 40, every=0.1)
+                assert programs[receiver].wait(subscription, 1)[0] == {"data": word}
     finally:
-        program.stop()
-        for receiver in receivers.values():
-            receiver.stop()
+        for program in programs.values():
+            program.stop()
 
 
 def assert_reloads(other: OtherOs) -> None:

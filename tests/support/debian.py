@@ -113,7 +113,7 @@ class Root:
             command += ["--components=main,universe", "--no-check-gpg"]
             last = ["http://archive.ubuntu.com/ubuntu", "/usr/share/debootstrap/scripts/gutsy"]
         else:
-            last = _archive(suite)
+            last = archive(suite)
         self._call([*command, suite, self.folder, *last], 600)
 
     def _call(self, command: Sequence[str | Path], seconds: float, code: int = 0) -> str:
@@ -153,7 +153,7 @@ def proxies() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if name.lower().endswith("_proxy")}
 
 
-def _archive(suite: str) -> list[str]:
+def archive(suite: str) -> list[str]:
     """Return the archive that this machine's apt uses for the release; empty: debootstrap's default."""
     command = ["apt-get", "indextargets", "--format", "$(SITE)", "Identifier: Packages", f"Codename: {suite}"]
     return subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()[:1]

@@ -1,0 +1,151 @@
+"""A Debian for another processor in a folder: debootstrap unpacks it, and its programs run under qemu.
+
+The kernel starts qemu for each program of the other processor (binfmt_misc). Debian's `qemu-user-static` registers that
+for the whole machine if systemd or binfmt-support runs. Without such a registration, a tree gets one of its own in a
+user namespace, which needs Linux 6.7.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from tests.support.debian import archive, proxies
+
+EMULATOR = "qemu-aarch64-static"
+REGISTERED = Path("/proc/sys/fs/binfmt_misc/qemu-aarch64")
+_PATH = "/usr/sbin:/usr/bin:/sbin:/bin"
+_MAPPED = "0 0 65536"
+"""The user and group ids of a tree, which are the same in its namespace; dpkg needs more than root's."""
+
+_MAGIC = (
+    r":qemu-aarch64:M::\x7fELF\x02\x01\x01\x00\x00\x00\x00\x00\x00\x00\x00\x00\x02\x00\xb7\x00"
+    r":\xff\xff\xff\xff\xff\xff\xff\x00\xff\xff\xff\xff\xff\xff\xff\xff\xfe\xff\xff\xff:{}:OCF"
+)
+"""Registration of arm64's ELF files as in Debian's qemu-user-static; F opens qemu outside the tree."""
+
+_ENTER = r"""
+read -r _
+root=$1 registration=$2
+shift 2
+if [ "$registration" ]; then
+    mount -t binfmt_misc binfmt_misc /proc/sys/fs/binfmt_misc
+    printf %s "$registration" >/proc/sys/fs/binfmt_misc/register
+fi
+mount -t proc proc "$root/proc"
+mount -t tmpfs -o mode=755 tmpfs "$root/dev"
+mkdir "$root/dev/pts" "$root/dev/shm"
+mount -t tmpfs -o mode=1777 tmpfs "$root/dev/shm"
+mount -t devpts -o newinstance,ptmxmode=0666 devpts "$root/dev/pts"
+ln -s pts/ptmx "$root/dev/ptmx"
+ln -s /proc/self/fd "$root/dev/fd"
+touch "$root/dev/console"
+for device in null zero full random urandom tty; do
+    touch "$root/dev/$device"
+    mount --bind "/dev/$device" "$root/dev/$device"
+done
+ip link set lo up
+exec chroot "$root" env -i "$@" </dev/null
+"""
+"""Runs a command in a tree, in namespaces of its own, without this machine's network."""
+
+
+def missing() -> list[str]:
+    """Describe what this machine lacks to create and run trees, with the cure."""
+    lacks = [
+        f"{program} (apt install {package})"
+        for program, package in (("debootstrap", "debootstrap"), ("ip", "iproute2"), ("unshare", "util-linux"))
+        if not shutil.which(program, path=_PATH)
+    ]
+    if os.geteuid() != 0:
+        lacks.append("root (run it with sudo)")
+    if REGISTERED.exists():
+        return lacks
+    if not shutil.which(EMULATOR):
+        lacks.append(f"{EMULATOR} (apt install qemu-user-static; on Debian 13: qemu-user-binfmt)")
+    elif _linux() < (6, 7):
+        lacks.append(f"a registration in {REGISTERED} (apt install binfmt-support), or Linux 6.7 or newer")
+    return lacks
+
+
+def _linux() -> tuple[int, ...]:
+    numbers = re.findall(r"\d+", platform.release())
+    return tuple(map(int, numbers[:2]))
+
+
+class ForeignTree:
+    """A minimal system of a release for arm64, which stays in its folder.
+
+    Args:
+        folder: where it is, or will be created.
+        suite: the release.
+        packages: packages to install besides debootstrap's minimal variant.
+    """
+
+    def __init__(self, folder: Path, suite: str, packages: Sequence[str]) -> None:
+        self.folder, self._suite, self._packages = folder, suite, packages
+
+    def create(self, log: Path) -> bool:
+        """Create the system if it is missing; return whether it was. Raises `RuntimeError` with the log's name."""
+        if self.folder.exists():
+            return False
+        new = ForeignTree(self.folder.with_name(f"{self.folder.name}.new"), self._suite, self._packages)
+        shutil.rmtree(new.folder, ignore_errors=True)
+        new.folder.mkdir(parents=True)
+        include = f"--include={','.join(self._packages)}"
+        first = ["debootstrap", "--foreign", "--arch=arm64", "--variant=minbase", include, self._suite, new.folder]
+        environ = {"PATH": _PATH, "LC_ALL": "C.UTF-8", **proxies()}
+        with log.open("ab") as out:
+            done = subprocess.run(
+                [*first, *archive(self._suite)], env=environ, stdin=subprocess.DEVNULL, stdout=out, stderr=out,
+                timeout=1800, check=False,
+            )  # fmt: skip
+        with suppress(OSError):  # only faster
+            (new.folder / "etc/dpkg/dpkg.cfg.d/unsafe").write_text("force-unsafe-io\n", encoding="ascii")
+        second = ["/debootstrap/debootstrap", "--second-stage"]
+        # lxc: debootstrap creates no devices, which a user namespace does not allow
+        if done.returncode or new.run(second, log, 3600, {"DEBIAN_FRONTEND": "noninteractive", "container": "lxc"}):
+            raise RuntimeError(f"debootstrap could not create {self._suite} for arm64; its output is in {log}")
+        new.folder.rename(self.folder)
+        return True
+
+    def run(self, words: Sequence[str], log: Path, seconds: float, environ: Mapping[str, str] | None = None) -> int:
+        """Run a program in the system, and append its output to a file; return its exit code, -1 after ``seconds``."""
+        registration = "" if REGISTERED.exists() else _MAGIC.format(shutil.which(EMULATOR))
+        values = {"PATH": _PATH, "HOME": "/root", "LC_ALL": "C.UTF-8", **(environ or {})}
+        kinds = ["--mount", "--pid", "--ipc", "--net", "--uts", "--fork", "--kill-child=SIGKILL"]
+        command = ["unshare", *(["--user"] if registration else []), *kinds, "sh", "-ec", _ENTER, "sh"]
+        command += [str(self.folder), registration, *(f"{name}={value}" for name, value in values.items()), *words]
+        with log.open("ab") as out:
+            process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=out, stderr=subprocess.STDOUT)
+            try:
+                if registration:
+                    _map_users(process)
+                process.communicate(b"\n", seconds)
+            except subprocess.TimeoutExpired:
+                return -1
+            finally:
+                with suppress(ProcessLookupError):
+                    process.send_signal(signal.SIGKILL)
+                process.wait()
+        return process.returncode
+
+
+def _map_users(process: subprocess.Popen[bytes]) -> None:
+    """Give a process's new user namespace its users, as soon as it is in it."""
+    own, end = Path("/proc/self/ns/user").readlink(), time.monotonic() + 10.0
+    proc = Path(f"/proc/{process.pid}")
+    while (proc / "ns/user").readlink() == own:
+        if process.poll() is not None or time.monotonic() > end:
+            raise RuntimeError("this machine does not allow user namespaces (sysctl user.max_user_namespaces)")
+        os.sched_yield()
+    for name in ("uid_map", "gid_map"):
+        (proc / name).write_text(f"{_MAPPED}\n", encoding="ascii")
