@@ -117,6 +117,7 @@ class Ros2Edge(SideEdge):
         self._refresh_discovery(self._origins.predecessors)
         self._clean_ports(self._origins.past)
         graph.start()
+        heartbeats.follow(graph.snapshot.endpoints)
         string = self._types.message_class(TYPE, self._registry.ros2(TYPE).type_id)
         past, changed = self._origins.past, listener.presence_changed
         self._presence = PresenceTopic(participant, loop, string, seen, past, changed)
@@ -152,7 +153,10 @@ class Ros2Edge(SideEdge):
         with self._lock:
             ends = list(self._ends)
         for end in ends:
-            end.refit()
+            try:
+                end.refit()
+            except Exception:
+                _log.exception("%s does not follow a change of the ROS 2 graph", end)
         self._graph_changed()
 
     @override
@@ -241,7 +245,9 @@ class Ros2Edge(SideEdge):
         context = self._started()
         self._check_one_type(topic, side_type.name)
         message_class = self._types.message_class(side_type.name, side_type.type_id)
-        return self._kept(Ros2Publisher(topic, message_class, qos, context, self._closed, self.has_subscribers))
+        publisher = self._kept(Ros2Publisher(topic, message_class, qos, context, self._closed, self.has_subscribers))
+        publisher.refit()
+        return publisher
 
     def _check_one_type(self, topic: str, type_name: str) -> None:
         """Reject a second type for a topic: a DDS participant has only one, and Fast DDS's error omits the reason."""
@@ -279,7 +285,9 @@ class Ros2Edge(SideEdge):
 
     @override
     def caller(self, name: str, side_type: SideType) -> EdgeCaller:
-        return self._kept(Ros2Caller(name, self._service_class(side_type), self._started(), self._closed))
+        caller = self._kept(Ros2Caller(name, self._service_class(side_type), self._started(), self._closed))
+        caller.refit()
+        return caller
 
     @override
     def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
@@ -292,11 +300,12 @@ class Ros2Edge(SideEdge):
         return self._kept(Ros2Server(name, service_class, call, refuse, replaced, self._started(), self._closed))
 
     def _is_served(self, name: str) -> bool:
-        """Return whether a service has an open server here, or one of another participant."""
+        """Return whether a service has an open server here, or one of another participant; reads the graph."""
         with self._lock:
             if any(isinstance(end, Ros2Server) and end.name == name for end in self._ends):
                 return True
-        return any(e.kind is Kind.SERVER and e.topic == name for e in self.endpoints())
+        context = self._context
+        return context is not None and bool(context.graph.servers(name))
 
     def _started(self) -> Ros2Context:
         if self._context is None:

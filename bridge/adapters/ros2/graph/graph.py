@@ -129,9 +129,12 @@ class Ros2Graph:
         return [bytes(info["endpoint_gid"]) for info in self._participant.readers(reply_topic(service), dds=True)]
 
     def own_writer(self, dds_topic: str) -> bytes | None:
-        """Return the GID of this participant's writer of a DDS topic; reads the graph."""
+        """Return the GID of this participant's newest writer of a DDS topic; reads the graph.
+
+        An older one may be that of a closed server. Fast DDS numbers a participant's endpoints upwards.
+        """
         gids = (bytes(info["endpoint_gid"]) for info in self._participant.writers(dds_topic, dds=True))
-        return next((gid for gid in gids if gid[:PREFIX_BYTES] == self._own), None)
+        return max((gid for gid in gids if gid[:PREFIX_BYTES] == self._own), default=None)
 
     def clients(self, service: str) -> set[bytes]:
         """Return the GIDs that a service's clients may use in requests; reads the graph."""

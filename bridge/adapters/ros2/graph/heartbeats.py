@@ -85,6 +85,9 @@ class Heartbeats:
             now = time.monotonic()
             discovered = (self._discovered.setdefault(gid[:PREFIX_BYTES], now) for gid in peers)
             end = max(max(discovered, default=now) + _SETTLE_SECONDS, now) + MATCH_SECONDS
+            earlier = self._pending.get(writer)
+            if earlier is not None:  # for other readers, which may still match; fewer samples only cost a request
+                end, last = max(end, earlier.end), min(last, earlier.last)
             self._pending[writer] = _Prepared(last, end)
         self._later.after(0.0, self._send, once=True)
         return end

@@ -22,7 +22,7 @@ from bridge.adapters.ros2.services.matching import MatchCounter
 from bridge.adapters.ros2.services.pacing import SentRequests
 from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError
 from bridge.messages.errors import MessageTypeError
-from bridge.routing.edge import EdgeCaller, Obstacle
+from bridge.routing.edge import EdgeCaller, MadeBy, Obstacle
 
 _MOST = SERVICE.depth // 2
 """Limit of pending calls; the engine allows fewer."""
@@ -63,6 +63,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         self._on_cyclone = False
         self._response_support, self._context = int(service_class.response_support), context
         self._written = 0
+        self._settling_until = 0.0
         self._cyclone: CycloneCalls | None = None
         self._ended: set[bytes] = set()
         self._matched = self._due = False
@@ -98,17 +99,19 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             return CallError(f"{self.name} is busy: {_MOST} calls are pending")
         return None
 
-    def _obstacle(self) -> Obstacle | None:
+    def _obstacle(self) -> CallError | None:
         """Return why the matched servers cannot be called; the graph is read only after a new match."""
         known = self._graph.snapshot.obstacles.get(self.name)
         if known is not None:
-            return known
+            return _refusal(known)
         matched = self._matches.total()
         if matched is None or matched != self._verified:
             servers = self._graph.servers(self.name)
             obstacle = vendors.of_servers(self.name, servers)
             if obstacle is not None:
-                return obstacle
+                return _refusal(obstacle)
+            if not any(server.made_by is MadeBy.NATIVE for server in servers):  # it has just left
+                return CallError(f"{self.name} has no server on ROS 2")
             self._verified, self._on_cyclone = matched, vendors.are_cyclone(servers)
         return None
 
@@ -116,15 +119,16 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         """Prepare the servers before the first call, if all known ones are on Cyclone DDS."""
         servers = self._graph.snapshot.servers.get(self.name, frozenset())
         if servers and all(map(vendors.is_cyclone, servers)):
-            self._settle(time.monotonic() + _MATCH_SECONDS)
+            self._settling_until = time.monotonic() + _MATCH_SECONDS
+            self._later.after(0.0, self._settle, once=True)
 
-    def _settle(self, end: float) -> None:
+    def _settle(self) -> None:
         wait = 0.0
         with self._lock, contextlib.suppress(MessageTypeError):  # a call reports that
             if not self._closed:
                 wait = self._cyclone_wait(self._servers())
-        if wait and time.monotonic() < end:
-            self._later.after(wait, partial(self._settle, end))
+        if wait and time.monotonic() < self._settling_until:
+            self._later.after(wait, self._settle, once=True)
 
     def _cyclone_wait(self, servers: frozenset[bytes]) -> float:
         return self._open_cyclone().wait(_MATCH, servers, self._written)
@@ -179,7 +183,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
                 return wait
             obstacle = self._obstacle()
             if obstacle is not None:
-                self._fail_waiting(failed, _refusal(obstacle))
+                self._fail_waiting(failed, obstacle)
                 return 0.0
             late = time.monotonic() >= self._waiting[0].since + _MATCH_SECONDS
             try:
@@ -189,6 +193,8 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
                 return 0.0
             if wait and not late:
                 return wait
+            if self._matches.total() not in (None, self._verified):
+                continue  # another server has just matched, which may need another form
             calling = self._waiting.popleft()
             if wait or not self._matched:
                 failed.append((calling, CallError(f"the server of {self.name} on ROS 2 cannot be reached")))

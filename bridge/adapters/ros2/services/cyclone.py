@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import struct
+import threading
 import time
 from collections.abc import Callable, Collection
 from typing import NamedTuple
@@ -73,7 +74,7 @@ class CycloneCalls(EndpointReader):
         self._replied = replied
         self._id = os.urandom(8)
         self._number = FIRST_NUMBER
-        self._matched, self._prepared = 0, 0.0
+        self._matched, self._prepared = (0, frozenset[bytes]()), 0.0
 
     @override
     def wake(self, descriptor: int | None) -> None:
@@ -84,11 +85,11 @@ class CycloneCalls(EndpointReader):
 
         The first call after a match begins to prepare the servers; ``last`` is the number of requests written before.
         """
-        matched = self._reader.matched()
+        matched = self._reader.matched(), frozenset(servers)
         writer = self._graph.own_writer(self._topic) if matched != self._matched else None
         if writer is not None:
             self._matched, self._prepared = matched, self._heartbeats.prepare(writer, last, servers)
-        return max(0.0, self._prepared - time.monotonic()) if self._matched else poll
+        return max(0.0, self._prepared - time.monotonic()) if self._matched[0] else poll
 
     def wrap(self, request: bytes) -> tuple[int, bytes]:
         """Return a request's number, and its payload with a header."""
@@ -115,31 +116,50 @@ class ReplyReach:
     def __init__(self, service: str, matches: MatchCounter, context: Ros2Context) -> None:
         self._service, self._matches = service, matches
         self._graph, self._heartbeats = context.graph, context.heartbeats
+        self._lock = threading.Lock()
         self._reached: set[bytes] = set()
         self._tried: dict[bytes, float] = {}
+        self._written = 0
 
-    def reaches(self, gid: bytes, last: int) -> bool:
+    def reaches(self, gid: bytes) -> bool:
         """Return whether the client with this request writer can receive, as far as can be known.
 
-        It cannot at the first call, which sends a heartbeat; ``last`` is the number of replies written before.
+        It cannot at the first call, which sends a heartbeat.
         """
-        if gid in self._reached:
+        with self._lock:
+            if gid in self._reached:
+                return True
+            readers = self._graph.reply_readers(self._service)
+            if not any(reader[:PREFIX_BYTES] == gid[:PREFIX_BYTES] for reader in readers):
+                return False
+            now, matched = time.monotonic(), self._matches.current()
+            first = self._tried.setdefault(gid, now)
+            few = matched is not None and matched < len(readers)
+            if first == now or (few and now - first < _PATIENCE_SECONDS):
+                writer = self._graph.own_writer(reply_topic(self._service))
+                if writer is not None:
+                    self._heartbeats.prepare(writer, self._written, [gid])
+                return False
+            del self._tried[gid]
+            self._reached.add(gid)
             return True
-        readers = self._graph.reply_readers(self._service)
-        if not any(reader[:PREFIX_BYTES] == gid[:PREFIX_BYTES] for reader in readers):
-            return False
-        now, matched = time.monotonic(), self._matches.current()
-        first = self._tried.setdefault(gid, now)
-        if first == now or (matched is not None and matched < len(readers) and now - first < _PATIENCE_SECONDS):
-            writer = self._graph.own_writer(reply_topic(self._service))
-            if writer is not None:
-                self._heartbeats.prepare(writer, last, [gid])
-            return False
-        self._tried.pop(gid)
-        self._reached.add(gid)
-        return True
+
+    def written(self) -> None:
+        """Count a reply to a client on Cyclone DDS.
+
+        Those to other clients do not count: rmw_fastrtps does not report whether it has dropped one, and a heartbeat
+        that announces more than was written would make the client skip its reply.
+        """
+        self._written += 1
 
     def retain(self, gids: set[bytes]) -> None:
         """Remove all clients except these."""
-        self._reached &= gids
-        self._tried = {gid: since for gid, since in self._tried.items() if gid in gids}
+        with self._lock:
+            self._reached &= gids
+            self._tried = {gid: since for gid, since in self._tried.items() if gid in gids}
+
+    def discard(self, gid: bytes) -> None:
+        """Remove one client."""
+        with self._lock:
+            self._reached.discard(gid)
+            self._tried.pop(gid, None)

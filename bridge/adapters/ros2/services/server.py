@@ -74,7 +74,6 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         self._logged = self._replied = float("-inf")
         self._alive = threading.Lock()
         self._destroyed = False
-        self._written = 0
         self._loop.add(self)
 
     @override
@@ -158,14 +157,16 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         with self._alive:
             if self._destroyed:
                 return True
-            if vendors.is_cyclone(request.gid) and not self._reach.reaches(request.gid, self._written):
+            of_cyclone = vendors.is_cyclone(request.gid)
+            if of_cyclone and not self._reach.reaches(request.gid):
                 return False
             try:
                 reached = rcl.send_response(self.pointer, request, payload)
             except rcl.RclError as err:
                 _log.warning("%s: a reply could not be sent: %s", self.name, err)
                 return True
-            self._written += reached
+            if of_cyclone:
+                self._reach.written()
             return reached
 
     def refit(self) -> None:
@@ -188,6 +189,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
                 return
             pending.left, abandon = True, pending.abandon
             self._clients.pop(pending.id.gid, None)
+            self._reach.discard(pending.id.gid)
         if abandon is not None:
             abandon()
 

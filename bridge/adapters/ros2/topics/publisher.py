@@ -58,6 +58,8 @@ class _Writer:
                 heartbeats.prepare(rmw.publisher_gid(self._pointer), self._written, readers)
 
     def close(self) -> None:
+        """Destroy the writer, after it has published the kept messages."""
+        self.release()
         with self._lock:
             handle, self._handle = self._handle, None
         if handle is not None:

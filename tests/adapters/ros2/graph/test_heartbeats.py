@@ -65,6 +65,19 @@ def test_they_are_repeated_until_the_participant_has_settled(
     until(lambda: sent[-1] == spdp.heartbeats({WRITER: 5}), "the new count is sent")
 
 
+def test_readers_of_one_writer_are_prepared_together(later: DelayedCalls, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reader of a participant that has settled does not end the heartbeats for one that has just been discovered."""
+    monkeypatch.setattr(heartbeats, "_SETTLE_SECONDS", 0.3)
+    settled = b"\1\x10" + READER[2:4] + bytes(12)
+    beats = Heartbeats(lambda _: None, later)
+    beats.prepare(WRITER[:-1] + b"\2", 0, [settled])
+    end = time.monotonic() + 0.3
+    until(lambda: time.monotonic() > end, "the first participant has settled")
+    late = beats.prepare(WRITER, 1, [READER])
+    assert beats.prepare(WRITER, 4, [settled]) == late
+    assert beats._pending[WRITER].last == 1
+
+
 def test_subscriptions_on_cyclone_dds_are_known_by_topic(later: DelayedCalls) -> None:
     def endpoint(gid: bytes, kind: Kind = Kind.SUBSCRIPTION) -> Endpoint:
         return Endpoint(
