@@ -8,7 +8,7 @@ import threading
 import pytest
 
 from bridge.concurrency import BoundedQueue, DelayedCalls, InlineExecutor, WorkerPool
-from tests.support.descriptors import no_threads
+from tests.support.no_threads import no_threads
 from tests.support.wait import until
 
 

@@ -13,7 +13,8 @@ from bridge.daemon.control import ControlServer
 from bridge.daemon.local_socket import LocalListener
 from bridge.daemon.protocol import Beat
 from bridge.worker import Health
-from tests.support.descriptors import no_descriptors, no_threads
+from tests.support.descriptors import no_descriptors
+from tests.support.no_threads import no_threads
 from tests.support.wait import until
 
 

@@ -1,11 +1,10 @@
-"""Exhausts this process's file descriptors, or its threads."""
+"""Exhausts this process's file descriptors."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import resource
-import threading
 from collections.abc import Iterator
 
 
@@ -24,20 +23,3 @@ def no_descriptors() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
         for file in held:
             os.close(file)
-
-
-@contextlib.contextmanager
-def no_threads(prefix: str) -> Iterator[None]:
-    """Let threads whose names begin with a prefix fail to start, as if the system had no thread left."""
-    start = threading.Thread.start
-
-    def fail(thread: threading.Thread) -> None:
-        if thread.name.startswith(prefix):
-            raise RuntimeError("can't start new thread")
-        start(thread)
-
-    threading.Thread.start = fail  # type: ignore[method-assign]
-    try:
-        yield
-    finally:
-        threading.Thread.start = start  # type: ignore[method-assign]

@@ -19,7 +19,7 @@ import pytest
 from bridge.adapters.ros1 import xmlrpc as xmlrpc_server
 from bridge.adapters.ros1.xmlrpc import XmlRpcServer
 from bridge.adapters.ros1.xmlrpc_request import Limits, decode_response, encode_response, encode_responses
-from tests.support.descriptors import no_threads
+from tests.support.no_threads import no_threads
 from tests.support.wait import until
 from yarp_compat.threaded_loop import ThreadedLoop
 

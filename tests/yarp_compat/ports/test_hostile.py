@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
-from tests.support.descriptors import no_threads
+from tests.support.no_threads import no_threads
 from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
 from yarp_compat.ports import connecting, connections, datagrams, listener

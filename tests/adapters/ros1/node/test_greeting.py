@@ -19,7 +19,7 @@ from bridge.adapters.ros1.node import greeting
 from bridge.adapters.ros1.node.greeting import TcprosServer
 from bridge.adapters.ros1_peers import DeadlineSocket, Ros1ProtocolError
 from bridge.concurrency import DelayedCalls
-from tests.support.descriptors import no_threads
+from tests.support.no_threads import no_threads
 from tests.support.wait import until
 
 

@@ -20,7 +20,7 @@ from bridge.adapters.ros1_peers import DeadlineSocket
 from bridge.hub.endpoints.calls import CallError
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.transcode.conversion import SideType
-from tests.support.descriptors import no_threads
+from tests.support.no_threads import no_threads
 from tests.support.wait import until
 
 TYPE = SideType("pkg/Serve", "5e7e", "")
