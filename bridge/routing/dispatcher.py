@@ -11,7 +11,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from queue import SimpleQueue
 from typing import Any
 
@@ -147,6 +147,12 @@ class RouteQueue:
                 sample = self._messages.popleft()
                 self._bytes -= len(sample.payload)
             self._publish(sample)
+
+    def remove(self, sources: Collection[bytes]) -> None:
+        """Remove the queued messages of some publishers; they do not count as dropped."""
+        with self._lock:
+            self._messages = deque(sample for sample in self._messages if sample.gid not in sources)
+            self._bytes = sum(len(sample.payload) for sample in self._messages)
 
     def clear(self) -> None:
         """Drop all queued messages."""

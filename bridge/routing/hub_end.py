@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
+from functools import partial
+from threading import Lock
 
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.graph import HubEndpoint
@@ -101,12 +103,20 @@ class RouteSubscription:
         while len(self._departed) > _MAX_DEPARTED:
             del self._departed[next(iter(self._departed))]
 
-    def request_returned(self, allowed: Mapping[bytes, HubSource]) -> None:
-        """Request the cached messages of publishers that departed and may pass again; they count as received."""
+    def request_returned(
+        self, allowed: Mapping[bytes, HubSource], publishing: Lock, remove: Callable[[Collection[bytes]], None]
+    ) -> None:
+        """Request the cached messages of publishers that departed and may pass again; they count as received.
+
+        ``remove`` removes the messages of such publishers that the route holds, as their caches contain these too; it
+        is called with the route's lock ``publishing``.
+        """
         for gid in self._departed.keys() & allowed.keys():
             del self._departed[gid]
-            if self._current is not None and allowed[gid].latched:
-                self._current.request_again(gid, allowed[gid].endpoint.zid)
+            endpoint = allowed[gid].endpoint
+            if self._current is not None and endpoint.qos.latched:
+                with publishing:
+                    self._current.request_again(gid, endpoint.zid, partial(remove, {gid}))
 
     def close(self) -> None:
         """Close the subscription, if any."""

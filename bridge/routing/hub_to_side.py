@@ -143,7 +143,7 @@ class HubToSideRoute(TopicRoute):
         self._open_publishers(self._sources.allowed.values())
         if allowed and self._demand.state is not Demand.PAUSED:
             self._receive_from(allowed)
-        self._subscription.request_returned(self._sources.allowed)
+        self._subscription.request_returned(self._sources.allowed, self.queue.publishing, self._remove_held)
 
     def _open_publishers(self, sources: Iterable[HubSource]) -> None:
         latched = [s.endpoint.qos.depth for s in sources if s.latched]
@@ -179,7 +179,18 @@ class HubToSideRoute(TopicRoute):
         if self._subscription.request(qos):
             self._qos = qos
 
+    def _remove_held(self, sources: Collection[bytes]) -> None:
+        """Remove the held messages of publishers whose caches will deliver them; hold ``queue.publishing``."""
+        for backlog in (self.pending, self._waiting_latched):
+            backlog.pop_matching(lambda waiting: waiting.source in sources)
+        self.queue.remove(sources)
+
     def _subscribe(self, qos: Qos) -> HubSubscription:
+        if qos.latched:
+            allowed = (source.endpoint for source in self._sources.allowed.values())
+            endpoints = (*allowed, *self._sources.waiting.values())
+            with self.queue.publishing:
+                self._remove_held({e.gid for e in endpoints if e.qos.latched and e.qos.depth <= qos.depth})
         source = self.conversion.source
         return self._context.hub.subscription(
             self.hub_topic, source.name, self.key.type_id, qos, self.queue.receive, self._refused_by_hub

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
+from bridge.hub.endpoints.publisher import HubPublisher
+from bridge.hub.graph import HubEndpoint
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.registry import Registry
@@ -204,27 +207,107 @@ def test_process_that_was_suspended_drops_no_message_to_the_side_before_it_looke
     assert latched.network.retained() == [line("only")]
 
 
-def test_messages_of_a_hub_publisher_that_returns_are_retained_again() -> None:
-    """Its link was lost, or another daemon carried its topic meanwhile; its messages count as received."""
-    registry, network = Registry(), FakeNetwork()
-    type_, idle, lease = registry.ros2(STRING), Dispatcher("idle"), Lease()
-    lease.extend(math.inf)
-    policy = RoutePolicy(allowed=True, why="", name=TOPIC)
+class HubRoute:
+    """A route to the side with a subscription on the hub, and a hub with publishers."""
+
+    def __init__(self, hub: Hub, there: Hub) -> None:
+        registry, self.network = Registry(), FakeNetwork()
+        type_, idle, lease = registry.ros2(STRING), Dispatcher("idle"), Lease()
+        lease.extend(math.inf)
+        policy = RoutePolicy(allowed=True, why="", name=TOPIC)
+        self.hub, self._there, self._type_id = hub, there, type_.type_id
+        self.route = HubToSideRoute(
+            RouteKey(TOPIC, STRING, type_.type_id), TOPIC, None, Conversion(type_, type_, None), policy,
+            EngineContext(
+                hub, FakeEdge(self.network, registry), StallDetector(), lease, cast("Any", None), idle, idle,
+                lambda: None,
+            ),
+        )  # fmt: skip
+        self.received: list[str] = []
+        self.network.read_from(TOPIC, STRING, Qos(), MadeBy.NATIVE, "reader", self._receive)
+
+    def _receive(self, data: bytes, *_: object) -> None:
+        self.received.append(next(text for text in "123456789" if line(text) == data))
+
+    def publisher(self, qos: Qos, *texts: str) -> tuple[HubPublisher, HubEndpoint]:
+        publisher = self._there.publisher(TOPIC, STRING, self._type_id, qos)
+        for text in texts:
+            publisher.put(line(text))
+        seen = until(lambda: [e for e in self.hub.graph.publishers(TOPIC) if e.gid == publisher.gid], "it is seen")
+        return publisher, seen[0]
+
+    def expect(self, *texts: str) -> None:
+        until(lambda: len(self.received) >= len(texts), f"{texts} arrive")
+        assert self.received == [*texts]
+
+
+@pytest.fixture
+def hub_route() -> Iterator[HubRoute]:
     with HubNetwork() as hubs, Hub.open(hubs.settings("here")) as hub, Hub.open(hubs.settings("there")) as there:
-        context = EngineContext(
-            hub, FakeEdge(network, registry), StallDetector(), lease, cast("Any", None), idle, idle, lambda: None
-        )
-        route = HubToSideRoute(
-            RouteKey(TOPIC, STRING, type_.type_id), TOPIC, None, Conversion(type_, type_, None), policy, context
-        )
-        for text in ("first", "second"):
-            there.publisher(TOPIC, STRING, type_.type_id, LATCHED).put(line(text))
-        publishers = until(lambda: hub.graph.publishers(TOPIC)[1:] and hub.graph.publishers(TOPIC), "both")
-        route.update(publishers, [])
-        until(lambda: sorted(network.retained()) == [line("first"), line("second")], "both messages")
-        route.update(publishers[:1], [])
-        assert len(network.retained()) == 1
-        route.update(publishers, [])
-        until(lambda: sorted(network.retained()) == [line("first"), line("second")], "both messages again")
-        assert route.counters.messages == 3, "the other publisher's message is not repeated"
-        route.close()
+        route = HubRoute(hub, there)
+        yield route
+        route.route.close()
+
+
+def test_messages_of_a_hub_publisher_that_returns_are_retained_again(hub_route: HubRoute) -> None:
+    """Its link was lost, or another daemon carried its topic meanwhile; its messages count as received."""
+    route, network = hub_route.route, hub_route.network
+    endpoints = [hub_route.publisher(LATCHED, text)[1] for text in ("1", "2")]
+    route.update(endpoints, [])
+    until(lambda: sorted(network.retained()) == [line("1"), line("2")], "both messages")
+    route.update(endpoints[:1], [])
+    assert len(network.retained()) == 1
+    route.update(endpoints, [])
+    until(lambda: sorted(network.retained()) == [line("1"), line("2")], "both messages again")
+    assert route.counters.messages == 3, "the other publisher's message is not repeated"
+
+
+def test_messages_published_during_an_absence_cross_once_and_in_order(hub_route: HubRoute) -> None:
+    """They are held meanwhile, as their publisher waits or is not on the graph, and are in its cache as well."""
+    route = hub_route.route
+    publisher, endpoint = hub_route.publisher(replace(LATCHED, depth=2), "1", "2")
+    route.update([endpoint], [])
+    hub_route.expect("1", "2")
+    for text, waiting in (("3", [endpoint]), ("4", [])):
+        route.update([], [], waiting)
+        publisher.put(line(text))
+        until(lambda: len(route.pending) + len(route._waiting_latched) == 1, "it is held")
+        hub_route.received.clear()
+        route.update([endpoint], [])
+        hub_route.expect(str(int(text) - 1), text)
+    publisher.put(line("5"))
+    hub_route.expect("3", "4", "5")
+
+
+def test_queued_message_of_a_publisher_that_returns_crosses_once(hub_route: HubRoute) -> None:
+    route = hub_route.route
+    publisher, endpoint = hub_route.publisher(replace(LATCHED, depth=2), "1")
+    route.update([endpoint], [])
+    hub_route.expect("1")
+    route.update([], [endpoint])
+    with route.queue.publishing:
+        publisher.put(line("2"))
+        until(lambda: len(route.queue._messages) == 1, "it is queued")
+    hub_route.received.clear()
+    route.update([endpoint], [])
+    until(lambda: route.queue._next() or len(hub_route.received) >= 2, "the messages cross")
+    hub_route.expect("1", "2")
+
+
+def test_held_message_crosses_once_though_a_new_subscription_receives_it_again(hub_route: HubRoute) -> None:
+    """The first publisher that may pass is volatile, so the route's subscription was too."""
+    route = hub_route.route
+    _, volatile = hub_route.publisher(Qos())
+    latched, endpoint = hub_route.publisher(replace(LATCHED, depth=2))
+    route.update([volatile], [], [endpoint])
+
+    def held() -> bool:
+        latched.put(line("1"))
+        return bool(route._waiting_latched)
+
+    until(held, "it is held")
+    latched.put(line("2"))
+    until(lambda: len(route._waiting_latched) == 2, "both are held")
+    route.update([volatile, endpoint], [])
+    latched.put(line("3"))
+    hub_route.expect("1", "2", "3")

@@ -101,8 +101,9 @@ class LatchedHubSubscription(HubSubscription):
             history.ask_session(zid)
 
     @override
-    def request_again(self, gid: bytes, zid: str) -> None:
+    def request_again(self, gid: bytes, zid: str, forget: Callable[[], None]) -> None:
         with self._lock:
+            forget()
             source = self.sources.pop(gid, None)
             if source is not None:
                 self.sources.pop_all_held(source)

@@ -352,8 +352,11 @@ class HubSubscription:
                 self._end_more(type_hash)
             self._on_close(self)
 
-    def request_again(self, gid: bytes, zid: str) -> None:
-        """Deliver the samples that a latched publisher of a session caches again; other publishers cache none."""
+    def request_again(self, gid: bytes, zid: str, forget: Callable[[], None]) -> None:
+        """Deliver the samples that a latched publisher of a session caches again; other publishers cache none.
+
+        ``forget`` forgets the samples of the publisher that the callback has received; none arrives meanwhile.
+        """
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         message = self._reader.read(sample)
