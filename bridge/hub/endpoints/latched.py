@@ -181,6 +181,7 @@ class LatchedHistory:
 
     def _ask(self, publishers: str, zid: str) -> None:
         if self._closed:
+            self._listener.done(zid)
             return
         done = partial(self._ends.submit, partial(self._on_done, publishers, zid))
         try:

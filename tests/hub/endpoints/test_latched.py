@@ -5,7 +5,10 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 import zenoh
@@ -319,6 +322,18 @@ def test_publisher_without_a_reply_is_queried_again(network: HubNetwork, monkeyp
             delays.close()
             executor.close()
             ends.close()
+
+
+def test_query_that_its_history_no_longer_needs_ends() -> None:
+    """Otherwise the subscription would hold the samples of that session for good."""
+    jobs: list[Callable[[], object]] = []
+    executor, events = cast("Any", SimpleNamespace(submit=jobs.append)), Events()
+    unused = cast("Any", None)
+    history = latched.LatchedHistory(unused, "key", 1, events, executor, unused, unused, recovers=True)
+    history.ask_session("1")
+    history.close()
+    jobs.pop()()
+    assert [event.partition(" ")[0] for event in events] == ["asked", "done"]
 
 
 class Events(list[str]):
