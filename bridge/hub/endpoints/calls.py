@@ -5,6 +5,7 @@ Each call ends once: with a reply, with zenoh's error reply, or because its serv
 
 from __future__ import annotations
 
+import itertools
 import logging
 import time
 from collections.abc import Callable
@@ -122,7 +123,7 @@ class CallClient:
         self._session, self._key, self._limit, self._executor = session, key, limit, executor
         self._ends, self._on_close, self._changed = ends, closed, changed
         self._lock = Lock()
-        self._number = 0
+        self._numbers = itertools.count(1)
         self._waiting: dict[int, _PendingCall] = {}
         self._again: list[_PendingCall] = []
         self._since = time.monotonic()
@@ -176,9 +177,9 @@ class CallClient:
             done(CallError(_NO_SERVER.format(name=self.name, where=self.where)))
             return nothing
         with self._lock:
-            self._number += 1
-            pending = _PendingCall(self._number, request, self._attached(self._number), done)
-            self._waiting[self._number] = pending
+            number = next(self._numbers)
+            pending = _PendingCall(number, request, self._attached(number), done)
+            self._waiting[number] = pending
         self._ask(pending)
         return partial(self._abandon, pending)
 

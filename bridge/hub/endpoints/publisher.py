@@ -362,12 +362,20 @@ class HubPublisher:
             self._replace(type_hash, None)
 
     def _replace(self, type_hash: str, sink: _Sink | None) -> None:
+        stored = None if self._stored is None else self._stored.stored
+        restored: set[bytes] = set()
+        if stored is not None and isinstance(sink, _LatchedSink):
+            # most of it without the lock: a congested link must not delay the messages on the other keys
+            with self._lock:
+                samples = tuple(stored)
+            restored.update(attached for _, attached in samples)
+            sink.restore(samples)
         with self._lock:
             closed = not self._sinks
             before = self._more.pop(type_hash, None)
             if sink is not None and not closed:
-                if self._stored is not None and isinstance(sink, _LatchedSink):
-                    sink.restore(self._stored.stored)
+                if stored is not None and isinstance(sink, _LatchedSink):
+                    sink.restore(sample for sample in stored if sample[1] not in restored)
                 self._more[type_hash] = sink
             if not closed:
                 self._sinks = (self._base, *self._more.values())

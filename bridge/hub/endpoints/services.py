@@ -158,7 +158,10 @@ class HubServer(CallServer):
 
 
 class _VariantClient(CallClient):
-    """The calls of a client under another type hash, with the client's GID."""
+    """The calls of a client under another type hash, with the client's GID and numbers.
+
+    Midspan's servers also answer under `NO_HASH`, and distinguish calls by GID and number.
+    """
 
     def __init__(self, key: str, client: HubClient, context: EndpointContext, changed: Callable[[], None]) -> None:
         self._client = client
@@ -166,7 +169,7 @@ class _VariantClient(CallClient):
             context.session, key, client.name, context.limit, context.executor, context.ends,
             zenoh.QueryTarget.ALL_COMPLETE, lambda _self: None, changed, context.reach,
         )  # fmt: skip
-        self._withdraw = nothing
+        self._withdraw, self._numbers = nothing, client._numbers
 
     @override
     def _attached(self, number: int) -> bytes:
@@ -175,6 +178,11 @@ class _VariantClient(CallClient):
     @override
     def _servers(self) -> frozenset[bytes]:
         return self._client._servers()
+
+    @override
+    def _abandoned(self, attached: bytes | None) -> None:
+        for key in (self._key, self._client._key):  # a server listens only under its own hash
+            self._client._announce_abandoned(key, attached)
 
 
 class HubClient(CallClient):
@@ -222,8 +230,10 @@ class HubClient(CallClient):
             self._end_variants()
 
     def _end_variants(self) -> None:
-        while self._more:
-            self._more.popitem()[1].close()
+        for type_hash in tuple(self._more):  # another thread may end them too
+            variant = self._more.pop(type_hash, None)
+            if variant is not None:
+                variant.close()
 
     @override
     def call(self, request: bytes, done: Done) -> Abandon:
@@ -264,12 +274,15 @@ class HubClient(CallClient):
 
     @override
     def _abandoned(self, attached: bytes | None) -> None:
-        assert attached is not None
-        self._executor.submit(partial(self._tell_leaving, attached))
+        self._announce_abandoned(self._key, attached)
 
-    def _tell_leaving(self, attached: bytes) -> None:
+    def _announce_abandoned(self, key: str, attached: bytes | None) -> None:
+        assert attached is not None
+        self._executor.submit(partial(self._put_abandoned, key, attached))
+
+    def _put_abandoned(self, key: str, attached: bytes) -> None:
         self._session.put(
-            abandon_key(self._key),
+            abandon_key(key),
             attached,
             priority=PRIORITY,
             congestion_control=zenoh.CongestionControl.BLOCK,

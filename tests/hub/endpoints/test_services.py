@@ -13,7 +13,7 @@ from bridge.hub.endpoints import calls as queries
 from bridge.hub.endpoints.calls import Abandon, CallError, Done
 from bridge.hub.endpoints.services import HubClient, abandon_key
 from bridge.hub.session import Hub
-from bridge.hub.wire.keys import pack_attachment, topic_key, unpack_attachment
+from bridge.hub.wire.keys import NO_HASH, pack_attachment, topic_key, unpack_attachment
 from tests.peers.hub.endpoints import see_each_other
 from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
@@ -48,11 +48,12 @@ class Serving:
         name: str = "/do",
         answer: Callable[[bytes], bytes | None] = lambda _: None,
         type_name: str = SERVICE,
+        type_hash: str = HASH,
     ) -> None:
         self.held: list[tuple[bytes, Done]] = []
         self.abandoned: list[bytes] = []
         self._answer = answer
-        self.server = hub.server(name, type_name, HASH, self._call)
+        self.server = hub.server(name, type_name, type_hash, self._call)
 
     def _call(self, request: bytes, done: Done) -> Abandon:
         reply = self._answer(request)
@@ -229,6 +230,24 @@ def test_abandoned_call_notifies_only_the_server(network: HubNetwork) -> None:
             done(b"reply")
         assert kept.wait() == b"reply"
         assert (called.ends, serving.abandoned) == ([], [b"dull"])
+
+
+def test_calls_under_another_hash_are_abandoned_and_numbered_with_the_clients_others(network: HubNetwork) -> None:
+    """Their GID is the same, and servers distinguish calls by GID and number."""
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        hashless = Serving(a, type_hash=NO_HASH)
+        caller = client(b)
+        _, abandon = call(caller, b"1")
+        until(lambda: hashless.held, "it is called")
+        same = Serving(a)
+        until(lambda: caller._reachable, "the server with the client's hash is seen")
+        call(caller, b"2")
+        until(lambda: same.held, "it is called")
+        numbers = [number for serving in (hashless, same) for _, number in serving.server._callers]
+        assert len(set(numbers)) == 2, numbers
+        abandon()
+        until(lambda: hashless.abandoned == [b"1"], "the call is abandoned", 5)
+        assert same.abandoned == []
 
 
 def test_dead_client_abandons_its_calls(network: HubNetwork) -> None:
