@@ -12,6 +12,7 @@ import time
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Protocol, Self
 
 from yarp_compat.ports.naming import Naming
@@ -77,18 +78,18 @@ def open_connection(host: str, port: int, end: Callable[[], float]) -> socket.so
     """Connect over TCP; raises only `OSError`, also if ``host`` cannot be a host name.
 
     Ports register any text as their host. ``end`` returns the deadline on the monotonic clock, and may return an
-    earlier one later. It does not limit the search for the host's addresses.
+    earlier one later. It does not limit the search for the host's addresses, which share the time that is left.
     """
     with host_checked(host):
         addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     problem = OSError(f"{host} has no address")
-    for family, kind, protocol, _, address in addresses:
+    for index, (family, kind, protocol, _, address) in enumerate(addresses):
+        latest = time.monotonic() + _left(end) / (len(addresses) - index)
         try:
             sock = socket.socket(family, kind, protocol)
             with closed_on_failure(sock):
-                _connect(sock, address, end)
-        except TimeoutError:
-            raise
+                _connect(sock, address, partial(_earlier, end, latest))
+                sock.settimeout(_left(end))
         except OSError as error:
             problem = error
         else:
@@ -107,7 +108,10 @@ def _connect(sock: socket.socket, address: tuple[object, ...], end: Callable[[],
         number = sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
     if number:
         raise OSError(number, os.strerror(number))
-    sock.settimeout(_left(end))
+
+
+def _earlier(end: Callable[[], float], latest: float) -> float:
+    return min(end(), latest)
 
 
 def _left(end: Callable[[], float]) -> float:
