@@ -51,19 +51,22 @@ def test_three_latched_publishers_to_the_side(side: Side, bridge: Bridge, far: H
 
 
 def test_latched_before_the_bridge_started(side: Side, far: HubSide, config) -> None:
+    """Only the newest message of each publisher crosses."""
     peer = side.peer()
     out = peer.advertise("/early", STRING, latched=True, depth=1)
-    peer.publish(out, {"data": "early"})
     far_out = far.advertise("/early_hub", STRING, latched=True, depth=1)
-    far.publish(far_out, {"data": "early hub"})
+    for text in ("older", "early"):
+        peer.publish(out, {"data": text})
+        far.publish(far_out, {"data": f"{text} hub"})
     side.bridge(config())
     subscription = far.subscribe("/early", STRING, latched=True)
     assert far.wait(subscription, 1, 15) == [{"data": "early"}]
     subscription = peer.subscribe("/early_hub", STRING, latched=True)
     assert peer.wait(subscription, 1, 15) == [{"data": "early hub"}]
-    route = far.route("/early_hub", "out")
-    assert route is not None
-    assert route["latency_ms"] == {}
+    routes = [far.route(topic, direction) for topic, direction in (("/early", "in"), ("/early_hub", "out"))]
+    assert [route and route["messages"] for route in routes] == [1, 1]
+    assert routes[1] is not None
+    assert routes[1]["latency_ms"] == {}
 
 
 def test_static_transforms_of_three_broadcasters_to_the_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
