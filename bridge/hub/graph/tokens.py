@@ -164,7 +164,7 @@ def parse_token(key: str) -> NodeToken | EndpointToken:
         raise HubWireError(f"token of the unknown kind {letters[:20]!r}")
     if len(parts) < _ENDPOINT_PARTS:
         raise HubWireError(f"{kind}'s token has {len(parts)} parts instead of {_ENDPOINT_PARTS} or more")
-    topic, type_hash = _absolute(demangle(parts[9])), parse_hash_chunk(parts[11])
+    topic, type_hash = check_topic(_absolute(demangle(parts[9]))), parse_hash_chunk(parts[11])
     return EndpointToken(owner, parts[4], kind, topic, ros_type_name(parts[10]), type_hash, decode_qos(parts[12]))
 
 
@@ -210,7 +210,9 @@ def parse_velocity(key: str) -> tuple[str, str, str]:
     parts = _split(key, MIDSPAN_SPACE)
     if len(parts) != 6 or parts[2] != "velocity":
         raise HubWireError("not a velocity token")
-    return parts[3], _unquote(parts[4]), _unquote(parts[5])
+    topic, type_name = check_topic(_unquote(parts[4])), _unquote(parts[5])
+    dds_type_name(type_name)  # it raises
+    return parts[3], topic, type_name
 
 
 def wire_key(domain: int, zid: str) -> str:

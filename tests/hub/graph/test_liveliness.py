@@ -25,7 +25,9 @@ from bridge.hub.graph.tokens import (
     origin_key,
     parse_origin,
     parse_token,
+    parse_velocity,
     qos_text,
+    velocity_key,
 )
 from bridge.hub.wire.keys import NO_HASH
 from bridge.hub.wire.qos import Qos
@@ -95,6 +97,9 @@ BAD_TOKENS = [
     TALKER.replace("std_msgs::msg", "std_msgs"),
     TALKER.replace("/MP/", "/ZZ/"),
     TALKER.replace("talker", "t" * 5000),
+    TALKER.replace("%chatter", "%chat ter"),
+    TALKER.replace("%chatter", "%chat%%ter"),
+    TALKER.replace("%chatter", "%"),
 ]
 
 
@@ -120,6 +125,25 @@ def test_token_without_a_type_hash():
 def test_malformed_token(key: str):
     with pytest.raises(HubWireError):
         parse_token(key)
+
+
+def test_velocity_token_round_trip():
+    key = velocity_key(5, "abc", "/robot_1/cmd_vel", "geometry_msgs/msg/Twist")
+    assert parse_velocity(key) == ("abc", "/robot_1/cmd_vel", "geometry_msgs/msg/Twist")
+
+
+@pytest.mark.parametrize(
+    "topic", ["", "/", "cmd_vel", "/*/cmd_vel", "/**", "/cmd vel", "//cmd_vel", "/a$*", "/@midspan"]
+)
+def test_velocity_token_with_a_malformed_topic(topic: str):
+    with pytest.raises(HubWireError):
+        parse_velocity(velocity_key(5, "abc", topic, "geometry_msgs/msg/Twist"))
+
+
+@pytest.mark.parametrize("type_name", ["", "Twist", "geometry_msgs/Twist", "geometry_msgs/msg/*"])
+def test_velocity_token_with_a_malformed_type(type_name: str):
+    with pytest.raises(HubWireError):
+        parse_velocity(velocity_key(5, "abc", "/cmd_vel", type_name))
 
 
 @pytest.mark.parametrize(
