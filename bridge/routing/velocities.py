@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 from bridge.clock import RunClock
+from bridge.hub.errors import HubWireError
+from bridge.hub.wire.keys import check_topic
 from bridge.messages.errors import ConversionError
 from bridge.messages.transcode.conversion import Conversion
 from bridge.routing.edge import Edge, Endpoint, Kind, MadeBy
 from bridge.routing.gates import ExitGate, ros2_name
 from bridge.routing.limits import COMMAND_TYPES
-from bridge.routing.rules import RoutePolicy, RuleSet
+from bridge.routing.rules import RoutePolicy, RuleSet, glob_regex, rename_glob
 
 PLAIN, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 Convert = Callable[[bytes], bytes]
@@ -37,7 +40,7 @@ def subscribed_velocities(
 ) -> frozenset[tuple[str, str]]:
     """Return hub topic and type of each topic of velocities that reaches a native subscription on the side.
 
-    A topic that a rule with wildcards renames is not recognized.
+    A topic that a rule renames by a regular expression is not recognized, nor one that loses what a wildcard matched.
     """
     return frozenset(
         (hub_topic, type_name)
@@ -66,8 +69,15 @@ def preferred(side_topic: str, side_type: str, native: Collection[tuple[str, str
 
 
 def _hub_topics(edge: Edge, side_topic: str, rules: RuleSet) -> Iterator[str]:
-    yield edge.hub_name(side_topic)
-    yield from (rule.topic for rule in rules.section.rules if rule.topic and rule.rename == side_topic)
+    """Yield the topics on the hub that may lead to a topic of the side: its own name, and those that rules rename."""
+    renamed = (
+        rename_glob(match, rule.topic)
+        for rule in rules.section.rules
+        if rule.topic and rule.rename and (match := glob_regex(rule.rename).fullmatch(side_topic))
+    )
+    for name in (edge.hub_name(side_topic), *renamed):
+        with suppress(HubWireError):  # a wildcard that nothing fills leaves an empty part
+            yield check_topic(name)
 
 
 def _leads_to(edge: Edge, gate: ExitGate, hub_topic: str, type_name: str) -> str:

@@ -99,6 +99,16 @@ def test_announced_velocities_follow_the_rules(side: Side) -> None:
     until(side.announced(("/base/cmd_vel", STAMPED)), "only the other type is denied")
 
 
+def test_announced_velocities_follow_rules_with_wildcards(side: Side) -> None:
+    side.base("/cmd_vel", STAMPED)
+    side.rules({"topic": "/robot/**", "rename": "/**"})
+    until(side.announced(("/cmd_vel", STAMPED), ("/robot/cmd_vel", STAMPED)), "the renamed topic is announced too")
+    side.rules({"topic": "/*/cmd_vel", "rename": "/cmd_vel"})
+    until(side.announced(("/cmd_vel", STAMPED)), "a name that the rule loses is not announced")
+    assert side.hub.graph.refused == 0
+    assert side.hub.graph.velocities() == side.far.graph.velocities()
+
+
 def test_announced_velocities_end_with_the_network_of_the_side(side: Side) -> None:
     side.base("/cmd_vel", STAMPED)
     until(side.announced(("/cmd_vel", STAMPED)), "the subscription is announced")
