@@ -1,24 +1,32 @@
-"""A halt of everything on the hub: zero velocity, and all goals canceled."""
+"""A halt of everything on the hub: zero velocity, and all goals canceled.
+
+No step waits for another one or fails with it: the zeros, the goals of each action, and the modules with a base.
+"""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from bridge.client.errors import ClientError
+from typing_extensions import override
+
 from bridge.client.publishing import encode
-from bridge.client.services import ServiceCaller
+from bridge.client.services import WAIT_SECONDS, ServiceClient
 from bridge.client.session import Client
 from bridge.client.types import Types
-from bridge.client.velocity import VELOCITIES, subscribers, velocity_message
+from bridge.client.velocity import VELOCITIES, driven_forms, velocity_message
 from bridge.clock import RunClock
 from bridge.config.sections.navigation import NavigationSection
 from bridge.hub.control import RECORDED
 from bridge.hub.endpoints.calls import CallError
+from bridge.hub.endpoints.publisher import HubPublisher
+from bridge.hub.wire.keys import NO_HASH
 from bridge.hub.wire.qos import Qos
+from bridge.messages.actions import CANCEL as CANCEL_TYPE
 from bridge.messages.actions import CANCEL_GOAL, part_name
 
 CANCEL = part_name("", CANCEL_GOAL)
@@ -33,6 +41,9 @@ _ANSWER_SECONDS = 5.0
 _ALL: dict[str, Any] = {"goal_info": {}}
 """A `CancelGoal` request without id and stamp: all goals (action_msgs/srv/CancelGoal)."""
 
+_Kind = tuple[str, str, str]
+"""Name, type and type hash of a topic."""
+
 
 @dataclass(frozen=True)
 class Halted:
@@ -42,7 +53,7 @@ class Halted:
         topics: the topics of velocities, with their number of subscribers on the hub.
         cancels: the result for each action's goals.
         bases: the modules that were asked to halt, and why they may not stand; "" if they do.
-        trouble: why the configured planner may drive on, or a base did not get zero; "" otherwise.
+        trouble: why the configured planner may drive on, or a base may not stand; "" otherwise.
         published: name, type and type hash of each topic of velocities.
     """
 
@@ -50,7 +61,7 @@ class Halted:
     cancels: list[GoalCancellation]
     bases: dict[str, str]
     trouble: str
-    published: list[tuple[str, str, str]] = field(default_factory=list)
+    published: list[_Kind] = field(default_factory=list)
 
     @property
     def failed(self) -> list[GoalCancellation]:
@@ -60,23 +71,43 @@ class Halted:
 
 def halt(client: Client, types: Types, seconds: float = DEFAULT_SECONDS) -> Halted:
     """Halt everything on the hub, and repeat zero for some seconds."""
+    bases = _Bases(client)
+    stopped = stop(client, types, actions(client), seconds)
+    bases.join()
+    cancelled = [cancel.name for cancel in stopped.cancels]
+    trouble = unreached(client.config.navigation, bases.answers, cancelled)
+    texts = filter(None, (trouble, bases.trouble, stopped.trouble))
+    return Halted(stopped.topics, stopped.cancels, bases.answers, "; ".join(texts), stopped.published)
+
+
+@dataclass(frozen=True)
+class Stopped:
+    """Which topics got zero, which goals were canceled, and which base may not have got zero; see `Halted`."""
+
+    topics: dict[str, int]
+    cancels: list[GoalCancellation]
+    trouble: str
+    published: list[_Kind]
+
+
+def stop(client: Client, types: Types, names: Iterable[str], seconds: float) -> Stopped:
+    """Publish zero for some seconds, and meanwhile cancel the goals of these actions."""
     zeros = ZeroVelocities(client, types)
-    cancels = [GoalCancellation(client, types, name) for name in actions(client)]
-    zeros.put()
-    bases: dict[str, str] = {}
-    asking = threading.Thread(target=lambda: bases.update(_halted(client)), daemon=True)
-    asking.start()
-    end = time.monotonic() + seconds
-    never = threading.Event()
-    while time.monotonic() < end:
-        never.wait(_PERIOD)
+    cancels = [GoalCancellation(client, types, name) for name in names]
+    begin, never = time.monotonic(), threading.Event()
+    while True:
         zeros.put()
-    asking.join()  # it has its own time limit
-    topics = {topic: zeros.listeners(topic) for topic in zeros.topics}
-    missed = zeros.missed()
+        for cancel in cancels:
+            cancel.attempt()
+        elapsed = time.monotonic() - begin
+        if not (elapsed < seconds or (elapsed < WAIT_SECONDS and any(cancel.waits for cancel in cancels))):
+            break
+        never.wait(_PERIOD)
+    result = Stopped(zeros.listeners(), cancels, zeros.trouble(), zeros.published)
     zeros.close()
-    trouble = unreached(client.config.navigation, bases, [cancel.name for cancel in cancels])
-    return Halted(topics, cancels, bases, "; ".join(filter(None, (trouble, missed))), zeros.published)
+    for cancel in cancels:
+        cancel.close()
+    return result
 
 
 def unreached(section: NavigationSection, asked: Iterable[str], cancelled: Collection[str]) -> str:
@@ -92,72 +123,160 @@ def unreached(section: NavigationSection, asked: Iterable[str], cancelled: Colle
 
 def actions(client: Client) -> list[str]:
     """The names of the actions that are served on the hub."""
-    return sorted({e.topic.removesuffix(CANCEL) for e in client.hub.graph.servers() if e.topic.endswith(CANCEL)})
+    servers = (e for e in client.hub.graph.servers() if e.type_name == CANCEL_TYPE)
+    return sorted({e.topic.removesuffix(CANCEL) for e in servers if e.topic.endswith(CANCEL)})
 
 
 class ZeroVelocities:
     """Publishes zero velocity on every topic of velocities of the hub, and on those that nodes of a side subscribe to.
 
-    A side has one type for each topic. So a topic with subscribers to one form gets only that form.
+    A side has one type for each topic. So a topic with subscribers to one form gets only that form, and a form that a
+    route carries already, whose base may not be announced. A topic that fails does not keep the others from zero.
     """
 
     def __init__(self, client: Client, types: Types) -> None:
-        graph = self._graph = client.hub.graph
-        self._types, self._frame = types, client.config.navigation.base_frame
+        self._hub, self._types, self._frame = client.hub, types, client.config.navigation.base_frame
         self._clock = RunClock(simulated=client.config.clock.simulated)  # a simulated one is not fed: 0 means now
-        ends = [*graph.publishers(), *graph.subscriptions()]
-        known = {(e.topic, e.type_name, e.type_hash) for e in ends if e.type_name in VELOCITIES}
-        known |= {(topic, name, types.hash_of(name)) for _, topic, name in graph.velocities() if name in VELOCITIES}
-        wanted = {topic: subscribers(graph, topic) for topic, _, _ in known}
-        self.published = sorted(kind for kind in known if kind[1] in (wanted[kind[0]] or VELOCITIES))
-        self.topics = [topic for topic, _, _ in self.published]
-        self._publishers = [
-            (client.hub.publisher(*kind, Qos(depth=1), priority="command"), kind[1]) for kind in self.published
-        ]
+        self._publishers: dict[_Kind, HubPublisher] = {}
+        self._failed: dict[_Kind, str] = {}
+
+    @property
+    def published(self) -> list[_Kind]:
+        """Name, type and type hash of each topic on which zero is published."""
+        return sorted(self._publishers)
 
     def put(self) -> None:
-        """Publish zero once on each topic."""
-        for publisher, name in self._publishers:
-            publisher.put(encode(self._types, name, velocity_message(name, self._clock, self._frame)))
+        """Publish zero once on each topic, also on those that are new."""
+        for kind in self._wanted() - self._publishers.keys() - self._failed.keys():
+            with self._reported(kind):
+                self._publishers[kind] = self._hub.publisher(*kind, Qos(depth=1), priority="command")
+        for kind, publisher in self._publishers.items():
+            with self._reported(kind):
+                message = velocity_message(kind[1], self._clock, self._frame)
+                publisher.put(encode(self._types, kind[1], message))
 
-    def listeners(self, topic: str) -> int:
-        """Return a topic's number of subscribers on the hub."""
-        return len(self._graph.subscriptions(topic))
+    def _wanted(self) -> set[_Kind]:
+        graph = self._hub.graph
+        ends = [*graph.publishers(), *graph.subscriptions()]
+        known = {(e.topic, e.type_name, e.type_hash) for e in ends if e.type_name in VELOCITIES}
+        for _, topic, name in graph.velocities():
+            if name in VELOCITIES:
+                with self._reported((topic, name, NO_HASH)):
+                    known.add((topic, name, self._types.hash_of(name)))
+        forms = {topic: driven_forms(graph, topic) or VELOCITIES for topic, _, _ in known}
+        return {kind for kind in known if kind[1] in forms[kind[0]]}
 
-    def missed(self) -> str:
-        """Return which nodes of a side no zero can reach, "" if there are none: the side has another type there."""
-        reached = {(end.zid, end.topic, end.type_name) for end in self._graph.subscriptions()}
-        return "; ".join(
+    @contextmanager
+    def _reported(self, kind: _Kind) -> Iterator[None]:
+        try:
+            yield
+        except Exception as err:  # whatever it is, the other topics must get zero
+            self._failed[kind] = _reason(err)
+
+    def listeners(self) -> dict[str, int]:
+        """Return the topics on which zero is published, with their number of subscribers on the hub."""
+        return {topic: len(self._hub.graph.subscriptions(topic)) for topic, _, _ in self.published}
+
+    def trouble(self) -> str:
+        """Return which topics got no zero, and which nodes of a side it cannot reach, "" if there are none."""
+        graph = self._hub.graph
+        failed = [
+            f"{topic}: zero could not be published as {name} ({error}): the robot may still be moving"
+            for (topic, name, _), error in sorted(self._failed.items())
+        ]
+        published = {kind[:2] for kind in self._publishers}
+        reached = {(end.zid, end.topic, end.type_name) for end in graph.subscriptions()}
+        missed = [
             f"{topic}: nodes of a side subscribe to {name}, and zero does not reach them: the robot may still be"
             f" moving; see 'midspan explain {topic}'"
-            for zid, topic, name in self._graph.velocities()
-            if (zid, topic, name) not in reached
-        )
+            for zid, topic, name in graph.velocities()
+            if (zid, topic, name) not in reached or (topic, name) not in published
+        ]
+        return "; ".join([*failed, *missed])
 
     def close(self) -> None:
         """Withdraw the publishers."""
-        for publisher, _ in self._publishers:
+        for publisher in self._publishers.values():
             publisher.close()
 
 
 class GoalCancellation:
-    """Cancels all goals of one action; ``found`` counts them, ``error`` is the reason of a failure."""
+    """Cancels all goals of one action; ``found`` counts them, ``error`` is the reason of a failure.
+
+    The request has the installed definition of `CancelGoal`, which all releases of ROS 2 share, so that no worker needs
+    to be asked for another one.
+    """
 
     def __init__(self, client: Client, types: Types, name: str) -> None:
-        self.name, self.found, self.error = name, 0, "it has not answered"
+        from bridge.messages.json import CallCodec  # many programs cancel nothing
+
+        self.name, self.found, self.error = name, 0, f"the server of {name}{CANCEL} does not accept calls from here"
+        self._end: ServiceClient | None = None
+        self.waits = False
         try:
-            ServiceCaller(client, types, f"{name}{CANCEL}").call(_ALL, self._answered)
-        except ClientError as err:
-            self.error = str(err)
+            self._end = ServiceClient(client.hub, f"{name}{CANCEL}", CallCodec(types.registry, CANCEL_TYPE))
+            self.waits = True
+        except Exception as err:  # whatever it is, the rest must stop
+            self.error = _reason(err)
+
+    def attempt(self) -> None:
+        """Send the request once, as soon as the server is reachable."""
+        if self._end is None or not self.waits or not self._end.ready:
+            return
+        self.waits, self.error = False, "it has not answered"
+        try:
+            self._end.call(_ALL, self._answered)
+        except Exception as err:  # whatever it is, the rest must stop
+            self.error = _reason(err)
+
+    def close(self) -> None:
+        """Close the client; a later answer is ignored."""
+        end, self._end = self._end, None
+        if end is not None:
+            end.close()
 
     def _answered(self, reply: dict[str, Any] | CallError) -> None:
+        if self._end is None:
+            return
         if isinstance(reply, CallError):
             self.error = str(reply)
             return
         self.found, self.error = len(reply["goals_canceling"]), ""
 
 
-def _halted(client: Client) -> dict[str, str]:
-    """Return the modules that were asked to halt, and why they may not stand; "" if they do."""
-    answers = client.ask("halt", timeout=_ANSWER_SECONDS)
-    return {f"{a.worker} of {a.daemon}": a.error for a in answers if a.value != RECORDED}
+class _Bases(threading.Thread):
+    """Asks all modules with a base, and the gateway, to halt.
+
+    Attributes:
+        answers: the modules that were asked, and why they may not stand; "" if they do.
+        trouble: why others may not stand.
+    """
+
+    def __init__(self, client: Client) -> None:
+        super().__init__(name="halt", daemon=True)
+        self._client = client
+        self.answers: dict[str, str] = {}
+        self.trouble = ""
+        self.start()
+
+    @override
+    def run(self) -> None:
+        begin = time.monotonic()
+        try:
+            answers = self._client.ask("halt", timeout=_ANSWER_SECONDS)
+        except Exception as err:  # whatever it is, the rest must stop, and the failure is reported
+            self.trouble = f"bases could not be asked to halt and may still be moving: {_reason(err)}"
+            return
+        for answer in answers:
+            if answer.value != RECORDED:
+                name = f"{answer.worker} of {answer.daemon}"  # which several may have
+                self.answers[name] = self.answers.get(name) or answer.error
+        if time.monotonic() - begin >= _ANSWER_SECONDS:
+            self.trouble = (
+                f"a module has not answered within {_ANSWER_SECONDS:g} s: its base may still be moving; see"
+                " `midspan status`"
+            )
+
+
+def _reason(err: Exception) -> str:
+    return str(err) or type(err).__name__

@@ -81,6 +81,17 @@ def subscribers(graph: HubGraph, topic: str) -> dict[str, list[str]]:
     return {type_name: sorted(names) for type_name, names in by_type.items()}
 
 
+def driven_forms(graph: HubGraph, topic: str) -> set[str]:
+    """Return the types of velocities that may drive a base on a topic, empty if the base's form is unknown.
+
+    A base whose form no side announces may be behind a route. So the forms that routes carry count too.
+    """
+    forms = set(subscribers(graph, topic))
+    if forms:
+        forms |= {e.type_name for e in graph.subscriptions(topic) if e.origin is not None or e.pending}
+    return forms & set(VELOCITIES)
+
+
 class VelocityPublisher:
     """Publishes velocities in the base's form, never in both: two types would be refused on a side, or drive twice.
 

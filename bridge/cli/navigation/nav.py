@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from typing import Any
 
 from bridge.cli.arguments import add_verb, add_verbs
@@ -13,14 +12,14 @@ from bridge.cli.maps.show import add_drawing_arguments, draw
 from bridge.cli.navigation.gateway import gateway_caller, gateway_status, planner_away, published_status
 from bridge.cli.output import CliError, print_json
 from bridge.client.errors import ClientError
-from bridge.client.halt import GoalCancellation, ZeroVelocities, actions
+from bridge.client.halt import actions, stop
 from bridge.client.navigation import ANSWER_SECONDS, Navigation, place_of, place_text, state_text
 from bridge.client.types import Types
 from bridge.config.sections.navigation import ACTION
 from bridge.status import GatewayKeys
 from bridge.text import clean, plural
 
-_ZERO_SECONDS, _PERIOD = 1.0, 0.05
+_ZERO_SECONDS = 1.0
 _DONE = {"stop": "stopped: no goal is under way", "pause": "paused", "resume": "resumed"}
 
 
@@ -80,16 +79,16 @@ def _stop_itself(client: CliClient, types: Types, why: str) -> int:
     if not planner:
         raise CliError(why)
     client.settle()
-    if action not in actions(client):
-        raise CliError(f"{why}\nNor is the planner {planner} on the hub: the robot may still be moving")
-    cancel, zeros = GoalCancellation(client, types, action), ZeroVelocities(client, types)
-    end = time.monotonic() + _ZERO_SECONDS
-    while time.monotonic() < end:
-        zeros.put()
-        time.sleep(_PERIOD)
-    zeros.close()
+    stopped = stop(client, types, [action] if action in actions(client) else [], _ZERO_SECONDS)
+    unsure = f"\n{clean(stopped.trouble)}" if stopped.trouble else ""
+    if not stopped.cancels:
+        raise CliError(f"{why}\nNor is the planner {planner} on the hub: the robot may still be moving{unsure}")
+    (cancel,) = stopped.cancels
     if cancel.error:
-        raise CliError(f"{why}\n{planner} did not take the stop ({clean(cancel.error)}): the robot may still be moving")
+        text = f"{planner} did not take the stop ({clean(cancel.error)}): the robot may still be moving"
+        raise CliError(f"{why}\n{text}{unsure}")
+    if unsure:
+        raise CliError(f"{why}{unsure}")
     print(f"the gateway is not there; {planner} itself was asked: {plural(cancel.found, 'goal')} cancelled")
     return 0
 

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import pytest
 import yaml
 
+from bridge.client.session import Client
 from bridge.clock import SYSTEM
+from bridge.hub.control import WorkerAnswer
+from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.errors import HubError
+from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.actions import GoalState
@@ -158,6 +164,148 @@ def test_halt_reports_a_base_on_a_side_that_zero_does_not_reach(
     done = midspan("halt", "--seconds", "0.1")
     assert done.code == 1
     assert f"/far/cmd_vel: nodes of a side subscribe to {TWIST_STAMPED}, and zero does not reach them" in done.err
+
+
+@pytest.fixture
+def program(network: HubNetwork) -> Iterator[Any]:
+    """A zenoh program that declares tokens on the hub."""
+    with network.program() as session:
+        yield session.liveliness()
+
+
+def test_nonsense_on_the_hub_keeps_nothing_from_stopping(
+    midspan: Midspan, network: HubNetwork, registry: Registry, robot: Robot, program: Any, closing: list[Any],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """A rule whose topic has wildcards, and tokens that any guest of the hub may declare."""
+    monkeypatch.setattr("bridge.client.halt.WAIT_SECONDS", 1.0)
+    halts: list[Any] = []
+    closing.append(FakeWorker(network, "base_control", halt=lambda params: halts.append(params) or {"halted": True}))
+    worker = EngineWorker(network, registry, rules=[{"topic": "/*/cmd_vel", "rename": "/cmd_vel"}])
+    closing.append(worker)
+    received: list[bytes] = []
+    worker.side.read_from("/cmd_vel", TWIST, Qos(), MadeBy.NATIVE, "/base", lambda data, *_: received.append(data))
+    domain = network.domain
+    twist, cancel = "geometry_msgs::msg::dds_::Twist_", "action_msgs::srv::dds_::CancelGoal_"
+    tokens = [
+        f"@midspan/{domain}/velocity/z/%2F%2A%2Fcmd_vel/{quote(TWIST, safe='')}",
+        f"@midspan/{domain}/velocity/z/nonsense/{quote(TWIST_STAMPED, safe='')}",
+        f"@midspan/{domain}/velocity/z/%2Fcmd_vel/nonsense",
+        f"@ros2_lv/{domain}/z/0/1/MP/%/%/n/%a b/{twist}/{registry.ros2(TWIST).type_id}/::,7:,:,:,,",
+        f"@ros2_lv/{domain}/z/0/2/MP/%/%/n/%a/{twist}/nonsense/::,7:,:,:,,",
+        f"@ros2_lv/{domain}/z/0/3/SS/%/%/n/%a%_action%cancel_goal/{cancel}/nonsense/::,7:,:,:,,",
+    ]
+    declared = [program.declare_token(token) for token in tokens]
+    graph = robot.node.hub.graph
+    until(lambda: graph.servers("/a/_action/cancel_goal") and graph.velocities(), "the tokens are known")
+    done = midspan("halt", "--seconds", "1")
+    assert (done.code, halts) == (1, [{}])
+    assert "/a: not cancelled: the server of /a/_action/cancel_goal does not accept calls" in done.out
+    assert "/lookup: 2 goals cancelled" in done.out
+    assert "base_control of robot1: stands still" in done.out
+    assert f"/a: zero could not be published as {TWIST} (type hash 'nonsense' is not" in done.err
+    assert [line for line in done.err.splitlines() if "a b" in line or "*" in line] == []
+    until(lambda: [goal.status for goal in robot.sent] == [GoalState.CANCELED] * 2, "both goals were cancelled")
+    assert robot.heard
+    assert [to_json(registry, TWIST, data)["linear"]["x"] for data in received] == [0.0] * len(received) != []
+    for token in declared:
+        token.undeclare()
+
+
+def test_zero_does_not_wait_for_an_action_server_that_is_unreachable(
+    midspan: Midspan, network: HubNetwork, registry: Registry, robot: Robot, program: Any,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr("bridge.client.halt.WAIT_SECONDS", 1.0, raising=False)
+    type_hash = registry.service_ros2("action_msgs/srv/CancelGoal").type_id
+    cancel = f"%a%_action%cancel_goal/action_msgs::srv::dds_::CancelGoal_/{type_hash}"
+    token = program.declare_token(f"@ros2_lv/{network.domain}/z/0/3/SS/%/%/n/{cancel}/::,7:,:,:,,")
+    until(lambda: robot.node.hub.graph.servers("/a/_action/cancel_goal"), "the server is announced")
+    done = midspan("halt", "--seconds", "0.05")
+    assert done.code == 1
+    assert "/a: not cancelled" in done.out
+    assert len(robot.heard) > 5, "zero is repeated meanwhile"
+    token.undeclare()
+
+
+def test_a_form_that_a_route_carries_gets_zero_although_another_one_is_subscribed_to(
+    midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    """As of a base behind a worker that announces no velocities; the monitor drives nothing."""
+    worker = FakeWorker(network, "ros2")
+    closing.append(worker)
+    worker.hub.set_origin(Origin("ros2", "network", "robot1"))
+    received: list[HubSample] = []
+    monitor = Hub.open(network.settings("monitor"))
+    closing.append(monitor)
+    monitor.subscription("/cmd_vel", TWIST, registry.ros2(TWIST).type_id, Qos(), lambda _: None)
+    stamped = registry.ros2(TWIST_STAMPED).type_id
+    worker.hub.subscription("/cmd_vel", TWIST_STAMPED, stamped, Qos(), received.append)
+    until(lambda: monitor.graph.origins() and len(monitor.graph.subscriptions("/cmd_vel")) == 2, "both are known")
+    assert midspan("halt", "--seconds", "0.5").code == 0
+    twists = until(lambda: [to_json(registry, TWIST_STAMPED, s.data()) for s in received], "the base gets zero")
+    assert {twist["twist"]["linear"]["x"] for twist in twists} == {0.0}
+
+
+def test_a_base_that_appears_during_the_halt_gets_zero(
+    midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    late = Hub.open(network.settings("late"))
+    closing.append(late)
+    received: list[HubSample] = []
+    type_id = registry.ros2(TWIST).type_id
+
+    def halts(_params: dict[str, Any]) -> dict[str, Any]:
+        late.subscription("/late/cmd_vel", TWIST, type_id, Qos(), received.append)
+        return {"halted": True}
+
+    closing.append(FakeWorker(network, "base_control", halt=halts))
+    done = midspan("halt", "--seconds", "1.5")
+    assert "/late/cmd_vel: zero velocity, 1 listener" in done.out
+    until(lambda: received, "it gets zero")
+
+
+def test_a_module_that_does_not_answer_is_reported(
+    midspan: Midspan, network: HubNetwork, closing: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bridge.client.halt._ANSWER_SECONDS", 0.5)
+    released = threading.Event()
+    closing.append(FakeWorker(network, "base_control", halt=lambda _params: released.wait(30)))
+    closing.append(FakeWorker(network, "robot_goto", halt={"halted": True}))
+    done = midspan("halt", "--seconds", "0.1")
+    released.set()
+    assert (done.code, done.out) == (1, "robot_goto of robot1: stands still\n")
+    assert "a module has not answered within 0.5 s: its base may still be moving" in done.err
+
+
+def test_bases_that_cannot_be_asked_are_reported(
+    midspan: Midspan, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ask = Client.ask
+
+    def fails(client: Client, verb: str, *args: Any, **more: Any) -> Any:
+        if verb == "halt":
+            raise HubError("no answer can be read")
+        return ask(client, verb, *args, **more)
+
+    monkeypatch.setattr(Client, "ask", fails)
+    done = midspan("halt", "--seconds", "0.5")
+    assert done.code == 1
+    assert "bases could not be asked to halt and may still be moving: no answer can be read" in done.err
+    assert "/lookup: 2 goals cancelled" in done.out
+    assert robot.heard
+
+
+@pytest.mark.parametrize("errors", [("it moves", ""), ("", "it moves")])
+def test_of_two_bases_with_one_name_the_one_that_moves_counts(
+    midspan: Midspan, monkeypatch: pytest.MonkeyPatch, errors: tuple[str, str]
+) -> None:
+    def answers(_client: Client, verb: str, *_args: Any, **_more: Any) -> list[WorkerAnswer]:
+        return [WorkerAnswer("robot1", "base_control", None, error) for error in errors] if verb == "halt" else []
+
+    monkeypatch.setattr(Client, "ask", answers)
+    done = midspan("halt", "--seconds", "0.1")
+    assert (done.code, done.out) == (1, "base_control of robot1: it moves\n")
 
 
 def test_halt_over_a_slow_network(midspan: Midspan, network: HubNetwork, registry: Registry) -> None:

@@ -23,7 +23,10 @@ from bridge.cli.navigation.gateway import gateway_status, no_answer
 from bridge.cli.navigation.goto import GoalProgress
 from bridge.client.navigation import STATUS, STATUS_TOPIC, state_text
 from bridge.client.session import connect
+from bridge.client.velocity import TWIST
 from bridge.config.model import Config
+from bridge.hub.endpoints.subscription import HubSample
+from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.status import read_daemon_status
 from bridge.stores.kinds import AREA, LOCATION, MAP
@@ -412,9 +415,15 @@ def test_stop_reaches_the_planner_without_a_gateway(network: HubNetwork, tmp_pat
     file = tmp_path / "midspan.yaml"
     file.write_text(json.dumps({"hub": network.config(), "navigation": {"planner": "move_base"}}))
     midspan = Midspan(file, capsys)
-    outcome = midspan("nav", "stop")
-    assert outcome.code == 1
-    assert "Nor is the planner move_base on the hub: the robot may still be moving" in outcome.err
+    with Hub.open(network.settings("base")) as base:
+        received: list[HubSample] = []
+        base.subscription("/cmd_vel", TWIST, "*", Qos(), received.append)
+        base.graph.announce_velocity("/far/cmd_vel", TWIST)
+        outcome = midspan("nav", "stop")
+        assert outcome.code == 1
+        assert "Nor is the planner move_base on the hub: the robot may still be moving" in outcome.err
+        assert "/far/cmd_vel: nodes of a side subscribe" in outcome.err
+        until(lambda: received, "the base gets zero nevertheless")
     planner, client = Planner(network.settings("planner"), "move_base"), HubNode(network.settings("client"))
     try:
         client_goal = ClientGoal(client, pose(5.0), "/planner/move_base/navigate_to_pose")
