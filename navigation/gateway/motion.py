@@ -9,7 +9,7 @@ from collections.abc import Callable
 from enum import Enum
 from functools import partial
 
-from bridge.client.velocity import subscribers
+from bridge.client.velocity import driven_forms
 from bridge.hub.wire.qos import Qos
 from bridge.modules.endpoints import Subscription
 from bridge.modules.host import Host
@@ -125,7 +125,7 @@ _FRAME_ID = _HEADER + 8
 class VelocityWatch:
     """Follows the velocity commands to the base, stamped or not, only while it is open: for stops without odometry.
 
-    Zero counts in the form that the base subscribes to, or in both if its form is unknown.
+    Zero counts in the form that the base subscribes to, or in either if its form is unknown.
     """
 
     def __init__(self, host: Host, topic: str) -> None:
@@ -162,8 +162,8 @@ class VelocityWatch:
         return time.monotonic() > begin + (ZERO_SECONDS if self._last_zero() > begin else SILENCE_SECONDS)
 
     def _last_zero(self) -> float:
-        """Return when the base received the last zero; if both forms have subscribers, when the later of them did."""
-        forms, zeros = subscribers(self._host.node.hub.graph, self._topic), self._zero_at
+        """Return when the base received the last zero; if both forms may drive it, when it had received both."""
+        forms, zeros = driven_forms(self._host.node.hub.graph, self._topic), self._zero_at
         if forms:
             return min(zeros.get(form, -math.inf) for form in forms)
         return max(zeros.values(), default=-math.inf)

@@ -47,6 +47,7 @@ class Base:
         commands: velocities that its commanders publish in each step, m/s.
         kind: type of these commands.
         form: the type that the base subscribes to, "" if it is unknown.
+        carried: the type that a route carries to a side, "" without a route.
         released: whether the planner has released its goals.
         reachable: whether the planner is reachable.
     """
@@ -62,8 +63,9 @@ class Base:
         self.released, self.reachable = False, True
         self._seen_at = self.clock.now
         self.subscribed: list[tuple[str, Callable[[bytes], None]]] = []
-        self.form = ""
-        self.hub = SimpleNamespace(graph=SimpleNamespace(subscriptions=lambda _: [], velocities=self._velocities))
+        self.form = self.carried = ""
+        graph = SimpleNamespace(subscriptions=self._subscriptions, velocities=self._velocities)
+        self.hub = SimpleNamespace(graph=graph)
         self.hub.graph.origin_of = lambda _: None
         host = SimpleNamespace(node=self)
         self.motion = Motion(cast("Any", SimpleNamespace(odometry=self._pose)))
@@ -80,6 +82,10 @@ class Base:
 
     def _velocities(self) -> list[tuple[str, str, str]]:
         return [("zid", "/cmd_vel", self.form)] if self.form else []
+
+    def _subscriptions(self, _topic: str) -> list[Any]:
+        route = SimpleNamespace(origin="ros2", pending=False, type_name=self.carried)
+        return [route] if self.carried else []
 
     def _pose(self) -> Pose:
         if not self.odometry:
@@ -257,6 +263,16 @@ def test_without_odometry_zeros_in_a_form_that_the_base_ignores_count_as_silence
     blind.kind, blind.form = kind, form
     blind.released, blind.commands = True, (0.0,)
     assert blind.until(StopState.CONFIRMED, 2.0) >= SILENCE_SECONDS
+
+
+@pytest.mark.parametrize(("carried", "soonest"), [(TWIST, ZERO_SECONDS), (TWIST_STAMPED, SILENCE_SECONDS)])
+def test_without_odometry_a_base_behind_a_route_of_the_other_form_is_not_known_to_stand(
+    blind: Base, carried: str, soonest: float
+) -> None:
+    blind.order.ask("it was stopped")
+    blind.form, blind.carried = TWIST, carried
+    blind.released, blind.commands = True, (0.0,)
+    assert soonest <= blind.until(StopState.CONFIRMED, 2.0) < soonest + 0.5
 
 
 def test_without_odometry_a_second_commander_that_drives_keeps_it_open_despite_zeros(blind: Base) -> None:
