@@ -270,12 +270,18 @@ class _Bases(threading.Thread):
         for answer in answers:
             if answer.value != RECORDED:
                 name = f"{answer.worker} of {answer.daemon}"  # which several may have
-                self.answers[name] = self.answers.get(name) or answer.error
+                self.answers[name] = self.answers.get(name) or answer.error or _unconfirmed(answer.value)
         if time.monotonic() - begin >= _ANSWER_SECONDS:
             self.trouble = (
                 f"a module has not answered within {_ANSWER_SECONDS:g} s: its base may still be moving; see"
                 " `midspan status`"
             )
+
+
+def _unconfirmed(value: Any) -> str:
+    """Return why a module's answer confirms no halt, "" if it does."""
+    halted = isinstance(value, dict) and value.get("halted") is True
+    return "" if halted else f"its answer does not confirm the halt: {value!r:.80}"
 
 
 def _reason(err: Exception) -> str:

@@ -260,7 +260,7 @@ def test_a_base_that_appears_during_the_halt_gets_zero(
         return {"halted": True}
 
     closing.append(FakeWorker(network, "base_control", halt=halts))
-    done = midspan("halt", "--seconds", "1.5")
+    done = midspan("halt", "--seconds", "3")
     assert "/late/cmd_vel: zero velocity, 1 listener" in done.out
     until(lambda: received, "it gets zero")
 
@@ -268,14 +268,14 @@ def test_a_base_that_appears_during_the_halt_gets_zero(
 def test_a_module_that_does_not_answer_is_reported(
     midspan: Midspan, network: HubNetwork, closing: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bridge.client.halt._ANSWER_SECONDS", 0.5)
+    monkeypatch.setattr("bridge.client.halt._ANSWER_SECONDS", 1.5)
     released = threading.Event()
     closing.append(FakeWorker(network, "base_control", halt=lambda _params: released.wait(30)))
     closing.append(FakeWorker(network, "robot_goto", halt={"halted": True}))
     done = midspan("halt", "--seconds", "0.1")
     released.set()
     assert (done.code, done.out) == (1, "robot_goto of robot1: stands still\n")
-    assert "a module has not answered within 0.5 s: its base may still be moving" in done.err
+    assert "a module has not answered within 1.5 s: its base may still be moving" in done.err
 
 
 def test_bases_that_cannot_be_asked_are_reported(
@@ -301,11 +301,26 @@ def test_of_two_bases_with_one_name_the_one_that_moves_counts(
     midspan: Midspan, monkeypatch: pytest.MonkeyPatch, errors: tuple[str, str]
 ) -> None:
     def answers(_client: Client, verb: str, *_args: Any, **_more: Any) -> list[WorkerAnswer]:
-        return [WorkerAnswer("robot1", "base_control", None, error) for error in errors] if verb == "halt" else []
+        halted = {"halted": True}
+        return [WorkerAnswer("robot1", "base_control", halted, error) for error in errors] if verb == "halt" else []
 
     monkeypatch.setattr(Client, "ask", answers)
     done = midspan("halt", "--seconds", "0.1")
     assert (done.code, done.out) == (1, "base_control of robot1: it moves\n")
+
+
+@pytest.mark.parametrize("value", [None, {}, {"halted": False}, "halted"])
+def test_an_answer_that_does_not_confirm_the_halt_is_no_success(
+    midspan: Midspan, monkeypatch: pytest.MonkeyPatch, value: object
+) -> None:
+    def answers(_client: Client, verb: str, *_args: Any, **_more: Any) -> list[WorkerAnswer]:
+        return [WorkerAnswer("robot1", "base_control", value)] if verb == "halt" else []
+
+    monkeypatch.setattr(Client, "ask", answers)
+    done = midspan("halt", "--seconds", "0.1")
+    assert (done.code, done.out) == (
+        1, f"base_control of robot1: its answer does not confirm the halt: {value!r}\n"
+    )  # fmt: skip
 
 
 def test_halt_over_a_slow_network(midspan: Midspan, network: HubNetwork, registry: Registry) -> None:
