@@ -319,13 +319,16 @@ def test_topics_cross_both_ways(edge: RunningEdge, cyclone: Callable[[], Cyclone
 
 @pytest.mark.parametrize("latched", [False, True], ids=["volatile", "latched"])
 def test_first_large_message(edge: RunningEdge, cyclone: Callable[[], CyclonePeer], latched: bool) -> None:
-    """It consists of fragments, and is sent before the subscription can have matched."""
+    """It consists of fragments. A latched one is sent before the subscription can have matched."""
     native, topic, large = cyclone(), f"/c/large{int(latched)}", "x" * 1_000_000
     subscription = native.subscribe(topic, "std_msgs/String")
     seen(edge, topic, Kind.SUBSCRIPTION)
     qos = Qos(durability=Durability.TRANSIENT_LOCAL) if latched else Qos()
     publisher = edge.edge.advertise(topic, edge.type("std_msgs/msg/String"), qos)
     until(lambda: edge.edge.has_subscribers(topic), "the subscription is known")
+    if not latched:
+        heartbeats = edge.edge._context.heartbeats
+        until(lambda: not heartbeats._pending, "the subscription is prepared")
     publisher.send(string(large), "first")
     (received,) = native.received(subscription, 1)
     assert text(received) == large
