@@ -102,7 +102,15 @@ def test_joints_moving_at_a_connection_loss_are_stopped_on_reconnect(robot: Robo
     closing.join()
     assert robot.speeds[0] != 0.0
     with served(robot):
-        until(lambda: robot.speeds[0] == 0.0, "the joint stands still")
+
+        def stopped() -> bool:
+            return robot.speeds[0] == 0.0
+
+        try:
+            until(stopped, "the joint stands still")
+        except AssertionError as err:
+            status = robot.answer("control_boards")["boards"]
+            raise AssertionError(f"{err}; {status}, {robot.board.calls[-6:]}, {threading.enumerate()}") from None
 
 
 def test_a_position_command_moves_the_joint(robot: Robot) -> None:
