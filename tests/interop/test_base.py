@@ -234,4 +234,9 @@ def test_the_base_stops_when_its_commanders_worker_is_killed_and_resumes_with_th
     until(lambda: goes() > 0.1 * TICK, "it drives", 20)
     os.kill(deployment.worker("ros1")["pid"], signal.SIGKILL)
     until(lambda: goes() < 1e-5, "it stands, whatever the program commands", 20)
-    until(lambda: goes() > 0.1 * TICK, "it drives through the next worker", 40)
+    try:
+        until(lambda: goes() > 0.1 * TICK, "it drives through the next worker", 40)
+    except AssertionError as err:
+        routes = [route for route in deployment.worker("ros1")["routes"] if "cmd_vel" in route["topic"]]
+        base = deployment.command("status", "--json").stdout
+        raise AssertionError(f"{err}: {deployment.explain('/cmd_vel')}, {routes}, {base}") from None
