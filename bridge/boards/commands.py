@@ -14,6 +14,7 @@ from enum import Enum, auto
 from typing import Any, Protocol
 
 _HALT_METHOD = "stopAllRPC"
+_LATE_SECONDS = 1.0
 
 
 class Board(Protocol):
@@ -118,9 +119,13 @@ class JointDrive:
         self.until = 0.0
 
     def reconnect(self, board: Board, axes: int) -> None:
-        """Stop the joints that moved when the connection was lost."""
+        """Stop the joints that moved when the connection was lost, now and once more when ``until`` has passed.
+
+        The board may execute a command late that it received before the loss.
+        """
         self.moving = tuple(joint for joint in self.moving if joint < axes)
-        self.stop(board)
+        if _stop(board, self.moving):
+            self.until = time.monotonic() + _LATE_SECONDS
 
     def execute(self, board: Board, command: JointCommand) -> Execution:
         """Execute a command; the other joints that move are stopped."""

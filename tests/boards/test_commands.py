@@ -115,7 +115,19 @@ def test_joints_count_as_moving_until_a_stop_is_confirmed(board: FakeBoard) -> N
     assert drive.moving == (0, 2)
     board.fails.clear()
     drive.reconnect(board, 2)
+    assert (board.calls[-1], drive.moving) == ((VELOCITY, (0,), (0.0,)), (0,)), "it may execute an earlier command late"
+    assert 0.0 < drive.until - time.monotonic() <= 1.0
+    drive.stop(board)
     assert (board.calls[-1], drive.moving) == ((VELOCITY, (0,), (0.0,)), ())
+
+
+def test_stop_that_a_reconnected_board_rejects_is_repeated_at_once(board: FakeBoard) -> None:
+    drive = JointDrive()
+    drive.execute(board, command(0))
+    until = drive.until
+    board.fails.add(VELOCITY)
+    drive.reconnect(board, 3)
+    assert (drive.moving, drive.until) == ((0,), until)
 
 
 @pytest.mark.parametrize("fails", [set(), {"stopAllRPC"}, {VELOCITY}])
