@@ -299,9 +299,10 @@ class CallClient:
             self._abandoned(pending.attached)
 
 
-def reply_error(
-    query: zenoh.Query, error: CallError, refuse: Callable[[zenoh.Query, bytes], None] | None = None
-) -> None:
+Refuse = Callable[[zenoh.Query, bytes], None]
+
+
+def reply_error(query: zenoh.Query, error: CallError, refuse: Refuse | None = None) -> None:
     """Answer a query with zenoh's error reply, a refused one also with ``refuse``; then end it."""
     refused = isinstance(error, UnsentCallError)
     try:
@@ -314,10 +315,8 @@ def reply_error(
 
 
 def _undeclare_querier(querier: zenoh.Querier) -> None:
-    """Undeclare a querier; zenoh-python raises `RuntimeError` while another thread is using it.
-
-    Dropping the last reference instead would hold the GIL, for which a zenoh thread may be waiting.
-    """
+    """Undeclare a querier; zenoh-python raises `RuntimeError` while another thread is using it."""
+    # dropping the last reference instead would hold the GIL, for which a zenoh thread may be waiting
     for _ in range(1000):
         try:
             querier.undeclare()  # type: ignore[no-untyped-call]
