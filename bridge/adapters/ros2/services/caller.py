@@ -16,18 +16,15 @@ from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.participant import SERVICE
 from bridge.adapters.ros2.rcl import ENCAPSULATION
-from bridge.adapters.ros2.services.cyclone import CycloneCalls
 from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context, ServiceEndpoint
-from bridge.adapters.ros2.services.matching import MatchCounter
 from bridge.adapters.ros2.services.pacing import SentRequests
+from bridge.adapters.ros2.services.sender import MATCH_POLL, RequestSender, refusal
 from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError
-from bridge.messages.errors import MessageTypeError
-from bridge.routing.edge import EdgeCaller, MadeBy, Obstacle
+from bridge.routing.edge import EdgeCaller
 
 _MOST = SERVICE.depth // 2
 """Limit of pending calls; the engine allows fewer."""
 
-_MATCH = 0.01
 _MATCH_SECONDS = 5.0
 """Endpoints on the DDS graph match within milliseconds, on a busy machine later."""
 
@@ -44,11 +41,7 @@ class _PendingCall:
 
 
 class Ros2Caller(ServiceEndpoint, EdgeCaller):
-    """An rcl client. DDS delivers a request to every server of the name; the first reply counts.
-
-    Servers on Cyclone DDS get requests in their own form, and their replies arrive at a reader of their own. The form
-    is decided from the graph before each request, unless no server has matched since the last one.
-    """
+    """An rcl client. DDS delivers a request to every server of the name; the first reply counts."""
 
     kind: ClassVar[str] = "client"
 
@@ -58,13 +51,8 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         self._waiting: deque[_PendingCall] = deque()
         self._sent: dict[int, _PendingCall] = {}
         self._requests = SentRequests()
-        self._matches = MatchCounter(self.pointer, self.kind)
-        self._verified: int | None = None
-        self._on_cyclone = False
-        self._response_support, self._context = int(service_class.response_support), context
-        self._written = 0
+        self._sender = RequestSender(name, self.pointer, service_class.response_support, context, self._replied)
         self._settling_until = 0.0
-        self._cyclone: CycloneCalls | None = None
         self._ended: set[bytes] = set()
         self._matched = self._due = False
         self._update_ended()
@@ -92,27 +80,11 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         if request[: len(ENCAPSULATION)] != ENCAPSULATION:
             return CallError(f"{self.name}: the request is not little-endian CDR")
         if obstacle is not None:
-            return _refusal(obstacle)
+            return refusal(obstacle)
         if not self._servers():
             return CallError(f"{self.name} has no server on ROS 2")
         if len(self._sent) + len(self._waiting) >= _MOST:
             return CallError(f"{self.name} is busy: {_MOST} calls are pending")
-        return None
-
-    def _obstacle(self) -> CallError | None:
-        """Return why the matched servers cannot be called; the graph is read only after a new match."""
-        known = self._graph.snapshot.obstacles.get(self.name)
-        if known is not None:
-            return _refusal(known)
-        matched = self._matches.total()
-        if matched is None or matched != self._verified:
-            servers = self._graph.servers(self.name)
-            obstacle = vendors.of_servers(self.name, servers)
-            if obstacle is not None:
-                return _refusal(obstacle)
-            if not any(server.made_by is MadeBy.NATIVE for server in servers):  # it has just left
-                return CallError(f"{self.name} has no server on ROS 2")
-            self._verified, self._on_cyclone = matched, vendors.are_cyclone(servers)
         return None
 
     def _prepare_cyclone(self) -> None:
@@ -124,23 +96,11 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
 
     def _settle(self) -> None:
         wait = 0.0
-        with self._lock, contextlib.suppress(MessageTypeError):  # a call reports that
+        with self._lock, contextlib.suppress(UnsentCallError):  # a call reports that
             if not self._closed:
-                wait = self._cyclone_wait(self._servers())
+                wait = self._sender.prepare(self._servers())
         if wait and time.monotonic() < self._settling_until:
             self._later.after(wait, self._settle, once=True)
-
-    def _cyclone_wait(self, servers: frozenset[bytes]) -> float:
-        return self._open_cyclone().wait(_MATCH, servers, self._written)
-
-    def _open_cyclone(self) -> CycloneCalls:
-        """Return the calls to servers on Cyclone DDS; raises `MessageTypeError`. The lock is held."""
-        if not rcl.has_eventfd():
-            raise MessageTypeError(f"{self.name} is served on Cyclone DDS, whose services need Linux")
-        if self._cyclone is None:
-            self._cyclone = CycloneCalls(self.name, self._response_support, self._context, self._replied)
-            self._loop.add(self._cyclone)
-        return self._cyclone
 
     def _servers(self) -> frozenset[bytes]:
         """Return the GIDs of the native servers whose processes are alive."""
@@ -177,30 +137,30 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             if not self._matched:
                 self._matched = rcl.has_server(self._participant.pointer, self.pointer)
                 if not self._matched and time.monotonic() < self._waiting[0].since + _MATCH_SECONDS:
-                    return _MATCH
+                    return MATCH_POLL
             wait = self._requests.wait()
             if wait:
                 return wait
-            obstacle = self._obstacle()
+            obstacle = self._sender.obstacle()
             if obstacle is not None:
                 self._fail_waiting(failed, obstacle)
                 return 0.0
             late = time.monotonic() >= self._waiting[0].since + _MATCH_SECONDS
             try:
-                wait = self._cyclone_wait(servers) if self._on_cyclone and self._matched else 0.0
-            except MessageTypeError as err:
-                self._fail_waiting(failed, UnsentCallError(str(err)))
+                wait = self._sender.wait(servers) if self._matched else 0.0
+            except UnsentCallError as err:
+                self._fail_waiting(failed, err)
                 return 0.0
             if wait and not late:
                 return wait
-            if self._matches.total() not in (None, self._verified):
-                continue  # another server has just matched, which may need another form
+            if self._sender.outdated:
+                continue
             calling = self._waiting.popleft()
             if wait or not self._matched:
                 failed.append((calling, CallError(f"the server of {self.name} on ROS 2 cannot be reached")))
                 continue
             try:
-                number = self._send(calling.request)
+                number = self._sender.send(calling.request)
             except rcl.RclError as err:
                 failed.append((calling, CallError(f"{self.name}: {err}")))
                 continue
@@ -208,15 +168,6 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             self._sent[number] = calling
             self._requests.sent(number)
         return 0.0
-
-    def _send(self, request: bytes) -> int:
-        """Send a request in its servers' form; return its number. The lock is held."""
-        if not self._on_cyclone:
-            self._written = rcl.send_request(self.pointer, request)
-            return self._written
-        number, wrapped = self._open_cyclone().wrap(request)
-        self._written = rcl.send_request(self.pointer, wrapped)
-        return number
 
     def _fail_waiting(self, failed: list[tuple[_PendingCall, CallError]], error: CallError) -> None:
         failed += [(calling, error) for calling in self._waiting]
@@ -285,17 +236,11 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             ended = [*self._sent.values(), *self._waiting]
             self._sent.clear()
             self._waiting.clear()
-            cyclone, self._cyclone = self._cyclone, None
-        if cyclone is not None:
-            self._loop.remove(cyclone)
+            self._sender.close()
         self._loop.remove(self)
         for calling in ended:
             _end(calling, CallError(f"{self.name} is no longer bridged"))
         self._on_closed(self)
-
-
-def _refusal(obstacle: Obstacle) -> UnsentCallError:
-    return UnsentCallError(f"{obstacle.reason}; {obstacle.cure}")
 
 
 def _end(calling: _PendingCall, result: bytes | CallError) -> None:

@@ -1,0 +1,102 @@
+"""The sending half of a client: requests in the form that the servers need."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from functools import partial
+
+from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.graph import vendors
+from bridge.adapters.ros2.services.cyclone import CycloneCalls, Replied
+from bridge.adapters.ros2.services.endpoint import Ros2Context
+from bridge.adapters.ros2.services.matching import MatchCounter
+from bridge.hub.endpoints.calls import CallError, UnsentCallError
+from bridge.messages.errors import MessageTypeError
+from bridge.routing.edge import MadeBy, Obstacle
+
+MATCH_POLL = 0.01
+"""Seconds between two checks whether a server has matched."""
+
+
+class RequestSender:
+    """Sends the requests of one client. Not thread-safe: the client's lock is held.
+
+    Servers on Cyclone DDS get requests in their own form, and their replies arrive at a reader of their own. The form
+    is decided from the graph before each request, unless no server has matched since the last one.
+
+    Args:
+        pointer: the client's ``rcl_client_t *``.
+        response_support: the address of the type support of the responses.
+        replied: called with each reply of a server on Cyclone DDS.
+    """
+
+    def __init__(self, name: str, pointer: int, response_support: int, context: Ros2Context, replied: Replied) -> None:
+        self._name, self._pointer, self._context = name, pointer, context
+        self._open = partial(CycloneCalls, name, response_support, context, replied)
+        self._matches = MatchCounter(pointer, "client")
+        self._verified: int | None = None
+        self._on_cyclone = False
+        self._cyclone: CycloneCalls | None = None
+        self._written = 0
+
+    def obstacle(self) -> CallError | None:
+        """Return why the matched servers cannot be called; the graph is read only after a new match."""
+        known = self._context.graph.snapshot.obstacles.get(self._name)
+        if known is not None:
+            return refusal(known)
+        matched = self._matches.total()
+        if matched is None or matched != self._verified:
+            servers = self._context.graph.servers(self._name)
+            obstacle = vendors.of_servers(self._name, servers)
+            if obstacle is not None:
+                return refusal(obstacle)
+            if not any(server.made_by is MadeBy.NATIVE for server in servers):  # it has just left
+                return CallError(f"{self._name} has no server on ROS 2")
+            self._verified, self._on_cyclone = matched, vendors.are_cyclone(servers)
+        return None
+
+    @property
+    def outdated(self) -> bool:
+        """Whether another server has matched since `obstacle`, which may need another form."""
+        return self._matches.total() not in (None, self._verified)
+
+    def wait(self, servers: Collection[bytes]) -> float:
+        """Return the seconds until a request may be sent to these servers; raises `UnsentCallError`."""
+        return self.prepare(servers) if self._on_cyclone else 0.0
+
+    def prepare(self, servers: Collection[bytes]) -> float:
+        """Prepare servers on Cyclone DDS for requests; return the seconds until they are, 0 once they are.
+
+        Raises `UnsentCallError` if they cannot be called.
+        """
+        return self._calls().wait(MATCH_POLL, servers, self._written)
+
+    def send(self, request: bytes) -> int:
+        """Send a request; return its number. Raises `RclError`."""
+        if not self._on_cyclone:
+            self._written = rcl.send_request(self._pointer, request)
+            return self._written
+        number, wrapped = self._calls().wrap(request)
+        self._written = rcl.send_request(self._pointer, wrapped)
+        return number
+
+    def _calls(self) -> CycloneCalls:
+        if not rcl.has_eventfd():
+            raise UnsentCallError(f"{self._name} is served on Cyclone DDS, whose services need Linux")
+        if self._cyclone is None:
+            try:
+                self._cyclone = self._open()
+            except MessageTypeError as err:
+                raise UnsentCallError(str(err)) from None
+            self._context.loop.add(self._cyclone)
+        return self._cyclone
+
+    def close(self) -> None:
+        """Stop receiving replies of servers on Cyclone DDS."""
+        if self._cyclone is not None:
+            self._context.loop.remove(self._cyclone)
+
+
+def refusal(obstacle: Obstacle) -> UnsentCallError:
+    """Return the error of a call that an obstacle prevents."""
+    return UnsentCallError(f"{obstacle.reason}; {obstacle.cure}")
