@@ -8,7 +8,8 @@ import zenoh
 from typing_extensions import override
 
 from bridge.adapters.zenoh.topics import Announcement, KeyContext
-from bridge.hub.endpoints.calls import Call, CallClient, CallError, CallServer
+from bridge.hub.endpoints.call_server import CallServer
+from bridge.hub.endpoints.calls import Call, CallClient, CallError
 
 
 class KeyCaller(CallClient):

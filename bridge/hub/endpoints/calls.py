@@ -1,4 +1,4 @@
-"""Service calls as zenoh queries on one key: clients and servers.
+"""Service calls as zenoh queries on one key: what both ends share, and clients.
 
 Each call ends once: with a reply, with zenoh's error reply, or because its server left.
 """
@@ -17,7 +17,7 @@ import zenoh
 
 from bridge.concurrency import SerialExecutor
 from bridge.hub.errors import zenoh_reason
-from bridge.hub.zenoh_compat import answer, keep_thread_state, undeclare
+from bridge.hub.zenoh_compat import keep_thread_state, undeclare
 
 
 class CallError(Exception):
@@ -67,7 +67,7 @@ _SETTLING = 1.0
 
 _AGAIN = 0.02
 _NO_SERVER = "no server of {name} is on {where}"
-_REFUSED_ENCODING = zenoh.Encoding("text/plain;refused")
+REFUSED_ENCODING = zenoh.Encoding("text/plain;refused")
 """Encoding of the text of an `UnsentCallError`."""
 
 _FOR_EVER = 1e9
@@ -231,7 +231,7 @@ class CallClient:
         if reply.ok is None:
             error = b"" if reply.err is None else reply.err.payload.to_bytes()[:MAX_ERROR]
             text = error.decode(errors="replace") or "the server answered with an error"
-            refused = reply.err is not None and reply.err.encoding == _REFUSED_ENCODING
+            refused = reply.err is not None and reply.err.encoding == REFUSED_ENCODING
             self._end(number, (UnsentCallError if refused else CallError)(text))
         elif len(reply.ok.payload) > self._limit:
             size = len(reply.ok.payload)
@@ -299,21 +299,6 @@ class CallClient:
             self._abandoned(pending.attached)
 
 
-Refuse = Callable[[zenoh.Query, bytes], None]
-
-
-def reply_error(query: zenoh.Query, error: CallError, refuse: Refuse | None = None) -> None:
-    """Answer a query with zenoh's error reply, a refused one also with ``refuse``; then end it."""
-    refused = isinstance(error, UnsentCallError)
-    try:
-        with query:
-            query.reply_err(str(error)[:MAX_ERROR].encode(), encoding=_REFUSED_ENCODING if refused else None)
-            if isinstance(error, UnsentCallError) and error.reply and refuse is not None:
-                refuse(query, error.reply)
-    except zenoh.ZError as err:
-        _log.debug("the client no longer waits for the reply: %s", err)
-
-
 def _undeclare_querier(querier: zenoh.Querier) -> None:
     """Undeclare a querier; zenoh-python raises `RuntimeError` while another thread is using it."""
     # dropping the last reference instead would hold the GIL, for which a zenoh thread may be waiting
@@ -329,172 +314,3 @@ def _undeclare_querier(querier: zenoh.Querier) -> None:
 def _matching(status: object) -> bool:
     # zenoh-python returns a MatchingStatus (always true) although its stubs declare bool
     return bool(getattr(status, "matching", status))
-
-
-class PendingRequest:
-    """One request that waits for its reply.
-
-    Attributes:
-        caller: GID of the service client; empty if unknown.
-    """
-
-    caller = b""
-
-    def __init__(self, query: zenoh.Query, answer: Callable[[Any, bytes | CallError], None]) -> None:
-        self.query, self._answer = query, answer
-        self.abandon: Abandon | None = None
-        self.left = False
-
-    def __call__(self, result: bytes | CallError) -> None:
-        """Reply, unless the request has ended."""
-        self._answer(self, result)
-
-
-class CallServer:
-    """A server with a queryable on one key. Safe to use from any thread.
-
-    Args:
-        limit: maximum size of a request or reply, in bytes.
-        closed: called once with the server when it has closed.
-        complete: whether the queryable is declared complete.
-        reach: which sessions' calls are accepted, by default those of other sessions.
-    """
-
-    encoding: zenoh.Encoding | None = None
-    _withdraw: Callable[[], None]
-
-    def __init__(
-        self,
-        session: zenoh.Session,
-        key: str,
-        name: str,
-        limit: int,
-        call: Call,
-        closed: Callable[[Any], None],
-        *,
-        complete: bool = False,
-        reach: zenoh.Locality = zenoh.Locality.REMOTE,
-    ) -> None:
-        self.name = name
-        self._key, self._limit, self._call, self._on_close = key, limit, call, closed
-        self._lock = Lock()
-        self._waiting: dict[PendingRequest, None] = {}
-        self._closed = False
-        self._declared: list[Any] = self._heard_beside(session, reach)
-        self._declared.append(answer(session, key, self._on_query, complete=complete, origin=reach))
-
-    def _heard_beside(self, session: zenoh.Session, reach: zenoh.Locality) -> list[Any]:  # noqa: ARG002
-        """Declare additional endpoints, before the queryable, so that a client that sees the server can use them."""
-        return []
-
-    def _takes(self, query: zenoh.Query) -> bool:  # noqa: ARG002
-        """Whether a query is a call; other queries end without a reply."""
-        return True
-
-    def _pending(self, query: zenoh.Query) -> PendingRequest:
-        """Return the pending request of a query; raises `CallError` if it is malformed."""
-        return PendingRequest(query, self._answer)
-
-    def _request(self, payload: bytes) -> bytes:
-        """Return the request in the payload of a query, which may be empty; raises `CallError`."""
-        return payload
-
-    def _attached(self, asked: PendingRequest) -> bytes | None:  # noqa: ARG002
-        """The attachment of a reply."""
-        return None
-
-    def _reply_key(self, query: zenoh.Query) -> str:  # noqa: ARG002
-        """The key of a reply."""
-        return self._key
-
-    def _remembered(self, asked: PendingRequest) -> None:
-        """Handle a new pending request; called with the lock held."""
-
-    def _forgotten(self, asked: PendingRequest) -> None:
-        """Handle a request that is no longer pending."""
-
-    def close(self) -> None:
-        """Answer all pending requests with an error, and undeclare the server. Safe to call twice."""
-        with self._lock:
-            closed, self._closed = self._closed, True
-            waiting = list(self._waiting)
-        if not closed:
-            self._withdraw()
-            for pending in waiting:
-                self._abandon(pending)
-                self._answer(pending, CallError(LEFT.format(name=self.name)))
-            undeclare(*self._declared)
-            self._on_close(self)
-
-    def _on_query(self, query: zenoh.Query) -> None:
-        """Start a call; runs on zenoh's receiving thread."""
-        keep_thread_state()
-        if not self._takes(query):
-            query.drop()  # type: ignore[no-untyped-call]
-            return
-        try:
-            request = self._read(query)
-            pending = self._pending(query)
-        except CallError as err:
-            reply_error(query, err)
-            return
-        with self._lock:
-            closed = self._closed
-            if not closed:
-                self._waiting[pending] = None
-                self._remembered(pending)
-        if closed:
-            reply_error(query, CallError(LEFT.format(name=self.name)))
-            return
-        abandon = self._call(request, pending)
-        with self._lock:
-            pending.abandon = abandon
-            left = pending.left
-        if left:
-            abandon()
-
-    def _read(self, query: zenoh.Query) -> bytes:
-        payload = query.payload
-        if payload is not None and len(payload) > self._limit:
-            raise CallError(f"the request has {len(payload)} bytes, limits.message allows {self._limit}")
-        return self._request(b"" if payload is None else payload.to_bytes())
-
-    def _remove(self, asked: PendingRequest) -> bool:
-        """Drop a request; return whether it was still pending."""
-        with self._lock:
-            waited = asked in self._waiting
-            self._waiting.pop(asked, None)
-        if waited:
-            self._forgotten(asked)
-        return waited
-
-    def _answer(self, asked: PendingRequest, result: bytes | CallError) -> None:
-        if not self._remove(asked):
-            return
-        if isinstance(result, bytes) and len(result) > self._limit:
-            result = CallError(f"the reply has {len(result)} bytes, limits.message allows {self._limit}")
-
-        def reply(query: zenoh.Query, payload: bytes) -> None:
-            query.reply(self._reply_key(query), payload, encoding=self.encoding, attachment=self._attached(asked))
-
-        if isinstance(result, CallError):
-            reply_error(asked.query, result, reply)
-            return
-        try:
-            with asked.query as query:
-                reply(query, result)
-        except zenoh.ZError as err:
-            _log.debug("%s: the client no longer waits for the reply: %s", self.name, err)
-
-    def _abandoned(self, asked: PendingRequest) -> None:
-        """Handle the cancellation by a client."""
-        if self._remove(asked):
-            asked.query.drop()  # type: ignore[no-untyped-call]
-            self._abandon(asked)
-
-    def _abandon(self, asked: PendingRequest) -> None:
-        with self._lock:
-            asked.left = True
-            abandon = asked.abandon
-        if abandon is not None:
-            abandon()

@@ -23,17 +23,8 @@ from typing import Any
 import zenoh
 from typing_extensions import override
 
-from bridge.hub.endpoints.calls import (
-    PRIORITY,
-    Abandon,
-    Call,
-    CallClient,
-    CallError,
-    CallServer,
-    Done,
-    PendingRequest,
-    nothing,
-)
+from bridge.hub.endpoints.call_server import CallServer, PendingRequest
+from bridge.hub.endpoints.calls import PRIORITY, Abandon, Call, CallClient, CallError, Done, nothing
 from bridge.hub.endpoints.publisher import EndpointContext
 from bridge.hub.endpoints.variants import Variants
 from bridge.hub.errors import HubWireError

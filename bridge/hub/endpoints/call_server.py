@@ -1,0 +1,198 @@
+"""Servers of calls that are zenoh queries on one key."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from threading import Lock
+from typing import Any
+
+import zenoh
+
+from bridge.hub.endpoints.calls import LEFT, MAX_ERROR, REFUSED_ENCODING, Abandon, Call, CallError, UnsentCallError
+from bridge.hub.zenoh_compat import answer, keep_thread_state, undeclare
+
+_log = logging.getLogger(__name__)
+
+Refuse = Callable[[zenoh.Query, bytes], None]
+
+
+def reply_error(query: zenoh.Query, error: CallError, refuse: Refuse | None = None) -> None:
+    """Answer a query with zenoh's error reply, a refused one also with ``refuse``; then end it."""
+    refused = isinstance(error, UnsentCallError)
+    try:
+        with query:
+            query.reply_err(str(error)[:MAX_ERROR].encode(), encoding=REFUSED_ENCODING if refused else None)
+            if isinstance(error, UnsentCallError) and error.reply and refuse is not None:
+                refuse(query, error.reply)
+    except zenoh.ZError as err:
+        _log.debug("the client no longer waits for the reply: %s", err)
+
+
+class PendingRequest:
+    """One request that waits for its reply.
+
+    Attributes:
+        caller: GID of the service client; empty if unknown.
+    """
+
+    caller = b""
+
+    def __init__(self, query: zenoh.Query, answer: Callable[[Any, bytes | CallError], None]) -> None:
+        self.query, self._answer = query, answer
+        self.abandon: Abandon | None = None
+        self.left = False
+
+    def __call__(self, result: bytes | CallError) -> None:
+        """Reply, unless the request has ended."""
+        self._answer(self, result)
+
+
+class CallServer:
+    """A server with a queryable on one key. Safe to use from any thread.
+
+    Args:
+        limit: maximum size of a request or reply, in bytes.
+        closed: called once with the server when it has closed.
+        complete: whether the queryable is declared complete.
+        reach: which sessions' calls are accepted, by default those of other sessions.
+    """
+
+    encoding: zenoh.Encoding | None = None
+    _withdraw: Callable[[], None]
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        key: str,
+        name: str,
+        limit: int,
+        call: Call,
+        closed: Callable[[Any], None],
+        *,
+        complete: bool = False,
+        reach: zenoh.Locality = zenoh.Locality.REMOTE,
+    ) -> None:
+        self.name = name
+        self._key, self._limit, self._call, self._on_close = key, limit, call, closed
+        self._lock = Lock()
+        self._waiting: dict[PendingRequest, None] = {}
+        self._closed = False
+        self._declared: list[Any] = self._heard_beside(session, reach)
+        self._declared.append(answer(session, key, self._on_query, complete=complete, origin=reach))
+
+    def _heard_beside(self, session: zenoh.Session, reach: zenoh.Locality) -> list[Any]:  # noqa: ARG002
+        """Declare additional endpoints, before the queryable, so that a client that sees the server can use them."""
+        return []
+
+    def _takes(self, query: zenoh.Query) -> bool:  # noqa: ARG002
+        """Whether a query is a call; other queries end without a reply."""
+        return True
+
+    def _pending(self, query: zenoh.Query) -> PendingRequest:
+        """Return the pending request of a query; raises `CallError` if it is malformed."""
+        return PendingRequest(query, self._answer)
+
+    def _request(self, payload: bytes) -> bytes:
+        """Return the request in the payload of a query, which may be empty; raises `CallError`."""
+        return payload
+
+    def _attached(self, asked: PendingRequest) -> bytes | None:  # noqa: ARG002
+        """The attachment of a reply."""
+        return None
+
+    def _reply_key(self, query: zenoh.Query) -> str:  # noqa: ARG002
+        """The key of a reply."""
+        return self._key
+
+    def _remembered(self, asked: PendingRequest) -> None:
+        """Handle a new pending request; called with the lock held."""
+
+    def _forgotten(self, asked: PendingRequest) -> None:
+        """Handle a request that is no longer pending."""
+
+    def close(self) -> None:
+        """Answer all pending requests with an error, and undeclare the server. Safe to call twice."""
+        with self._lock:
+            closed, self._closed = self._closed, True
+            waiting = list(self._waiting)
+        if not closed:
+            self._withdraw()
+            for pending in waiting:
+                self._abandon(pending)
+                self._answer(pending, CallError(LEFT.format(name=self.name)))
+            undeclare(*self._declared)
+            self._on_close(self)
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        """Start a call; runs on zenoh's receiving thread."""
+        keep_thread_state()
+        if not self._takes(query):
+            query.drop()  # type: ignore[no-untyped-call]
+            return
+        try:
+            request = self._read(query)
+            pending = self._pending(query)
+        except CallError as err:
+            reply_error(query, err)
+            return
+        with self._lock:
+            closed = self._closed
+            if not closed:
+                self._waiting[pending] = None
+                self._remembered(pending)
+        if closed:
+            reply_error(query, CallError(LEFT.format(name=self.name)))
+            return
+        abandon = self._call(request, pending)
+        with self._lock:
+            pending.abandon = abandon
+            left = pending.left
+        if left:
+            abandon()
+
+    def _read(self, query: zenoh.Query) -> bytes:
+        payload = query.payload
+        if payload is not None and len(payload) > self._limit:
+            raise CallError(f"the request has {len(payload)} bytes, limits.message allows {self._limit}")
+        return self._request(b"" if payload is None else payload.to_bytes())
+
+    def _remove(self, asked: PendingRequest) -> bool:
+        """Drop a request; return whether it was still pending."""
+        with self._lock:
+            waited = asked in self._waiting
+            self._waiting.pop(asked, None)
+        if waited:
+            self._forgotten(asked)
+        return waited
+
+    def _answer(self, asked: PendingRequest, result: bytes | CallError) -> None:
+        if not self._remove(asked):
+            return
+        if isinstance(result, bytes) and len(result) > self._limit:
+            result = CallError(f"the reply has {len(result)} bytes, limits.message allows {self._limit}")
+
+        def reply(query: zenoh.Query, payload: bytes) -> None:
+            query.reply(self._reply_key(query), payload, encoding=self.encoding, attachment=self._attached(asked))
+
+        if isinstance(result, CallError):
+            reply_error(asked.query, result, reply)
+            return
+        try:
+            with asked.query as query:
+                reply(query, result)
+        except zenoh.ZError as err:
+            _log.debug("%s: the client no longer waits for the reply: %s", self.name, err)
+
+    def _abandoned(self, asked: PendingRequest) -> None:
+        """Handle the cancellation by a client."""
+        if self._remove(asked):
+            asked.query.drop()  # type: ignore[no-untyped-call]
+            self._abandon(asked)
+
+    def _abandon(self, asked: PendingRequest) -> None:
+        with self._lock:
+            asked.left = True
+            abandon = asked.abandon
+        if abandon is not None:
+            abandon()
