@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 
 from typing_extensions import override
 
@@ -332,7 +331,6 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
     direction = "out"
     _outcome = Outcome()
     _velocities: Collection[tuple[str, str]] = ()
-    _published: Mapping[str, Collection[str]] = {}
 
     @override
     def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # the hub's graph counts
@@ -345,25 +343,17 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
         """Update the routes for both graphs, the rules and the election; append one decision for each topic."""
         self._outcome, self._velocities = outcome, native_velocities(endpoints)
         groups = hub_groups(self._context.hub.graph.publishers())
-        published: defaultdict[str, set[str]] = defaultdict(set)
-        for key in groups:
-            published[key.topic].add(key.type_name)
-        self._published = published
         # Close ended routes first: a side may have one type per topic.
         outdated = (
             k
             for k, route in self._routes.items()
-            if k[0] not in groups or self._preferred(k[0].topic, k[1], route.side_type)
+            if k[0] not in groups or preferred(k[1], route.side_type, self._velocities)
         )
         self._end(list(outdated), gate)
         live: set[tuple[RouteKey, str]] = set()
         for key, publishers in groups.items():
             self._follow(key, publishers, gate, live, decisions)
         self._end([k for k in self._routes if k[0] in groups and k not in live], gate)
-
-    def _preferred(self, hub_topic: str, side_topic: str, side_type: str) -> str:
-        """Return the type of velocities that the side's nodes subscribe to instead of this one, else ""."""
-        return preferred(side_topic, side_type, self._velocities, self._published.get(hub_topic, ()))
 
     def _end(self, out_keys: list[tuple[RouteKey, str]], gate: ExitGate) -> None:
         for out_key in out_keys:
@@ -426,9 +416,9 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
             if conversion is None:
                 self._context.types.ask(key.type_name, key.type_id)
                 return
-            if other := self._preferred(key.topic, side_topic, conversion.target.name):
+            if other := preferred(side_topic, conversion.target.name, self._velocities):
                 decision.refuse(
-                    f"nodes of the side subscribe to {side_topic} as {other}, which another program publishes",
+                    f"nodes of the side subscribe to {side_topic} as {other}",
                     f"convert it by a rule: 'to: {edge.side}', 'stamped: {str('Stamped' in other).lower()}'",
                 )
                 return

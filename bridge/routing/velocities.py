@@ -57,15 +57,16 @@ def native_velocities(endpoints: Sequence[Endpoint]) -> frozenset[tuple[str, str
     return frozenset(velocity for velocity in velocities if velocity[1] in COMMAND_TYPES)
 
 
-def preferred(side_topic: str, side_type: str, native: Collection[tuple[str, str]], published: Collection[str]) -> str:
+def preferred(side_topic: str, side_type: str, native: Collection[tuple[str, str]]) -> str:
     """Return the type of velocities that the side's nodes subscribe to instead of this one, "" if they do not.
 
-    A side has one type for each topic, so a route of this type would keep out the other one, which is ``published``.
+    A side has one type for each topic, so a route of this type would keep out the other one. ROS 1's master would even
+    report this type for the topic, and the nodes' own one would no longer be known.
     """
     type_name = ros2_name("topic", side_type)
     if type_name not in COMMAND_TYPES or (side_topic, type_name) in native:
         return ""
-    return next((other for other in COMMAND_TYPES & set(published) if (side_topic, other) in native), "")
+    return next((other for other in COMMAND_TYPES if (side_topic, other) in native), "")
 
 
 def _hub_topics(edge: Edge, side_topic: str, rules: RuleSet) -> Iterator[str]:

@@ -187,10 +187,21 @@ def test_of_two_forms_a_side_gets_the_one_that_its_nodes_subscribe_to(side: Side
     assert (refused.type, refused.cure) == (TWIST, "convert it by a rule: 'to: ros1', 'stamped: true'")
     assert f"nodes of the side subscribe to {CMD_VEL} as {STAMPED}" in refused.reason
     stamped.close()
-    until(lambda: [route.hub_type for route in side.engine.routes()] == [TWIST], "no other program needs the name")
+    until(lambda: not side.engine.routes(), "no program has the base's form")
     side.network.remove(base)
+    until(lambda: [route.hub_type for route in side.engine.routes()] == [TWIST], "no base needs the name")
     program.close()
     until(lambda: not side.engine.routes(), "its publisher left")
+
+
+def test_form_that_no_node_of_the_side_subscribes_to_has_no_route(side: Side) -> None:
+    """On ROS 1 it would become the topic's type, and the base's own one would no longer be known."""
+    side.base(CMD_VEL, STAMPED)
+    side.program(TWIST)
+    until(lambda: [decision for decision in side.engine.decisions() if decision.refused], "it is refused")
+    assert side.engine.routes() == []
+    side.program(STAMPED)
+    until(lambda: [route.hub_type for route in side.engine.routes()] == [STAMPED], "the base's form has a route")
 
 
 def test_a_malformed_velocity_is_not_converted() -> None:
