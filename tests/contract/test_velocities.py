@@ -77,6 +77,7 @@ def test_a_stamped_base_is_driven(side: Side, far: HubSide, config: Callable[...
         return
     obstacle.close()
     base.drop(stamped)
+    base = side.peer()  # rclpy destroys the former subscription later, and DDS has one type per topic and program
     plain = base.subscribe(CMD_VEL, BASES[TWIST])
     until(driver.drives(base, plain), "the base receives velocities without a stamp", 20)
 
