@@ -247,10 +247,10 @@ class HubToSideRoute(TopicRoute):
         waiting = sources.waiting.get(sample.gid)
         latched = waiting is not None and self.latches(waiting.qos) if source is None else source.latched
         if latched and self.pending.holds(sample.gid):
-            self.pending.add(sample.gid, sample, len(sample.payload))  # behind the older ones
+            self.pending.add(sample.gid, sample, len(sample.payload))  # after the older ones
             self._context.wake()
         elif latched and sample.gid in sources.allowed and self._waiting_latched.holds(sample.gid):
-            self._store(sample, sources.allowed[sample.gid].endpoint)  # behind the older ones
+            self._store(sample, sources.allowed[sample.gid].endpoint)  # after the older ones
             if not self._lease.over:
                 self._context.wake()
         elif source is not None:

@@ -228,7 +228,7 @@ def test_publishes_for_a_sides_subscriber_and_yields_to_the_metrics_worker(publi
     }
     until(publishing.is_announced, "the metrics worker has ended", 10)
     wanted.close()
-    until(lambda: not publishing.is_announced(), "there is no subscriber", 10)
+    until(lambda: not publishing.is_announced(), "the last subscriber has left", 10)
 
 
 def test_diagnostics_can_be_disabled(publishing: PublishingSide) -> None:
@@ -300,9 +300,9 @@ def test_a_yarp_reader_receives_all_parts(tmp_path: Path) -> None:
         until(
             lambda: any(node.node == "midspan_yarp" for node in far.graph.nodes()), "the hub's nodes are discovered", 20
         )
-        assert not far.graph.publishers(TOPIC), "there is no subscriber yet"
+        assert not far.graph.publishers(TOPIC), "it is published without a subscriber"
         reader.listen_to("/midspan/diagnostics:o")
         parts = ("midspan here: daemon", "midspan here: side yarp", "midspan here/yarp: worker")
         until(lambda: all(f"'{part}'" in str(reader.bottles()) for part in parts), "all parts", 20)
         reader.stop()
-        until(lambda: not far.graph.publishers(TOPIC), "there is no subscriber any longer", 20)
+        until(lambda: not far.graph.publishers(TOPIC), "publishing ends after the last subscriber has left", 20)

@@ -1,8 +1,8 @@
 """A Debian for another processor in a folder: debootstrap unpacks it, and its programs run under qemu.
 
 The kernel starts qemu for each program of the other processor (binfmt_misc). Debian's `qemu-user-static` registers that
-for the whole machine if systemd or binfmt-support runs. Without such a registration, a tree gets one of its own in a
-user namespace, which needs Linux 6.7.
+for the whole machine if systemd or binfmt-support runs. Otherwise a tree registers it in a user namespace, which needs
+Linux 6.7.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ done
 ip link set lo up
 exec chroot "$root" env -i "$@" </dev/null
 """
-"""Runs a command in a tree, in namespaces of its own, without this machine's network."""
+"""Runs a command in a tree, in new namespaces without a network."""
 
 
 def missing() -> list[str]:
@@ -85,9 +85,9 @@ class ForeignTree:
     """A minimal system of a release for arm64, which stays in its folder.
 
     Args:
-        folder: where it is, or will be created.
+        folder: the root of the tree, which need not exist yet.
         suite: the release.
-        packages: packages to install besides debootstrap's minimal variant.
+        packages: packages to install in addition to debootstrap's minimal variant.
     """
 
     def __init__(self, folder: Path, suite: str, packages: Sequence[str]) -> None:

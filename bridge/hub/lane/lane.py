@@ -47,7 +47,7 @@ class Lane:
 
     Attributes:
         writer: sends this session's publications to other sessions.
-        why: why there is no writing end, else "".
+        why: why this session cannot publish on the lane, else "".
     """
 
     def __init__(self, path: Path, zid: str, session: zenoh.Session, domain: int) -> None:
@@ -126,7 +126,7 @@ class Lane:
     # -- connections ---------------------------------------------------------------------------------------------------
 
     def inlet(self, zid: str) -> Inlet | str:
-        """Return the connection to a session, or why there is none."""
+        """Return the connection to a session, or why they are not connected."""
         with self._lock:
             inlet = self._inlets.get(zid)
             if inlet is not None and inlet.alive:

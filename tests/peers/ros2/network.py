@@ -41,7 +41,7 @@ def ros2_environment(**extra: str) -> dict[str, str]:
     """Return an environment for native ROS 2 programs on this process's domain: default settings, this machine only."""
     environment: Mapping[str, str] = os.environ
     env = worker_environment(Config.model_validate({"ros2": {"domain": ros2_domain()}}), environment)
-    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "PYTHONPATH"):
+    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "PYTHONPATH", "ROS_SUPER_CLIENT"):
         env.pop(name, None)
     logs = Path(tempfile.gettempdir()) / f"midspan-test-ros2-log-{os.getuid()}"
     env |= {

@@ -1,7 +1,7 @@
 """Requests and replies as Cyclone DDS exchanges them.
 
 rmw_fastrtps sends the identity of a request as inline QoS. rmw_cyclonedds puts it into the payload of the request and
-of its reply: behind the encapsulation header stand the client's id (8 bytes) and the request's number (int64 in the
+of its reply: the encapsulation header is followed by the client's id (8 bytes) and the request's number (int64 in the
 payload's byte order; ``cdds_request_header_t`` in rmw_cyclonedds_cpp's serdata.hpp). 16 bytes do not change the
 alignment of what follows. rcl's client drops replies without inline QoS, so another reader receives those.
 """
@@ -111,7 +111,7 @@ class CycloneCalls(EndpointReader):
 
 
 class ReplyReach:
-    """Whether a server's replies reach clients on Cyclone DDS: rmw_fastrtps checks that for its own clients alone."""
+    """Whether replies reach a service's clients on Cyclone DDS: rmw_fastrtps checks that only for those on Fast DDS."""
 
     def __init__(self, service: str, matches: MatchCounter, context: Ros2Context) -> None:
         self._service, self._matches = service, matches

@@ -333,7 +333,7 @@ def test_first_large_message(edge: RunningEdge, cyclone: Callable[[], CyclonePee
     (received,) = native.received(subscription, 1)
     assert text(received) == large
     if latched:
-        publisher.send(string(large), "second")  # a source of its own, and a writer of its own
+        publisher.send(string(large), "second")  # another source has another writer
         assert len(native.received(subscription, 2)) == 2
 
 
