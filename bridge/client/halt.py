@@ -18,7 +18,7 @@ from bridge.client.publishing import encode
 from bridge.client.services import WAIT_SECONDS, ServiceClient
 from bridge.client.session import Client
 from bridge.client.types import Types
-from bridge.client.velocity import VELOCITIES, driven_forms, velocity_message
+from bridge.client.velocity import VELOCITIES, driven_forms, subscribers, velocity_message
 from bridge.clock import RunClock
 from bridge.config.sections.navigation import NavigationSection
 from bridge.hub.control import RECORDED
@@ -163,7 +163,8 @@ class ZeroVelocities:
             if name in VELOCITIES:
                 with self._reported((topic, name, NO_HASH)):
                     known.add((topic, name, self._types.hash_of(name)))
-        forms = {topic: driven_forms(graph, topic) or VELOCITIES for topic, _, _ in known}
+        topics = {topic for topic, _, _ in known}
+        forms = {topic: driven_forms(graph, topic) if subscribers(graph, topic) else VELOCITIES for topic in topics}
         return {kind for kind in known if kind[1] in forms[kind[0]]}
 
     @contextmanager

@@ -82,14 +82,13 @@ def subscribers(graph: HubGraph, topic: str) -> dict[str, list[str]]:
 
 
 def driven_forms(graph: HubGraph, topic: str) -> set[str]:
-    """Return the types of velocities that may drive a base on a topic, empty if the base's form is unknown.
+    """Return the types of velocities that may drive a base on a topic.
 
-    A base whose form no side announces may be behind a route. So the forms that routes carry count too.
+    A base whose form no side announces may be behind a route. So the forms that routes carry count too. Empty if no
+    route exists and all known nodes accept both forms.
     """
-    forms = set(subscribers(graph, topic))
-    if forms:
-        forms |= {e.type_name for e in graph.subscriptions(topic) if e.origin is not None or e.pending}
-    return forms & set(VELOCITIES)
+    carried = {e.type_name for e in graph.subscriptions(topic) if e.origin is not None or e.pending}
+    return {*subscribers(graph, topic), *carried} & set(VELOCITIES)
 
 
 class VelocityPublisher:

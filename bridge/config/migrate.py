@@ -187,7 +187,7 @@ def _edited(text: str, path: KeyPath, instead: tuple[str, ...]) -> str:
 
 
 def _pair(text: str, path: KeyPath) -> tuple[MappingNode, Node, Node]:
-    """Return the map parent a pair, its key and its value."""
+    """Return the map that contains a pair, its key and its value."""
     node: Any = Yaml12Loader(text).get_single_node()
     for part in path:
         parent = node

@@ -125,7 +125,7 @@ _FRAME_ID = _HEADER + 8
 class VelocityWatch:
     """Follows the velocity commands to the base, stamped or not, only while it is open: for stops without odometry.
 
-    Zero counts in the form that the base subscribes to, or in either if its form is unknown.
+    Zero counts in each form that may drive the base, or in either if all known nodes accept both.
     """
 
     def __init__(self, host: Host, topic: str) -> None:

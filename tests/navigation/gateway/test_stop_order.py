@@ -265,12 +265,13 @@ def test_without_odometry_zeros_in_a_form_that_the_base_ignores_count_as_silence
     assert blind.until(StopState.CONFIRMED, 2.0) >= SILENCE_SECONDS
 
 
+@pytest.mark.parametrize("form", [TWIST, ""], ids=["announced form", "unknown form"])
 @pytest.mark.parametrize(("carried", "soonest"), [(TWIST, ZERO_SECONDS), (TWIST_STAMPED, SILENCE_SECONDS)])
 def test_without_odometry_a_base_behind_a_route_of_the_other_form_is_not_known_to_stand(
-    blind: Base, carried: str, soonest: float
+    blind: Base, carried: str, soonest: float, form: str
 ) -> None:
     blind.order.ask("it was stopped")
-    blind.form, blind.carried = TWIST, carried
+    blind.form, blind.carried = form, carried
     blind.released, blind.commands = True, (0.0,)
     assert soonest <= blind.until(StopState.CONFIRMED, 2.0) < soonest + 0.5
 
