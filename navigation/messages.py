@@ -9,8 +9,6 @@ from typing import Any
 from navigation.pose import Pose
 
 GRID, STRING = "nav_msgs/msg/OccupancyGrid", "std_msgs/msg/String"
-TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
-"""Types of velocity commands: Nav2 publishes stamped ones by default since Kilted."""
 NAVIGATE = "nav2_msgs/action/NavigateToPose"
 
 Message = dict[str, Any]

@@ -18,7 +18,7 @@ from bridge.client.publishing import encode
 from bridge.client.services import WAIT_SECONDS, ServiceClient
 from bridge.client.session import Client
 from bridge.client.types import Types
-from bridge.client.velocity import VELOCITIES, driven_forms, subscribers, velocity_message
+from bridge.client.velocity import driven_forms, subscribers, velocity_message
 from bridge.clock import RunClock
 from bridge.config.sections.navigation import NavigationSection
 from bridge.hub.control import RECORDED
@@ -28,6 +28,7 @@ from bridge.hub.wire.keys import NO_HASH
 from bridge.hub.wire.qos import Qos
 from bridge.messages.actions import CANCEL as CANCEL_TYPE
 from bridge.messages.actions import CANCEL_GOAL, part_name
+from bridge.messages.velocities import VELOCITIES
 
 CANCEL = part_name("", CANCEL_GOAL)
 

@@ -16,9 +16,7 @@ from bridge.config.sections.section import Enabled
 from bridge.hub.graph import HubGraph
 from bridge.hub.session import follow_clock
 from bridge.hub.wire.qos import Qos
-
-TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
-VELOCITIES = (TWIST, TWIST_STAMPED)
+from bridge.messages.velocities import TWIST, TWIST_STAMPED, VELOCITIES
 
 _WATCHERS = re.compile(r"midspan_cli_\d+|foxglove|record|web")
 """Midspan's nodes that subscribe to whichever type is published."""

@@ -28,12 +28,11 @@ from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import ConversionError, MessageTypeError
 from bridge.messages.json import from_json
 from bridge.messages.values import MessageReader
+from bridge.messages.velocities import TWIST, VELOCITIES
 from bridge.modules.host import Host
 from bridge.routing.counters import Counters
-from bridge.routing.limits import COMMAND_TYPES
 from bridge.routing.rules import RuleSet
 from bridge.web.verbs.hold import HandDriving
-from navigation.messages import TWIST
 
 _log = logging.getLogger("midspan.foxglove")
 
@@ -251,7 +250,7 @@ class Publishing:
             )
         coder = Coder(self._host, self._definitions, channel)
         commands = self._rules.enter("zenoh", channel.topic, coder.type_name).priority == "command"
-        if not (commands or coder.type_name in COMMAND_TYPES or channel.topic in self._velocities):
+        if not (commands or coder.type_name in VELOCITIES or channel.topic in self._velocities):
             return ClientTopic(self._host, channel, visitor, coder)
         if channel.topic != self._velocity or coder.type_name != TWIST:
             allowed = f"{self._velocity} as {TWIST}" if self._velocity else "no topic (navigation.velocity)"

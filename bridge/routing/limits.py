@@ -7,9 +7,7 @@ import time
 from enum import Enum
 
 from bridge.hub.wire.qos import Durability, Qos, Reliability
-
-COMMAND_TYPES = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"})
-"""Types that command a velocity."""
+from bridge.messages.velocities import VELOCITIES
 
 COMMAND_NAME = re.compile(r"(^|[/_])(cmd|command)", re.IGNORECASE)
 """Topic names that imply a velocity command."""
@@ -28,7 +26,7 @@ class Priority(Enum):
 
 def default_priority(topic: str, type_name: str, *, latched: bool) -> Priority:
     """Return the class of a topic without a rule: velocity commands by type and name, latched topics as state."""
-    if type_name in COMMAND_TYPES and COMMAND_NAME.search(topic):
+    if type_name in VELOCITIES and COMMAND_NAME.search(topic):
         return Priority.COMMAND
     return Priority.STATE if latched else Priority.STREAM
 

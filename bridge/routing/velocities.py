@@ -16,12 +16,11 @@ from bridge.hub.errors import HubWireError
 from bridge.hub.wire.keys import check_topic
 from bridge.messages.errors import ConversionError
 from bridge.messages.transcode.conversion import Conversion
+from bridge.messages.velocities import TWIST, TWIST_STAMPED, VELOCITIES
 from bridge.routing.edge import Edge, Endpoint, Kind, MadeBy
 from bridge.routing.gates import ExitGate, ros2_name
-from bridge.routing.limits import COMMAND_TYPES
 from bridge.routing.rules import RoutePolicy, RuleSet, glob_regex, rename_glob
 
-PLAIN, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 Convert = Callable[[bytes], bytes]
 
 _HEADER, _LITTLE_ENDIAN = 4, b"\0\1"
@@ -54,7 +53,7 @@ def native_velocities(endpoints: Sequence[Endpoint]) -> frozenset[tuple[str, str
     """Return the side's topics of velocities that its own nodes subscribe to, with their ROS 2 types."""
     native = (e for e in endpoints if e.kind is Kind.SUBSCRIPTION and e.made_by is MadeBy.NATIVE)
     velocities = ((e.topic, ros2_name("topic", e.type)) for e in native)
-    return frozenset(velocity for velocity in velocities if velocity[1] in COMMAND_TYPES)
+    return frozenset(velocity for velocity in velocities if velocity[1] in VELOCITIES)
 
 
 def preferred(side_topic: str, side_type: str, native: Collection[tuple[str, str]]) -> str:
@@ -64,9 +63,9 @@ def preferred(side_topic: str, side_type: str, native: Collection[tuple[str, str
     report this type for the topic, and the nodes' own one would no longer be known.
     """
     type_name = ros2_name("topic", side_type)
-    if type_name not in COMMAND_TYPES or (side_topic, type_name) in native:
+    if type_name not in VELOCITIES or (side_topic, type_name) in native:
         return ""
-    return next((other for other in COMMAND_TYPES if (side_topic, other) in native), "")
+    return next((other for other in VELOCITIES if (side_topic, other) in native), "")
 
 
 def _hub_topics(edge: Edge, side_topic: str, rules: RuleSet) -> Iterator[str]:
@@ -111,9 +110,9 @@ def velocity_to_hub(edge: Edge, endpoint: Endpoint, policy: RoutePolicy) -> Conv
 
 def _other_type(type_name: str, policy: RoutePolicy) -> str:
     """Return the type that a rule converts velocities of this type to, "" if it leaves them as they are."""
-    if policy.stamped is None or type_name not in COMMAND_TYPES:
+    if policy.stamped is None or type_name not in VELOCITIES:
         return ""
-    wanted = STAMPED if policy.stamped else PLAIN
+    wanted = TWIST_STAMPED if policy.stamped else TWIST
     return wanted if wanted != type_name else ""
 
 
@@ -125,7 +124,7 @@ def _chain(first: Convert | None, then: Convert | None) -> Convert | None:
 
 def _rewrite(type_name: str, clock: RunClock) -> Convert:
     """Return the function that converts a message (CDR) of the other type to this one."""
-    return unstamped if type_name == PLAIN else lambda cdr: with_stamp(cdr, clock)
+    return unstamped if type_name == TWIST else lambda cdr: with_stamp(cdr, clock)
 
 
 def with_stamp(cdr: bytes, clock: RunClock) -> bytes:

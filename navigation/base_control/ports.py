@@ -10,13 +10,13 @@ from typing import Any
 from typing_extensions import override
 
 from bridge.hub.wire.qos import Qos
+from bridge.messages.velocities import TWIST, TWIST_STAMPED
 from bridge.modules.host import Host
 from bridge.routing.stall import AgeGate, StallDetector
 from navigation.base_control.base import DrivenBase
 from navigation.base_control.commands import CommandError, CommandInput, FullControl, Velocity, of_bottle, of_degrees
 from navigation.base_control.kinematics import Travelled
 from navigation.base_control.section import BaseControlSection, BaseInput, JoySection
-from navigation.messages import TWIST, TWIST_STAMPED
 from yarp_compat.dev.basecontrol import (
     INavigation2DVelocityActionsMsgs,
     IOdometry2DMsgs,

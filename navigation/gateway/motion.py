@@ -11,10 +11,10 @@ from functools import partial
 
 from bridge.client.velocity import driven_forms
 from bridge.hub.wire.qos import Qos
+from bridge.messages.velocities import TWIST, TWIST_STAMPED
 from bridge.modules.endpoints import Subscription
 from bridge.modules.host import Host
 from navigation.frames import FramesError, RobotFrames
-from navigation.messages import TWIST, TWIST_STAMPED
 from navigation.pose import Pose
 
 STANDING_SECONDS = 0.4

@@ -7,12 +7,13 @@ from typing import Any
 
 import pytest
 
-from bridge.client.velocity import TWIST, TWIST_STAMPED, VelocityForm, VelocityPublisher, subscribers
+from bridge.client.velocity import VelocityForm, VelocityPublisher, subscribers
 from bridge.clock import SYSTEM
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
+from bridge.messages.velocities import TWIST, TWIST_STAMPED
 from tests.contract.hubside import HubSide
 from tests.contract.side import PeerLike, Side
 from tests.peers.hub.network import HubNetwork

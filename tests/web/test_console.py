@@ -14,10 +14,11 @@ import pytest
 from bridge.config.sections.navigation import ACTION
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import to_json
+from bridge.messages.velocities import TWIST, TWIST_STAMPED
 from bridge.modules.action_server import Goal
 from bridge.web.verbs import verbs
 from bridge.web.verbs.hold import HOLD_SECONDS
-from navigation.messages import NAVIGATE, TWIST, TWIST_STAMPED
+from navigation.messages import NAVIGATE
 from tests.peers.browser.page import TestPage
 from tests.peers.hub.node import HubNode
 from tests.support.wait import until

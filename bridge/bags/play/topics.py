@@ -18,7 +18,8 @@ from bridge.hub.graph.tokens import TAPS, UNKNOWN_HASH
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
-from bridge.routing.limits import COMMAND_NAME, COMMAND_TYPES, Priority, default_priority
+from bridge.messages.velocities import VELOCITIES
+from bridge.routing.limits import COMMAND_NAME, Priority, default_priority
 from bridge.routing.rewrites import TF_TYPE
 from bridge.routing.rules import RuleSet
 
@@ -52,7 +53,7 @@ class PlayTopic:
     @property
     def velocity(self) -> bool:
         """Whether a zero message of its type stops the robot."""
-        return self.type_name in COMMAND_TYPES
+        return self.type_name in VELOCITIES
 
     @property
     def priority(self) -> str:

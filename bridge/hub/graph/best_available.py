@@ -14,10 +14,7 @@ from typing import Protocol
 
 from bridge.hub.graph.tokens import EndpointKind
 from bridge.hub.wire.qos import BEST_AVAILABLE_NS, Durability, Qos, Reliability
-
-VELOCITIES = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"})
-"""Types that command a velocity, under any topic name. An open publisher of these is volatile: rmw_zenoh stores nothing
-for it, and a bridge must not store velocities either."""
+from bridge.messages.velocities import VELOCITIES
 
 
 class GraphEndpoint(Protocol):
@@ -79,6 +76,7 @@ def resolve(type_name: str, announced: Mapping[str, tuple[EndpointKind, Qos]]) -
     requested = [qos for kind, qos in announced.values() if kind is EndpointKind.SUBSCRIPTION]
     finite = (qos.deadline_ns for qos in requested if qos.deadline_ns != BEST_AVAILABLE_NS)
     shortest = min((deadline for deadline in finite if deadline is not None), default=None)
+    # rmw_zenoh stores nothing for a volatile publisher, and a bridge must not store velocities either
     durability = Durability.VOLATILE if type_name in VELOCITIES else Durability.TRANSIENT_LOCAL
     offer = Qos(Reliability.RELIABLE, durability, deadline_ns=shortest)
     resolved = {key: _filled(qos, offer) for key, (kind, qos) in announced.items() if kind is EndpointKind.PUBLISHER}

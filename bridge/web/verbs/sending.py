@@ -19,8 +19,9 @@ from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.graph.tokens import TAPS, EndpointKind
 from bridge.hub.wire.qos import Qos
 from bridge.messages.actions import split
+from bridge.messages.velocities import VELOCITIES
 from bridge.modules.host import Host
-from bridge.routing.limits import COMMAND_TYPES, RateLimit
+from bridge.routing.limits import RateLimit
 from bridge.routing.rules import RuleSet
 from bridge.web.sources.definitions import KINDS, definition
 from bridge.web.sources.messages import cut
@@ -71,7 +72,7 @@ class Sending:
         if topic.startswith(TAPS) or not ROS2_NAME.fullmatch(topic):
             return f"{topic[:80]!r} is not a topic name: /, then parts of letters, digits and underscores"
         commands = self._rules.enter("zenoh", topic, type_name).priority == "command"
-        if commands or type_name in COMMAND_TYPES or topic in self._velocities:
+        if commands or type_name in VELOCITIES or topic in self._velocities:
             return (
                 "velocities cannot be sent from a form, since nothing would stop the base: drive manually"
                 " in the view Drive, which commands zero on release"

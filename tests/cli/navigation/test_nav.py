@@ -23,11 +23,11 @@ from bridge.cli.navigation.gateway import gateway_status, no_answer
 from bridge.cli.navigation.goto import GoalProgress
 from bridge.client.navigation import STATUS, STATUS_TOPIC, state_text
 from bridge.client.session import connect
-from bridge.client.velocity import TWIST
 from bridge.config.model import Config
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos
+from bridge.messages.velocities import TWIST
 from bridge.status import read_daemon_status
 from bridge.stores.kinds import AREA, LOCATION, MAP
 from navigation.nav2_errors import reason_text

@@ -11,6 +11,7 @@ import pytest
 
 from bridge import state_machine
 from bridge.messages.values import MessageWriter
+from bridge.messages.velocities import TWIST, TWIST_STAMPED
 from navigation.frames import FramesError
 from navigation.gateway import motion, stop
 from navigation.gateway.machine import StopState
@@ -22,7 +23,6 @@ from navigation.gateway.stop import (
     StopOrder,
     StopWaiters,
 )
-from navigation.messages import TWIST, TWIST_STAMPED
 from navigation.pose import Pose
 from tests.peers.hub.node import REGISTRY
 from tests.peers.navigation.simulated_hub import Clock

@@ -19,9 +19,9 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
+from bridge.messages.velocities import TWIST, TWIST_STAMPED
 from navigation.constraints import Constraints
 from navigation.frames import FramesError
-from navigation.messages import TWIST, TWIST_STAMPED
 from navigation.planner_module import PlannerModule
 from navigation.pose import Pose
 from navigation.status import Fault, State

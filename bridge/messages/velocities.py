@@ -1,0 +1,4 @@
+"""The ROS 2 types of velocity commands: Nav2 publishes stamped ones by default since Kilted."""
+
+TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
+VELOCITIES = (TWIST, TWIST_STAMPED)
