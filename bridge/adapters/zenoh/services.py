@@ -51,7 +51,7 @@ class KeyServer(CallServer):
         super().__init__(context.session, key, name, context.limit, call, context.closed)
 
     @override
-    def _takes(self, query: zenoh.Query) -> bool:
+    def _is_call(self, query: zenoh.Query) -> bool:
         """Return whether a query is a call; one with a wildcard only explores."""
         return self._expression.includes(query.key_expr)
 

@@ -78,14 +78,14 @@ class CallServer:
         self._lock = Lock()
         self._waiting: dict[PendingRequest, None] = {}
         self._closed = False
-        self._declared: list[Any] = self._heard_beside(session, reach)
+        self._declared: list[Any] = self._declare_additional(session, reach)
         self._declared.append(answer(session, key, self._on_query, complete=complete, origin=reach))
 
-    def _heard_beside(self, session: zenoh.Session, reach: zenoh.Locality) -> list[Any]:  # noqa: ARG002
+    def _declare_additional(self, session: zenoh.Session, reach: zenoh.Locality) -> list[Any]:  # noqa: ARG002
         """Declare additional endpoints, before the queryable, so that a client that sees the server can use them."""
         return []
 
-    def _takes(self, query: zenoh.Query) -> bool:  # noqa: ARG002
+    def _is_call(self, query: zenoh.Query) -> bool:  # noqa: ARG002
         """Whether a query is a call; other queries end without a reply."""
         return True
 
@@ -97,7 +97,7 @@ class CallServer:
         """Return the request in the payload of a query, which may be empty; raises `CallError`."""
         return payload
 
-    def _attached(self, asked: PendingRequest) -> bytes | None:  # noqa: ARG002
+    def _attached(self, pending: PendingRequest) -> bytes | None:  # noqa: ARG002
         """The attachment of a reply."""
         return None
 
@@ -105,10 +105,10 @@ class CallServer:
         """The key of a reply."""
         return self._key
 
-    def _remembered(self, asked: PendingRequest) -> None:
+    def _on_pending(self, pending: PendingRequest) -> None:
         """Handle a new pending request; called with the lock held."""
 
-    def _forgotten(self, asked: PendingRequest) -> None:
+    def _on_removed(self, pending: PendingRequest) -> None:
         """Handle a request that is no longer pending."""
 
     def close(self) -> None:
@@ -127,7 +127,7 @@ class CallServer:
     def _on_query(self, query: zenoh.Query) -> None:
         """Start a call; runs on zenoh's receiving thread."""
         keep_thread_state()
-        if not self._takes(query):
+        if not self._is_call(query):
             query.drop()  # type: ignore[no-untyped-call]
             return
         try:
@@ -140,7 +140,7 @@ class CallServer:
             closed = self._closed
             if not closed:
                 self._waiting[pending] = None
-                self._remembered(pending)
+                self._on_pending(pending)
         if closed:
             reply_error(query, CallError(LEFT.format(name=self.name)))
             return
@@ -157,42 +157,42 @@ class CallServer:
             raise CallError(f"the request has {len(payload)} bytes, limits.message allows {self._limit}")
         return self._request(b"" if payload is None else payload.to_bytes())
 
-    def _remove(self, asked: PendingRequest) -> bool:
+    def _remove(self, pending: PendingRequest) -> bool:
         """Drop a request; return whether it was still pending."""
         with self._lock:
-            waited = asked in self._waiting
-            self._waiting.pop(asked, None)
+            waited = pending in self._waiting
+            self._waiting.pop(pending, None)
         if waited:
-            self._forgotten(asked)
+            self._on_removed(pending)
         return waited
 
-    def _answer(self, asked: PendingRequest, result: bytes | CallError) -> None:
-        if not self._remove(asked):
+    def _answer(self, pending: PendingRequest, result: bytes | CallError) -> None:
+        if not self._remove(pending):
             return
         if isinstance(result, bytes) and len(result) > self._limit:
             result = CallError(f"the reply has {len(result)} bytes, limits.message allows {self._limit}")
 
         def reply(query: zenoh.Query, payload: bytes) -> None:
-            query.reply(self._reply_key(query), payload, encoding=self.encoding, attachment=self._attached(asked))
+            query.reply(self._reply_key(query), payload, encoding=self.encoding, attachment=self._attached(pending))
 
         if isinstance(result, CallError):
-            reply_error(asked.query, result, reply)
+            reply_error(pending.query, result, reply)
             return
         try:
-            with asked.query as query:
+            with pending.query as query:
                 reply(query, result)
         except zenoh.ZError as err:
             _log.debug("%s: the client no longer waits for the reply: %s", self.name, err)
 
-    def _abandoned(self, asked: PendingRequest) -> None:
+    def _abandoned(self, pending: PendingRequest) -> None:
         """Handle the cancellation by a client."""
-        if self._remove(asked):
-            asked.query.drop()  # type: ignore[no-untyped-call]
-            self._abandon(asked)
+        if self._remove(pending):
+            pending.query.drop()  # type: ignore[no-untyped-call]
+            self._abandon(pending)
 
-    def _abandon(self, asked: PendingRequest) -> None:
+    def _abandon(self, pending: PendingRequest) -> None:
         with self._lock:
-            asked.left = True
-            abandon = asked.abandon
+            pending.left = True
+            abandon = pending.abandon
         if abandon is not None:
             abandon()

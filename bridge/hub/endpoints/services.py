@@ -68,11 +68,11 @@ class HubServer(CallServer):
         self._withdraw = context.graph.announce(token)
 
     @override
-    def _heard_beside(self, session: zenoh.Session, reach: zenoh.Locality) -> list[Any]:
-        beside: list[Any] = [subscribe(session, abandon_key(self._key), self._heard_leaving, reach)]
+    def _declare_additional(self, session: zenoh.Session, reach: zenoh.Locality) -> list[Any]:
+        declared: list[Any] = [subscribe(session, abandon_key(self._key), self._on_abandoned, reach)]
         if self._hashless_key != self._key:
-            beside.append(answer(session, self._hashless_key, self._on_query, complete=True, origin=reach))
-        return beside
+            declared.append(answer(session, self._hashless_key, self._on_query, complete=True, origin=reach))
+        return declared
 
     @override
     def _reply_key(self, query: zenoh.Query) -> str:
@@ -80,7 +80,7 @@ class HubServer(CallServer):
         return key if key == self._hashless_key else self._key
 
     @override
-    def _takes(self, query: zenoh.Query) -> bool:
+    def _is_call(self, query: zenoh.Query) -> bool:
         """Return whether to accept a call: not if it comes from the node itself."""
         attached = query.attachment
         return attached is None or attached.to_bytes()[-GID_SIZE:] not in self._own
@@ -97,34 +97,34 @@ class HubServer(CallServer):
         return request
 
     @override
-    def _attached(self, asked: PendingRequest) -> bytes | None:
+    def _attached(self, pending: PendingRequest) -> bytes | None:
         """Return the reply's attachment: the request's number and GID."""
-        assert isinstance(asked, _HubRequest)
-        return None if asked.number is None else pack_attachment(asked.number, time.time_ns(), asked.caller)
+        assert isinstance(pending, _HubRequest)
+        return None if pending.number is None else pack_attachment(pending.number, time.time_ns(), pending.caller)
 
     # -- clients that leave --------------------------------------------------------------------------------------------
 
     @override
-    def _remembered(self, asked: PendingRequest) -> None:
-        assert isinstance(asked, _HubRequest)
-        if asked.number is not None and len(self._callers) < _MAX_CALLERS:
-            self._callers[asked.caller, asked.number] = asked
+    def _on_pending(self, pending: PendingRequest) -> None:
+        assert isinstance(pending, _HubRequest)
+        if pending.number is not None and len(self._callers) < _MAX_CALLERS:
+            self._callers[pending.caller, pending.number] = pending
         if self._unwatch is None:
             self._unwatch = self._graph.watch(self._look_for_callers)
 
     @override
-    def _forgotten(self, asked: PendingRequest) -> None:
-        assert isinstance(asked, _HubRequest)
+    def _on_removed(self, pending: PendingRequest) -> None:
+        assert isinstance(pending, _HubRequest)
         with self._lock:
-            if self._callers.get((asked.caller, asked.number)) is asked:
-                del self._callers[asked.caller, asked.number]
+            if self._callers.get((pending.caller, pending.number)) is pending:
+                del self._callers[pending.caller, pending.number]
             unwatch = None
             if not self._waiting:
                 unwatch, self._unwatch = self._unwatch, None
         if unwatch is not None:
             unwatch()
 
-    def _heard_leaving(self, sample: zenoh.Sample) -> None:
+    def _on_abandoned(self, sample: zenoh.Sample) -> None:
         keep_thread_state()
         try:
             number, _time, gid = unpack_attachment(sample.payload.to_bytes())
