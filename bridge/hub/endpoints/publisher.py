@@ -312,7 +312,7 @@ class HubPublisher:
         with self._lock:
             if not self._sinks:
                 raise HubClosedError(f"publisher of {self.topic} is closed")
-            if self._outlets or any(sink.keeps or sink.matched() for sink in self._sinks):
+            if self._outlets or self._stored is not None or self._any_matched():
                 return False
             self._sequence += 1
             return True
@@ -320,7 +320,14 @@ class HubPublisher:
     def matched(self) -> bool:
         """Return whether any subscription exists, on another session or on another node of a shared session."""
         with self._lock:
-            return bool(self._sinks) and (bool(self._outlets) or any(sink.matched() for sink in self._sinks))
+            return bool(self._sinks) and (bool(self._outlets) or self._any_matched())
+
+    def _any_matched(self) -> bool:
+        # on each message; a generator would cost several times as much for one sink
+        for sink in self._sinks:  # noqa: SIM110
+            if sink.matched():
+                return True
+        return False
 
     def way(self) -> tuple[str, str]:
         """Return the current transport and, for zenoh, the reason.
@@ -329,7 +336,7 @@ class HubPublisher:
         """
         with self._lock:
             lane = bool(self._outlets)
-            other = any(sink.matched() for sink in self._sinks)
+            other = self._any_matched()
         if lane or self._writer is not None:
             return {(True, False): "lane", (True, True): "both", (False, True): "zenoh"}.get((lane, other), ""), (
                 "a listener is not on the lane" if other else ""
