@@ -1,10 +1,8 @@
-"""Routes of topics and their parts: classes, rate limits, ages, counters, static transforms, and what waits."""
+"""Routes of topics: what waits, retained state, pauses, counters and errors."""
 
 from __future__ import annotations
 
-import itertools
 import math
-import queue
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,7 +11,6 @@ from typing import Any, cast
 
 import pytest
 import zenoh
-from rosbags.typesys import Stores, get_typestore
 
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.graph import HubEndpoint
@@ -22,15 +19,14 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion, SideType
-from bridge.routing import hub_end, stall
+from bridge.routing import hub_end
 from bridge.routing.counters import Counters
 from bridge.routing.decision import RouteKey
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.edge import Endpoint, Kind, MadeBy
 from bridge.routing.hub_to_side import HubToSideRoute, SidePublishers
-from bridge.routing.limits import BULK_DEPTH, STREAM_DEPTH, Priority, RateLimit, default_priority, stream_depth
+from bridge.routing.limits import Priority
 from bridge.routing.peer_watch import Lease
-from bridge.routing.rewrites import TF_TYPE, StaticTransforms
 from bridge.routing.route import EngineContext
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.side_to_hub import SideToHubRoute
@@ -38,217 +34,6 @@ from bridge.routing.stall import StallDetector
 from tests.peers.fake import FakeEdge, FakeNetwork
 from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
-
-STORE = get_typestore(Stores.ROS2_JAZZY)
-
-
-@pytest.mark.parametrize(
-    ("topic", "type_name", "latched", "priority"),
-    [
-        ("/cmd_vel", "geometry_msgs/msg/Twist", False, Priority.COMMAND),
-        ("/robot/cmd_vel_nav", "geometry_msgs/msg/TwistStamped", True, Priority.COMMAND),
-        ("/odom_twist", "geometry_msgs/msg/Twist", False, Priority.STREAM),
-        ("/cmd_vel", "std_msgs/msg/String", False, Priority.STREAM),
-        ("/map", "nav_msgs/msg/OccupancyGrid", True, Priority.STATE),
-        ("/map", "nav_msgs/msg/OccupancyGrid", False, Priority.STREAM),
-    ],
-)
-def test_default_priority(topic: str, type_name: str, latched: bool, priority: Priority) -> None:
-    assert default_priority(topic, type_name, latched=latched) is priority
-
-
-class Clock:
-    """A clock that the test turns."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.now = 1000.0
-        monkeypatch.setattr(time, "monotonic", lambda: self.now)
-        monkeypatch.setattr(time, "time_ns", lambda: int(self.now * 1e9))
-        monkeypatch.setattr(time, "clock_gettime_ns", lambda _clock: int(self.now * 1e9))
-
-
-@pytest.mark.parametrize(("source_hz", "limit", "passed"), [(100, 10, 100), (10, 10, 100), (5, 10, 50), (30, 20, 200)])
-def test_rate_limit_meets_its_mean(monkeypatch: pytest.MonkeyPatch, source_hz: int, limit: int, passed: int) -> None:
-    clock = Clock(monkeypatch)
-    gate = RateLimit(limit)
-    got = 0
-    for n in range(10 * source_hz):
-        clock.now = 1000.0 + n / source_hz
-        got += gate.passes()
-    assert abs(got - passed) <= max(2, passed * 0.06)
-
-
-def test_rate_limit_meets_its_mean_though_messages_come_in_batches(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = Clock(monkeypatch)
-    gate = RateLimit(30)
-    passed = []
-    for n in range(1000):
-        # 100 Hz, and every half second the machine does something else for 70 ms.
-        late = max(0.0, 0.07 - (n % 50) / 100)
-        clock.now = 1000.0 + n / 100 + late
-        if gate.passes():
-            passed.append(clock.now)
-    assert len(passed) == pytest.approx(300, rel=0.02)
-    assert min(b - a for a, b in itertools.pairwise(passed)) >= 0.5 / 30
-
-
-def test_types_of_unbounded_size_have_a_short_history() -> None:
-    assert stream_depth("std_msgs/Header header\nuint8[] data\n") == BULK_DEPTH
-    for small in ("string data\n", "float32[] ranges\n", "uint8[16] uuid\nuint8 UINT8=2 # uint8[] x\n"):
-        assert stream_depth(small) == STREAM_DEPTH
-
-
-def test_age_is_waiting_time_whatever_the_clock_offset(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = Clock(monkeypatch)
-    gate = stall.AgeGate()
-    offset = -3600.0
-    ages(clock, gate, offset)
-    for _ in range(5):
-        clock.now += 0.1
-        assert gate.age(int((clock.now + offset - 0.001) * 1e9)) < 0.01
-    clock.now += 2.0
-    assert gate.age(int((clock.now + offset - 2.0) * 1e9)) == pytest.approx(2.0, abs=0.01)
-
-
-def ages(clock: Clock, gate: stall.AgeGate, offset: float, count: int = 20) -> list[float]:
-    """Ages of messages at 20 Hz that arrive at once from a source whose clock differs."""
-    seconds = []
-    for _ in range(count):
-        clock.now += 0.05
-        seconds.append(gate.age(int((clock.now + offset) * 1e9)))
-    return seconds
-
-
-@pytest.mark.parametrize("jump", [-3600.0, -1.0, 3600.0])
-def test_source_is_received_again_after_its_clock_was_set(monkeypatch: pytest.MonkeyPatch, jump: float) -> None:
-    clock, gate = Clock(monkeypatch), stall.AgeGate()
-    ages(clock, gate, 0.0)
-    after = ages(clock, gate, jump)
-    held = [a for a in after if a > 0.1]
-    assert len(held) <= stall.HOLD / 0.05 + 1
-    assert after[-1] < 0.01
-    assert gate.age(int((clock.now + jump - 2.0) * 1e9)) > 1.9, "an old command is old on the new scale too"
-
-
-def test_setting_the_local_clock_makes_no_message_old(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock, gate = Clock(monkeypatch), stall.AgeGate()
-    ages(clock, gate, 0.0)
-    monkeypatch.setattr(time, "time_ns", lambda: int((clock.now + 3600) * 1e9))
-    assert max(ages(clock, gate, 0.0)) < 0.01
-
-
-def test_backlog_from_before_a_clock_was_set_back_stays_old(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock, gate = Clock(monkeypatch), stall.AgeGate()
-    ages(clock, gate, 0.0)
-    clock.now += 3.0
-    backlog = [gate.age(int((clock.now - 3600.0 - 3.0 + n * 0.05) * 1e9)) for n in range(60)]
-    assert min(backlog) > stall.HOLD
-
-
-def test_backlog_of_a_new_source_is_old(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock, gate = Clock(monkeypatch), stall.AgeGate()
-    backlog = [gate.age(int((clock.now - 1.3 + n * 0.05) * 1e9)) for n in range(26)]
-    assert min(backlog) > stall.HOLD
-    assert ages(clock, gate, 0.0)[-1] < 0.01
-
-
-def test_a_single_message_of_a_new_source_is_fresh(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = Clock(monkeypatch)
-    assert stall.AgeGate().age(int((clock.now - 0.01) * 1e9)) == 0.0
-    assert stall.AgeGate().age(int((clock.now + 100.0) * 1e9)) == 0.0
-
-
-def test_a_message_that_was_overtaken_is_old(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock, gate = Clock(monkeypatch), stall.AgeGate()
-    ages(clock, gate, 0.0)
-    assert gate.age(int((clock.now - 0.02) * 1e9)) > 1.0
-    assert max(ages(clock, gate, 0.0)) < 0.01
-
-
-def test_suspended_worker_reports_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = Clock(monkeypatch)
-    stall_detector = stall.StallDetector()
-    for _ in range(5):
-        clock.now += 0.1
-        stall_detector.beat()
-        assert not stall_detector.stood_still(0.5)
-    clock.now += 3.0
-    assert stall_detector.stood_still(0.5)
-    stall_detector.beat()
-    assert stall_detector.stood_still(0.5), "what piled up is still being read"
-    for _ in range(6):
-        clock.now += 0.1
-        stall_detector.beat()
-    assert not stall_detector.stood_still(0.5)
-
-
-def test_pulse_reports_a_suspension_once_the_process_continues(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock, reported = Clock(monkeypatch), queue.SimpleQueue[float]()
-    stall_detector = stall.StallDetector(reported.put)
-    stall_detector.start()
-    try:
-        clock.now += 20.0
-        assert reported.get(timeout=40) == pytest.approx(20.0)
-        assert stall_detector.stood_still(0.5), "what piled up is still being read"
-    finally:
-        stall_detector.stop()
-
-
-def test_pulse_pauses_without_readers_and_resumes_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stall, "_REST_SECONDS", 0.0)
-    stall_detector = stall.StallDetector()
-    quick = stall_detector.pause
-    stall_detector.start()
-    try:
-        until(lambda: stall_detector.pause > quick, "it rests")
-        assert stall_detector.pause < 0.3, "a wait that long counts as a standstill"
-        monkeypatch.setattr(stall, "_REST_SECONDS", 1000.0)
-        stall_detector.stood_still(0.5)
-        assert stall_detector.pause == quick
-    finally:
-        stall_detector.stop()
-
-
-def transforms(*children: str, x: float = 0.0) -> bytes:
-    types = STORE.types
-    time_ = types["builtin_interfaces/msg/Time"](1, 2)
-    transform = types["geometry_msgs/msg/Transform"](
-        types["geometry_msgs/msg/Vector3"](x, 0.0, 0.0), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-    )
-    header = types["std_msgs/msg/Header"](time_, "base")
-    stamped = [types["geometry_msgs/msg/TransformStamped"](header, child, transform) for child in children]
-    return bytes(STORE.serialize_cdr(types[TF_TYPE](stamped), TF_TYPE))
-
-
-def test_static_transforms_merge_by_child_frame() -> None:
-    merged = StaticTransforms()
-    merged.merge(transforms("a", "b"))
-    whole: Any = STORE.deserialize_cdr(merged.merge(transforms("b", "c", x=5.0)), TF_TYPE)
-    assert {t.child_frame_id: t.transform.translation.x for t in whole.transforms} == {"a": 0.0, "b": 5.0, "c": 5.0}
-
-
-def test_static_transforms_of_another_byte_order_merge() -> None:
-    message: Any = STORE.deserialize_cdr(transforms("a", "bc", x=2.5), TF_TYPE)
-    swapped = bytes(STORE.serialize_cdr(message, TF_TYPE, little_endian=False))
-    assert StaticTransforms().merge(swapped) == transforms("a", "bc", x=2.5)
-
-
-@pytest.mark.parametrize(
-    "junk",
-    [
-        b"",
-        b"\x00\x01\x00\x00",
-        b"\x07\x07" + transforms("a")[2:],
-        transforms("a")[:-9],
-        transforms("a") + bytes(8),
-        transforms("a").replace(b"\x02\0\0\0a", b"\xff\xff\xff\xffa"),
-        transforms("a").replace(b"base", b"\xffase"),
-        transforms("a").replace(b"base\0", b"basee"),
-    ],
-)
-def test_malformed_static_transforms_are_rejected(junk: bytes) -> None:
-    with pytest.raises(ValueError, match="TFMessage"):
-        StaticTransforms().merge(junk)
 
 
 def test_urgent_work_goes_first() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import threading
-import xmlrpc.client
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,144 +11,27 @@ from typing import Any, Protocol
 import pytest
 
 from bridge.adapters.ros1.parameters.follower import ParameterSharing
-from bridge.adapters.ros1.parameters.store import ParameterServer, codecs, copies_parameter
+from bridge.adapters.ros1.parameters.store import ParameterServer, copies_parameter
 from bridge.adapters.ros1.parameters.values import (
     NOT_SET,
-    ParameterNames,
     ParameterType,
     ParameterValue,
-    UnsayableError,
-    flatten,
-    to_ros1,
-    to_ros2,
 )
-from bridge.config.sections.routing import ParameterRule, RoutingSection
-from bridge.hub.endpoints.calls import CallError
+from bridge.config.sections.routing import ParameterRule
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
-from bridge.messages.registry import Registry
 from bridge.messages.values import MessageReader
-from bridge.routing.rules import RuleSet
 from tests.peers.hub.network import HubNetwork
 from tests.peers.ros1.adapter import edge_on
 from tests.peers.ros1.network import RosMaster, needs_ros1
+from tests.peers.ros1.parameters import REGISTRY, ParameterClient, ParameterNode, double, integer, rule
 from tests.support.wait import until
 
-REGISTRY = Registry()
-CODECS = codecs(REGISTRY)
 PERIOD = 0.1
 OWNER = "1d3f"
 COPIES = copies_parameter(OWNER)
 NOBODY = "http://127.0.0.1:1/"
 """No master can report changes to this address: the next comparison detects them."""
-
-VALUES = [
-    (True, ParameterValue(ParameterType.BOOL, True)),
-    (-7, ParameterValue(ParameterType.INTEGER, -7)),
-    (2.5, ParameterValue(ParameterType.DOUBLE, 2.5)),
-    (float("nan"), ParameterValue(ParameterType.DOUBLE, float("nan"))),
-    ("base <&> link é😀\n", ParameterValue(ParameterType.STRING, "base <&> link é😀\n")),
-    (xmlrpc.client.Binary(b"\0\xff"), ParameterValue(ParameterType.BYTE_ARRAY, b"\0\xff")),
-    ([True, False], ParameterValue(ParameterType.BOOL_ARRAY, [True, False])),
-    ([1, 2], ParameterValue(ParameterType.INTEGER_ARRAY, [1, 2])),
-    ([1.5, 2.0], ParameterValue(ParameterType.DOUBLE_ARRAY, [1.5, 2.0])),
-    (["a", ""], ParameterValue(ParameterType.STRING_ARRAY, ["a", ""])),
-]
-
-
-@pytest.mark.parametrize(("ros1", "ros2"), VALUES)
-def test_values_are_converted_in_both_directions(ros1: Any, ros2: ParameterValue):
-    assert to_ros2(ros1) == ros2
-    assert repr(to_ros1(ros2)) == repr(ros1) or to_ros1(ros2) == ros1
-    codec = CODECS["get_parameters"]
-    sent = codec.response({"values": [ros2.message()]})
-    assert ParameterValue.read(codec.response_value(sent)["values"][0]) == ros2
-    assert ros2 != NOT_SET
-
-
-@pytest.mark.parametrize(
-    ("ros1", "like", "ros2"),
-    [
-        (1, ParameterType.DOUBLE, ParameterValue(ParameterType.DOUBLE, 1.0)),
-        (2.0, ParameterType.INTEGER, ParameterValue(ParameterType.INTEGER, 2)),
-        (2.5, ParameterType.INTEGER, ParameterValue(ParameterType.DOUBLE, 2.5)),
-        (True, ParameterType.INTEGER, ParameterValue(ParameterType.BOOL, True)),
-        ([1, 2], ParameterType.DOUBLE_ARRAY, ParameterValue(ParameterType.DOUBLE_ARRAY, [1.0, 2.0])),
-        ([1, 2.5], ParameterType.NOT_SET, ParameterValue(ParameterType.DOUBLE_ARRAY, [1.0, 2.5])),
-        ([], ParameterType.BOOL_ARRAY, ParameterValue(ParameterType.BOOL_ARRAY, [])),
-        ([], ParameterType.DOUBLE, ParameterValue(ParameterType.STRING_ARRAY, [])),
-    ],
-)
-def test_numbers_are_converted_to_the_nodes_type(ros1: Any, like: ParameterType, ros2: ParameterValue):
-    assert to_ros2(ros1, like) == ros2
-
-
-def test_values_that_the_other_network_lacks_are_rejected():
-    for ros1 in ({"a": 1}, [[1], [2]], [1, "a"], [True, 1], None, xmlrpc.client.DateTime(), 2**63):
-        with pytest.raises(UnsayableError):
-            to_ros2(ros1)
-    for ros2 in (
-        ParameterValue(ParameterType.INTEGER, 2**31),
-        ParameterValue(ParameterType.STRING, "a\0"),
-        ParameterValue(ParameterType.STRING_ARRAY, ["\r"]),
-        NOT_SET,
-    ):
-        with pytest.raises(UnsayableError):
-            to_ros1(ros2)
-
-
-def rule(owner: str, ros1: str, node: str, **more: Any) -> ParameterRule:
-    return ParameterRule.model_validate({"owner": owner, "ros1": ros1, "node": node, **more})
-
-
-def test_names_follow_the_rule():
-    names = ParameterNames(rule("ros2", "/move_base/dwa", "/controller", prefix="FollowPath", names=["*", "deep/**"]))
-    for remaining, ros1, ros2 in (
-        ("x", "/move_base/dwa/x", "FollowPath.x"),
-        ("deep/a/b", "/move_base/dwa/deep/a/b", "FollowPath.deep.a.b"),
-    ):
-        assert (names.ros1(remaining), names.ros2(remaining), names.rest(ros2)) == (ros1, ros2, remaining)
-    assert [names.rest(other) for other in ("FollowPathX.x", "x", "FollowPath.a.b", "FollowPath.q/.x")] == [None] * 4
-    item = ParameterNames(rule("ros2", "/speed", "/base", prefix="limits.speed"))
-    assert (item.ros1(""), item.ros2(""), item.rest("limits.speed")) == ("/speed", "limits.speed", "")
-    assert dict(flatten({"a": {"b": 1, "c": {}}, "d": [2]})) == {"a/b": 1, "d": [2]}
-    assert dict(flatten(3)) == {"": 3}
-
-
-@pytest.mark.parametrize(
-    ("rules", "reason"),
-    [
-        ([{"ros1": "move_base"}], "write it as /move_base"),
-        ([{"node": "controller"}], "write it as /controller_server"),
-        ([{"prefix": "a/b"}], "write it as FollowPath"),
-        ([{"owner": "yarp"}], "'ros1' or 'ros2'"),
-        ([{}, {"ros1": "/b", "owner": "ros1"}], "give /n two owners"),
-        ([{}, {"ros1": "/a/b", "node": "/m"}], "both take what is in /a/b"),
-    ],
-)
-def test_an_invalid_rule_is_rejected(rules: list[dict[str, Any]], reason: str):
-    whole = [{"ros1": "/a", "node": "/n", "owner": "ros2", **item} for item in rules]
-    with pytest.raises(ValueError, match=reason):
-        RoutingSection.model_validate({"parameters": whole})
-
-
-def test_parameter_services_cross_for_nodes_in_a_rule():
-    section = RoutingSection.model_validate({"parameters": [{"ros1": "/a", "node": "/ns/n", "owner": "ros2"}]})
-    rules, kind = RuleSet(section), "rcl_interfaces/srv/GetParameters"
-    assert rules.enter("ros2", "/ns/n/get_parameters", kind, "service").allowed
-    assert not rules.enter("ros2", "/ns/other/get_parameters", kind, "service").allowed
-    assert not rules.enter("ros2", "/ns/n/change_state", "lifecycle_msgs/srv/ChangeState", "service").allowed
-    assert not rules.leave("ros2", "ros1", "/ns/n/get_parameters", kind, "service").allowed
-    assert rules.leave("ros1", "ros2", "/ns/n/get_parameters", kind, "service").allowed
-    event = "rcl_interfaces/msg/ParameterEvent"
-    assert [rules.leave("ros1", side, "/parameter_events", event).allowed for side in ("ros2", "yarp")] == [True, False]
-    denied = section.model_copy(update={"rules": (section.__class__.model_validate(
-        {"rules": [{"topic": "/ns/**", "deny": True}]}
-    ).rules)})  # fmt: skip
-    assert not RuleSet(denied).enter("ros2", "/ns/n/get_parameters", kind, "service").allowed
-
-
-# -- on a real parameter server ----------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -230,38 +112,6 @@ def share(master: RosMaster, hubs: tuple[Hub, Hub]) -> Iterator[Share]:
         parameters.stop()
 
 
-class Client:
-    """Calls the parameter services of one node on the hub."""
-
-    def __init__(self, hub: Hub, node: str) -> None:
-        self._clients = {
-            name: hub.client(f"{node}/{name}", codec.type.name, codec.type.type_id) for name, codec in CODECS.items()
-        }
-        until(lambda: all(client.ready for client in self._clients.values()), f"{node} is on the hub")
-
-    def call(self, word: str, **request: Any) -> Any:
-        done, results = threading.Event(), []
-
-        def answered(result: bytes | CallError) -> None:
-            results.append(result)
-            done.set()
-
-        self._clients[word].call(CODECS[word].request(request), answered)
-        assert done.wait(20)
-        if isinstance(results[0], CallError):
-            raise results[0]
-        return CODECS[word].response_value(results[0])
-
-    def get(self, *names: str) -> list[Any]:
-        return [
-            ParameterValue.read(value).content for value in self.call("get_parameters", names=list(names))["values"]
-        ]
-
-    def set(self, word: str = "set_parameters", **values: ParameterValue) -> Any:
-        wanted = [{"name": name.replace("__", "."), "value": value.message()} for name, value in values.items()]
-        return self.call(word, parameters=wanted)
-
-
 @needs_ros1
 def test_ros1_parameters_appear_on_a_node(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     master.call(
@@ -271,7 +121,7 @@ def test_ros1_parameters_appear_on_a_node(master: RosMaster, hubs: tuple[Hub, Hu
         rule("ros1", "/own", "/ns/own_node"), rule("ros1", "/own_one", "/ns/own_node", prefix="one", write=False)
     )
     master.call("setParam", "/own_one", 3)
-    client = Client(hubs[1], "/ns/own_node")
+    client = ParameterClient(hubs[1], "/ns/own_node")
     until(lambda: ("own_node", "/ns") in {(n.node, n.namespace) for n in hubs[1].graph.nodes()}, "the node exists", 20)
     assert client.get("speed", "frames.base", "one", "nothing") == [1.5, "base_link", 3, None]
     listed = client.call("list_parameters", prefixes=[], depth=0)["result"]
@@ -292,7 +142,7 @@ def test_ros1_parameters_appear_on_a_node(master: RosMaster, hubs: tuple[Hub, Hu
 def test_a_ros2_node_sets_ros1_parameters(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     master.call("setParam", "/set", {"speed": 1.5, "below": {"x": 1}, "fixed": 7})
     share(rule("ros1", "/set", "/set_node", names=["speed", "below/**", "new"]))
-    client = Client(hubs[1], "/set_node")
+    client = ParameterClient(hubs[1], "/set_node")
     results = client.set(
         speed=ParameterValue(ParameterType.DOUBLE, 2.5),
         fixed=ParameterValue(ParameterType.INTEGER, 8),
@@ -324,7 +174,7 @@ def test_changes_of_ros1_parameters_are_published_as_events(master: RosMaster, h
     hubs[1].subscription("/parameter_events", kind.name, kind.type_id, Qos(depth=100), on_sample)
     master.call("setParam", "/told", {"stays": 1, "changes": 2, "goes": 3})
     share(rule("ros1", "/told", "/told_node"))
-    Client(hubs[1], "/told_node")
+    ParameterClient(hubs[1], "/told_node")
 
     def changed() -> bool:
         master.call("setParam", "/told/changes", master.call("getParam", "/told/changes") + 1)
@@ -340,71 +190,9 @@ def test_changes_of_ros1_parameters_are_published_as_events(master: RosMaster, h
     assert {event["node"] for event in received} == {"/told_node"}
 
 
-class Node:
-    """A ROS 2 node on the hub with parameters, of which it rejects some changes.
-
-    Attributes:
-        values: the declared parameters; the type of one without a value is in ``types``, DOUBLE by default.
-        asked: number of requests for the names of its parameters.
-    """
-
-    def __init__(self, hub: Hub, node: str, **values: ParameterValue) -> None:
-        self.values = {name.replace("__", "."): value for name, value in values.items()}
-        self.types: dict[str, ParameterType] = {}
-        self.refuses: set[str] = set()
-        self.set: list[tuple[str, Any]] = []
-        self.asked = 0
-        self._servers = [
-            hub.server(f"{node}/{key}", codec.type.name, codec.type.type_id, self._answer(key))
-            for key, codec in CODECS.items()
-        ]
-
-    def _answer(self, word: str) -> Any:
-        def call(request: bytes, done: Any) -> Any:
-            done(CODECS[word].response(getattr(self, f"_{word}")(CODECS[word].request_value(request))))
-            return lambda: None
-
-        return call
-
-    def _list_parameters(self, request: Any) -> Any:
-        self.asked += 1
-        wanted = [n for n in self.values if not request["prefixes"] or n.startswith(request["prefixes"][0])]
-        return {"result": {"names": wanted}}
-
-    def _describe_parameters(self, request: Any) -> Any:
-        return {"descriptors": [{"name": name, "type": int(self._type(name))} for name in request["names"]]}
-
-    def _type(self, name: str) -> ParameterType:
-        kind = self.values.get(name, NOT_SET).kind
-        return self.types.get(name, ParameterType.DOUBLE) if kind is ParameterType.NOT_SET else kind
-
-    def _get_parameter_types(self, request: Any) -> Any:
-        return {"types": [int(self.values.get(name, NOT_SET).kind) for name in request["names"]]}
-
-    def _get_parameters(self, request: Any) -> Any:
-        values = [self.values.get(name, NOT_SET) for name in request["names"]]
-        return {"values": [] if NOT_SET in values else [value.message() for value in values]}  # like rclcpp
-
-    def _set_parameters(self, request: Any) -> Any:
-        return {
-            "results": [self._set(item["name"], ParameterValue.read(item["value"])) for item in request["parameters"]]
-        }
-
-    def _set(self, name: str, value: ParameterValue) -> Any:
-        self.set.append((name, value.content))
-        if name in self.refuses or value.kind is not self._type(name):
-            return {"successful": False, "reason": "not now"}
-        self.values[name] = value
-        return {"successful": True}
-
-    def close(self) -> None:
-        for service in self._servers:
-            service.close()
-
-
 @needs_ros1
 def test_a_nodes_parameters_are_copied_to_ros1(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
-    node = Node(
+    node = ParameterNode(
         hubs[1], "/kept_node",
         FollowPath__speed=ParameterValue(ParameterType.DOUBLE, 1.5),
         FollowPath__inner__frame=ParameterValue(ParameterType.STRING, "odom"),
@@ -426,22 +214,14 @@ def test_a_nodes_parameters_are_copied_to_ros1(master: RosMaster, hubs: tuple[Hu
     assert master.call("getParam", "/kept").keys() <= {"mine", "inner"}
 
 
-def _double(value: float) -> ParameterValue:
-    return ParameterValue(ParameterType.DOUBLE, value)
-
-
-def _integer(value: int) -> ParameterValue:
-    return ParameterValue(ParameterType.INTEGER, value)
-
-
 @needs_ros1
 def test_a_value_that_is_also_a_prefix_is_copied_without_the_names_below_it(
     master: RosMaster, hubs: tuple[Hub, Hub], share: Share
 ):
-    hdr = Node(hubs[1], "/hdr", exposure=_integer(7500), exposure__1=_integer(100), exposure__a__b=_integer(5))
-    single = Node(hubs[1], "/single", limits__speed=_double(1.5), limits__speed__max=_double(2.0))
-    unset = Node(hubs[1], "/unset_above", exposure=NOT_SET, exposure__1=_integer(100))
-    huge = Node(hubs[1], "/huge_above", exposure=_integer(2**40), exposure__1=_integer(100))
+    hdr = ParameterNode(hubs[1], "/hdr", exposure=integer(7500), exposure__1=integer(100), exposure__a__b=integer(5))
+    single = ParameterNode(hubs[1], "/single", limits__speed=double(1.5), limits__speed__max=double(2.0))
+    unset = ParameterNode(hubs[1], "/unset_above", exposure=NOT_SET, exposure__1=integer(100))
+    huge = ParameterNode(hubs[1], "/huge_above", exposure=integer(2**40), exposure__1=integer(100))
     store = server(master)
     parameters = share(
         rule("ros2", "/hdr", "/hdr"), rule("ros2", "/single", "/single", prefix="limits.speed"),
@@ -463,7 +243,7 @@ def test_a_value_that_is_also_a_prefix_is_copied_without_the_names_below_it(
         assert any(item.startswith(f"parameter {key}: not copied, since {above} has a value") for item in problems), key
     del hdr.values["exposure"]
     until(lambda: master.call("getParam", "/hdr") == {"exposure": {"1": 100, "a": {"b": 5}}}, "the names below")
-    hdr.values["exposure"] = _integer(50)
+    hdr.values["exposure"] = integer(50)
     until(lambda: master.call("getParam", "/hdr") == {"exposure": 50}, "the value has the name again")
 
 
@@ -473,7 +253,7 @@ def test_copies_of_a_killed_process_are_deleted_when_the_next_one_stops(
 ):
     alive = threading.Event()
     alive.set()
-    node = Node(hubs[1], "/killed_node", speed=_double(1.5), turn=_double(0.5))
+    node = ParameterNode(hubs[1], "/killed_node", speed=double(1.5), turn=double(0.5))
     rules = rule("ros2", "/killed", "/killed_node"), rule("ros2", "/killed_too", "/killed_node", prefix="turn")
     share(*rules, active=alive.is_set)
     until(lambda: master.call("getParam", "/killed") == {"speed": 1.5, "turn": 0.5}, "both are copied")
@@ -493,7 +273,7 @@ def test_copies_of_a_killed_process_are_deleted_when_the_next_one_stops(
 def test_copies_of_another_daemon_are_deleted_by_its_successor(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     first = threading.Event()
     first.set()
-    node = Node(hubs[1], "/taken_node", speed=_double(1.5), lasts=_double(2.0))
+    node = ParameterNode(hubs[1], "/taken_node", speed=double(1.5), lasts=double(2.0))
     share(rule("ros2", "/taken", "/taken_node"), active=first.is_set, store=server(master, "dead"))
     until(lambda: master.call("getParam", "/taken") == {"speed": 1.5, "lasts": 2.0}, "both are copied")
     first.clear()
@@ -517,7 +297,7 @@ def test_copies_of_a_killed_process_are_deleted_without_rules(master: RosMaster,
 
 @needs_ros1
 def test_unknown_names_are_reported(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
-    node = Node(hubs[1], "/names_node", gain=_double(1.0), lens__focus=_double(2.0))
+    node = ParameterNode(hubs[1], "/names_node", gain=double(1.0), lens__focus=double(2.0))
     master.call("setParam", "/names", {"excluded": {"mine": 1}})
     parameters = share(rule("ros2", "/names", "/names_node", names=["*", "lens/**"]))
     until(lambda: master.call("getParam", "/names/gain") == 1.0, "it is in ROS 1")
@@ -540,11 +320,11 @@ def test_unknown_names_are_reported(master: RosMaster, hubs: tuple[Hub, Hub], sh
 
 @needs_ros1
 def test_a_declared_parameter_without_a_value_is_set_from_ros1(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
-    node = Node(hubs[1], "/late_node", lost=NOT_SET, mode=NOT_SET, count=NOT_SET, gain=_double(1.0))
+    node = ParameterNode(hubs[1], "/late_node", lost=NOT_SET, mode=NOT_SET, count=NOT_SET, gain=double(1.0))
     node.types = {"mode": ParameterType.STRING, "count": ParameterType.INTEGER}
     master.call("setParam", "/late/lost", 3)  # before the node starts, like a launch file
     parameters = share(rule("ros2", "/late", "/late_node"))
-    until(lambda: node.values["lost"] == _double(3.0), "it has the declared type")
+    until(lambda: node.values["lost"] == double(3.0), "it has the declared type")
     until(lambda: "/late/lost" in (master.call("getParam", COPIES) or ()), "it is a copy now")
     master.call("setParam", "/late/mode", 5)
     until(lambda: master.call("getParam", "/late/mode") is None, "the rejected value is deleted")
@@ -561,8 +341,8 @@ def test_a_declared_parameter_without_a_value_is_set_from_ros1(master: RosMaster
 @pytest.mark.parametrize("write", [True, False])
 def test_problems_of_a_node_disappear_with_it(master: RosMaster, hubs: tuple[Hub, Hub], share: Share, write: bool):
     name = f"/ended_{write}".lower()
-    node = Node(
-        hubs[1], f"{name}_node", huge=_integer(2**40), speed=_double(1.5), speed__x=_double(1.0), fixed=_double(1.0),
+    node = ParameterNode(
+        hubs[1], f"{name}_node", huge=integer(2**40), speed=double(1.5), speed__x=double(1.0), fixed=double(1.0),
         lost=NOT_SET,
     )  # fmt: skip
     node.refuses = {"fixed", "lost"}
@@ -583,7 +363,7 @@ def test_problems_of_a_node_disappear_with_it(master: RosMaster, hubs: tuple[Hub
 
 @needs_ros1
 def test_ros1_sets_a_nodes_parameters(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
-    node = Node(
+    node = ParameterNode(
         hubs[1],
         "/asked_node",
         speed=ParameterValue(ParameterType.DOUBLE, 1.5),
@@ -606,7 +386,7 @@ def test_ros1_sets_a_nodes_parameters(master: RosMaster, hubs: tuple[Hub, Hub], 
 
 @needs_ros1
 def test_a_read_only_copy_is_reset(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
-    node = Node(hubs[1], "/read_node", speed=ParameterValue(ParameterType.DOUBLE, 1.5))
+    node = ParameterNode(hubs[1], "/read_node", speed=ParameterValue(ParameterType.DOUBLE, 1.5))
     share(rule("ros2", "/read_only", "/read_node", write=False))
     until(lambda: master.call("getParam", "/read_only/speed") == 1.5, "it is in ROS 1")
     master.call("setParam", "/read_only/speed", 3.0)
@@ -616,13 +396,13 @@ def test_a_read_only_copy_is_reset(master: RosMaster, hubs: tuple[Hub, Hub], sha
 
 @needs_ros1
 def test_values_set_while_the_node_is_absent_are_discarded(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
-    node = Node(hubs[1], "/away_node", speed=ParameterValue(ParameterType.DOUBLE, 1.5))
+    node = ParameterNode(hubs[1], "/away_node", speed=ParameterValue(ParameterType.DOUBLE, 1.5))
     parameters = share(rule("ros2", "/away", "/away_node"))
     until(lambda: master.call("getParam", "/away/speed") == 1.5, "it is in ROS 1")
     node.close()
     until(lambda: parameters.details()[0]["shared"] == 0, "the node is gone")
     master.call("setParam", "/away/speed", 9.0)
-    again = Node(hubs[1], "/away_node", speed=ParameterValue(ParameterType.DOUBLE, 2.0))
+    again = ParameterNode(hubs[1], "/away_node", speed=ParameterValue(ParameterType.DOUBLE, 2.0))
     until(lambda: master.call("getParam", "/away/speed") == 2.0, "the node's value counts")
     assert again.set == []
 
@@ -636,13 +416,13 @@ def test_the_node_is_withdrawn_when_the_master_exits(hubs: tuple[Hub, Hub]):
             [rule("ros1", "/gone", "/gone_node")], hubs[0], REGISTRY, server(master), lambda: True, PERIOD
         )
         try:
-            assert Client(hubs[1], "/gone_node").get("speed") == [1.0]
+            assert ParameterClient(hubs[1], "/gone_node").get("speed") == [1.0]
             master.stop()
             until(lambda: not hubs[1].graph.servers("/gone_node/get_parameters"), "the node is gone")
             assert any("does not respond" in warning for warning in parameters.warnings())
             master.start()
             master.call("setParam", "/gone/speed", 2.0)
-            assert Client(hubs[1], "/gone_node").get("speed") == [2.0]
+            assert ParameterClient(hubs[1], "/gone_node").get("speed") == [2.0]
             until(lambda: parameters.warnings() == [], "no problem is left")
         finally:
             parameters.stop()
@@ -654,9 +434,9 @@ def test_a_worker_on_standby_shares_nothing(master: RosMaster, hubs: tuple[Hub, 
     master.call("setParam", "/standing/speed", 1.0)
     share(rule("ros1", "/standing", "/standing_node"), active=active.is_set)
     share(rule("ros1", "/standing", "/active_node"))
-    Client(hubs[1], "/active_node")
+    ParameterClient(hubs[1], "/active_node")
     assert not hubs[1].graph.servers("/standing_node/get_parameters")
     active.set()
-    assert Client(hubs[1], "/standing_node").get("speed") == [1.0]
+    assert ParameterClient(hubs[1], "/standing_node").get("speed") == [1.0]
     active.clear()
     until(lambda: not hubs[1].graph.servers("/standing_node/get_parameters"), "it is withdrawn again")

@@ -1,0 +1,123 @@
+"""Ages of messages, and the detection of a process that was suspended."""
+
+from __future__ import annotations
+
+import queue
+import time
+
+import pytest
+
+from bridge.routing import stall
+from tests.support.clock import ProcessClock
+from tests.support.wait import until
+
+
+def test_age_is_waiting_time_whatever_the_clock_offset(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = ProcessClock(monkeypatch)
+    gate = stall.AgeGate()
+    offset = -3600.0
+    ages(clock, gate, offset)
+    for _ in range(5):
+        clock.now += 0.1
+        assert gate.age(int((clock.now + offset - 0.001) * 1e9)) < 0.01
+    clock.now += 2.0
+    assert gate.age(int((clock.now + offset - 2.0) * 1e9)) == pytest.approx(2.0, abs=0.01)
+
+
+def ages(clock: ProcessClock, gate: stall.AgeGate, offset: float, count: int = 20) -> list[float]:
+    """Ages of messages at 20 Hz that arrive at once from a source whose clock differs."""
+    seconds = []
+    for _ in range(count):
+        clock.now += 0.05
+        seconds.append(gate.age(int((clock.now + offset) * 1e9)))
+    return seconds
+
+
+@pytest.mark.parametrize("jump", [-3600.0, -1.0, 3600.0])
+def test_source_is_received_again_after_its_clock_was_set(monkeypatch: pytest.MonkeyPatch, jump: float) -> None:
+    clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, 0.0)
+    after = ages(clock, gate, jump)
+    held = [a for a in after if a > 0.1]
+    assert len(held) <= stall.HOLD / 0.05 + 1
+    assert after[-1] < 0.01
+    assert gate.age(int((clock.now + jump - 2.0) * 1e9)) > 1.9, "an old command is old on the new scale too"
+
+
+def test_setting_the_local_clock_makes_no_message_old(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, 0.0)
+    monkeypatch.setattr(time, "time_ns", lambda: int((clock.now + 3600) * 1e9))
+    assert max(ages(clock, gate, 0.0)) < 0.01
+
+
+def test_backlog_from_before_a_clock_was_set_back_stays_old(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, 0.0)
+    clock.now += 3.0
+    backlog = [gate.age(int((clock.now - 3600.0 - 3.0 + n * 0.05) * 1e9)) for n in range(60)]
+    assert min(backlog) > stall.HOLD
+
+
+def test_backlog_of_a_new_source_is_old(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
+    backlog = [gate.age(int((clock.now - 1.3 + n * 0.05) * 1e9)) for n in range(26)]
+    assert min(backlog) > stall.HOLD
+    assert ages(clock, gate, 0.0)[-1] < 0.01
+
+
+def test_a_single_message_of_a_new_source_is_fresh(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = ProcessClock(monkeypatch)
+    assert stall.AgeGate().age(int((clock.now - 0.01) * 1e9)) == 0.0
+    assert stall.AgeGate().age(int((clock.now + 100.0) * 1e9)) == 0.0
+
+
+def test_a_message_that_was_overtaken_is_old(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, 0.0)
+    assert gate.age(int((clock.now - 0.02) * 1e9)) > 1.0
+    assert max(ages(clock, gate, 0.0)) < 0.01
+
+
+def test_suspended_worker_reports_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = ProcessClock(monkeypatch)
+    stall_detector = stall.StallDetector()
+    for _ in range(5):
+        clock.now += 0.1
+        stall_detector.beat()
+        assert not stall_detector.stood_still(0.5)
+    clock.now += 3.0
+    assert stall_detector.stood_still(0.5)
+    stall_detector.beat()
+    assert stall_detector.stood_still(0.5), "what piled up is still being read"
+    for _ in range(6):
+        clock.now += 0.1
+        stall_detector.beat()
+    assert not stall_detector.stood_still(0.5)
+
+
+def test_pulse_reports_a_suspension_once_the_process_continues(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, reported = ProcessClock(monkeypatch), queue.SimpleQueue[float]()
+    stall_detector = stall.StallDetector(reported.put)
+    stall_detector.start()
+    try:
+        clock.now += 20.0
+        assert reported.get(timeout=40) == pytest.approx(20.0)
+        assert stall_detector.stood_still(0.5), "what piled up is still being read"
+    finally:
+        stall_detector.stop()
+
+
+def test_pulse_pauses_without_readers_and_resumes_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stall, "_REST_SECONDS", 0.0)
+    stall_detector = stall.StallDetector()
+    quick = stall_detector.pause
+    stall_detector.start()
+    try:
+        until(lambda: stall_detector.pause > quick, "it rests")
+        assert stall_detector.pause < 0.3, "a wait that long counts as a standstill"
+        monkeypatch.setattr(stall, "_REST_SECONDS", 1000.0)
+        stall_detector.stood_still(0.5)
+        assert stall_detector.pause == quick
+    finally:
+        stall_detector.stop()
