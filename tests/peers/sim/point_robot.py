@@ -24,9 +24,11 @@ class PointRobot(HubNode):
     Args:
         settings: of its session.
         size: of the map, meters along x and y; the robot starts 5 m from its left border, in the middle of y.
+        localized: whether it publishes the odometry's frame on the map; otherwise a localizer has to.
     """
 
-    def __init__(self, settings: HubSettings, size: tuple[float, float]) -> None:
+    def __init__(self, settings: HubSettings, size: tuple[float, float], *, localized: bool = True) -> None:
+        self._localized = localized
         self.x = self.y = self.theta = 0.0
         self._speed, self._turn, self._silent = 0.0, 0.0, 0.0
         super().__init__(settings)
@@ -54,7 +56,9 @@ class PointRobot(HubNode):
         if self._count % 2 == 0:
             turn = {"z": math.sin(self.theta / 2), "w": math.cos(self.theta / 2)}
             at = {"translation": {"x": self.x, "y": self.y}, "rotation": turn}
-            frames = [_frame(stamp, "map", "odom", {"rotation": {"w": 1.0}}), _frame(stamp, "odom", "base_link", at)]
+            frames = [_frame(stamp, "odom", "base_link", at)]
+            if self._localized:
+                frames.append(_frame(stamp, "map", "odom", {"rotation": {"w": 1.0}}))
             self._tf.publish({"transforms": frames})
         if self._count % 5 == 0:
             step = 2 * math.pi / BEAMS
