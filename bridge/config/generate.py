@@ -56,6 +56,8 @@ def _section_text(section: type[BaseModel], *, is_list: bool) -> str:
 
 
 def _default(info: FieldInfo) -> str | None:
+    if info.default_factory is dict:
+        return "{}"
     if info.default is PydanticUndefined:
         return None
     return "[]" if info.default == () else json.dumps(info.default)

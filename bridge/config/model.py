@@ -6,12 +6,12 @@ import re
 import socket
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ForwardRef, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ForwardRef, Literal, Self, TypeVar
 
-from pydantic import Field, create_model
+from pydantic import Field, create_model, model_validator
 from typing_extensions import override
 
-from bridge.config.sections.section import Section, setting, subsection
+from bridge.config.sections.section import Section, differ, setting, subsection
 from bridge.descriptors import all_modules, all_workers
 from bridge.registration import imported
 from bridge.sides import own_sides
@@ -19,7 +19,7 @@ from bridge.sides import own_sides
 if TYPE_CHECKING:
     from bridge.config.sections.clock import ClockSection
     from bridge.config.sections.hub import HubSection
-    from bridge.config.sections.modules import ModulesSection
+    from bridge.config.sections.modules import ModulesSection, OwnModule
     from bridge.config.sections.navigation import NavigationSection
     from bridge.config.sections.ros import Ros1Section, Ros2Section
     from bridge.config.sections.routing import RoutingSection
@@ -155,11 +155,29 @@ class Config(Section):
         return with_navigation(self.routing, self.navigation)
 
     @property
+    def _own_planners(self) -> dict[str, OwnModule]:
+        """The planners that are classes of one's own, as modules by name."""
+        from bridge.config.sections.modules import OwnModule
+
+        own = (planner for planner in self.navigation.planners if planner.factory)
+        return {p.name: OwnModule(name=p.name, factory=str(p.factory), options=p.options) for p in own}
+
+    @model_validator(mode="after")
+    def _modules_differ(self) -> Self:
+        modules = self.modules
+        differ(
+            [*modules.shipped, *(module.name for module in modules.own), *self._own_planners],
+            "two modules have the name",
+        )
+        return self
+
+    @property
     def hosted(self) -> dict[str, Section]:
         """The sections of all modules that run, by name; ``navigation`` supplies the values that they leave out."""
         sections = self.modules.sections
         if self.navigation.planner:
             sections["gateway"] = self.navigation
+            sections |= self._own_planners
         defaults = {"map": self.navigation.map, "source": self.navigation.localizer}
         return {name: _filled(section, defaults) for name, section in sections.items()}
 

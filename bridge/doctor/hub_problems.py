@@ -78,14 +78,18 @@ def absence(
     action = section.at(planner)
     if any(e.kind is EndpointKind.SERVER and split(e.topic)[0] == action for e in endpoints):
         return None
-    reason, cure = _of_module(planner) if planner in OURS else _of_program(section.others[planner], documents)
+    other = None if planner in OURS else section.others[planner]
+    if other is None:
+        reason, cure = _of_module(f"modules.{planner}.enabled: true; if it is")
+    elif other.factory:
+        reason, cure = _of_module(f"put the folder of {other.factory.partition(':')[0]} on PYTHONPATH; if it is there")
+    else:
+        reason, cure = _of_program(other, documents)
     return Note(f"the planner {planner} is not there: {reason}", cure)
 
 
-def _of_module(planner: str) -> tuple[str, str]:
-    return "its module does not run", (
-        f"modules.{planner}.enabled: true; if it is, 'midspan status' and the log show why it does not start"
-    )
+def _of_module(cure: str) -> tuple[str, str]:
+    return "its module does not run", f"{cure}, 'midspan status' and the log show why it does not start"
 
 
 def _of_program(planner: Planner, documents: Sequence[StatusDocument]) -> tuple[str, str]:

@@ -56,11 +56,19 @@ class Module(ABC):
 def kind_of(name: str, section: Section) -> type[Module]:
     """Return a module's class; raises `RuntimeError` if the import fails or the object is not a module class."""
     factory = section.factory if isinstance(section, OwnModule) else all_modules()[name].factory
+    return imported_class(f"modules.{name}", factory, Module)
+
+
+def imported_class(key: str, factory: str, base: type[Any]) -> type[Any]:
+    """Return the class ``package.module:Class`` that a key of the configuration names.
+
+    Raises `RuntimeError` if the import fails, or the object is not a class derived from ``base``.
+    """
     try:
         kind = imported(factory)
     except (ImportError, AttributeError) as err:
-        raise RuntimeError(f"modules.{name}: {factory} cannot be imported: {err}") from None
-    if not (isinstance(kind, type) and issubclass(kind, Module)):
-        msg = f"modules.{name}: {factory} is not a subclass of bridge.modules.module.Module"
+        raise RuntimeError(f"{key}: {factory} cannot be imported: {err}") from None
+    if not (isinstance(kind, type) and issubclass(kind, base)):
+        msg = f"{key}: {factory} is not a subclass of {base.__module__}.{base.__name__}"
         raise RuntimeError(msg)  # noqa: TRY004 - a configuration error, reported like the others
     return kind

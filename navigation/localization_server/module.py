@@ -17,7 +17,7 @@ from typing_extensions import override
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
-from bridge.modules.module import Module
+from bridge.modules.module import Module, imported_class
 from bridge.stores.entry import StoreError
 from bridge.worker import Health
 from navigation.frames import FramesError, RobotFrames
@@ -34,7 +34,14 @@ from navigation.localization_server.other_server import OtherServer
 from navigation.localization_server.own import OwnLocalizer
 from navigation.localization_server.ports import PosePublisher
 from navigation.localization_server.section import LocalizationServerSection
-from navigation.localization_server.sources import AmclSource, FrameSource, PortSource, PoseSource, Start, TopicSource
+from navigation.localization_server.sources import (
+    AmclSource,
+    FrameSource,
+    PortSource,
+    PoseSource,
+    Start,
+    TopicSource,
+)
 from navigation.map_in_use import MapInUse
 from navigation.maps.grid import same_walls
 from navigation.pose import Pose, check_rotation
@@ -112,8 +119,11 @@ class LocalizationServer(Module):
                 return PortSource(*arguments)
             case "server":
                 return OtherServer(*arguments, lambda: self.map_name)
-            case _:
+            case "own":
                 return OwnLocalizer(*arguments, self._publish)
+            case factory:
+                source: PoseSource = imported_class("the source of poses", factory, PoseSource)(*arguments)
+                return source
 
     # requests
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
@@ -12,12 +12,12 @@ from bridge.config.sections.section import (
     ModuleSection,
     OptionalTopic,
     PortName,
+    PoseSourceName,
     Section,
     setting,
     subsection,
 )
 
-Source = Literal["own", "amcl", "tf", "topic", "port", "server"]
 _Deviation = Annotated[float, Field(gt=0.0, lt=1000.0)]
 Spread = tuple[_Deviation, _Deviation]  # standard deviations: meters, degrees
 
@@ -59,12 +59,14 @@ class LocaliserSection(Section):
 class LocalizationServerSection(ModuleSection):
     """The robot's pose, and its source."""
 
-    source: Source | None = setting(
+    source: PoseSourceName | None = setting(
         None,
         "Source of the robot's pose: `own` (Midspan's localizer, by laser and odometry), `amcl` (of ROS 1 or ROS 2),"
         " `tf` (the odometry's frame on the map), `topic` (a pose topic), `port` (a YARP port of poses), `server`"
-        " (another server of ILocalization2D); empty: `navigation.localizer`, or else `own`.",
+        " (another server of ILocalization2D), or a class of your own as `package.module:Class`; empty:"
+        " `navigation.localizer`, or else `own`.",
     )
+    options: dict[str, Any] = Field(default_factory=dict, description="Options for a class of your own.")
     map: MapSource | None = setting(
         None, "`store` (its current map), or a topic (`nav_msgs/msg/OccupancyGrid`); empty: `navigation.map`."
     )

@@ -39,7 +39,11 @@ def start_covariance(section: LocalizationServerSection) -> Floats:
 
 
 class PoseSource(ABC):
-    """A source of the robot's pose. On the module's thread."""
+    """A source of the robot's pose. On the module's thread.
+
+    A source that does not come with Midspan is created with the host, the section of LocalizationServer, which has the
+    source's ``options``, and the robot's frames on ``/tf``.
+    """
 
     # whether the module passes on start poses from a topic; amcl subscribes to them itself
     accepts_starts = False

@@ -141,6 +141,12 @@ def test_goals_and_velocities_are_commands_under_each_of_their_names() -> None:
         ({"planners": [{"name": "x", "side": "ros1", "action": "x"}]}, "begin it with a slash"),
         ({"planners": [{"name": "x", "side": "ros1", "action": "/x"}] * 2}, "two planners have the name x"),
         ({"doors": {"yarp": ["navigation"]}}, "is not a name of a YARP port"),
+        ({"localizer": "amc"}, "'amc' is not a source of poses: write one of own, amcl"),
+        ({"planner": "mine:Mapper2d"}, "two modules have the name mapper2d"),
+        ({"planner": "mine:Mine", "planners": [{"name": "mine"}]}, "two planners have the name mine"),
+        ({"planners": [{"name": "x", "side": "ros2"}]}, "name the planner's action on ros2"),
+        ({"planners": [{"name": "x", "factory": "m:X", "action": "/x"}]}, "leave out 'side' and 'action'"),
+        ({"planners": [{"name": "x", "factory": "mine"}]}, "does not name a class"),
     ],
 )
 def test_invalid_sections_are_rejected(section: dict[str, Any], error: str) -> None:
@@ -161,6 +167,18 @@ def test_the_choices_are_the_built_in_and_the_configured_planners() -> None:
     assert section.at("move_base") == "/planner/move_base/navigate_to_pose"
     native = {"name": "far", "side": "zenoh", "action": "/far/navigate_to_pose"}
     assert Config.model_validate({"navigation": {"planners": [native]}}).navigation.at("far") == "/far/navigate_to_pose"
+
+
+@pytest.mark.parametrize(
+    ("factory", "name"),
+    [("hall:Hall", "hall"), ("own.planners:HallPlanner2", "hall_planner2"), ("own:HTTPPlanner", "http_planner")],
+)
+def test_a_class_as_planner_is_hosted_under_its_name(factory: str, name: str) -> None:
+    config = Config.model_validate({"navigation": {"planner": factory}})
+    assert (config.navigation.planner, config.navigation.choices) == (name, (*OURS, name))
+    assert config.navigation.at(name) == f"/planner/{name}/navigate_to_pose"
+    assert config.hosted[name].model_dump() == {"name": name, "factory": factory, "options": {}}
+    assert Config.model_validate(config.model_dump(mode="json", by_alias=True)) == config, "as a worker receives it"
 
 
 def test_a_map_from_a_topic_has_the_name_of_its_copy_in_the_store() -> None:

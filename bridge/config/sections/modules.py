@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import re
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, create_model, model_validator
 
-from bridge.config.sections.section import ModuleSection, Section, SmallName, fields_of, matching, setting
+from bridge.config.sections.section import Factory, ModuleSection, Section, SmallName, fields_of, setting
 from bridge.descriptors import all_modules
-
-_FACTORY = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
-_Factory = Annotated[str, matching(_FACTORY, "does not name a class: write package.module:Class")]
 
 
 class OwnModule(Section):
     """A module of your own."""
 
     name: SmallName = Field(description="Its name on the hub: small letters, digits and underscores.")
-    factory: _Factory = Field(
+    factory: Factory = Field(
         description="Its class as `package.module:Class`, in a package installed in Midspan's environment."
     )
     options: dict[str, Any] = Field(default_factory=dict, description="Options that it starts with.")

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Literal
+import re
+from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from bridge.config.sections.section import (
+    FACTORY,
     Enabled,
+    Factory,
     FrameName,
     MapSource,
     OptionalTopic,
     PortName,
+    PoseSourceName,
     Section,
     SmallName,
     TopicName,
@@ -39,12 +43,24 @@ def planner_action(name: str) -> str:
     return f"/planner/{name}/navigate_to_pose"
 
 
+def module_name(factory: str) -> str:
+    """Return the name of a module by its class: ``own.planners:HallPlanner`` is ``hall_planner``."""
+    name = factory.rpartition(":")[2]
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name).lower().strip("_")
+
+
 class Planner(Section):
     """A planner that is not part of Midspan: any server of `NavigateToPose`, or of `MoveBase` on ROS 1."""
 
     name: SmallName = Field(description="Its name here: small letters, digits and underscores.")
-    side: Literal["ros1", "ros2", "zenoh"] = Field(description="The side that it runs on.")
-    action: TopicName = Field(description="Its action there, for example `/move_base`.")
+    side: Literal["ros1", "ros2", "zenoh"] = setting("zenoh", "The side that it runs on; `zenoh` is the hub.")
+    action: OptionalTopic = setting(
+        "", 'Its action there, for example `/move_base`; "": `/planner/<name>/navigate_to_pose` on the hub.'
+    )
+    factory: Factory | None = setting(
+        None, "Its class as `package.module:Class`, a module that Midspan hosts; empty: it is a separate program."
+    )
+    options: dict[str, Any] = Field(default_factory=dict, description="Options with which its class starts.")
     path: OptionalTopic = setting("", 'Topic of its path (`nav_msgs/msg/Path`); "": none.')
     local_map: OptionalTopic = setting("", 'Topic of its local map (`nav_msgs/msg/OccupancyGrid`); "": none.')
     current_goal: OptionalTopic = setting("", 'Topic of its current goal (`geometry_msgs/msg/PoseStamped`); "": none.')
@@ -59,6 +75,21 @@ class Planner(Section):
         if value in OURS:
             raise ValueError(f"{value} is the name of a built-in planner; choose another one")
         return value
+
+    @model_validator(mode="before")
+    @classmethod
+    def _action_on_the_hub(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("side", "zenoh") == "zenoh" and not data.get("action"):
+            return {**data, "action": planner_action(str(data.get("name", "")))}
+        return data
+
+    @model_validator(mode="after")
+    def _action_is_named(self) -> Planner:
+        if not self.action:
+            raise ValueError(f"name the planner's action on {self.side}, for example 'action: /navigate_to_pose'")
+        if self.factory and (self.side, self.action) != ("zenoh", planner_action(self.name)):
+            raise ValueError(f"Midspan hosts {self.factory}, on the hub; leave out 'side' and 'action'")
+        return self
 
     @model_validator(mode="after")
     def _leaves_the_gateway_its_name(self) -> Planner:
@@ -114,13 +145,13 @@ class NavigationSection(Section):
 
     planner: str = setting(
         "",
-        "The planner: `robot_path_planner` or `robot_goto` (Midspan's modules), `move_base` (ROS 1), `nav2` (ROS 2), or"
-        ' one of `planners`; "": none, and the gateway does not run.',
+        "The planner: `robot_path_planner` or `robot_goto` (Midspan's modules), `move_base` (ROS 1), `nav2` (ROS 2),"
+        ' one of `planners`, or a class of your own as `package.module:Class`; "": none, and the gateway does not run.',
     )
     planners: tuple[Planner, ...] = setting(
         (), "Planners that are not part of Midspan, other than `move_base` and `nav2`."
     )
-    localizer: Literal["own", "amcl", "tf", "topic", "port", "server"] | None = setting(
+    localizer: PoseSourceName | None = setting(
         None, "The source of the robot's pose, as in `modules.localization_server.source`; empty: that key decides."
     )
     map: MapSource = setting("store", "The map for Midspan's planner and localizer: `store`, or a topic.")
@@ -140,6 +171,17 @@ class NavigationSection(Section):
         5.0, "Seconds without status and feedback that make a planner silent; 0: never.", ge=0.0, le=3600.0
     )
     doors: DoorsSection = subsection(DoorsSection, "The names that clients use.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _planner_of_a_class(cls, data: Any) -> Any:
+        """Add a class that ``planner`` names to ``planners``, and choose it there by its name."""
+        factory = data.get("planner") if isinstance(data, dict) else None
+        if not (isinstance(factory, str) and FACTORY.fullmatch(factory)):
+            return data
+        name = module_name(factory)
+        planners = data.get("planners", ())
+        return {**data, "planner": name, "planners": [*planners, {"name": name, "factory": factory}]}
 
     @model_validator(mode="after")
     def _planner_is_known(self) -> NavigationSection:

@@ -124,6 +124,16 @@ TopicName = Annotated[str, matching(ROS2_NAME, _NOT_A_TOPIC)]
 OptionalTopic = Annotated[str, matching(f"(?:{ROS2_NAME.pattern})?", _NOT_A_TOPIC)]
 MapSource = Annotated[str, matching(f"store|{ROS2_NAME.pattern}", _NOT_A_TOPIC)]  # `store`, or a topic of maps
 FrameName = Annotated[str, Field(min_length=1, max_length=100)]
+FACTORY = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
+Factory = Annotated[str, matching(FACTORY, "does not name a class: write package.module:Class")]
+SOURCES = ("own", "amcl", "tf", "topic", "port", "server")  # of the robot's pose, besides classes of one's own
+PoseSourceName = Annotated[
+    str,
+    matching(
+        "|".join((*SOURCES, FACTORY.pattern)),
+        f"is not a source of poses: write one of {', '.join(SOURCES)}, or a class of your own as package.module:Class",
+    ),
+]
 FLOOR = (
     "Height of the floor in `base_frame`, meters; empty: that of the frame `base_footprint`, 0 without such a frame."
 )

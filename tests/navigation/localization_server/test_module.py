@@ -55,6 +55,18 @@ def started(place: Place, robot: Robot, **section: Any) -> None:
     use(place, robot.grid.name, robot)
 
 
+@pytest.mark.parametrize(
+    ("source", "reason"),
+    [
+        ("nowhere.at:All", "cannot be imported: No module named 'nowhere'"),
+        ("collections:Counter", "is not a subclass of navigation.localization_server.sources.PoseSource"),
+    ],
+)
+def test_an_invalid_class_as_source_is_reported(place: Place, source: str, reason: str) -> None:
+    place.worker.start(place.config(modules={"localization_server": {"enabled": True, "source": source}}, store={}))
+    assert f"the source of poses: {source} {reason}" in place.worker.running("localization_server").health().text
+
+
 def use(place: Place, name: str, robot: Robot) -> None:
     robot.grid.m_map_name = name
     place.worker.store.put(MAP, name, robot.grid)
