@@ -161,7 +161,8 @@ def test_stop_after_a_server_was_killed(deployment: Deployment, server: str) -> 
 @pytest.mark.parametrize("lease", [pytest.param("short", marks=thorough), "default"])
 def test_bt_navigator_is_killed_and_restarted(deployment: Deployment, client: str, lease: str) -> None:
     options = {} if lease == "short" else {"nav2": {"lease": {}}}
-    watch = drive(deployment, client, navigation={"patience": PATIENCE}, **options)
+    # so the new navigator has 13 s to start, on a busy machine too
+    watch = drive(deployment, client, navigation={"patience": 2 * PATIENCE}, **options)
     watch.mix.planner.kill("bt_navigator")
     gateway = watch.mix.clients[client]
     watch.until(
