@@ -76,7 +76,8 @@ def run(
     eyes = "" if not floor_world.hides else ", laser and depth" if depth else ", only laser"
     if floor_world.hides:
         print(f"{touched} of {goals} drives touched something or moved over a drop", flush=True)
-    return drives, _rows(f"{name}, {base}{eyes}", drives, judge, (robot.now - began) / cpu)
+    limit = robot.simulation.robot.limits.linear
+    return drives, _rows(f"{name}, {base}{eyes}", drives, judge, (robot.now - began) / cpu, 1.0 / limit)
 
 
 def _line(number: int, goal: tuple[float, ...], drive: Drive, judge: Judge) -> str:
@@ -88,7 +89,8 @@ def _line(number: int, goal: tuple[float, ...], drive: Drive, judge: Judge) -> s
     )
 
 
-def _rows(case: str, drives: list[Drive], judge: Judge, factor: float) -> list[Row]:
+def _rows(case: str, drives: list[Drive], judge: Judge, factor: float, fastest: float) -> list[Row]:
+    """Return the rows; ``fastest`` are the seconds per meter at the robot's top speed."""
     reached = [drive for drive in drives if drive.reached]
     driven, best = sum(drive.driven for drive in reached), sum(drive.optimum for drive in reached)
     return [
@@ -96,10 +98,17 @@ def _rows(case: str, drives: list[Drive], judge: Judge, factor: float) -> list[R
         Row(f"{case}: contacts", judge.contacts, 0.0, "ticks"),
         Row(f"{case}: keep-out entries", judge.entered, 0.0, "checks"),
         Row(f"{case}: driven path, shortest path", driven, best, "m"),
+        Row(f"{case}: seconds per shortest meter, at top speed", _pace(reached), fastest, "s/m"),
         Row(f"{case}: largest error of the estimate", max(d.lost for d in drives), 0.15, "m"),
         Row(f"{case}: smallest clearance of the hull", judge.room, 0.0, "m", "more"),
         Row(f"{case}: real time factor, needed", factor, NEEDED_FACTOR, "x", "more"),
     ]
+
+
+def _pace(drives: list[Drive]) -> float:
+    """Return the seconds of drives per meter of their shortest paths; NaN without a drive."""
+    best = sum(drive.optimum for drive in drives)
+    return sum(drive.seconds for drive in drives) / best if best else math.nan
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -119,7 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         rows += world_rows
     report(rows, args.json)
-    reached, contacts, entries = (rows[place::7] for place in range(3))
+    reached, contacts, entries = (rows[place::8] for place in range(3))
     return int(any(row.ratio < 1.0 for row in reached) or any(row.ours for row in (*contacts, *entries)))
 
 

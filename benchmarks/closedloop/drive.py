@@ -49,7 +49,7 @@ class Drive:
         reached: whether the goal was reported as reached, and actually reached.
         state: the final state.
         reason: the reported reason.
-        seconds: simulated time.
+        seconds: simulated time until the goal ended.
         driven: driven distance, meters.
         optimum: length of the shortest path, meters.
         off: true distance from the goal at the end, meters.
@@ -113,9 +113,10 @@ class Loop:
         state, reason = self.stack.status
         if not state.ended:
             self.stack.stop()
+        seconds = self.robot.now - began
         self.settle()
         truth = self.robot.truth
         off, turned = truth.distance(goal), abs(math.degrees(wrapped(truth.theta - goal.theta)))
         reached = state is State.REACHED and off < NEAR_METERS and turned < NEAR_DEGREES
-        seconds, driven = self.robot.now - began, self.robot.driven - driven
+        driven = self.robot.driven - driven
         return Drive(reached, state, reason, seconds, driven, optimum, off, self.lost)

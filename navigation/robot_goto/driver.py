@@ -272,7 +272,7 @@ class Driver:
         turn = wrapped(task.pose.theta - step.pose.theta) if task.heading else 0.0
         task.near = distance < limits.tolerance_lin * (1.5 if task.near else 1.0)
         if task.near:
-            if abs(turn) <= limits.tolerance_ang:
+            if abs(turn) <= limits.tolerance_ang and self._comes_to_rest(task, turn, limits.tolerance_ang):
                 return self._reached(through=task.constraints.through)
             task.waiting_since = None
             self._on(DriverEvent.GO)
@@ -293,6 +293,12 @@ class Driver:
         safe = people_speed(self.settings, float(self.ahead[2]) - self.settings.robot_radius - FAST_ROOM)
         share = min(1.0, safe / wanted.speed) if wanted.speed else 1.0
         return DriveCommand(wanted.vx * share, wanted.vy * share, wanted.omega)
+
+    def _comes_to_rest(self, task: GotoTask, turn: float, tolerance: float) -> bool:
+        """Whether a robot that brakes now stops within the tolerance of a heading, ``turn`` radians away."""
+        omega = float(self._surroundings.guard.has[2])
+        braking = omega * abs(omega) / (2.0 * math.radians(self.settings.max_ang_acc))
+        return not task.heading or abs(turn - braking) <= tolerance
 
     def _reached(self, *, through: bool) -> DriveCommand:
         """End the goal; past a waypoint the robot continues."""

@@ -99,7 +99,11 @@ class RobotGotoSection(ModuleSection):
         le=180.0,
     )
     speed_reduction_factor: float = setting(
-        0.5, "Largest reduction of speed for lateral obstacles, as a share.", ge=0.0, le=0.95
+        0.0,
+        "Largest reduction of speed for lateral obstacles, as a share; with 0, speed only depends on whether the robot"
+        " can stop in time.",
+        ge=0.0,
+        le=0.95,
     )
     enable_retreat: bool = setting(False, "Whether the robot backs off before it drives to a new goal.")
     retreat_duration: float = setting(0.3, "Seconds for which the robot backs off.", ge=0.0, le=2.0)

@@ -23,16 +23,14 @@ _STOP = (
     ("max_detection_distance", 1.5, 0.05, 10.0, "m"),
     ("min_detection_distance", 0.4, 0.05, 10.0, "m"),
 )
-_AVOIDANCE = (
-    ("frontal_blind_angle", 25.0, 0.0, 180.0, "deg"),
-    ("speed_reduction_factor", 0.70, 0.0, 0.95, ""),
-)
+_AVOIDANCE = (("frontal_blind_angle", 25.0, 0.0, 180.0, "deg"),)
 
 OTHERS = frozenset({"localizationServer_name", "localization_server_name"})
 """Keys with the names of YARP's servers: the hub has them."""
 
 STALE = {
     ("ROBOT_TRAJECTORY", "max_gamma_angle"): "upstream ignores it, too; use goal_tolerance_ang",
+    ("OBSTACLES_AVOIDANCE", "speed_reduction_factor"): "upstream ignores it, too; set it in modules.robot_goto",
     ("ROBOTGOTO_GENERAL", "autoconnect"): "laser_port is always connected",
 } | {
     (group, key): "neither upstream nor Midspan computes forces from it"

@@ -83,7 +83,28 @@ def test_a_goals_speed_limit_applies_up_to_the_robots():
     assert scene.speed == pytest.approx(0.3, abs=0.01)
 
 
+def test_a_goals_heading_holds_when_the_robot_has_stopped():
+    scene = Scene()
+    scene.driver.goal(Pose(-2.0, 0.0, math.nan))
+    scene.until(lambda: abs(scene.pose.theta) > 1.0, 20)  # it turns at full speed
+    heading = scene.pose.theta
+    assert scene.goto(0.0, 0.0, math.degrees(heading), tolerance_lin=0.3, tolerance_ang=4.0) is State.REACHED
+    scene.run(1.0)
+    assert abs(math.remainder(scene.pose.theta - heading, math.tau)) < math.radians(4.0)
+
+
 # obstacles
+
+
+def test_obstacles_at_the_side_do_not_slow_the_robot():
+    scene = Scene()
+    for side in (-1.0, 1.0):
+        scene.sim.world.spawn(box(2.0, 0.6 * side, 3.0, 0.2), f"wall {side}")
+    scene.driver.goal(Pose(3.5, 0.0, math.nan))
+    scene.until(lambda: scene.pose.x > 1.5, 20)
+    assert scene.speed > 0.29
+    assert scene.goto(3.5, 0.0) is State.REACHED
+    assert not scene.touched
 
 
 def test_the_robot_drives_out_of_a_dead_end():

@@ -91,7 +91,7 @@ def test_r1s_file_is_read_unchanged(tmp_path):
         1.2,
         60.0,
     )
-    assert section.speed_reduction_factor == 0.7
+    assert section.speed_reduction_factor == 0.0
     assert (section.base_frame, section.frame) == ("mobile_base_body_link", "map")
     assert (section.laser_port, section.laser_pose.x) == ("/SIM_CER_ROBOT/laser:o", 0.07)
     assert section.prefix == "/robotGoto"
@@ -105,12 +105,13 @@ def test_ignored_keys_and_values_out_of_range_are_noted_with_their_line(tmp_path
         ("max_gamma_angle", "upstream ignores it, too"),
         ("retreat_duration", "'retreat_duration 300' is out of range (0 to 2 s); using 0.3"),
         ("autoconnect", "laser_port is always connected"),
+        ("speed_reduction_factor", "upstream ignores it, too"),
     ):
         number = next(n for n, line in lines.items() if line.startswith(key))
         (note,) = (note for note in notes if key in note)
         assert note.startswith(f"{tmp_path / 'robotGoto.ini'}:{number}: ")
         assert reason in note
-    assert len(notes) == 3
+    assert len(notes) == 4
 
 
 def test_the_section_overrides_the_file_and_upstreams_defaults_fill_gaps(tmp_path):

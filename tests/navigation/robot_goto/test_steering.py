@@ -34,13 +34,15 @@ def test_the_robot_turns_in_place_if_the_goal_is_not_ahead():
     assert drive(SETTINGS, limits, 0.1, 0.0, 9.0, 1.0, through=True).vx == 0.3
 
 
-def test_obstacles_at_the_side_slow_the_robot_with_avoidance():
-    assert side_slowdown(SETTINGS, 0.8) == side_slowdown(SETTINGS, math.inf) == 0.0
-    assert side_slowdown(SETTINGS, 0.6) == pytest.approx(2.2 * 0.25 / 2)
-    assert side_slowdown(SETTINGS, 0.1) == 0.5
+def test_obstacles_at_the_side_slow_the_robot_with_avoidance_if_configured():
+    settings = RobotGotoSection(speed_reduction_factor=0.5)
+    assert side_slowdown(SETTINGS, 0.1) == 0.0
+    assert side_slowdown(settings, 0.8) == side_slowdown(settings, math.inf) == 0.0
+    assert side_slowdown(settings, 0.6) == pytest.approx(2.2 * 0.25 / 2)
+    assert side_slowdown(settings, 0.1) == 0.5
     for on_obstacle, speed in (("around", 0.15), ("wait", 0.3)):
         limits = GoalLimits.combine(SETTINGS, Constraints(on_obstacle=on_obstacle))
-        assert drive(SETTINGS, limits, 2.0, 0.0, 0.3, 1.0, through=False).vx == pytest.approx(speed)
+        assert drive(settings, limits, 2.0, 0.0, 0.3, 1.0, through=False).vx == pytest.approx(speed)
 
 
 def test_goals_do_not_raise_the_robots_speed_limits():
