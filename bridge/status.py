@@ -191,6 +191,28 @@ class CycloneNodes(Part):
     both: list[Text] = []
 
 
+class Middleware(Part):
+    """Programs on a ROS 2 network that have the same DDS and may belong to the same releases.
+
+    Attributes:
+        name: the DDS, with its version if it announces one.
+        release: the releases in words, "" if unknown; ``ros`` if they are ROS 2 programs.
+        hashes: whether they announce the hashes of their types.
+        nodes: some of their nodes, sorted; ``count``: the number of their participants.
+    """
+
+    name: Text = ""
+    release: Text = ""
+    ros: bool = True
+    hashes: bool = True
+    nodes: list[Text] = []
+    count: Int = 0
+
+    def __str__(self) -> str:
+        kind = (self.release or "unknown release") if self.ros else "not a ROS 2 program"
+        return f"{self.name or 'unknown DDS'} ({kind})"
+
+
 class StatusDocument(Part):
     """The common part of all workers and modules.
 
@@ -236,6 +258,7 @@ class WorkerStatus(StatusDocument):
     lease: Lease = Lease()
     refused: list[RefusedRoute] = []
     cyclone: CycloneNodes | None = None
+    middlewares: list[Middleware] = []
     lane: LaneStatus = LaneStatus()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, TypeGuard
 
 from bridge.sides import label
@@ -81,6 +81,12 @@ def milliseconds(value: object) -> str:
 def plural(count: int, noun: str) -> str:
     """Format a count with its noun: ``1 route``, ``3 routes``."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def listed(names: Sequence[str], most: int = 10) -> str:
+    """Return the first names, and the number of the others."""
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def near(name: str, names: Iterable[str], count: int = 3) -> list[str]:

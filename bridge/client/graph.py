@@ -11,8 +11,10 @@ from bridge.client.session import Client
 from bridge.client.types import ros2_spelling
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.graph import HubEndpoint, origin_side
+from bridge.hub.graph.releases import endpoint_releases
 from bridge.hub.graph.tokens import TAPS, EndpointKind
 from bridge.messages.actions import split
+from bridge.releases import release_text
 from bridge.routing.limits import qos_text
 from bridge.status import StatusDocument
 from bridge.text import arrow, clean, near, side_name
@@ -198,7 +200,9 @@ def unknown(kind: Kind, name: str, names: Iterable[str]) -> str:
 def endpoint_text(endpoint: HubEndpoint) -> str:
     """Return one endpoint as text."""
     if endpoint.origin is None:
-        owner = "maker not known yet" if endpoint.pending else "zenoh, on the hub itself"
+        release = release_text(endpoint_releases(endpoint))
+        of_release = f", ROS 2 {release}" if release else ""
+        owner = "maker not known yet" if endpoint.pending else f"zenoh, on the hub itself{of_release}"
     else:
         owner = f"for {side_name(endpoint.origin.side)}, daemon {endpoint.origin.daemon}"
     return f"{clean(node_name(endpoint))} ({clean(owner)}), {qos_text(endpoint.qos)}, {clean(endpoint.type_name)}"
@@ -215,6 +219,7 @@ def endpoint_json(endpoint: HubEndpoint) -> dict[str, Any]:
         "qos": qos_text(endpoint.qos),
         "gid": endpoint.gid.hex(),
         "zid": endpoint.zid,
+        "release": release_text(endpoint_releases(endpoint)) if origin is None and not endpoint.pending else "",
         "side": "zenoh" if origin is None else origin.side,
         "network": None if origin is None else origin.network,
         "daemon": None if origin is None else origin.daemon,

@@ -14,7 +14,8 @@ from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.environment import domain
-from bridge.adapters.ros2.graph import neighbours, spdp, vendors
+from bridge.adapters.ros2.graph import middlewares, neighbours, spdp, vendors
+from bridge.adapters.ros2.graph.announcements import Announcements
 from bridge.adapters.ros2.graph.graph import GraphSnapshot, Ros2Graph, is_hidden
 from bridge.adapters.ros2.graph.heartbeats import Heartbeats
 from bridge.adapters.ros2.graph.interfaces import InterfaceWatch
@@ -84,6 +85,7 @@ class Ros2Edge(SideEdge):
         self._context: Ros2Context | None = None
         self._origins: Origins | None = None
         self._presence: PresenceTopic | None = None
+        self._announcements: Announcements | None = None
 
     @override
     def start(self, listener: EdgeListener) -> None:
@@ -114,7 +116,11 @@ class Ros2Edge(SideEdge):
             return graph.snapshot.participants
 
         self._origins = Origins(self._prefix, self._state / "ros2", seen, listener.graph_changed, later)
-        self._refresh_discovery(self._origins.predecessors)
+        self._announcements = Announcements(
+            self._prefix, number, seen, partial(self._refresh_discovery, ()), later,
+            localhost_only=self._localhost_only,
+        )  # fmt: skip
+        self._refresh_discovery(self._origins.predecessors, self._announcements.port)
         self._clean_ports(self._origins.past)
         graph.start()
         heartbeats.follow(graph.snapshot.endpoints)
@@ -122,10 +128,13 @@ class Ros2Edge(SideEdge):
         past, changed = self._origins.past, listener.presence_changed
         self._presence = PresenceTopic(participant, loop, string, seen, past, changed)
 
-    def _refresh_discovery(self, dead: Sequence[bytes]) -> None:
-        """Dispose this daemon's dead predecessors, and prompt all participants to announce themselves."""
+    def _refresh_discovery(self, dead: Sequence[bytes], also: int = 0) -> None:
+        """Dispose this daemon's dead predecessors, and prompt all participants to announce themselves.
+
+        ``also`` is a further port for their responses.
+        """
         number, pseudo = domain(self._config, os.environ), new_prefix(rcl.host_prefix())
-        prompt = [spdp.announcement(pseudo, number, participant_number(self._prefix)), spdp.disposal(pseudo)]
+        prompt = [spdp.announcement(pseudo, number, participant_number(self._prefix), also), spdp.disposal(pseudo)]
         spdp.send_all([*map(spdp.disposal, dead), *prompt], number, localhost_only=self._localhost_only)
 
     @property
@@ -196,7 +205,8 @@ class Ros2Edge(SideEdge):
         context.graph.stop()
         presence, self._presence = self._presence, None
         watch, self._neighbours = self._neighbours, None
-        for part in (presence, watch):
+        announcements, self._announcements = self._announcements, None
+        for part in (presence, watch, announcements):
             if part is not None:
                 part.close()
         self._origins = None
@@ -330,8 +340,15 @@ class Ros2Edge(SideEdge):
 
     @override
     def details(self) -> dict[str, Any]:
-        cyclone = vendors.report(self.endpoints())
-        return {"cyclone": cyclone} if cyclone else {}
+        context, announcements = self._context, self._announcements
+        if context is None or announcements is None:
+            return {}
+        snapshot, details = context.graph.snapshot, dict[str, Any]()
+        cyclone = vendors.report(snapshot.endpoints)
+        if cyclone:
+            details["cyclone"] = cyclone
+        groups = middlewares.groups(snapshot.endpoints, snapshot.participants, announcements.versions())
+        return details | {"middlewares": groups}
 
     @override
     def warnings(self) -> list[str]:

@@ -24,8 +24,9 @@ from bridge.daemon.query import Phase
 from bridge.display.documents import connected_lines, routes_table
 from bridge.doctor.causes import cause, grouped, one_line, shared
 from bridge.doctor.daemon_state import ABSENT, DaemonState, Life, absent, daemon_state, with_silent, without_node
+from bridge.hub.graph.releases import NativeNodes, native_nodes
 from bridge.status import EndpointStatus, MachineStatus, RouterStatus, StatusDocument, WorkerStatus, refused_routes
-from bridge.text import arrow, clean, duration, make_console, plural, side_name, size
+from bridge.text import arrow, clean, duration, listed, make_console, plural, side_name, size
 
 _STYLES = {"running": "green", "waiting": "yellow", "standby": "cyan", "starting": "yellow", "queued": "yellow"}
 DAEMON = "daemon"
@@ -46,7 +47,7 @@ def register_status(parser: argparse.ArgumentParser) -> None:
 
 def run_status(args: argparse.Namespace) -> int:
     """Show the status once; a running daemon's workers also if the hub cannot be joined."""
-    documents, refused = list[StatusDocument](), list[Refusal]()
+    documents, refused, natives = list[StatusDocument](), list[Refusal](), list[NativeNodes]()
     state = daemon_state(client_config(args), file=config_file(args)) if of_this_machine(args) else DaemonState("")
     silent = absent(state.document, looping=True)
     unreachable: ClientError | None = None
@@ -57,6 +58,7 @@ def run_status(args: argparse.Namespace) -> int:
             documents = _ask_status(client)
             client.settle()
             refused = refusals(client, documents)
+            natives = native_nodes(client.hub.graph.endpoints(), {document.zid for document in documents})
     except ClientError as err:
         if state.life is not Life.RUNNING:
             raise
@@ -69,7 +71,7 @@ def run_status(args: argparse.Namespace) -> int:
     if args.json:
         print_json([{**document.document(), **_refused_commands(document, refused)} for document in documents])
     else:
-        show(make_console(), documents, refused)
+        show(make_console(), documents, refused, natives)
     if state.trouble:
         raise CliError(f"{state.trouble}\n{state.cure}")
     if unreachable is not None:
@@ -96,8 +98,11 @@ def of_daemon(state: DaemonState) -> list[StatusDocument]:
     return [StatusDocument(daemon=state.name, worker=DAEMON, state=state.life.value, text=text, pid=state.pid)]
 
 
-def show(console: Console, documents: Sequence[StatusDocument], refused: Sequence[Refusal] = ()) -> None:
-    """Print a block for each daemon with its workers, then the routes."""
+def show(
+    console: Console, documents: Sequence[StatusDocument], refused: Sequence[Refusal] = (),
+    natives: Sequence[NativeNodes] = (),
+) -> None:  # fmt: skip
+    """Print a block for each daemon with its workers, then the hub's native nodes by release, then the routes."""
     for daemon in dict.fromkeys(document.daemon for document in documents):
         console.print(Text(clean(daemon), style="bold"))
         workers = [document for document in documents if document.daemon == daemon]
@@ -109,6 +114,8 @@ def show(console: Console, documents: Sequence[StatusDocument], refused: Sequenc
                 console.print(Text(f"             cure: {clean(refusal.cure)}"))
         for warning, names in common.values():
             console.print(Text(f"  warning of {clean(', '.join(names))}: {clean(warning)}", "yellow"))
+    for group in natives:
+        console.print(Text(f"{clean(group)} on the hub: {clean(listed(group.nodes))}"))
     console.print()
     if any(document.routes for document in documents):
         console.print(routes_table(documents))
@@ -149,6 +156,8 @@ def _show_worker(console: Console, document: StatusDocument, elsewhere: Containe
         console.print(Text(f"           {connected}"))
     if isinstance(document, WorkerStatus) and (why := document.lane.why):
         console.print(Text(f"           no lane from it, small messages go over zenoh: {clean(why)}", "yellow"))
+    for group in document.middlewares if isinstance(document, WorkerStatus) else ():
+        console.print(Text(f"           {clean(group)}: {clean(listed(group.nodes))}"))
     for warning in grouped(text for text in document.warnings if cause(text) not in elsewhere):
         console.print(Text(f"           warning: {clean(warning)}", "yellow"))
 

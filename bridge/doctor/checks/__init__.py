@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from bridge.descriptors import ModuleDescriptor, WorkerDescriptor, all_modules, all_workers
 from bridge.doctor.check import Check
-from bridge.doctor.checks import bridges, cyclone, hub, machine, sharedmemory, types
+from bridge.doctor.checks import bridges, cyclone, hub, machine, releases, sharedmemory, types
 from bridge.registration import imported
 from bridge.sides import Side, all_sides
 
@@ -25,6 +25,7 @@ CHECKS: tuple[Check, ...] = (
     Check("kernels", "the compiled kernels", machine.look_at_kernels),
     Check("wheels", "libraries that have no wheel on this system", machine.look_at_wheels),
     *_registered(all_sides()),
+    *releases.CHECKS,
     *cyclone.CHECKS,
     Check("two-bridges", "other bridges on the same networks", bridges.check, seconds=15.0),
     Check("types", "message types that could not be used", types.look_at_refused),

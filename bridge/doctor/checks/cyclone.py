@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from bridge.doctor.check import Check, Finding, Findings, ok, skip, warn
 from bridge.doctor.context import CheckContext
 from bridge.status import CycloneNodes
+from bridge.text import listed
 
-_SHOWN = 10
 _CURE = "stop one of the servers, or rename one by a remapping of its node"
 
 
@@ -22,15 +20,10 @@ def look_at_nodes(context: CheckContext) -> Findings:
 
 
 def _finding(daemon: str, cyclone: CycloneNodes) -> Finding:
-    seen = f"{_listed(cyclone.nodes)} on Cyclone DDS, seen by {daemon}"
+    seen = f"{listed(cyclone.nodes)} on Cyclone DDS, seen by {daemon}"
     if not cyclone.both:
         return ok(f"{seen}: topics, services and actions cross")
-    return warn(f"{seen}; also served on another DDS, so that calls are refused: {_listed(cyclone.both)}", _CURE)
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = len(names) - _SHOWN
-    return ", ".join(names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
+    return warn(f"{seen}; also served on another DDS, so that calls are refused: {listed(cyclone.both)}", _CURE)
 
 
 CHECKS = (Check("cyclone", "ROS 2 nodes on Cyclone DDS", look_at_nodes),)

@@ -31,6 +31,7 @@ from bridge.hub.graph.tokens import (
     qos_text,
     velocity_key,
 )
+from bridge.hub.wire.keys import NO_HASH
 from bridge.hub.wire.qos import Qos, unknown_policies
 from bridge.hub.wire.version import refusal
 from bridge.hub.zenoh_compat import follow_tokens, undeclare
@@ -64,6 +65,7 @@ class HubEndpoint:
         gid: the 16 bytes that rmw_zenoh derives from the token; a publisher's samples carry them.
         origin: the foreign network of the session, None if the endpoint is native or the origin is not known yet.
         buffers: it announces backends of buffers; see `bridge.hub.wire.buffers`.
+        hashless: it announces no type hash.
         pending: a bridge made it, and its origin is not known (yet): nothing of it may cross.
     """
 
@@ -80,6 +82,7 @@ class HubEndpoint:
     pending: bool
     own: bool
     buffers: bool = False
+    hashless: bool = False
 
 
 def origin_side(endpoint: HubEndpoint) -> str:
@@ -393,8 +396,8 @@ class HubGraph:
         name = token.topic, token.type_name, token.type_hash
         place = owner.zid, owner.node, owner.namespace, token.kind
         is_own = owner.zid == self._zid
-        buffers = has_buffers(key)
-        endpoint = HubEndpoint(*place, *name, token.qos, gid, origin=None, pending=False, own=is_own, buffers=buffers)
+        buffers, hashless = has_buffers(key), token.type_hash == NO_HASH
+        endpoint = HubEndpoint(*place, *name, token.qos, gid, None, False, is_own, buffers, hashless)
         self._buffered += buffers and token.kind is EndpointKind.PUBLISHER and not is_own
         self._warn_of_unknown(key, endpoint)
         self._best_available.added(key, token.topic, token.qos)

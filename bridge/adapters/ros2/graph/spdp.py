@@ -58,17 +58,19 @@ def disposal(prefix: bytes) -> bytes:
     return _message(prefix, _INLINE_QOS | _KEY, _LAST, qos + _PL_CDR_LE + _parameters((_PID_GUID, guid)))
 
 
-def announcement(prefix: bytes, domain: int, number: int) -> bytes:
+def announcement(prefix: bytes, domain: int, number: int, also: int = 0) -> bytes:
     """Return the RTPS message that announces a participant without endpoints, at the address of another one.
 
-    ``prefix`` is the GUID prefix of the announced participant, ``number`` the number of the other one.
+    ``prefix`` is the GUID prefix of the announced participant, ``number`` the number of the other one; ``also`` is a
+    further port for responses.
     """
+    ports = [_unicast_port(domain, number), *([also] if also else [])]
     payload = _PL_CDR_LE + _parameters(
         (_PID_VERSION, _VERSION + bytes(2)),
         (_PID_VENDOR, prefix[:2] + bytes(2)),
         (_PID_GUID, prefix + _PARTICIPANT),
-        (_PID_UNICAST, _locator(_LOOPBACK, _unicast_port(domain, number))),
-        (_PID_MULTICAST, _locator(MULTICAST, _multicast_port(domain))),
+        *((_PID_UNICAST, _locator(_LOOPBACK, port)) for port in ports),
+        (_PID_MULTICAST, _locator(MULTICAST, multicast_port(domain))),
         (_PID_LEASE, _LEASE),
         (_PID_ENDPOINTS, _ANNOUNCER_AND_DETECTOR),
     )
@@ -122,18 +124,18 @@ def _locator(address: str, port: int) -> bytes:
     return struct.pack("<iI", _UDP_V4, port) + bytes(12) + socket.inet_aton(address)
 
 
-def _multicast_port(domain: int) -> int:
+def multicast_port(domain: int) -> int:
     """Return the port of SPDP multicast (DDSI-RTPS 2.5, 9.6.2.3)."""
     return 7400 + 250 * domain
 
 
 def _unicast_port(domain: int, number: int) -> int:
-    return _multicast_port(domain) + 10 + 2 * number
+    return multicast_port(domain) + 10 + 2 * number
 
 
 def discovery_ports(domain: int) -> range:
     """Return the well-known ports of a domain; each participant has one of them (DDSI-RTPS 2.5, 9.6.2.3)."""
-    return range(_unicast_port(domain, 0), _multicast_port(domain + 1), 2)
+    return range(_unicast_port(domain, 0), multicast_port(domain + 1), 2)
 
 
 def unicast_ports(domain: int, number: int) -> tuple[int, int]:
@@ -149,7 +151,7 @@ def _send_by(sender: socket.socket, interface: int, messages: Iterable[bytes], d
     except OSError as err:  # an interface without an IPv4 address
         _log.debug("cannot send on interface %d: %s", interface, err)
         return
-    _send(sender, messages, (MULTICAST, _multicast_port(domain)))
+    _send(sender, messages, (MULTICAST, multicast_port(domain)))
 
 
 def _send(sender: socket.socket, messages: Iterable[bytes], address: tuple[str, int]) -> None:

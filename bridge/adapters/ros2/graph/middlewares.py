@@ -1,0 +1,88 @@
+"""The DDS and the ROS 2 release of each participant, by its GUIDs, announcements and type hashes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from bridge import releases
+from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
+from bridge.releases import Release, Releases
+from bridge.routing.edge import Endpoint, MadeBy
+
+_VENDORS = {
+    b"\x01\x01": "RTI Connext",
+    b"\x01\x02": "OpenSplice",
+    b"\x01\x03": "OpenDDS",
+    b"\x01\x0a": "RTI Connext Micro",
+    b"\x01\x0f": "Fast DDS",
+    b"\x01\x10": "Cyclone DDS",
+    b"\x01\x11": "GurumDDS",
+    b"\x01\x12": "RustDDS",
+}
+"""By the first two bytes of a GUID (DDSI-RTPS 2.5, 9.3.1.5; the OMG's list of vendors)."""
+
+_FAST = b"\x01\x0f"
+_FAST_2 = frozenset({Release.HUMBLE, Release.IRON, Release.JAZZY})
+_KILTEDS = (3, 2)
+"""Kilted's Fast DDS."""
+_SHOWN = 100
+_UNNAMED = "a node with an unknown name"
+
+
+def dds_name(prefix: bytes, version: str | None) -> str:
+    """Return the DDS of a participant; ``version`` is "" if it announces none, None if it is not known."""
+    vendor = prefix[:2]
+    name = _VENDORS.get(vendor, f"an unknown DDS (vendor {vendor.hex(' ')})")
+    if version is None:
+        return name
+    if vendor == _FAST:  # Fast DDS 2 announces no version
+        version = version or "2"
+    return f"{name} {version}".rstrip()
+
+
+def _by_version(prefix: bytes, version: str | None) -> Releases:
+    """Return the releases with this version of Fast DDS; all for another DDS, as the releases share its versions."""
+    if prefix[:2] != _FAST or version is None:
+        return releases.ALL
+    if not version:
+        return _FAST_2
+    major, minor, *_ = (int(part) for part in version.split("."))
+    if (major, minor) <= _KILTEDS:
+        return frozenset({Release.KILTED})
+    return frozenset({Release.LYRICAL})
+
+
+def groups(
+    endpoints: Iterable[Endpoint], participants: frozenset[bytes], versions: Mapping[bytes, str]
+) -> list[dict[str, Any]]:
+    """Return the native programs by DDS and release, as `bridge.status.Middleware` describes them.
+
+    Args:
+        endpoints: those of the graph.
+        participants: the GUID prefixes of ROS 2 programs; others that have endpoints are plain DDS programs.
+        versions: what participants announce, by GUID prefix.
+    """
+    of_participant: dict[bytes, list[Endpoint]] = {}
+    for endpoint in endpoints:
+        if endpoint.made_by is MadeBy.NATIVE:
+            of_participant.setdefault(bytes.fromhex(endpoint.id)[:PREFIX_BYTES], []).append(endpoint)
+    found: dict[tuple[str, str, bool, bool], list[list[str]]] = {}
+    for prefix, ends in of_participant.items():
+        ros, version = prefix in participants, versions.get(prefix)
+        hashed = [end for end in ends if end.type_id]
+        announced = [releases.by_hash(end.type, end.type_id) for end in hashed] or [releases.WITHOUT_HASHES]
+        release = releases.release_text(releases.common([*announced, _by_version(prefix, version)])) if ros else ""
+        nodes = sorted({end.node for end in ends} - {""}) or [_UNNAMED]
+        found.setdefault((dds_name(prefix, version), release, ros, bool(hashed)), []).append(nodes)
+    return [
+        {
+            "name": name,
+            "release": release,
+            "ros": ros,
+            "hashes": hashes,
+            "nodes": sorted({node for nodes in programs for node in nodes})[:_SHOWN],
+            "count": len(programs),
+        }
+        for (name, release, ros, hashes), programs in sorted(found.items())
+    ]

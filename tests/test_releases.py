@@ -1,0 +1,53 @@
+"""Which releases a definition of a type belongs to."""
+
+from __future__ import annotations
+
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from bridge import releases
+from bridge.releases import Release, by_hash, common, release_text
+
+TYPES = (
+    "lifecycle_msgs/msg/TransitionEvent",
+    "nav_msgs/msg/Goals",
+    "nav_msgs/msg/Trajectory",
+    "rosgraph_msgs/msg/Graph",
+    "std_msgs/msg/String",
+)
+
+
+@pytest.mark.parametrize("release", [release for release in Release if release is not Release.HUMBLE])
+def test_definitions_of_each_release(release: Release) -> None:
+    """The definitions of rosbags' stores, which are independent of the table."""
+    store = get_typestore(Stores[f"ROS2_{release.name}"])
+    hashes = {name: store.hash_rihs01(name) for name in TYPES if name in store.fielddefs}
+    assert hashes
+    admitted = {name: by_hash(name, type_hash) for name, type_hash in hashes.items()}
+    assert all(release in found for found in admitted.values()), admitted
+    for other in set(Release) - {release, Release.HUMBLE}:
+        differs = [n for n in TYPES if other not in admitted.get(n, releases.WITH_HASHES)]
+        if Release.LYRICAL in (release, other):
+            assert differs, "Lyrical differs from each earlier release"
+
+
+def test_nodes_with_several_announcements() -> None:
+    early = frozenset({Release.JAZZY, Release.KILTED})
+    assert common([early, frozenset({Release.KILTED, Release.LYRICAL})]) == {Release.KILTED}
+    assert common([]) == releases.ALL
+
+
+@pytest.mark.parametrize(
+    ("names", "text"),
+    [
+        ("", ""),
+        ("HUMBLE", "Humble"),
+        ("IRON JAZZY", "Iron or Jazzy"),
+        ("IRON JAZZY KILTED", "Iron to Kilted"),
+        ("JAZZY KILTED LYRICAL", "Jazzy or later"),
+        ("LYRICAL", "Lyrical or later"),
+        ("HUMBLE IRON JAZZY KILTED LYRICAL", ""),
+    ],
+)
+def test_words(names: str, text: str) -> None:
+    assert release_text(frozenset(Release[name] for name in names.split())) == text
