@@ -38,7 +38,7 @@ from tests.support.status_documents import DAEMON, DOCUMENTS, check_document
 from tests.support.wait import until
 from tests.web.conftest import Desk
 
-DOCUMENT_CHECKS = ("daemon", "types", "type-hash", "cyclone", "yarp-releases")
+DOCUMENT_CHECKS = ("daemon", "types", "type-hash", "ros2-releases", "cyclone", "yarp-releases")
 
 
 def read(document: dict[str, Any], worker: str = "ros1") -> StatusDocument:
