@@ -46,7 +46,7 @@ class Simulator(Module):
         self._host = host
         self.simulation = Simulation(section)
         self._paused = False
-        self._refused = 0
+        self._refused, self._refusal = 0, ""
         self._real = section.speed == 1.0 and not host.clock.simulated
         self._pace = Pace(section.speed) if isinstance(section.speed, float) else None
         names = names_of(section.names, self.simulation.robot)
@@ -80,7 +80,10 @@ class Simulator(Module):
     @override
     def health(self) -> Health:
         how = "paused" if self._paused else f"{self.simulation.time_ns / 1e9:.0f} s"
-        return Health("running", f"{self.simulation.plan.name}/{self.simulation.floor}, {how}")
+        text = f"{self.simulation.plan.name}/{self.simulation.floor}, {how}"
+        if self._refused:
+            text += f"; {self._refused:,} commands refused (last: {self._refusal})"
+        return Health("running", text)
 
     @override
     def status(self) -> dict[str, Any]:
@@ -162,7 +165,7 @@ class Simulator(Module):
             self._refuse(str(err))
 
     def _refuse(self, why: str) -> None:
-        self._refused += 1
+        self._refused, self._refusal = self._refused + 1, why
         if self._refused in (1, 10, 100) or self._refused % 1000 == 0:
             self._host.log.warning("command refused (%d so far): %s", self._refused, why)
 

@@ -101,7 +101,11 @@ class LocalizationServerSection(ModuleSection):
         True, "Whether the transform from map to odometry is on `/tf`; never with `amcl` and `tf`."
     )
     tf_tolerance: float = setting(
-        0.1, "Seconds by which that transform's stamp is ahead, as with amcl.", ge=0.0, le=2.0
+        0.5,
+        "Seconds by which that transform's stamp is ahead, as with amcl: more than `period` plus the delay until other"
+        " programs receive it.",
+        ge=0.0,
+        le=2.0,
     )
     period: float = setting(0.1, "Seconds between two published poses.", ge=0.01, le=5.0)
     particles_period: float = setting(1.0, "Seconds between two published sets of particles.", ge=0.05, le=60.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -150,6 +151,8 @@ def test_services_change_a_simulation_in_real_time(place: Place) -> None:
         lambda: (far.publish(wheels, wrong), place.answer("sim")["refused_commands"])[1],
         "an invalid command is rejected",
     )
+    text = place.answer("sim")["text"]
+    assert re.search(r"; \d+ commands refused \(last: .+\)", text), text
     assert place.call("/sim/emergency_stop", "std_srvs/SetBool", data=True)["success"]
     assert place.answer("sim")["emergency_stop"]
     assert place.named("close", "kitchen_door")["success"]

@@ -18,7 +18,7 @@ from bridge.stores.kinds import MAP
 from navigation.localization_server.estimate import POSE_COVARIANCE, spatial
 from navigation.localization_server.module import LocalizationServer
 from navigation.maps.grid import from_grid, same_walls, to_grid, yaw_of
-from navigation.messages import pose_message
+from navigation.messages import pose_message, stamp_ns
 from navigation.pose import Pose, wrapped
 from tests.peers.hub.modules import Place
 from tests.peers.sim.laboratory import LATCHED, Robot
@@ -165,6 +165,14 @@ def test_our_localizer_serves_all_sides(place: Place, robot: Robot) -> None:
         return False
 
     until(corrected, "its correction is on /tf", 20)
+
+    def ahead() -> bool:
+        """Whether transforms are half a second ahead of the poses, more than a period and any usual delay."""
+        times = {stamp_ns(message["header"]) for message in place.far.wait(poses, 1)}
+        transforms = [frame for message in place.far.wait(frames, 1) for frame in message["transforms"]]
+        return any(stamp_ns(t["header"]) - 500_000_000 in times for t in transforms if t["child_frame_id"] == "odom")
+
+    until(ahead, "its transforms are ahead of the poses", 20)
 
     def cloud_published() -> bool:
         cloud = place.far.wait(clouds, 1)[-1]["poses"]
