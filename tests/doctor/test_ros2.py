@@ -12,7 +12,7 @@ from bridge.config.model import Config
 from bridge.daemon.workers import worker_kinds
 from bridge.doctor.check import Result
 from bridge.doctor.checks import bridges, ros2
-from tests.doctor.parts import around, hub, only, results
+from tests.doctor.parts import around, every, hub, only, results
 from tests.peers.peer import Peer
 from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.missing import ROS2, needs
@@ -46,6 +46,9 @@ participant.close()
         ({"ROS_LOCALHOST_ONLY": "1"}, {}, Result.OK, ""),
         ({"FASTRTPS_DEFAULT_PROFILES_FILE": "/nowhere.xml"}, {}, Result.WARN, "/nowhere.xml"),
         ({"ROS_DOMAIN_ID": "x"}, {"enabled": False}, Result.SKIP, ""),
+        ({"ROS_STATIC_PEERS": "10.0.0.2"}, {}, Result.WARN, "set ros2.localhost_only: false"),
+        ({"ROS_STATIC_PEERS": "10.0.0.2"}, {"localhost_only": False}, Result.OK, ""),
+        ({"ROS_SECURITY_ENABLE": "true"}, {}, Result.OK, ""),
     ],
 )
 def test_environment(environ: dict[str, str], config: dict[str, object], result: Result, words: str) -> None:
@@ -73,6 +76,18 @@ def test_discovery_server_of_the_running_daemon(mine: str, result: Result) -> No
         finding = only(ros2.look_at_environment(around(environ={"ROS_DISCOVERY_SERVER": mine}, hub=view)))
     assert finding.result is result
     assert result is Result.OK or "not set in this shell, 10.0.0.1:11811 for the daemon" in finding.seen
+
+
+def test_peers_and_security_of_the_running_daemon() -> None:
+    env = {**os.environ, "ROS_DOMAIN_ID": "0"}
+    mine = {"ROS_STATIC_PEERS": "10.0.0.2", "ROS_SECURITY_ENABLE": "true"}
+    with Process([sys.executable, "-c", "import sys; sys.stdin.read()", "midspan"], env, pipes=True) as worker:
+        until(lambda: Path(f"/proc/{worker.pid}/cmdline").read_bytes().count(b"midspan"), "it runs")
+        view = hub({"worker": "ros2", "side": "ros2", "pid": worker.pid})
+        findings = every(ros2.look_at_environment(around({"ros2": {"localhost_only": False}}, mine, hub=view)))
+    assert results(findings) == [Result.WARN, Result.FAIL]
+    assert "ROS_STATIC_PEERS is 10.0.0.2 in this shell, not set for the daemon" in findings[0].seen
+    assert "ROS_SECURITY_ENABLE is true for this shell, not for the daemon" in findings[1].seen
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
+from bridge.adapters.ros2 import security
 from bridge.config.model import Config
 
 _SYSTEM = Path("/opt/ros/jazzy")
@@ -19,6 +20,8 @@ SWITCHES = {
     # with ROS_DISCOVERY_SERVER: a plain client of a discovery server learns only of endpoints that match its own
     "ROS_SUPER_CLIENT": "TRUE",
 }
+STATIC_PEERS = "ROS_STATIC_PEERS"
+"""Machines to announce to without multicast: rmw_fastrtps ignores it with SYSTEM_DEFAULT, so the profile has them."""
 UNSET = ("ROS_LOCALHOST_ONLY", "FASTDDS_BUILTIN_TRANSPORTS", "RMW_FASTRTPS_USE_QOS_FROM_XML")
 _CURE = (
     "install the wheels (pip install 'midspan[ros2]', on Linux and x86-64), or source /opt/ros/jazzy/setup.bash with"
@@ -32,7 +35,12 @@ def available(config: Config) -> str:  # noqa: ARG001 - same signature for every
         return f"rclpy is not installed for {sys.executable}; {_CURE}"
     if find_spec("rclpy") is not None and find_spec("rmw_fastrtps_cpp") is None and not _sourced(os.environ):
         return f"rclpy is installed without Fast DDS (rmw_fastrtps_cpp); {_CURE}"
-    return ""
+    return security.trouble(os.environ, wheels=uses_wheels(os.environ))
+
+
+def uses_wheels(environ: Mapping[str, str]) -> bool:
+    """Return whether a worker would use the wheels in Midspan's environment."""
+    return not _sourced(environ) and (Path(sys.prefix) / "lib/librcl.so").exists()
 
 
 def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:
@@ -45,7 +53,7 @@ def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, 
     unsourced = _unsourced()
     if _sourced(environ):
         pass
-    elif (Path(sys.prefix) / "lib/librcl.so").exists():
+    elif uses_wheels(environ):
         # prevents the wheels' start-up hook from restarting the interpreter
         result["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"
         _prepend(result, "LD_LIBRARY_PATH", [Path(sys.prefix) / "lib", *sorted(_site(sys.prefix).glob("ros_*.libs"))])
@@ -58,7 +66,7 @@ def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, 
     result["ROS_DOMAIN_ID"] = str(domain(config, environ))
     for name in UNSET:
         result.pop(name, None)
-    return result | SWITCHES
+    return result | SWITCHES | security.enclave(environ)
 
 
 def _site(prefix: str | Path) -> Path:

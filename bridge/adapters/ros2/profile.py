@@ -11,6 +11,7 @@ Measured with Fast DDS 2.14.5, against nodes with its default settings:
 - The default queue of a participant's shared memory (512) overflows in a burst; the lost messages are resent only after
   the writer's next heartbeat, every 3 s.
 - The default shared-memory segment (512 kB) makes a message of 1 MB five times slower than a large segment.
+- With the range SYSTEM_DEFAULT, rmw_fastrtps ignores ``ROS_STATIC_PEERS``. So this profile contains the static peers.
 - Other participants notice a killed participant after its lease, 20 s by default; `bridge.adapters.ros2.graph.spdp`
   explains why the lease is not shortened.
 """
@@ -19,12 +20,14 @@ from __future__ import annotations
 
 import logging
 import os
+import socket
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from bridge.adapters.ros2 import rcl
-from bridge.adapters.ros2.environment import SWITCHES, UNSET
+from bridge.adapters.ros2.environment import STATIC_PEERS, SWITCHES, UNSET
 from bridge.adapters.ros2.graph import neighbours
 from bridge.adapters.ros2.graph.origins import new_prefix, participant_number, stored_prefixes
 from bridge.adapters.ros2.graph.spdp import MULTICAST, PARTICIPANTS
@@ -43,11 +46,18 @@ _UDP_BUFFER = str(4 * 1024 * 1024)
 
 @dataclass(frozen=True, slots=True)
 class FastDdsProfile:
-    """The profile of the participant: its marked ``prefix`` (12 bytes), its shared memory in bytes (0: only UDP)."""
+    """The profile of the participant.
+
+    Attributes:
+        prefix: its marked GUID prefix (12 bytes).
+        segment: its shared memory in bytes; 0: only UDP.
+        peers: addresses of machines to announce itself to, see `static_peers`.
+    """
 
     prefix: bytes
     segment: int
     localhost_only: bool
+    peers: tuple[str, ...] = ()
 
     def xml(self) -> str:
         """Return the profile as a Fast DDS XML document."""
@@ -86,8 +96,24 @@ class FastDdsProfile:
         discovery = ET.SubElement(builtin, "discovery_config")
         _add_texts(ET.SubElement(discovery, "leaseAnnouncement"), sec="0", nanosec="500000000")
         peers = ET.SubElement(builtin, "initialPeersList")
-        for address in (MULTICAST, "127.0.0.1"):
+        for address in (MULTICAST, "127.0.0.1", *self.peers):
             _add_texts(ET.SubElement(ET.SubElement(peers, "locator"), "udpv4"), address=address)
+
+
+def static_peers(environ: Mapping[str, str]) -> list[str]:
+    """Return the machines in ``ROS_STATIC_PEERS``, separated by semicolons (rcl, discovery_options.c)."""
+    return list(dict.fromkeys(filter(None, map(str.strip, environ.get(STATIC_PEERS, "").split(";")))))
+
+
+def _addresses(peers: Iterable[str]) -> Iterator[str]:
+    """Yield the IPv4 addresses of machines; log those that have none."""
+    for peer in peers:
+        try:
+            yield socket.gethostbyname(peer)
+        except OSError as err:
+            _log.warning(
+                "%s: %s is not a known machine (%s); correct it or add it to /etc/hosts", STATIC_PEERS, peer, err
+            )
 
 
 def stamped(own: Path, prefix: bytes) -> str:
@@ -133,8 +159,9 @@ def use_profile(config: Config, state: Path) -> FastDdsProfile:
     if _loaded:
         return _loaded[0]
     prefix = new_prefix(rcl.host_prefix(), stored_prefixes(state / "ros2"))
-    profile = FastDdsProfile(prefix, _segment(config, state), config.ros2.localhost_only)
-    custom = config.ros2.profile
+    custom, local = config.ros2.profile, config.ros2.localhost_only
+    peers = tuple(_addresses(static_peers(os.environ))) if custom is None and not local else ()
+    profile = FastDdsProfile(prefix, _segment(config, state), local, peers)
     text = profile.xml() if custom is None else stamped(custom, profile.prefix)
     path = state / "ros2" / "fastdds.xml"
     if not keep(path, text, "Fast DDS reads its profile from memory"):

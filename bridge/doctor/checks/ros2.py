@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
-from bridge.adapters.ros2.environment import available, domain
+from bridge.adapters.ros2.environment import STATIC_PEERS, available, domain
+from bridge.adapters.ros2.security import ENABLE, is_enabled
 from bridge.doctor.check import Check, Finding, Findings, fail, ok, packages, skip, warn
 from bridge.doctor.context import CheckContext, environment_of
 
@@ -33,7 +35,7 @@ def look_at_environment(context: CheckContext) -> Findings:
     profile = next(filter(None, set_to), None)
     if profile and not Path(profile).is_file():
         findings.append(warn(f"the Fast DDS profile {profile} of this shell does not exist", "unset the variable"))
-    findings += _discovery(context)
+    findings += _discovery(context) + _peers(context) + _security(context)
     return findings or ok(f"domain {meant}")
 
 
@@ -88,6 +90,36 @@ def _discovery(context: CheckContext) -> list[Finding]:
             cure = "set it alike in this shell and for the daemon, and restart the daemon (docs/sides/ros2.md)"
             return [warn(f"{seen}: its ROS 2 programs and the daemon may not discover each other", cure)]
     return []
+
+
+def _worker_environment(context: CheckContext) -> Mapping[str, str]:
+    """Return the running worker's environment if it can be read, else this shell's."""
+    running = (environment_of(context.process(worker)) for worker in context.hub.of_side("ros2", context.config.name))
+    return next(filter(None, running), context.environ)
+
+
+def _peers(context: CheckContext) -> list[Finding]:
+    """Check that the worker announces itself to the static peers."""
+    mine, theirs = (environ.get(STATIC_PEERS, "") for environ in (context.environ, _worker_environment(context)))
+    findings: list[Finding] = []
+    if theirs and context.config.ros2.localhost_only:
+        seen = f"{STATIC_PEERS} is {theirs} for the daemon, but ros2.localhost_only keeps it on this machine"
+        findings.append(warn(seen, "set ros2.localhost_only: false, unless that is intended"))
+    if mine and mine != theirs:
+        seen = f"{STATIC_PEERS} is {mine} in this shell, {theirs or 'not set'} for the daemon"
+        cure = "set it for the daemon, too, and restart it (docs/sides/ros2.md)"
+        findings.append(warn(f"{seen}: it may not discover nodes that do not use multicast", cure))
+    return findings
+
+
+def _security(context: CheckContext) -> list[Finding]:
+    """Check that this shell and the daemon are both in a secured domain, or neither is."""
+    theirs = _worker_environment(context)
+    if is_enabled(context.environ) == is_enabled(theirs):
+        return []
+    inside, outside = ("this shell", "the daemon") if is_enabled(context.environ) else ("the daemon", "this shell")
+    seen = f"{ENABLE} is true for {inside}, not for {outside}: their ROS 2 programs do not discover each other"
+    return [fail(seen, "set the variables of ROS 2's security alike in both, and restart the daemon")]
 
 
 CHECKS = (

@@ -1,0 +1,40 @@
+"""Static peers (``ROS_STATIC_PEERS``): rclpy on another machine that uses no multicast."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bridge.adapters.ros2.profile import static_peers
+from tests.adapters.ros2.test_new_interface import STRING, edge, machines, program
+from tests.peers.ros2.network import ROS2_PEER, ros2_environment, ros2_python
+from tests.support.netns import Cable, Machine
+from tests.support.wait import until
+
+__all__ = ["machines"]
+
+
+def test_a_node_without_multicast_is_discovered(
+    machines: tuple[Machine, Machine], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, other = machines
+    ros2_python()
+    cable = Cable(robot, other)
+    for machine in machines:
+        until(lambda of=machine: "state UP" in of.run("ip", "link", "show", "eth77"), "the link is up")
+    env = ros2_environment(
+        ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", ROS_STATIC_PEERS=cable.addresses[0],
+        FASTDDS_BUILTIN_TRANSPORTS="UDPv4",
+    )  # fmt: skip
+    with program(other, env, str(ROS2_PEER), "remote") as remote:
+        remote.advertise("/remote", STRING)
+        monkeypatch.setenv("ROS_STATIC_PEERS", f"no-such-machine.invalid; {cable.addresses[1]}")
+        with edge(robot, tmp_path) as ros2:
+            until(lambda: "publisher /remote native" in ros2.ask("status")["endpoints"], "it discovers the node", 30)
+
+
+@pytest.mark.parametrize(("text", "peers"), [("", []), ("10.0.0.1", ["10.0.0.1"]), (" a ;b;;a", ["a", "b"])])
+def test_peers_are_separated_by_semicolons(text: str, peers: list[str]) -> None:
+    assert static_peers({"ROS_STATIC_PEERS": text}) == peers
+    assert static_peers({}) == []
