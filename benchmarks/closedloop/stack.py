@@ -87,6 +87,7 @@ class Ours:
             self.localizer.initial(start or robot.truth)
         self._ticks = self._scans = 0
         self._scanned = -1
+        self._silent = True
 
     # the planner's interface to the local navigator
 
@@ -155,8 +156,9 @@ class Ours:
         if plans:
             self.planner.step(now, pose, self, reason)
         command = self.driver.step(now, pose, robot.odometry, reason)
-        if not self.driver.silent:
+        if not (self._silent and self.driver.silent):  # a zero command follows the last goal
             robot.command(*command)
+        self._silent = self.driver.silent
 
     def _scan(self) -> None:
         robot, scan = self._robot, self._robot.scan
