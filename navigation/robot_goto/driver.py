@@ -314,7 +314,9 @@ class Driver:
         goal = step.moved @ relative
         if not limits.avoid:
             return Aim(goal.x, goal.y, math.inf, math.hypot(relative.x, relative.y), True, (goal.x, goal.y))
-        return task.path.next(self.grid, step.now, step.moved, (goal.x, goal.y), self.settings.robot_radius)
+        if not task.heading:
+            goal = goal._replace(theta=math.nan)
+        return task.path.next(self.grid, step.now, step.moved, goal, self.settings.robot_radius)
 
     def _blocked(
         self, step: Step, task: GotoTask, limits: GoalLimits, beta: float, distance: float, blocked: float

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navigation.algorithms.distance_transform import distance_transform
 from navigation.algorithms.potential_field import Descent, descend
 from navigation.algorithms.rolling_grid import OCCUPIED, UNKNOWN
 from navigation.constraints import Constraints
-from navigation.pose import Pose
+from navigation.pose import Pose, wrapped
 from navigation.robot_goto.local_grid import RESOLUTION, SIDE, LocalGrid
 from navigation.robot_goto.section import RobotGotoSection
 
@@ -45,6 +48,9 @@ _WORTH = 0.5
 """Meters of progress per meter of a blocked path: with less, the robot waits where it is."""
 
 _WIDE = math.radians(60.0)
+_BEND_FROM, _BEND, _BEND_MOST = 1.0, 0.3, math.radians(100.0)
+"""Within this distance (meters), the robot bends its path to the goal's heading: it drives to a point behind the goal,
+at this share of the distance. If the heading differs more (radians), it turns at the goal."""
 
 
 class GoalLimits(NamedTuple):
@@ -107,16 +113,27 @@ class Aim(NamedTuple):
     left: float  #: meters of path to the goal, weighted by cost
     direct: bool  #: whether it is the goal itself, without a detour
     end: tuple[float, float]  #: x, y of the path's end: the goal, or a point at the window's edge
+    bend: bool = False  #: whether there is room to arrive with the goal's heading
 
 
-def aim(
-    grid: LocalGrid, now: float, here: Pose, goal: tuple[float, float], radius: float, before: Aim | None = None
-) -> Aim:
-    """Follow the potential field from the robot's pose in the grid's frame; radius in meters, time in seconds.
+def behind(goal: Pose, here: Pose) -> tuple[float, float] | None:
+    """Return the point behind a goal, x and y, on which a robot bends its path to the goal's heading.
+
+    None if the robot is too far away, the heading differs too much from the direction to the goal, or is NaN.
+    """
+    away, towards = here.distance(goal), math.atan2(goal.y - here.y, goal.x - here.x)
+    if not (away < _BEND_FROM and abs(wrapped(goal.theta - towards)) < _BEND_MOST):
+        return None
+    length = _BEND * away
+    return goal.x - length * math.cos(goal.theta), goal.y - length * math.sin(goal.theta)
+
+
+def aim(grid: LocalGrid, now: float, here: Pose, to: Pose, radius: float, before: Aim | None = None) -> Aim:
+    """Follow the potential field from one pose to another in the grid's frame; radius in meters, time in seconds.
 
     A path that is only a little shorter than the ``before`` one does not replace it.
     """
-    states = grid.states(now)
+    states, goal = grid.states(now), (to.x, to.y)
     distances = distance_transform(states == OCCUPIED)
     row, column = (min(max(round(at), 0), SIDE - 1) for at in grid.cell(here.x, here.y))
     path = descend(
@@ -124,7 +141,9 @@ def aim(
         grid.cell(*before.end) if before else None, radius / RESOLUTION, INFLUENCE / RESOLUTION, _SPARE / RESOLUTION,
     )  # fmt: skip
     if path.direct or not len(path.cells):
-        return Aim(*goal, math.inf, path.cost * RESOLUTION, True, goal)
+        bend = behind(to, here)
+        room = bend is not None and _is_free(grid, distances, [here[:2], bend, goal], radius + _SPARE)
+        return Aim(*goal, math.inf, path.cost * RESOLUTION, True, goal, room)
     end, free = grid.place(*path.cells[-1]), grid.place(*_last_free(path))
     left = math.dist(goal, (here.x, here.y))
     nearer = left - math.dist(goal, free)
@@ -133,6 +152,19 @@ def aim(
     at_goal = path.aim == len(path.cells) - 1 and _near(grid, goal, path.cells[-1])
     target = goal if at_goal else grid.place(*path.cells[path.aim])
     return Aim(*target, path.blocked * RESOLUTION, path.cost * RESOLUTION, False, end)
+
+
+def _is_free(
+    grid: LocalGrid, distances: NDArray[np.float32], corners: Sequence[tuple[float, float]], least: float
+) -> bool:
+    """Whether a line over corners within the window keeps at least some meters from obstacles."""
+    for begin, end in pairwise(corners):
+        shares = np.linspace(0.0, 1.0, 2 + math.ceil(math.dist(begin, end) / RESOLUTION))[:, None]
+        places = np.array(begin) + (np.array(end) - begin) * shares - grid.origin
+        columns, rows = np.clip(np.floor(places / RESOLUTION).astype(np.int64), 0, SIDE - 1).T
+        if (distances[rows, columns] * RESOLUTION < least).any():
+            return False
+    return True
 
 
 def _last_free(path: Descent) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from navigation.pose import Pose, wrapped
 from navigation.robot_goto.guard import FAST_ROOM, Guard
 from navigation.robot_goto.local_grid import LocalGrid
 from navigation.robot_goto.section import RobotGotoSection
-from navigation.robot_goto.steering import STILL, Aim, DriveCommand, GoalLimits, aim, people_speed
+from navigation.robot_goto.steering import STILL, Aim, DriveCommand, GoalLimits, aim, behind, people_speed
 
 CLEAR = 1.0  # seconds for which the path has to be free before the robot drives on
 RAMP = 2.0  # seconds in which it then accelerates to full speed
@@ -60,12 +60,15 @@ class PathFollower:
         self.aim: Aim | None = None
         self._scanned: float | None = None
 
-    def next(self, grid: LocalGrid, now: float, moved: Pose, goal: tuple[float, float], radius: float) -> Aim:
-        """Return the point to drive to on the way to a goal (x, y), in the grid's frame."""
+    def next(self, grid: LocalGrid, now: float, moved: Pose, goal: Pose, radius: float) -> Aim:
+        """Return the point to drive to on the way to a goal in the grid's frame; theta is NaN without a heading."""
         if self.aim is None or self._scanned != grid.scanned:
             self.aim = aim(grid, now, moved, goal, radius, self.aim)
             self._scanned = grid.scanned
-        return self.aim._replace(x=goal[0], y=goal[1]) if self.aim.direct else self.aim
+        if not self.aim.direct:
+            return self.aim
+        x, y = (behind(goal, moved) if self.aim.bend else None) or (goal.x, goal.y)
+        return self.aim._replace(x=x, y=y)
 
 
 class Obstruction:

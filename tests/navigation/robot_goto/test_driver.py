@@ -93,6 +93,19 @@ def test_a_goals_heading_holds_when_the_robot_has_stopped():
     assert abs(math.remainder(scene.pose.theta - heading, math.tau)) < math.radians(4.0)
 
 
+@pytest.mark.parametrize(("obstacle", "least", "most"), [(False, 0.0, 25.0), (True, 30.0, 60.0)])
+def test_the_robot_arrives_with_the_heading_if_there_is_room_for_the_bend(obstacle, least, most):
+    scene = Scene()
+    if obstacle:
+        scene.sim.world.spawn(box(1.2, -0.5, 1.0, 0.2), "box")  # where the bend would be
+    scene.driver.goal(Pose(1.5, 0.0, math.radians(50.0)))
+    scene.until(lambda: scene.pose.x > 1.44, 20)
+    assert least <= 50.0 - math.degrees(scene.pose.theta) < most
+    scene.until(lambda: scene.driver.status.state.ended, 10)
+    assert scene.driver.status.state is State.REACHED
+    assert not scene.touched
+
+
 # obstacles
 
 

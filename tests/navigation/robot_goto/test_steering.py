@@ -5,8 +5,9 @@ import math
 import pytest
 
 from navigation.constraints import Constraints
+from navigation.pose import Pose
 from navigation.robot_goto.section import RobotGotoSection
-from navigation.robot_goto.steering import GoalLimits, clipped, drive, people_speed, side_slowdown
+from navigation.robot_goto.steering import GoalLimits, behind, clipped, drive, people_speed, side_slowdown
 
 SETTINGS = RobotGotoSection()
 
@@ -30,7 +31,7 @@ def test_the_robot_turns_in_place_if_the_goal_is_not_ahead():
     assert drive(SETTINGS, limits, 2.0, 1.5, 9.0, 1.0, through=False).vx == 0.0
     assert drive(SETTINGS, limits, 2.0, 0.1, 9.0, 1.0, through=False).vx == 0.3
     assert drive(SETTINGS, limits, 2.0, 0.1, 9.0, 0.5, through=False).vx == pytest.approx(0.15)
-    assert drive(SETTINGS, limits, 0.1, 0.0, 9.0, 1.0, through=False).vx == pytest.approx(0.06)
+    assert drive(SETTINGS, limits, 0.1, 0.0, 9.0, 1.0, through=False).vx == pytest.approx(0.1)
     assert drive(SETTINGS, limits, 0.1, 0.0, 9.0, 1.0, through=True).vx == 0.3
 
 
@@ -43,6 +44,14 @@ def test_obstacles_at_the_side_slow_the_robot_with_avoidance_if_configured():
     for on_obstacle, speed in (("around", 0.15), ("wait", 0.3)):
         limits = GoalLimits.combine(SETTINGS, Constraints(on_obstacle=on_obstacle))
         assert drive(settings, limits, 2.0, 0.0, 0.3, 1.0, through=False).vx == pytest.approx(speed)
+
+
+def test_the_path_bends_to_the_heading_behind_a_goal_that_is_near():
+    goal = Pose(2.0, 0.0, math.pi / 2)
+    assert behind(goal, Pose(1.5, 0.0, 0.0)) == pytest.approx((2.0, -0.15))
+    assert behind(goal, Pose(0.9, 0.0, 0.0)) is None, "too far away"
+    assert behind(goal, Pose(2.2, 0.4, 0.0)) is None, "it faces the robot"
+    assert behind(goal._replace(theta=math.nan), Pose(1.5, 0.0, 0.0)) is None
 
 
 def test_goals_do_not_raise_the_robots_speed_limits():
