@@ -197,6 +197,7 @@ class NetworkBridge:
                 identity=identity_of(config),
             )
         )
+        self._hub.versions = registry.releases
         edge.clock = RunClock(simulated=config.clock.simulated)
         follow_clock(edge.clock, self._hub)
         self._hold = Hold(self._hub, held_topics(config.navigation, edge.side))

@@ -138,7 +138,7 @@ class SubscribedTopic:
         if qos.latched:
             qos = Qos(qos.reliability, Durability.TRANSIENT_LOCAL, depth=_LATCHED_DEPTH)
         try:
-            subscription = self._hub.subscription(*self.key, qos, on_sample)
+            subscription = self._hub.subscription(*self.key, qos, on_sample, exact=True)
         except HubError as err:
             self.trouble = str(err)
             return

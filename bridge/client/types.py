@@ -23,6 +23,7 @@ class Types:
     def __init__(self, client: Client) -> None:
         self._hub = client.hub
         self.registry = client.registry()
+        self._hub.versions = self.registry.releases
 
     def name(self, spelled: str) -> str:
         """Return the ROS 2 name of a type in ROS 1's or ROS 2's spelling; raises `ClientError`."""

@@ -27,7 +27,7 @@ from bridge.hub.endpoints.latched_subscription import LatchedHubSubscription
 from bridge.hub.endpoints.publisher import EndpointContext, HubPublisher, PublisherOptions
 from bridge.hub.endpoints.services import HubClient, HubServer
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription, Refused
-from bridge.hub.endpoints.variants import KeyVariants
+from bridge.hub.endpoints.variants import KeyVariants, TypeVersions
 from bridge.hub.errors import HubClosedError, HubConfigError, HubError, zenoh_reason
 from bridge.hub.graph import HubGraph
 from bridge.hub.graph.tokens import (
@@ -279,6 +279,15 @@ class Hub:
             if before is not None:
                 before[1]()
 
+    @property
+    def versions(self) -> TypeVersions:
+        """The known versions of types, for peers of other releases; set it before creating endpoints."""
+        return self._context.variants.versions
+
+    @versions.setter
+    def versions(self, versions: TypeVersions) -> None:
+        self._context.variants.versions = versions
+
     def lane(self) -> dict[str, Any]:
         """Return the state of the local transport to this daemon's other workers; {} without one."""
         return {} if self._joined.lane is None else self._joined.lane.state()
@@ -324,10 +333,13 @@ class Hub:
         qos: Qos,
         callback: Callable[[HubSample], None],
         refused: Refused | None = None,
+        *,
+        exact: bool = False,
     ) -> HubSubscription:
         """Create a subscription, to any type hash if that is ``*``; it exists until it or the session is closed.
 
-        A latched one receives the cached samples of each latched publisher, present or late. The node's own samples
+        It receives the messages of other known versions of the type, converted, unless it is ``exact``. A latched one
+        receives the cached samples of each latched publisher, present or late. The node's own samples
         are not delivered. ``callback``, and ``refused`` for each sample that is left out, run on zenoh's receiving
         thread, or the thread of another node of this session that publishes: they only append and wake.
         """
@@ -335,12 +347,16 @@ class Hub:
             token = self._token(EndpointKind.SUBSCRIPTION, topic, type_name, type_hash, qos)
             key = subscription_key(self.domain, topic, type_name, type_hash)
             if qos.latched:
-                return self._keep(LatchedHubSubscription(self._context, token, key, topic, qos, callback, refused))
+                return self._keep(
+                    LatchedHubSubscription(self._context, token, key, topic, qos, callback, refused, exact=exact)
+                )
             lane = self._joined.lane
             if lane is None:
-                return self._keep(HubSubscription(self._context, token, key, topic, callback, refused))
+                return self._keep(HubSubscription(self._context, token, key, topic, callback, refused, exact=exact))
             kinds = type_name, type_hash
-            return self._keep(LaneSubscription(self._context, lane, token, key, topic, kinds, qos, callback, refused))
+            return self._keep(
+                LaneSubscription(self._context, lane, token, key, topic, kinds, qos, callback, refused, exact=exact)
+            )
 
     def server(self, name: str, type_name: str, type_hash: str, call: Call) -> HubServer:
         """Serve a service; the server exists until it or the session is closed.

@@ -17,9 +17,11 @@ from bridge.messages.definitions.parts import CONTENTS
 from bridge.messages.definitions.schema import Definition, Schema, World
 from bridge.messages.definitions.sources import DefinitionFolder, ros1_sources, ros2_sources
 from bridge.messages.definitions.text import closure, own_text
+from bridge.messages.definitions.versions import TypeVersions
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.mapping.actions import ActionMapping, ActionTopicTypes
 from bridge.messages.mapping.messages import ANY_MD5, MessageMapping
+from bridge.messages.mapping.releases import ReleaseConversions
 from bridge.messages.mapping.rules import Rules
 from bridge.messages.mapping.services import ServiceMapping, ServiceSchema, ros1_service, ros2_service
 from bridge.messages.transcode.conversion import Conversion, Convert, ServiceConversion, SideType, check_cdr
@@ -41,6 +43,9 @@ class Registry:
     The configuration's ``.msg`` folders serve both ROS 1 and ROS 2; ``prefixes`` hold the ROS 2 packages that were
     built here (``share/<package>/msg/*.msg``), ``ros1_packages`` ROS 1's Python packages, None for the usual folder.
     Every method raises `MessageTypeError` if a type is unknown, has another md5 or hash here, or has no counterpart.
+
+    Attributes:
+        releases: the conversions between the versions of ROS 2 types.
     """
 
     def __init__(
@@ -55,6 +60,9 @@ class Registry:
         self._sources2 = ros2_sources(folders, prefixes)
         self._ros2 = DefinitionLibrary(World.ROS2, self._sources2)
         self._lock = threading.RLock()
+        versions = TypeVersions(self._ros2, folders, self._sources2)
+        self._ros2.versions = versions.of
+        self.releases = ReleaseConversions(self._ros2, versions, self._lock)
         self._answers: dict[tuple[str, str, str], Conversion] = {}
         self._service_answers: dict[tuple[str, str, str], ServiceConversion] = {}
         self._checks: dict[str, Convert] = {}

@@ -159,6 +159,7 @@ class Endpoints:
 
     def __init__(self, hub: Hub, registry: Registry, loop: EventLoop, clock: RunClock) -> None:
         self.hub, self.registry, self.loop, self.clock = hub, registry, loop, clock
+        hub.versions = registry.releases
         self._ends: list[ModulePublisher | Subscription | ModuleServer | ServiceClient] = []
 
     def publisher(

@@ -53,7 +53,7 @@ class Triggers:
                 try:
                     # volatile, since older latched messages are not triggers
                     on_message = partial(self._on_message, key)
-                    self._ends[key] = self._host.node.hub.subscription(*key, Qos(), on_message)
+                    self._ends[key] = self._host.node.hub.subscription(*key, Qos(), on_message, exact=True)
                 except HubError as err:
                     _log.warning("trigger %s: %s", key.topic, err)
 

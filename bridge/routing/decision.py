@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self, TypeVar
 
+from bridge.hub.endpoints.variants import TypeVersions
 from bridge.hub.graph.view import HubEndpoint
 from bridge.messages.actions import split
 from bridge.messages.errors import MessageTypeError
@@ -138,10 +139,15 @@ def native_groups(
     return groups
 
 
-def hub_groups(endpoints: Sequence[HubEndpoint]) -> dict[RouteKey, list[HubEndpoint]]:
+def hub_key(endpoint: HubEndpoint, versions: TypeVersions) -> RouteKey:
+    """Return the route of a hub endpoint: of a known version of a type, that of this machine's version."""
+    return RouteKey(endpoint.topic, endpoint.type_name, versions.here(endpoint.type_name, endpoint.type_hash))
+
+
+def hub_groups(endpoints: Sequence[HubEndpoint], versions: TypeVersions) -> dict[RouteKey, list[HubEndpoint]]:
     """Group the hub endpoints of other sessions by the route that they need."""
     groups: dict[RouteKey, list[HubEndpoint]] = defaultdict(list)
     for endpoint in endpoints:
         if not endpoint.own:
-            groups[RouteKey(endpoint.topic, endpoint.type_name, endpoint.type_hash)].append(endpoint)
+            groups[hub_key(endpoint, versions)].append(endpoint)
     return groups

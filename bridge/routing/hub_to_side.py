@@ -342,7 +342,7 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
     ) -> None:
         """Update the routes for both graphs, the rules and the election; append one decision for each topic."""
         self._outcome, self._velocities = outcome, native_velocities(endpoints)
-        groups = hub_groups(self._context.hub.graph.publishers())
+        groups = hub_groups(self._context.hub.graph.publishers(), self._context.hub.versions)
         # Close ended routes first: a side may have one type per topic.
         outdated = (
             k

@@ -101,6 +101,10 @@ class CallServer:
         """The attachment of a reply."""
         return None
 
+    def _outgoing(self, query: zenoh.Query, reply: bytes) -> bytes | CallError:  # noqa: ARG002
+        """Return a reply in the form that the query's client reads."""
+        return reply
+
     def _reply_key(self, query: zenoh.Query) -> str:  # noqa: ARG002
         """The key of a reply."""
         return self._key
@@ -169,12 +173,17 @@ class CallServer:
     def _answer(self, pending: PendingRequest, result: bytes | CallError) -> None:
         if not self._remove(pending):
             return
+        if isinstance(result, bytes):
+            result = self._outgoing(pending.query, result)
         if isinstance(result, bytes) and len(result) > self._limit:
             result = CallError(f"the reply has {len(result)} bytes, limits.message allows {self._limit}")
 
         def reply(query: zenoh.Query, payload: bytes) -> None:
             query.reply(self._reply_key(query), payload, encoding=self.encoding, attachment=self._attached(pending))
 
+        if isinstance(result, UnsentCallError) and result.reply:
+            refused = self._outgoing(pending.query, result.reply)
+            result.reply = refused if isinstance(refused, bytes) else b""
         if isinstance(result, CallError):
             reply_error(pending.query, result, reply)
             return

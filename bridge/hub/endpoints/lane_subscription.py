@@ -25,6 +25,7 @@ from bridge.hub.endpoints.subscription import (
     PublisherStates,
     Refused,
 )
+from bridge.hub.endpoints.variants import ConvertedSample
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.lane.inlet import Inlet
 from bridge.hub.lane.lane import Lane
@@ -147,6 +148,8 @@ class LaneSubscription(HubSubscription):
         qos: Qos,
         callback: Callable[[HubSample], None],
         on_refused: Refused | None = None,
+        *,
+        exact: bool = False,
     ) -> None:
         self.key = key
         self._lane, self._type_names = lane, type_names
@@ -155,7 +158,7 @@ class LaneSubscription(HubSubscription):
         self._delivery = Lock()
         self._lanes = Lanes()
         self._large = False
-        super().__init__(context, token, key, topic, callback, on_refused)
+        super().__init__(context, token, key, topic, callback, on_refused, exact=exact)
         self.why = "the graph is not evaluated yet"
         lane.add(self)
 
@@ -180,7 +183,7 @@ class LaneSubscription(HubSubscription):
     # -- messages ------------------------------------------------------------------------------------------------------
 
     @override
-    def _on_sample(self, sample: zenoh.Sample) -> None:
+    def _on_sample(self, sample: zenoh.Sample | ConvertedSample) -> None:
         message = self._reader.read(sample)
         if message is None:
             return

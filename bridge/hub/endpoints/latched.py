@@ -50,11 +50,13 @@ class LatchedPublisher:
         congestion: zenoh.CongestionControl,
         priority: zenoh.Priority,
         express: bool = False,
+        encoding: zenoh.Encoding | None = None,
     ) -> None:
         self._session, self._heartbeats = session, heartbeats
         self._publisher = ext.declare_advanced_publisher(
             session,
             key,
+            encoding=encoding,
             congestion_control=congestion,
             priority=priority,
             express=express,

@@ -8,13 +8,26 @@ from collections.abc import Callable
 import zenoh
 from typing_extensions import override
 
-from bridge.hub.endpoints.latched import LatchedHistory
+from bridge.hub.endpoints.latched import HistoryListener, LatchedHistory
 from bridge.hub.endpoints.publisher import EndpointContext, cache_depth
 from bridge.hub.endpoints.subscription import MAX_HELD_BYTES, HubSample, HubSubscription, PublisherState, Refused
+from bridge.hub.endpoints.variants import Convert, ConvertedSample
 from bridge.hub.wire.qos import Qos, Reliability
+from bridge.messages.unchanged import same
 
 _MAX_HELD = 1000
 """Maximum number of held samples of one publisher, beyond its history."""
+
+
+class _OtherHistory:
+    """Passes a history on whose samples are of another version of the type."""
+
+    def __init__(self, subscription: LatchedHubSubscription, convert: Convert) -> None:
+        self._convert, self._on_other, self._receive = convert, subscription._on_other, subscription.on_stored
+        self.asked, self.done = subscription.asked, subscription.done
+
+    def on_stored(self, sample: zenoh.Sample) -> None:
+        self._on_other(self._convert, self._receive, sample)
 
 
 class LatchedHubSubscription(HubSubscription):
@@ -37,24 +50,29 @@ class LatchedHubSubscription(HubSubscription):
         qos: Qos,
         callback: Callable[[HubSample], None],
         on_refused: Refused | None = None,
+        *,
+        exact: bool = False,
     ) -> None:
         self._depth = cache_depth(qos)
         self._recovers = qos.reliability is Reliability.RELIABLE
         self._asked: Counter[str] = Counter()  # by session
         self._histories: tuple[LatchedHistory, ...] = ()  # one for each key
-        super().__init__(context, token, key, topic, callback, on_refused)
+        super().__init__(context, token, key, topic, callback, on_refused, exact=exact)
 
     @override
     def _declare(self, context: EndpointContext, key: str) -> Callable[[], None]:
         return self._with_history(context, key, super()._declare(context, key))
 
     @override
-    def _declare_more(self, key: str) -> Callable[[], None]:
-        return self._with_history(self._context, key, super()._declare_more(key))
+    def _declare_more(self, key: str, convert: Convert) -> Callable[[], None]:
+        listener = self if convert is same else _OtherHistory(self, convert)
+        return self._with_history(self._context, key, super()._declare_more(key, convert), listener)
 
-    def _with_history(self, context: EndpointContext, key: str, end: Callable[[], None]) -> Callable[[], None]:
+    def _with_history(
+        self, context: EndpointContext, key: str, end: Callable[[], None], listener: HistoryListener | None = None
+    ) -> Callable[[], None]:
         history = LatchedHistory(
-            context.session, key, self._depth, self, context.asking, context.ends, context.heartbeats,
+            context.session, key, self._depth, listener or self, context.asking, context.ends, context.heartbeats,
             reach=context.reach, recovers=self._recovers,
         )  # fmt: skip
         self._histories += (history,)
@@ -67,7 +85,7 @@ class LatchedHubSubscription(HubSubscription):
 
         return undeclare_all
 
-    def _read(self, sample: zenoh.Sample) -> HubSample | None:
+    def _read(self, sample: zenoh.Sample | ConvertedSample) -> HubSample | None:
         message = self._reader.read(sample)
         if message is not None:
             for history in self._histories:
@@ -75,7 +93,7 @@ class LatchedHubSubscription(HubSubscription):
         return message
 
     @override
-    def _on_sample(self, sample: zenoh.Sample) -> None:
+    def _on_sample(self, sample: zenoh.Sample | ConvertedSample) -> None:
         message = self._read(sample)
         if message is None:
             return
@@ -114,7 +132,7 @@ class LatchedHubSubscription(HubSubscription):
         with self._lock:
             self._asked[zid] += 1
 
-    def on_stored(self, sample: zenoh.Sample) -> None:
+    def on_stored(self, sample: zenoh.Sample | ConvertedSample) -> None:
         """Handle one of the samples that a publisher stores; see `LatchedHistory`."""
         message = self._read(sample)
         if message is None:

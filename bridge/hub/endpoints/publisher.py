@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable
@@ -15,17 +16,19 @@ import zenoh
 
 from bridge.concurrency import DelayedCalls, SerialExecutor
 from bridge.hub.endpoints.latched import LatchedPublisher
-from bridge.hub.endpoints.variants import KeyVariants, Variants
+from bridge.hub.endpoints.variants import CONVERTED, Convert, KeyVariants, Variants
 from bridge.hub.errors import HubClosedError, HubError, zenoh_reason
 from bridge.hub.graph import HubGraph
 from bridge.hub.graph.tokens import gid_of
 from bridge.hub.lane.lane import Lane
 from bridge.hub.lane.outlet import Outlet
 from bridge.hub.lane.writer import LaneWriter
-from bridge.hub.wire.keys import key_variant, pack_attachment
+from bridge.hub.wire.keys import key_type, key_variant, pack_attachment
 from bridge.hub.wire.qos import History, Qos, Reliability
 from bridge.hub.zenoh_compat import BEHIND, keep_thread_state, source_infos, undeclare
 from bridge.hub.zenoh_config import POOL
+from bridge.messages.errors import ConversionError
+from bridge.messages.unchanged import same
 from bridge.resources import LARGE_MESSAGES
 
 KEEP_ALL_CACHE = 1000
@@ -35,6 +38,8 @@ MAX_CACHE = 10_000
 LARGE = POOL
 """Bytes; a larger message does not fit the shared memory, and crosses a link in hundreds of packets."""
 
+
+_log = logging.getLogger(__name__)
 
 NO_LANE = "this worker has no lane"
 
@@ -132,8 +137,13 @@ class _PlainSink:
 
     keeps: ClassVar[bool] = False
 
-    def __init__(self, context: EndpointContext, key: str, options: PublisherOptions) -> None:
-        self._declare = partial(context.session.declare_publisher, key, allowed_destination=context.reach)
+    def __init__(
+        self, context: EndpointContext, key: str, options: PublisherOptions, convert: Convert | None = None
+    ) -> None:
+        self._convert = convert
+        self._declare = partial(
+            context.session.declare_publisher, key, allowed_destination=context.reach, encoding=_encoding(convert)
+        )
         self._publisher = self._declare(
             congestion_control=options.congestion, priority=options.priority, express=options.express
         )
@@ -145,6 +155,12 @@ class _PlainSink:
         self._infos = source_infos(self._publisher)
 
     def send(self, payload: bytes, attached: bytes) -> None:
+        if self._convert is not None:
+            try:
+                payload = self._convert(payload)
+            except ConversionError as err:
+                _log.debug("a message is not published for another release: %s", err)
+                return
         if len(payload) > LARGE and self._large is None and not self._blocks:
             # later messages use it too, so that none overtakes the large one
             self._large = self._declare(congestion_control=zenoh.CongestionControl.DROP, priority=BEHIND)
@@ -166,7 +182,10 @@ class _LatchedSink:
 
     keeps: ClassVar[bool] = True
 
-    def __init__(self, context: EndpointContext, key: str, options: PublisherOptions, qos: Qos) -> None:
+    def __init__(
+        self, context: EndpointContext, key: str, options: PublisherOptions, qos: Qos, convert: Convert | None = None
+    ) -> None:
+        self._convert = convert
         reliable = qos.reliability is Reliability.RELIABLE
         depth = cache_depth(qos)
         # zenoh's own buffers, which its cache shares, for keys that are added later
@@ -180,6 +199,7 @@ class _LatchedSink:
             congestion=options.congestion,
             priority=options.priority,
             express=options.express,
+            encoding=_encoding(convert),
         )
         # the wheel's AdvancedPublisher does not show whether it is matched
         self._shadow = context.session.declare_publisher(key, allowed_destination=context.reach)
@@ -189,6 +209,12 @@ class _LatchedSink:
 
     def _send(self, payload: zenoh.ZBytes, attached: bytes) -> None:
         self.stored.append((payload, attached))
+        if self._convert is not None:
+            try:
+                payload = zenoh.ZBytes(self._convert(payload.to_bytes()))
+            except ConversionError as err:
+                _log.debug("a message is not published for another release: %s", err)
+                return
         self._publisher.put(payload, attached)
 
     def restore(self, samples: Iterable[tuple[zenoh.ZBytes, bytes]]) -> None:
@@ -202,6 +228,10 @@ class _LatchedSink:
     def close(self) -> None:
         undeclare(self._shadow)
         self._publisher.close()
+
+
+def _encoding(convert: Convert | None) -> zenoh.Encoding | None:
+    return None if convert is None else CONVERTED
 
 
 class PublisherOptions:
@@ -363,8 +393,11 @@ class HubPublisher:
             latched = latched and self._stored is not None
             sink = self._more.get(type_hash)
             if sink is None or (latched and not sink.keeps):
-                key = key_variant(self.key, type_hash)
-                self._replace(type_hash, self._latched(key) if latched else self._plain(key))
+                key, known = key_variant(self.key, type_hash), self._variants.converter(*key_type(self.key), type_hash)
+                convert = None if known is same else known
+                self._replace(
+                    type_hash, self._latched(key, convert=convert) if latched else self._plain(key, convert=convert)
+                )
         for type_hash in self._more.keys() - variants.keys():
             self._replace(type_hash, None)
 

@@ -9,8 +9,9 @@ rmw_client_data.cpp). Midspan adds two extensions, which rmw_zenoh's programs ig
 - zenoh does not notify a server when a client leaves. Midspan's clients publish that on ``<key>/@abandon``, with the
   call's attachment; any other client has left when its liveliness token disappears.
 
-A server also answers calls without a type hash, as Humble's clients make them. That queryable always exists: a client
-may call as soon as it sees the server's token, before the server sees the client's, and a lost query is not repeated.
+A server also answers calls under the hashes of the other known versions of its type, and without a hash, as Humble's
+clients make them. These queryables always exist: a client may call as soon as it sees the server's token, before the
+server sees the client's, and a lost query is not repeated.
 """
 
 from __future__ import annotations
@@ -24,13 +25,14 @@ import zenoh
 from typing_extensions import override
 
 from bridge.hub.endpoints.call_server import CallServer, PendingRequest
-from bridge.hub.endpoints.calls import PRIORITY, Abandon, Call, CallClient, CallError, Done, nothing
+from bridge.hub.endpoints.calls import PRIORITY, Abandon, Call, CallClient, CallError, Done, UnsentCallError, nothing
 from bridge.hub.endpoints.publisher import EndpointContext
-from bridge.hub.endpoints.variants import Variants
+from bridge.hub.endpoints.variants import REQUEST, RESPONSE, Convert, Variants
 from bridge.hub.errors import HubWireError
 from bridge.hub.graph.tokens import gid_of
-from bridge.hub.wire.keys import GID_SIZE, NO_HASH, key_variant, pack_attachment, unpack_attachment
+from bridge.hub.wire.keys import GID_SIZE, NO_HASH, key_type, key_variant, pack_attachment, unpack_attachment
 from bridge.hub.zenoh_compat import answer, keep_thread_state, subscribe
+from bridge.messages.errors import ConversionError
 
 _MAX_CALLERS = 10_000
 
@@ -61,7 +63,9 @@ class HubServer(CallServer):
         self._graph, self._own = context.graph, context.own
         self._callers: dict[tuple[bytes, int | None], _HubRequest] = {}
         self._unwatch: Callable[[], None] | None = None
-        self._hashless_key = key_variant(key, NO_HASH)
+        self._type, self._variants = key_type(key), context.variants
+        hashes = dict.fromkeys((*context.variants.versions.hashes(self._type[0]), NO_HASH))
+        self._others = {key_variant(key, other): other for other in hashes if other != self._type[1]}
         super().__init__(
             context.session, key, name, context.limit, call, context.closed, complete=True, reach=context.reach
         )
@@ -70,14 +74,32 @@ class HubServer(CallServer):
     @override
     def _declare_additional(self, session: zenoh.Session, reach: zenoh.Locality) -> list[Any]:
         declared: list[Any] = [subscribe(session, abandon_key(self._key), self._on_abandoned, reach)]
-        if self._hashless_key != self._key:
-            declared.append(answer(session, self._hashless_key, self._on_query, complete=True, origin=reach))
+        declared += [answer(session, key, self._on_query, complete=True, origin=reach) for key in self._others]
         return declared
 
     @override
     def _reply_key(self, query: zenoh.Query) -> str:
         key = str(query.key_expr)
-        return key if key == self._hashless_key else self._key
+        return key if key in self._others else self._key
+
+    @override
+    def _read(self, query: zenoh.Query) -> bytes:
+        request, other = super()._read(query), self._others.get(str(query.key_expr))
+        if other is None:
+            return request
+        name, own = self._type
+        try:
+            return self._variants.converter(name, other, own, REQUEST)(request)
+        except ConversionError as err:
+            raise CallError(str(err)) from None
+
+    @override
+    def _outgoing(self, query: zenoh.Query, reply: bytes) -> bytes | CallError:
+        other, (name, own) = self._others.get(str(query.key_expr)), self._type
+        try:
+            return reply if other is None else self._variants.converter(name, own, other, RESPONSE)(reply)
+        except ConversionError as err:
+            return CallError(str(err))
 
     @override
     def _is_call(self, query: zenoh.Query) -> bool:
@@ -151,16 +173,44 @@ class HubServer(CallServer):
 class _VariantClient(CallClient):
     """The calls of a client under another type hash, with the client's GID and numbers.
 
-    Midspan's servers also answer under `NO_HASH`, and distinguish calls by GID and number.
+    Midspan's servers also answer under other hashes, and distinguish calls by GID and number.
+
+    Args:
+        key: of the calls.
+        client: which of whose calls these are.
+        context: of the client's node.
+        changed: as of the client.
+        converters: of requests to the other version, and of replies from it.
     """
 
-    def __init__(self, key: str, client: HubClient, context: EndpointContext, changed: Callable[[], None]) -> None:
+    def __init__(
+        self, key: str, client: HubClient, context: EndpointContext, changed: Callable[[], None],
+        converters: tuple[Convert, Convert],
+    ) -> None:  # fmt: skip
         self._client = client
+        self._to_server, self._to_client = converters
         super().__init__(
             context.session, key, client.name, context.limit, context.executor, context.ends,
             zenoh.QueryTarget.ALL_COMPLETE, lambda _self: None, changed, context.reach,
         )  # fmt: skip
         self._withdraw, self._numbers = nothing, client._numbers
+
+    @override
+    def call(self, request: bytes, done: Done) -> Abandon:
+        try:
+            request = self._to_server(request)
+        except ConversionError as err:
+            done(UnsentCallError(str(err)))
+            return nothing
+        return super().call(request, partial(self._replied, done))
+
+    def _replied(self, done: Done, result: bytes | CallError) -> None:
+        if isinstance(result, bytes):
+            try:
+                result = self._to_client(result)
+            except ConversionError as err:
+                result = CallError(str(err))
+        done(result)
 
     @override
     def _attached(self, number: int) -> bytes:
@@ -215,8 +265,10 @@ class HubClient(CallClient):
     def follow_variants(self, variants: Variants) -> None:
         """Call under the other hashes that servers announce; the clients for these hashes end with this client."""
         for type_hash in variants.keys() - self._more.keys():
+            (name, own), convert = key_type(self._key), self._context.variants.converter
+            converters = convert(name, own, type_hash, REQUEST), convert(name, type_hash, own, RESPONSE)
             key = key_variant(self._key, type_hash)
-            self._more[type_hash] = _VariantClient(key, self, self._context, self._changed or nothing)
+            self._more[type_hash] = _VariantClient(key, self, self._context, self._changed or nothing, converters)
         if self._querier is None:
             self._end_variants()
 

@@ -11,12 +11,14 @@ from threading import Lock
 import zenoh
 
 from bridge.hub.endpoints.publisher import NO_LANE, EndpointContext
-from bridge.hub.endpoints.variants import Variants
+from bridge.hub.endpoints.variants import CONVERTED, Convert, ConvertedSample, Variants
 from bridge.hub.errors import HubWireError
 from bridge.hub.graph import HubGraph
 from bridge.hub.wire.buffers import BUFFER_TYPES, CPU_BACKEND, group_key
-from bridge.hub.wire.keys import GID_SIZE, key_variant, ros_type_name, unpack_attachment
+from bridge.hub.wire.keys import ANY_HASH, GID_SIZE, key_type, key_variant, unpack_attachment
 from bridge.hub.zenoh_compat import keep_thread_state, subscribe, undeclare
+from bridge.messages.errors import ConversionError
+from bridge.messages.unchanged import same
 from bridge.resources import LARGE_MESSAGES
 
 _log = logging.getLogger(__name__)
@@ -116,7 +118,7 @@ class PublisherStates(dict[bytes, PublisherState]):
         self._room = 2 * _SPARED
         self.held_bytes = 0
 
-    def of(self, message: HubSample, sample: zenoh.Sample) -> PublisherState:
+    def of(self, message: HubSample, sample: zenoh.Sample | ConvertedSample) -> PublisherState:
         """Return the state of a sample's publisher; set the session of both."""
         source = self.get(message.gid) or self.add(message.gid)
         if not source.zid:
@@ -195,12 +197,14 @@ class SampleReader:
 
     Attributes:
         limit: bytes of the largest message.
+        originals: whether it leaves out samples that their publisher converted to another version of the type.
         refused: number of samples without a valid attachment, or too large.
         closed: whether it reads no samples any longer.
     """
 
     def __init__(self, topic: str, own: Collection[bytes], limit: int, on_refused: Refused | None) -> None:
         self._topic, self._own, self.limit, self._on_refused = topic, own, limit, on_refused
+        self.originals = False
         self.refused = 0
         self.closed = False
         self._closing = Lock()
@@ -211,10 +215,10 @@ class SampleReader:
             before, self.closed = self.closed, True
         return not before
 
-    def read(self, sample: zenoh.Sample) -> HubSample | None:
+    def read(self, sample: zenoh.Sample | ConvertedSample) -> HubSample | None:
         """Return a sample, still without its session; None if it must not be delivered."""
         keep_thread_state()
-        if self.closed:
+        if self.closed or (self.originals and sample.encoding == CONVERTED):
             return None
         payload, attached = sample.payload, sample.attachment
         size = len(payload)
@@ -270,21 +274,24 @@ class HubSubscription:
         topic: str,
         callback: Callable[[HubSample], None],
         on_refused: Refused | None = None,
+        *,
+        exact: bool = False,
     ) -> None:
         self.topic = topic
         self._graph, self._on_close = context.graph, context.closed
         self._callback = callback
         self._reader = SampleReader(topic, context.own, context.limit, on_refused)
+        self._type_name, self._type_hash = key_type(key)
+        self._reader.originals = self._type_hash == ANY_HASH
         self._lock = Lock()
         self.sources = PublisherStates(context.graph)
         self._losses = Losses()
         self._undeclare = self._declare(context, key)
         self._key, self._context = key, context
         self._more: dict[str, Callable[[], None]] = {}  # by type hash
-        self._type_name = ros_type_name(key.split("/")[-2])
         self._withdraw: Callable[[], None] | None = None
         self._token, self._end_group = token, self._join_group() if self._type_name in BUFFER_TYPES else None
-        context.variants.add(self, token)
+        context.variants.add(self, token, exact=exact)
         self._announce()
 
     def _declare(self, context: EndpointContext, key: str) -> Callable[[], None]:
@@ -316,9 +323,23 @@ class HubSubscription:
         token = self._token if self._end_group is None else f"{self._token}/{CPU_BACKEND}"
         self._withdraw = self._context.graph.announce(token)
 
-    def _declare_more(self, key: str) -> Callable[[], None]:
+    def _declare_more(self, key: str, convert: Convert) -> Callable[[], None]:
         """Subscribe to a further key on zenoh; return a function that ends it."""
-        return partial(undeclare, subscribe(self._context.session, key, self._on_sample, self._context.reach))
+        receive = self._on_sample if convert is same else partial(self._on_other, convert, self._on_sample)
+        return partial(undeclare, subscribe(self._context.session, key, receive, self._context.reach))
+
+    def _on_other(self, convert: Convert, receive: Callable[[ConvertedSample], None], sample: zenoh.Sample) -> None:
+        """Convert a sample of another version of the type, and pass it on."""
+        size = len(sample.payload)
+        if size > self._reader.limit:
+            self._reader.refuse("large", f"message of {size} bytes, the limit is {self._reader.limit}")
+            return
+        try:
+            converted = ConvertedSample(sample, convert)
+        except ConversionError as err:
+            self._reader.refuse("bad", str(err))
+            return
+        receive(converted)
 
     def follow_variants(self, variants: Variants) -> None:
         """Subscribe under the other hashes that publishers announce, and in the CPU group if one has buffers."""
@@ -330,7 +351,8 @@ class HubSubscription:
                 self._withdraw()
                 self._end_group()
         for type_hash in variants.keys() - self._more.keys():
-            self._more[type_hash] = self._declare_more(key_variant(self._key, type_hash))
+            convert = self._context.variants.converter(self._type_name, type_hash, self._type_hash)
+            self._more[type_hash] = self._declare_more(key_variant(self._key, type_hash), convert)
         for type_hash in self._more.keys() - (() if self._reader.closed else variants.keys()):
             self._end_more(type_hash)
 
@@ -358,7 +380,7 @@ class HubSubscription:
         ``forget`` forgets the samples of the publisher that the callback has received; none arrives meanwhile.
         """
 
-    def _on_sample(self, sample: zenoh.Sample) -> None:
+    def _on_sample(self, sample: zenoh.Sample | ConvertedSample) -> None:
         message = self._reader.read(sample)
         if message is None:
             return

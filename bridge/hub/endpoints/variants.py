@@ -2,27 +2,39 @@
 
 A key ends with the hash of its type (`bridge.hub.wire.keys`), which differs between releases of ROS 2. An endpoint uses
 the key with its own hash, and the keys with the other hashes of its counterparts: subscriptions for a publisher,
-publishers for a subscription, servers for a client. At present `NO_HASH` (Humble) is the only other hash. A publisher
-or subscription uses a variant while the graph has such a counterpart. Subscriptions also have the key of the CPU group
-(`bridge.hub.wire.buffers`).
+publishers for a subscription, servers for a client. It converts the messages of the other keys (`TypeVersions`); those
+of `NO_HASH` (Humble) usually need no conversion. A publisher or subscription uses a variant while the graph has such a
+counterpart. Subscriptions also have the key of the CPU group (`bridge.hub.wire.buffers`).
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from threading import Lock
 from typing import Protocol
+
+import zenoh
+from typing_extensions import override
 
 from bridge.concurrency import SerialExecutor
 from bridge.hub.graph import HubGraph
 from bridge.hub.graph.hashes import KindOfEndpoint
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind, EndpointToken, parse_token
 from bridge.hub.wire.keys import NO_HASH
+from bridge.messages.unchanged import same
+
+Convert = Callable[[bytes], bytes]
+"""Converts a message to another version of its type; raises `bridge.messages.errors.ConversionError`."""
 
 Variants = Mapping[str, bool]
 """The other hashes that the counterparts of an endpoint announce, and whether any of these is latched."""
+
+CONVERTED = zenoh.Encoding("application/cdr;converted")
+"""Encoding of a sample that a publisher converted from its own version of the type; others have none."""
+
+REQUEST, RESPONSE = "Request", "Response"
 
 _log = logging.getLogger(__name__)
 _COUNTERPARTS = {
@@ -30,6 +42,35 @@ _COUNTERPARTS = {
     EndpointKind.SUBSCRIPTION: EndpointKind.PUBLISHER,
     EndpointKind.CLIENT: EndpointKind.SERVER,
 }
+
+
+class TypeVersions(Protocol):
+    """The versions of types, as in `bridge.messages.mapping.releases.ReleaseConversions`."""
+
+    def hashes(self, type_name: str) -> Collection[str]:
+        """Return the hashes of all known versions of a type."""
+
+    def here(self, type_name: str, type_hash: str) -> str:
+        """Return the hash that this machine uses for a type announced with a hash; the same if it is unknown."""
+
+    def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert | None:
+        """Return the converter between two versions of a type, or of a service's request or response; None: unknown."""
+
+
+class OneVersion(TypeVersions):
+    """The versions for a node without definitions: every peer without a hash has the node's version."""
+
+    @override
+    def hashes(self, type_name: str) -> Collection[str]:
+        return ()
+
+    @override
+    def here(self, type_name: str, type_hash: str) -> str:
+        return type_hash
+
+    @override
+    def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert | None:
+        return same if NO_HASH in (source, target) else None
 
 
 class VariedEndpoint(Protocol):
@@ -44,7 +85,9 @@ class _Followed:
     """An endpoint's counterpart, None if its key covers all hashes, and the lock that serializes its updates."""
 
     topic: str
+    type_hash: str
     counterpart: KindOfEndpoint | None
+    exact: bool
     updating: Lock = field(default_factory=Lock)
 
 
@@ -53,22 +96,29 @@ class KeyVariants:
 
     The updates run on the executor, since zenoh's thread, which reports the tokens, must not block. No lock is held
     for all endpoints meanwhile: an update may wait for a congested link, and new endpoints must not wait for it.
+
+    Attributes:
+        versions: the known versions of types, set before the endpoints exist.
     """
 
     def __init__(self, graph: HubGraph, executor: SerialExecutor) -> None:
+        self.versions: TypeVersions = OneVersion()
         self._graph, self._executor = graph, executor
         self._endpoints: dict[VariedEndpoint, _Followed] = {}
         self._lock = Lock()
         self._version = 0
         self.close: Callable[[], None] = graph.watch(self._graph_changed)
 
-    def add(self, endpoint: VariedEndpoint, token: str) -> None:
-        """Add an endpoint's key variants, before its token announces it; then follow the graph."""
+    def add(self, endpoint: VariedEndpoint, token: str, *, exact: bool = False) -> None:
+        """Add an endpoint's key variants, before its token announces it; then follow the graph.
+
+        An ``exact`` endpoint has only the variant of `NO_HASH`.
+        """
         about = parse_token(token)
         assert isinstance(about, EndpointToken)
         covered = about.type_hash in (NO_HASH, UNKNOWN_HASH)  # the latter's key covers all hashes
         counterpart = None if covered else (_COUNTERPARTS[about.kind], about.topic, about.type_name)
-        followed = _Followed(about.topic, counterpart)
+        followed = _Followed(about.topic, about.type_hash, counterpart, exact)
         with self._lock:
             self._endpoints[endpoint] = followed
         self._update(endpoint, followed)
@@ -77,6 +127,10 @@ class KeyVariants:
         """Stop updating an endpoint; does not wait for an update of it."""
         with self._lock:
             self._endpoints.pop(endpoint, None)
+
+    def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert:
+        """Return the converter between two versions that a variant is for."""
+        return self.versions.converter(type_name, source, target, part) or same
 
     def _graph_changed(self) -> None:
         version = self._graph.variants_version
@@ -95,6 +149,32 @@ class KeyVariants:
 
     def _update(self, endpoint: VariedEndpoint, followed: _Followed) -> None:
         with followed.updating:
-            hashless, counterpart = self._graph.hashless(), followed.counterpart
-            latched = None if counterpart is None else hashless.get(counterpart)
-            endpoint.follow_variants({} if latched is None else {NO_HASH: latched})
+            counterpart = followed.counterpart
+            if counterpart is None:
+                endpoint.follow_variants({})
+                return
+            type_name, own = counterpart[2], followed.type_hash
+            hashes = self._graph.other_hashes(counterpart)
+            endpoint.follow_variants({
+                other: latched
+                for other, latched in hashes.items()
+                if other != own
+                and (other == NO_HASH or not followed.exact)
+                and self.versions.converter(type_name, own, other, self._part(counterpart)) is not None
+            })  # fmt: skip
+
+    @staticmethod
+    def _part(counterpart: KindOfEndpoint) -> str:
+        return REQUEST if counterpart[0] is EndpointKind.SERVER else ""
+
+
+class ConvertedSample:
+    """A sample of another version of its type, with the converted payload; raises `ConversionError`."""
+
+    __slots__ = ("attachment", "encoding", "key_expr", "kind", "payload", "source_info")
+
+    def __init__(self, sample: zenoh.Sample, convert: Convert) -> None:
+        self.attachment, self.kind, self.source_info = sample.attachment, sample.kind, sample.source_info
+        self.key_expr, self.encoding, payload = sample.key_expr, sample.encoding, sample.payload
+        # an empty sample of a cache that was cleared stays empty
+        self.payload = zenoh.ZBytes(convert(payload.to_bytes())) if len(payload) else payload

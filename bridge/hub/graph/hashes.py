@@ -1,11 +1,13 @@
-"""Endpoints that announce no type hash, such as those of Humble, and the hashes that the graph assumes for them.
+"""The type hashes of one graph's endpoints: topics with several, and endpoints that announce none.
 
-Such an endpoint may use any version of its type, so the graph assumes the version that other endpoints of its kind
-announce. Otherwise the hash remains `NO_HASH`, and readers of the graph use the installed definition.
+An endpoint without a hash, such as those of Humble, may use any version of its type, so the graph assumes the version
+that other endpoints of its kind announce. Otherwise the hash remains `NO_HASH`, and readers of the graph use the
+installed definition.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Protocol
 
@@ -46,31 +48,45 @@ KindOfEndpoint = tuple[EndpointKind, str, str]
 """Kind, topic or service, and type of an endpoint."""
 
 
-class MissingHashes:
-    """The endpoints without a hash on one graph, whose lock guards it.
+class TypeHashes:
+    """The hashes on one graph, whose lock guards it.
 
     Attributes:
-        version: changes whenever such an endpoint of another session appears or leaves.
+        version: changes whenever an endpoint of another session without a hash appears or leaves, or any endpoint of a
+            topic and type with several hashes does.
     """
 
     def __init__(self) -> None:
         self.version = 0
+        self._counts: dict[tuple[str, str], Counter[str]] = {}
         self._keys: set[str] = set()
         self._changed: set[str] = set()
 
     def added(self, key: str, endpoint: HashedEndpoint) -> None:
         """Add an endpoint, by its token."""
-        if endpoint.type_hash == NO_HASH:
+        type_hash = endpoint.type_hash
+        if type_hash == NO_HASH:
             self._keys.add(key)
-            self.version += not endpoint.own
+        if type_hash != UNKNOWN_HASH:
+            counts = self._counts.setdefault((endpoint.topic, endpoint.type_name), Counter())
+            counts[type_hash] += 1
+            self.version += len(counts) > 1 or (type_hash == NO_HASH and not endpoint.own)
         if self._keys:
             self._changed.add(endpoint.topic)
 
     def removed(self, key: str, endpoint: HashedEndpoint, *, last: bool) -> None:
         """Remove an endpoint; ``last``: no endpoint is left on its topic."""
-        if key in self._keys:
-            self._keys.discard(key)
-            self.version += not endpoint.own
+        type_hash = self.announced(key, endpoint)
+        self._keys.discard(key)
+        name = endpoint.topic, endpoint.type_name
+        if type_hash != UNKNOWN_HASH:
+            counts = self._counts[name]
+            self.version += len(counts) > 1 or (type_hash == NO_HASH and not endpoint.own)
+            counts[type_hash] -= 1
+            if not counts[type_hash]:
+                del counts[type_hash]
+            if not counts:
+                del self._counts[name]
         if last:
             self._changed.discard(endpoint.topic)
         elif self._keys:
@@ -82,21 +98,25 @@ class MissingHashes:
         for name in changed:
             topic = topics.get(name, {})
             for key in self._keys & topic.keys():
-                type_hash = self._announced(topic, topic[key])
+                type_hash = self._assumed(topic, topic[key])
                 if type_hash != topic[key].type_hash:
                     yield name, key, type_hash
 
-    def _announced(self, topic: Mapping[str, HashedEndpoint], endpoint: HashedEndpoint) -> str:
+    def _assumed(self, topic: Mapping[str, HashedEndpoint], endpoint: HashedEndpoint) -> str:
         """Return the smallest hash that endpoints of the same kind and type announce, or `NO_HASH`."""
         like = (endpoint.kind, endpoint.type_name)
         others = (end for key, end in topic.items() if key not in self._keys and (end.kind, end.type_name) == like)
         return min((end.type_hash for end in others if end.type_hash != UNKNOWN_HASH), default=NO_HASH)
 
-    def foreign(self, endpoints: Mapping[str, HashedEndpoint]) -> dict[KindOfEndpoint, bool]:
-        """Return the kinds of endpoint that other sessions announce without a hash, and whether one is latched."""
-        kinds: dict[KindOfEndpoint, bool] = {}
-        for end in (endpoints[key] for key in self._keys):
-            if not end.own:
-                kind = end.kind, end.topic, end.type_name
-                kinds[kind] = kinds.get(kind, False) or end.qos.latched
-        return kinds
+    def announced(self, key: str, endpoint: HashedEndpoint) -> str:
+        """Return the hash in an endpoint's token, or `NO_HASH`."""
+        return NO_HASH if key in self._keys else endpoint.type_hash
+
+    def foreign(self, wanted: KindOfEndpoint, topic: Mapping[str, HashedEndpoint]) -> dict[str, bool]:
+        """Return the hashes that other sessions announce for a kind of endpoint, and whether one of each is latched."""
+        hashes: dict[str, bool] = {}
+        for key, end in topic.items():
+            type_hash = self.announced(key, end)
+            if not end.own and (end.kind, end.topic, end.type_name) == wanted and type_hash != UNKNOWN_HASH:
+                hashes[type_hash] = hashes.get(type_hash, False) or end.qos.latched
+        return hashes

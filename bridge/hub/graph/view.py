@@ -11,7 +11,7 @@ import zenoh
 
 from bridge.hub.errors import HubWireError
 from bridge.hub.graph.best_available import BestAvailable
-from bridge.hub.graph.hashes import KindOfEndpoint, MissingHashes
+from bridge.hub.graph.hashes import KindOfEndpoint, TypeHashes
 from bridge.hub.graph.tokens import (
     ADMIN_SPACE,
     BRIDGE_ENCLAVE,
@@ -109,7 +109,7 @@ class HubGraph:
         self._marked: set[str] = set()
         self._topics: dict[str, dict[str, HubEndpoint]] = {}
         self._best_available = BestAvailable()
-        self._missing_hashes = MissingHashes()
+        self._hashes = TypeHashes()
         self._buffered = 0
         self._unknown: set[str] = set()
         self._sessions: dict[str, dict[str, None]] = {}
@@ -190,19 +190,22 @@ class HubGraph:
 
     @property
     def variants_version(self) -> int:
-        """A number that changes with each change of `hashless`, and each new publisher with buffers."""
-        return self._missing_hashes.version + self._buffered
+        """A number that changes with each change of `other_hashes`, and each new publisher with buffers."""
+        return self._hashes.version + self._buffered
 
     def has_buffers(self, topic: str, type_name: str) -> bool:
         """Return whether another session's publisher of this topic and type announces backends of buffers."""
         publishers = self.publishers(topic) if self._buffered else ()
         return any(end.buffers and end.type_name == type_name and not end.own for end in publishers)
 
-    def hashless(self) -> dict[KindOfEndpoint, bool]:
-        """Return the endpoints that other sessions announce without a type hash, and whether any is latched."""
+    def other_hashes(self, wanted: KindOfEndpoint) -> dict[str, bool]:
+        """Return the type hashes, or `NO_HASH`, that other sessions announce for a kind of endpoint.
+
+        The value is whether an endpoint with this hash is latched.
+        """
         with self._lock:
             self._resolve()
-            return self._missing_hashes.foreign(self._endpoints)
+            return self._hashes.foreign(wanted, self._topics.get(wanted[1], {}))
 
     def origin_of(self, zid: str) -> Origin | None:
         """Return a session's origin. Fast enough to call for each sample."""
@@ -402,7 +405,7 @@ class HubGraph:
         self._warn_of_unknown(key, endpoint)
         self._best_available.added(key, token.topic, token.qos)
         self._place(key, endpoint)
-        self._missing_hashes.added(key, endpoint)
+        self._hashes.added(key, endpoint)
         return True
 
     def _place(self, key: str, endpoint: HubEndpoint) -> None:
@@ -414,7 +417,7 @@ class HubGraph:
     def _resolve(self) -> None:
         for name, key, qos in self._best_available.resolved(self._topics):
             self._endpoints[key] = self._topics[name][key] = replace(self._endpoints[key], qos=qos)
-        for name, key, type_hash in self._missing_hashes.resolved(self._topics):
+        for name, key, type_hash in self._hashes.resolved(self._topics):
             self._endpoints[key] = self._topics[name][key] = replace(self._endpoints[key], type_hash=type_hash)
 
     def _warn_of_unknown(self, key: str, endpoint: HubEndpoint) -> None:
@@ -437,7 +440,7 @@ class HubGraph:
             if not topic:
                 del self._topics[endpoint.topic]
             self._best_available.removed(key, endpoint.topic, last=not topic)
-            self._missing_hashes.removed(key, endpoint, last=not topic)
+            self._hashes.removed(key, endpoint, last=not topic)
         keys = self._sessions[known.zid]
         del keys[key]
         if not keys:

@@ -83,6 +83,12 @@ def key_variant(key: str, type_hash: str) -> str:
     return f"{key.rpartition('/')[0]}/{hash_chunk(type_hash)}"
 
 
+def key_type(key: str) -> tuple[str, str]:
+    """Return the type and the hash of the key of a topic or service; the hash may be `NO_HASH` or `ANY_HASH`."""
+    *_, dds_name, chunk = key.split("/")
+    return ros_type_name(dds_name), parse_hash_chunk(chunk)
+
+
 def subscription_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
     """The key of a subscription; the hash may be `ANY_HASH` or `NO_HASH`."""
     if type_hash != ANY_HASH:

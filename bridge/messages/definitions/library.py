@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from bridge.messages.definitions.hashes import md5_sum, rihs01
 from bridge.messages.definitions.names import is_ros1_name, is_ros2_name
@@ -25,6 +25,8 @@ class DefinitionLibrary:
         self.world = world
         self.derive: Callable[[str], Schema | None] = lambda _name: None
         """Derives a type that only the other world's definitions have; None if they do not have it."""
+        self.versions: Callable[[str], Mapping[str, tuple[str, Schema]]] = lambda _name: {}
+        """Returns the versions of a type in other releases, by fingerprint."""
         self._deriving: list[str] = []
         self._sources = sources
         self._learned: dict[str, dict[str, Schema]] = {}
@@ -73,7 +75,8 @@ class DefinitionLibrary:
             schema = self.installed(name)
             if schema is not None and self.fingerprint(schema) == fingerprint:
                 return schema
-            return self._empty(name, fingerprint)
+            version = self.versions(name).get(fingerprint)
+            return self._empty(name, fingerprint) if version is None else version[1]
         last = next(reversed(variants.values()), None)
         if newest and last is not None:
             return last

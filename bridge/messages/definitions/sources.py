@@ -246,12 +246,19 @@ def ros1_sources(folders: Sequence[Path], packages: Path | None) -> list[Definit
 
 def ros2_sources(folders: Sequence[Path], prefixes: Sequence[Path]) -> list[DefinitionSource]:
     """Return the places of ROS 2 definitions, the most specific first."""
-    bundled = Path(__file__).parents[2] / "interfaces" / "definitions"
     roots = [*prefixes, *_split(os.environ.get("AMENT_PREFIX_PATH")), Path(sys.prefix), Path("/opt/ros/jazzy")]
     shares = dict.fromkeys(root / "share" for root in roots)
     return [
         *(DefinitionFolder(folder, World.ROS2) for folder in folders),
         *(DefinitionFolder(share, World.ROS2) for share in shares if share.is_dir()),
+        *jazzy_sources(),
+    ]
+
+
+def jazzy_sources() -> list[DefinitionSource]:
+    """Return the definitions of Jazzy that Midspan and rosbags ship."""
+    bundled = Path(__file__).parents[2] / "interfaces" / "definitions"
+    return [
         DefinitionFolder(bundled, World.ROS2),
         DefinitionFolder(_OWN / "ros2", World.ROS2),
         RosbagsTypes(World.ROS2),

@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from bridge.hub.endpoints.services import HubClient
 from bridge.hub.graph import HubEndpoint
-from bridge.routing.decision import OWN_NETWORK, RouteDecision, RouteKey, hub_groups
+from bridge.routing.decision import OWN_NETWORK, RouteDecision, RouteKey, hub_groups, hub_key
 from bridge.routing.edge import Endpoint, Kind, MadeBy
 from bridge.routing.election import Outcome
 from bridge.routing.gates import ExitGate, may_carry, may_leave
@@ -48,8 +48,8 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
 
     def close_departed(self) -> None:
         """Close the routes of servers that have left, before an action's topics: its last messages still go out."""
-        present = {(e.topic, e.type_name, e.type_hash) for e in self._context.hub.graph.servers()}
-        for key in [k for k in self._routes if (k.topic, k.type_name, k.type_id) not in present]:
+        present = {hub_key(e, self._context.hub.versions) for e in self._context.hub.graph.servers()}
+        for key in [k for k in self._routes if k not in present]:
             self._routes.pop(key).close()
 
     def follow(
@@ -59,7 +59,7 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
 
         A name that has a server in ``endpoints``, the side's graph, gets no other server there.
         """
-        groups = hub_groups(self._context.hub.graph.servers())
+        groups = hub_groups(self._context.hub.graph.servers(), self._context.hub.versions)
         natives = {e.topic: e for e in endpoints if e.kind is Kind.SERVER and e.made_by is not MadeBy.MIDSPAN}
         barred = {e.topic: e.obstacle for e in endpoints if e.kind is Kind.CLIENT and e.obstacle is not None}
         taken = {route.side_topic: key for key, route in self._routes.items()}

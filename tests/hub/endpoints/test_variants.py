@@ -39,8 +39,9 @@ class Graph:
         self._changed = changed
         return lambda: None
 
-    def hashless(self) -> dict[KindOfEndpoint, bool]:
-        return {(EndpointKind.SUBSCRIPTION, "/t", TYPE): False} if self.variants_version else {}
+    def other_hashes(self, wanted: KindOfEndpoint) -> dict[str, bool]:
+        assert wanted == (EndpointKind.SUBSCRIPTION, "/t", TYPE)
+        return {NO_HASH: False} if self.variants_version else {}
 
     def change(self) -> None:
         self.variants_version += 1

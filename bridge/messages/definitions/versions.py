@@ -1,0 +1,83 @@
+"""The versions of ROS 2 types: those of the releases, and those of the configuration's folders.
+
+A release is a chain of folders: its own, with the definitions that differ from the release before, then those of the
+releases before. Whatever a chain lacks comes from the usual sources. Humble's endpoints announce no hash, so its
+versions have no entry by hash.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from bridge.messages.definitions.library import DefinitionLibrary
+from bridge.messages.definitions.names import split_part
+from bridge.messages.definitions.schema import Schema, World
+from bridge.messages.definitions.sources import DefinitionFolder, DefinitionSource, jazzy_sources
+from bridge.messages.errors import MessageTypeError
+
+RELEASES_FOLDER = Path(__file__).parent / "releases"
+
+_CHAINS = {"jazzy": (), "kilted": ("kilted",), "lyrical": ("lyrical", "kilted")}
+"""The folders of each release, the newest first; before all of them is Jazzy."""
+
+_HASHLESS = "humble"
+
+
+class TypeVersions:
+    """All known versions of ROS 2 types. Not thread-safe: the registry locks.
+
+    Args:
+        installed: the types that this machine uses.
+        folders: the configuration's folders, each of which may have its own version of a package.
+        sources: where the installed types are found.
+    """
+
+    def __init__(
+        self, installed: DefinitionLibrary, folders: Sequence[Path], sources: Sequence[DefinitionSource]
+    ) -> None:
+        self._installed = installed
+        rest = [*jazzy_sources(), *sources]
+        chains = {
+            name: [*(DefinitionFolder(RELEASES_FOLDER / folder, World.ROS2) for folder in chain), *rest]
+            for name, chain in _CHAINS.items()
+        }
+        chains |= {str(folder): [DefinitionFolder(folder, World.ROS2), *sources] for folder in folders}
+        self._libraries = {name: DefinitionLibrary(World.ROS2, chain) for name, chain in chains.items()}
+        hashless = [DefinitionFolder(RELEASES_FOLDER / _HASHLESS, World.ROS2), *rest]
+        self._hashless = DefinitionLibrary(World.ROS2, hashless)
+        self._stored = {f"{path.parts[-3]}/{path.parts[-2]}/{path.stem}" for path in RELEASES_FOLDER.glob("*/*/*/*.*")}
+        self._folders = bool(folders)
+        self._versions: dict[str, Mapping[str, tuple[str, Schema]]] = {}
+
+    def of(self, name: str) -> Mapping[str, tuple[str, Schema]]:
+        """Return the versions of a type by hash, each with the first release or folder that has it."""
+        if name not in self._versions:
+            versions: dict[str, tuple[str, Schema]] = {}
+            if self._varies(name):
+                for label, library in self._libraries.items():
+                    schema = _find(library, name)
+                    if schema is not None:
+                        versions.setdefault(library.fingerprint(schema), (label, schema))
+            self._versions[name] = versions
+        return self._versions[name]
+
+    def hashless(self, name: str) -> Schema | None:
+        """Return Humble's version of a type; None if it is the same as Jazzy's."""
+        humble = _find(self._hashless, name) if self._varies(name) else None
+        jazzy = None if humble is None else _find(self._libraries["jazzy"], name)
+        same = humble is None or (jazzy is not None and humble.types == jazzy.types)
+        return None if same else humble
+
+    def _varies(self, name: str) -> bool:
+        """Whether a type or one that it nests may have several versions."""
+        schema = _find(self._installed, name)
+        names = (name,) if schema is None else schema.types
+        return self._folders or any(split_part(nested)[0] in self._stored for nested in names)
+
+
+def _find(library: DefinitionLibrary, name: str) -> Schema | None:
+    try:
+        return library.installed(name)
+    except MessageTypeError:  # it nests a type that is missing here
+        return None

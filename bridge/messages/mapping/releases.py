@@ -1,0 +1,237 @@
+"""Conversions between two versions of one ROS 2 type, such as those of Jazzy and Lyrical.
+
+Fields correspond by name and type, or by a rule of ``fields.yaml``. An added field gets its default, a removed one is
+left out. Two versions convert even if they have no field in common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from threading import RLock
+from typing import Any
+
+import yaml
+
+from bridge.messages.definitions.library import DefinitionLibrary
+from bridge.messages.definitions.schema import DefaultValue, Definition, Field, FieldType, Schema, Shape
+from bridge.messages.definitions.versions import RELEASES_FOLDER, TypeVersions
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.mapping.fields import FieldPath, Fields, field_at
+from bridge.messages.transcode.compiler import compile_pair
+from bridge.messages.transcode.conversion import Convert, make_vm
+from bridge.messages.unchanged import same
+
+NO_HASH = ""
+"""In place of a hash: the version of Humble, whose endpoints announce none."""
+
+
+@dataclass(frozen=True, slots=True)
+class VersionRule:
+    """The fields that correspond although their names or types differ, and values of added fields."""
+
+    fields: Mapping[str, str] = field(default_factory=dict)
+    defaults: Mapping[str, DefaultValue] = field(default_factory=dict)
+
+
+@cache
+def version_rules() -> Mapping[tuple[str, str], VersionRule]:
+    """Return the rules by the names of the older and the newer message."""
+    entries: list[dict[str, Any]] = yaml.safe_load((RELEASES_FOLDER / "fields.yaml").read_text(encoding="utf-8"))
+    rules: dict[tuple[str, str], VersionRule] = {}
+    for entry in entries:
+        older, newer = entry.get("messages") or (entry["message"],) * 2
+        rules[older, newer] = VersionRule(entry.get("fields", {}), entry.get("defaults", {}))
+    return rules
+
+
+@dataclass(frozen=True, slots=True)
+class VersionMatch:
+    """The corresponding fields of two versions.
+
+    Attributes:
+        fields: by the names of a message and its counterpart.
+        target: the target's schema with the defaults of the rules.
+        lost: the source's fields without a counterpart, as ``package/kind/Name.field``.
+    """
+
+    fields: Mapping[tuple[str, str], Fields]
+    target: Schema
+    lost: tuple[str, ...]
+
+
+def match_versions(source: Schema, target: Schema) -> VersionMatch:
+    """Match the fields of two versions of a type and of the messages that they nest."""
+    rules, types = version_rules(), dict(target.types)
+    table: dict[tuple[str, str], Fields] = {}
+    lost: list[str] = []
+    waiting = [(source.name, target.name)]
+    while waiting:
+        names = waiting.pop()
+        if names in table:
+            continue
+        one, two = source.sub(names[0]), target.sub(names[1])
+        fields = _fields(one, two)
+        table[names] = fields
+        lost += _unmapped(one, one.root, {path for path, _ in fields}, ())
+        rule = rules.get(names)
+        if rule is not None and rule.defaults:
+            types[two.name] = _with_defaults(types[two.name], rule.defaults)
+        for path1, path2 in fields:
+            kind1, kind2 = field_at(one, path1), field_at(two, path2)
+            if kind1 is not None and kind2 is not None and kind1.nested:
+                waiting.append((kind1.base, kind2.base))
+    return VersionMatch(table, Schema(types[target.name], types), tuple(lost))
+
+
+def _fields(one: Schema, two: Schema) -> Fields:
+    """Return the corresponding fields of two messages; rules first, as they are more specific."""
+    pairs: list[tuple[FieldPath, FieldPath]] = []
+    rules = version_rules()
+    forth, back = rules.get((one.name, two.name)), rules.get((two.name, one.name))
+    listed = [] if forth is None else list(forth.fields.items())
+    listed += [] if back is None else [(newer, older) for older, newer in back.fields.items()]
+    for name1, name2 in listed:
+        _add(pairs, one, two, tuple(name1.split(".")), tuple(name2.split(".")))
+    for other in one.root.fields:
+        _add(pairs, one, two, (other.name,), (other.name,))
+    return tuple(pairs)
+
+
+def _unmapped(schema: Schema, definition: Definition, mapped: Collection[FieldPath], at: FieldPath) -> Iterator[str]:
+    """Yield the fields of a message that have a value and no counterpart."""
+    for other in definition.fields:
+        path, nested = (*at, other.name), schema.of(other.type)
+        if path in mapped or (nested is not None and not nested.fields):
+            continue
+        if nested is not None and any(deeper[: len(path)] == path for deeper in mapped):
+            yield from _unmapped(schema, nested, mapped, path)
+        else:
+            yield ".".join((schema.name, *path))
+
+
+def _add(
+    pairs: list[tuple[FieldPath, FieldPath]], one: Schema, two: Schema, path1: FieldPath, path2: FieldPath
+) -> None:
+    """Add a pair of fields, if both exist with fitting types and neither has a counterpart yet."""
+    kind1, kind2 = field_at(one, path1), field_at(two, path2)
+    if kind1 is None or kind2 is None or not _fits(kind1, kind2):
+        return
+    if not any(_overlap(path1, other1) or _overlap(path2, other2) for other1, other2 in pairs):
+        pairs.append((path1, path2))
+
+
+def _overlap(one: FieldPath, two: FieldPath) -> bool:
+    length = min(len(one), len(two))
+    return one[:length] == two[:length]
+
+
+def _fits(one: FieldType, two: FieldType) -> bool:
+    """Whether the values of one field can be those of the other."""
+    if one.shape is not two.shape or (one.shape is Shape.ARRAY and one.length != two.length):
+        return False
+    rules = version_rules()
+    return one.base == two.base or (one.base, two.base) in rules or (two.base, one.base) in rules
+
+
+def _with_defaults(definition: Definition, defaults: Mapping[str, DefaultValue]) -> Definition:
+    fields = (replace(other, default=defaults.get(other.name, other.default)) for other in definition.fields)
+    return replace(definition, fields=tuple(fields))
+
+
+def version_converter(source: Schema, target: Schema) -> Convert:
+    """Return the converter of one version's CDR to the other's; `same` if the bytes do not differ."""
+    match = match_versions(source, target)
+    if _same_layout(source, target, match):
+        return same
+    return make_vm(compile_pair(source, match.target, lambda one, two: match.fields[one, two])).convert
+
+
+def _same_layout(source: Schema, target: Schema, match: VersionMatch) -> bool:
+    """Whether all fields correspond in the same order, with the same bounds."""
+    for (name1, name2), fields in match.fields.items():
+        one, two = source.types[name1].fields, target.types[name2].fields
+        if not len(fields) == len(one) == len(two):
+            return False
+        for (path1, path2), field1, field2 in zip(fields, one, two, strict=True):
+            if path1 != (field1.name,) or path2 != (field2.name,) or _bounds(field1) != _bounds(field2):
+                return False
+    return True
+
+
+def _bounds(one: Field) -> tuple[int, int]:
+    return one.type.length, one.type.string_bound
+
+
+class ReleaseConversions:
+    """The conversions between all versions of ROS 2 types. Safe to use from any thread."""
+
+    def __init__(self, ros2: DefinitionLibrary, versions: TypeVersions, lock: RLock) -> None:
+        self._ros2, self._versions, self._lock = ros2, versions, lock
+        self._converters: dict[tuple[str, str, str, str], Convert | None] = {}
+
+    def hashes(self, type_name: str) -> Collection[str]:
+        """Return the hashes of all known versions of a type, the installed one among them; of a service too."""
+        with self._lock:
+            try:
+                return dict.fromkeys([*self._versions.of(type_name), *self._installed_hash(type_name)])
+            except MessageTypeError:
+                return ()
+
+    def here(self, type_name: str, type_hash: str) -> str:
+        """Return the hash that this machine uses for a type announced with a hash; the same if it is unknown."""
+        with self._lock:
+            installed = self._installed_hash(type_name)
+            if not installed or self.converter(type_name, type_hash, installed[0]) is None:
+                return type_hash
+            hashless = type_hash == NO_HASH and self._versions.hashless(type_name) is None
+            return type_hash if hashless else installed[0]
+
+    def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert | None:
+        """Return the converter from the version with one hash to that with another; None if either is unknown.
+
+        ``part`` is ``Request`` or ``Response`` of a service. The converter raises `ConversionError`.
+        """
+        key = type_name, source, target, part
+        with self._lock:
+            if key not in self._converters:
+                self._converters[key] = self._make(*key)
+            return self._converters[key]
+
+    def lost(self, type_name: str, source: str, target: str) -> tuple[str, ...]:
+        """Return the fields that are left out between two versions; () if either is unknown."""
+        with self._lock:
+            one, two = self._schema(type_name, source), self._schema(type_name, target)
+            return () if one is None or two is None else match_versions(one, two).lost
+
+    def release(self, type_name: str, type_hash: str) -> str:
+        """Return the first release or folder that has a version, "" if none has it."""
+        with self._lock:
+            known = self._versions.of(type_name).get(type_hash)
+            return "" if known is None else known[0]
+
+    def _make(self, type_name: str, source: str, target: str, part: str) -> Convert | None:
+        try:
+            if NO_HASH in (source, target) and self._versions.hashless(type_name) is None:
+                return same
+            one, two = self._schema(type_name, source), self._schema(type_name, target)
+            if one is None or two is None:
+                return None
+            if part:
+                one, two = one.sub(f"{type_name}_{part}"), two.sub(f"{type_name}_{part}")
+            return version_converter(one, two)
+        except (MessageTypeError, KeyError):
+            return None
+
+    def _schema(self, type_name: str, type_hash: str) -> Schema | None:
+        if type_hash == NO_HASH:
+            return self._versions.hashless(type_name)
+        known = self._versions.of(type_name).get(type_hash)
+        if known is not None:
+            return known[1]
+        return self._ros2.installed(type_name) if type_hash in self._installed_hash(type_name) else None
+
+    def _installed_hash(self, type_name: str) -> list[str]:
+        schema = self._ros2.installed(type_name)
+        return [] if schema is None else [self._ros2.fingerprint(schema)]
