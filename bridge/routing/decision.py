@@ -30,7 +30,10 @@ class RouteKey(NamedTuple):
 
 @dataclass(slots=True)
 class RouteDecision:
-    """The decision on one topic or service (``of``); ``refused``: rules allow it, but it cannot cross."""
+    """The decision on one topic or service (``of``).
+
+    ``refused``: rules allow it, but it cannot cross. ``note``: what its messages lose.
+    """
 
     direction: str
     topic: str
@@ -44,6 +47,7 @@ class RouteDecision:
     cure: str = ""
     of: str = "topic"
     barred: bool = False
+    note: str = ""
 
     @classmethod
     def not_native(cls, endpoint: Endpoint) -> Self:
@@ -111,6 +115,7 @@ class RouteDecision:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the decision as shown by ``explain`` and ``status``."""
+        why = "; ".join(filter(None, (self.reason or self.policy.why, self.note)))
         cure = self.policy.cure if self.kind in ("private", "denied") else self.cure
         return {
             "kind": self.of,
@@ -120,8 +125,8 @@ class RouteDecision:
             "hub_topic": self.hub_topic,
             "type": self.type,
             "decision": self.kind,
-            "why": self.reason or self.policy.why,
-            "reason": self.reason or self.policy.why,
+            "why": why,
+            "reason": why,
             "cure": cure,
         }
 

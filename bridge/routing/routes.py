@@ -12,6 +12,7 @@ from bridge.routing.services.hub_to_side import HubToSideServices
 from bridge.routing.services.side_to_hub import SideToHubServices
 from bridge.routing.side_to_hub import SideToHubTopics
 from bridge.routing.velocities import subscribed_velocities
+from bridge.routing.versions import note_losses
 
 
 class EngineRoutes:
@@ -26,7 +27,7 @@ class EngineRoutes:
     def __init__(self, context: EngineContext, daemon: str, rules: RuleSet) -> None:
         self.rules = rules
         self.velocities = frozenset[tuple[str, str]]()
-        self._edge, self._graph, self._daemon = context.edge, context.hub.graph, daemon
+        self._edge, self._hub, self._graph, self._daemon = context.edge, context.hub, context.hub.graph, daemon
         self.topics_to_hub, self._topics_to_side = SideToHubTopics(context), HubToSideTopics(context)
         self._services_to_hub, self._services_to_side = SideToHubServices(context), HubToSideServices(context)
         self._sets = (self._services_to_hub, self._services_to_side, self.topics_to_hub, self._topics_to_side)
@@ -53,6 +54,7 @@ class EngineRoutes:
         if self._edge.services:
             self._services_to_side.follow(leaving, endpoints, decisions, outcome)
         self.velocities = subscribed_velocities(self._edge, endpoints, leaving, rules) if joined else frozenset()
+        note_losses(self._hub, decisions)
         return decisions
 
     def stand_by(self, why: str) -> list[RouteDecision]:

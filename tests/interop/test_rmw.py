@@ -7,12 +7,16 @@ from typing import Any
 import pytest
 
 from bridge.hub.wire.qos import Qos
+from bridge.messages.actions import names
 from bridge.messages.json import to_json
 from tests.peers.daemon.deployment import Deployment
 from tests.peers.hub.actions import HubActions
+from tests.peers.zenoh.release_actions import ReleaseActionServer
+from tests.peers.zenoh.releases import LYRICAL, ReleaseNode
 from tests.support.wait import until
 
 STRING, TWIST = "std_msgs/String", "geometry_msgs/Twist"
+NAVIGATE = "nav2_msgs/action/NavigateToPose"
 COUNT = 20
 
 
@@ -96,6 +100,35 @@ def test_the_feedback_of_an_action_arrives_completely(shared: Deployment) -> Non
     until(lambda: len(received) >= COUNT, "all feedback arrives")
     assert received == list(range(COUNT))
     server.ask("release", id=acting)
+
+
+def test_nav2_of_lyrical_is_driven_from_ros1_and_ros2(shared: Deployment) -> None:
+    """Its version of NavigateToPose has two more fields of feedback."""
+    settings, parts = shared.settings("bt_navigator"), names("/lyrical")
+    assert settings.router is not None
+    node = ReleaseNode(settings.router, settings.domain, "bt_navigator", LYRICAL)
+    result = {"error_code": 9003, "error_msg": "late"}
+    server = ReleaseActionServer(node, "/lyrical", NAVIGATE, {"distance_remaining": 2.5}, result)
+    for side in ("ros1", "ros2"):
+        for part in (parts.send_goal, parts.get_result):
+            shared.until_route(side, part, "out", state="active")
+    pose = {"header": {"frame_id": "map"}, "pose": {"position": {"x": 5.0}, "orientation": {"w": 1.0}}}
+    clients: list[tuple[Any, str, dict[str, Any]]] = [
+        (shared.ros1(), "move_base_msgs/MoveBase", {"target_pose": pose}),
+        (shared.ros2(), "nav2_msgs/NavigateToPose", {"pose": pose}),
+    ]
+    for number, (client, kind, request) in enumerate(clients, 1):
+        goal = client.ask("send_goal", action="/lyrical", type=kind, goal=request, seconds=30.0)["id"]
+        state = client.ask("goal", id=goal, until={"ends": 1}, seconds=30)
+        assert (state["accepted"], state["ends"]) == (True, 1), state
+        assert len(server.goals) == number
+        assert server.goals[-1]["goal"]["pose"]["pose"]["position"]["x"] == 5.0
+    assert (state["status"], state["result"]["error_code"], state["result"]["error_msg"]) == (4, 9003, "late")
+    explained = shared.command("explain", "/lyrical").stdout
+    assert explained.count("NavigateToPose_Feedback.position_tracking_error") == 2  # one for each side
+    assert "bt_navigator has lyrical's version" in explained
+    server.close()
+    node.close()
 
 
 def test_the_messages_of_midspan_topic_pub_arrive_completely(shared: Deployment) -> None:

@@ -56,6 +56,12 @@ class TypeVersions(Protocol):
     def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert | None:
         """Return the converter between two versions of a type, or of a service's request or response; None: unknown."""
 
+    def lost(self, type_name: str, source: str, target: str, part: str = "") -> Collection[str]:
+        """Return the fields that are left out between two versions."""
+
+    def release(self, type_name: str, type_hash: str) -> str:
+        """Return the first release or folder that has a version, "" if none has it."""
+
 
 class OneVersion(TypeVersions):
     """The versions for a node without definitions: every peer without a hash has the node's version."""
@@ -71,6 +77,14 @@ class OneVersion(TypeVersions):
     @override
     def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert | None:
         return same if NO_HASH in (source, target) else None
+
+    @override
+    def lost(self, type_name: str, source: str, target: str, part: str = "") -> Collection[str]:
+        return ()
+
+    @override
+    def release(self, type_name: str, type_hash: str) -> str:
+        return ""
 
 
 class VariedEndpoint(Protocol):

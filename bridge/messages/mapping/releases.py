@@ -26,6 +26,11 @@ from bridge.messages.unchanged import same
 NO_HASH = ""
 """In place of a hash: the version of Humble, whose endpoints announce none."""
 
+_Key = tuple[str, str, str, str]
+"""Type, hashes of source and target, and part of a service."""
+
+_MAX_CACHED = 10_000
+
 
 @dataclass(frozen=True, slots=True)
 class VersionRule:
@@ -169,10 +174,12 @@ class ReleaseConversions:
 
     def __init__(self, ros2: DefinitionLibrary, versions: TypeVersions, lock: RLock) -> None:
         self._ros2, self._versions, self._lock = ros2, versions, lock
-        self._converters: dict[tuple[str, str, str, str], Convert | None] = {}
+        self._converters: dict[_Key, Convert | None] = {}
+        self._lost: dict[_Key, tuple[str, ...]] = {}
+        self._here: dict[tuple[str, str], str] = {}
 
     def hashes(self, type_name: str) -> Collection[str]:
-        """Return the hashes of all known versions of a type, the installed one among them; of a service too."""
+        """Return the hashes of all known versions of a type or service, the installed one among them."""
         with self._lock:
             try:
                 return dict.fromkeys([*self._versions.of(type_name), *self._installed_hash(type_name)])
@@ -181,12 +188,12 @@ class ReleaseConversions:
 
     def here(self, type_name: str, type_hash: str) -> str:
         """Return the hash that this machine uses for a type announced with a hash; the same if it is unknown."""
-        with self._lock:
-            installed = self._installed_hash(type_name)
-            if not installed or self.converter(type_name, type_hash, installed[0]) is None:
-                return type_hash
-            hashless = type_hash == NO_HASH and self._versions.hashless(type_name) is None
-            return type_hash if hashless else installed[0]
+        known = self._here.get((type_name, type_hash))
+        if known is None:
+            with self._lock:
+                known = self._find_here(type_name, type_hash)
+                _store(self._here, (type_name, type_hash), known)
+        return known
 
     def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert | None:
         """Return the converter from the version with one hash to that with another; None if either is unknown.
@@ -196,33 +203,53 @@ class ReleaseConversions:
         key = type_name, source, target, part
         with self._lock:
             if key not in self._converters:
-                self._converters[key] = self._make(*key)
+                _store(self._converters, key, self._make(key))
             return self._converters[key]
 
-    def lost(self, type_name: str, source: str, target: str) -> tuple[str, ...]:
+    def lost(self, type_name: str, source: str, target: str, part: str = "") -> tuple[str, ...]:
         """Return the fields that are left out between two versions; () if either is unknown."""
+        key = type_name, source, target, part
         with self._lock:
-            one, two = self._schema(type_name, source), self._schema(type_name, target)
-            return () if one is None or two is None else match_versions(one, two).lost
+            if key not in self._lost:
+                pair = self._pair(key)
+                _store(self._lost, key, () if pair is None else match_versions(*pair).lost)
+            return self._lost[key]
 
     def release(self, type_name: str, type_hash: str) -> str:
         """Return the first release or folder that has a version, "" if none has it."""
         with self._lock:
+            if type_hash == NO_HASH:
+                return "humble"
             known = self._versions.of(type_name).get(type_hash)
             return "" if known is None else known[0]
 
-    def _make(self, type_name: str, source: str, target: str, part: str) -> Convert | None:
+    def _find_here(self, type_name: str, type_hash: str) -> str:
         try:
-            if NO_HASH in (source, target) and self._versions.hashless(type_name) is None:
+            installed = self._installed_hash(type_name)
+        except MessageTypeError:
+            return type_hash
+        if not installed or self.converter(type_name, type_hash, installed[0]) is None:
+            return type_hash
+        hashless = type_hash == NO_HASH and self._versions.hashless(type_name) is None
+        return type_hash if hashless else installed[0]
+
+    def _make(self, key: _Key) -> Convert | None:
+        try:
+            if NO_HASH in key[1:3] and self._versions.hashless(key[0]) is None:
                 return same
-            one, two = self._schema(type_name, source), self._schema(type_name, target)
-            if one is None or two is None:
-                return None
-            if part:
-                one, two = one.sub(f"{type_name}_{part}"), two.sub(f"{type_name}_{part}")
-            return version_converter(one, two)
-        except (MessageTypeError, KeyError):
+            pair = self._pair(key)
+            return None if pair is None else version_converter(*pair)
+        except MessageTypeError:
             return None
+
+    def _pair(self, key: _Key) -> tuple[Schema, Schema] | None:
+        """Return the two versions of a type, or of a service's request or response; None if either is unknown."""
+        type_name, source, target, part = key
+        one, two = self._schema(type_name, source), self._schema(type_name, target)
+        if one is None or two is None:
+            return None
+        name = f"{type_name}_{part}" if part else type_name
+        return (one.sub(name), two.sub(name)) if name in one.types and name in two.types else None
 
     def _schema(self, type_name: str, type_hash: str) -> Schema | None:
         if type_hash == NO_HASH:
@@ -235,3 +262,9 @@ class ReleaseConversions:
     def _installed_hash(self, type_name: str) -> list[str]:
         schema = self._ros2.installed(type_name)
         return [] if schema is None else [self._ros2.fingerprint(schema)]
+
+
+def _store(cache: dict[Any, Any], key: object, value: object) -> None:
+    if len(cache) >= _MAX_CACHED:
+        cache.clear()
+    cache[key] = value

@@ -12,9 +12,12 @@ from bridge.hub.wire.qos import Qos
 from bridge.stores.kinds import MAP
 from navigation.gateway import services
 from navigation.maps.grid import to_grid
+from navigation.messages import NAVIGATE
 from navigation.status import State
 from tests.peers.hub.node import HubNode
 from tests.peers.navigation.gateway import LATCHED, ClientGoal, Rig, pose
+from tests.peers.zenoh.release_actions import ReleaseActionServer
+from tests.peers.zenoh.releases import LYRICAL, ReleaseNode
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import (
@@ -33,7 +36,8 @@ TF = "tf2_msgs/msg/TFMessage"
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    with Rig(tmp_path_factory.mktemp("gateway")) as rig:
+    lyrical = {"name": "lyrical", "side": "zenoh", "action": "/planner/lyrical/navigate_to_pose"}
+    with Rig(tmp_path_factory.mktemp("gateway"), planners=[lyrical]) as rig:
         store = rig.worker.store
         store.put(MAP, "house", MapGrid2D.of([[0] * 4] * 3, name="house"))
         store.use_map("house")
@@ -89,6 +93,24 @@ def test_a_goto_its_status_and_its_target(rig: Rig, yarp: INavigation2DMsgs) -> 
         while status != "navigation_status_goal_reached":
             status = reader.read().values[0]  # type: ignore[union-attr]
     assert not yarp.get_absolute_location_of_current_target_RPC()[0]
+
+
+def test_nav2_of_lyrical_drives_for_a_yarp_client(rig: Rig, yarp: INavigation2DMsgs) -> None:
+    """Its version of NavigateToPose has more fields."""
+    node = ReleaseNode(rig.hubs.endpoint, rig.hubs.domain, "bt_navigator", LYRICAL)
+    nav2 = ReleaseActionServer(node, "/planner/lyrical/navigate_to_pose", NAVIGATE, {"distance_remaining": 1.0}, {})
+    assert rig.ask("choose_planner", name="lyrical")["success"]
+    try:
+        until(lambda: rig.gateway.planner == "lyrical" and rig.gateway.link.reachable, "Nav2 is reachable", 20)
+        assert yarp.goto_target_by_absolute_location_RPC(Map2DLocation("house", 3.0, 1.0, 90.0))
+        rig.state(State.REACHED)
+        assert nav2.goals[-1]["goal"]["pose"]["pose"]["position"]["x"] == 3.0
+        assert yarp.get_navigation_status_RPC()[1] is NavigationStatusEnum.navigation_status_goal_reached
+    finally:
+        rig.ask("choose_planner", name="robot_goto")
+        nav2.close()
+        node.close()
+    until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.reachable, "it is reachable", 20)
 
 
 def test_a_relative_target_is_in_the_robots_frame(rig: Rig, yarp: INavigation2DMsgs) -> None:
