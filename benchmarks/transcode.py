@@ -1,6 +1,7 @@
 """ROS 1 to CDR and back: Midspan's converters compared with rosbags', in one process, in turns.
 
-Bulk messages are also compared with a bare copy of their bytes. Each figure is the median over the rounds of one
+Bulk messages are also compared with a bare copy of their bytes, and conversions between two releases of ROS 2 with a
+copy of the same message by the same machine, which checks it too. Each figure is the median over the rounds of one
 conversion's time.
 """
 
@@ -23,6 +24,9 @@ from benchmarks.rows import Row, add_json_option, report
 from bridge.adapters.memory import keep_memory
 from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
+from bridge.messages.transcode.compiler import compile_check
+from bridge.messages.transcode.conversion import make_vm
+from bridge.messages.values import MessageWriter
 
 BULK = 500_000
 """Size in bytes from which messages are compared with a bare copy."""
@@ -105,6 +109,21 @@ CASES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
 }
 
 
+POSES = [{"header": {"frame_id": "map"}, "pose": {"position": {"x": k / 8}}} for k in range(100)]
+RELEASES: dict[str, tuple[str, dict[str, Any]]] = {
+    "NavigateToPose feedback": (
+        "nav2_msgs/action/NavigateToPose_FeedbackMessage",
+        {"feedback": {"current_pose": POSES[1], "distance_remaining": 2.5}},
+    ),
+    "NavigateThroughPoses, 100 poses": ("nav2_msgs/action/NavigateThroughPoses_SendGoal", {"goal": {"poses": POSES}}),
+    "FollowPath, 100 poses": (
+        "nav2_msgs/action/FollowPath_SendGoal",
+        {"goal": {"path": {"poses": POSES}, "controller_id": "FollowPath"}},
+    ),
+}
+"""Messages of Jazzy that another release has with other fields; of services, the request."""
+
+
 def compare(ours: Callable[[], object], peer: Callable[[], object], rounds: int) -> tuple[float, float]:
     """Return the median times of one call of each, in microseconds; they run in turns, and alternate in being first."""
     calls = [max(1, int(SECONDS_A_ROUND / max(_time(call, 3), 1e-7))) for call in (ours, peer)]
@@ -146,6 +165,28 @@ def measure_case(case: str, name: str, values: Mapping[str, Any], rounds: int) -
     return [Row(f"{case}, {direction}", *compare(*calls, rounds), "us") for direction, calls in pairs.items()]
 
 
+def measure_release(case: str, name: str, values: Mapping[str, Any], rounds: int) -> list[Row]:
+    """Measure one message between Jazzy and the newest release that has it with other fields; return the rows."""
+    registry = Registry()
+    releases, here, part = registry.releases, registry.schema(name), "Request" if name.endswith("SendGoal") else ""
+    own, *_, other = releases.hashes(name)
+    there, back = releases.converter(name, own, other, part), releases.converter(name, other, own, part)
+    assert there is not None
+    assert back is not None
+    schema = here.sub(f"{name}_{part}") if part else here
+    copy = make_vm(compile_check(schema)).convert
+    cdr = MessageWriter(schema).message({"goal_id": {"uuid": list(range(16))}, **values})
+    newer = there(cdr)
+    if back(newer) != cdr or copy(cdr) != cdr:
+        msg = f"{case}: the message changed"
+        raise SystemExit(msg)
+    label = f"{releases.release(name, own)} and {releases.release(name, other)}"
+    pairs = {"there": lambda: there(cdr), "back": lambda: back(newer)}
+    return [
+        Row(f"{case}, {label}, {way}", *compare(call, lambda: copy(cdr), rounds), "us") for way, call in pairs.items()
+    ]
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -154,6 +195,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     keep_memory()  # as in the workers; otherwise both cause page faults in turn
     rows = [row for case, (name, values) in CASES.items() for row in measure_case(case, name, values, options.rounds)]
+    for case, (name, values) in RELEASES.items():
+        rows += measure_release(case, name, values, options.rounds)
     report(rows, options.json)
 
 
