@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from pathlib import Path
@@ -16,6 +17,7 @@ from tests.doctor.parts import around, every, hub, only, results
 from tests.peers.peer import Peer
 from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.missing import ROS2, needs
+from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
 
@@ -76,6 +78,31 @@ def test_discovery_server_of_the_running_daemon(mine: str, result: Result) -> No
         finding = only(ros2.look_at_environment(around(environ={"ROS_DISCOVERY_SERVER": mine}, hub=view)))
     assert finding.result is result
     assert result is Result.OK or "not set in this shell, 10.0.0.1:11811 for the daemon" in finding.seen
+
+
+def test_a_discovery_server_that_is_younger_than_the_daemon() -> None:
+    """The kernel counts start times in hundredths of a second, so each program starts when the last one runs."""
+    port = free_port()
+    environ = {"ROS_DISCOVERY_SERVER": f"127.0.0.1:{port};10.0.0.1"}
+    bind = f"import socket; s = socket.socket(type=socket.SOCK_DGRAM); s.bind(('127.0.0.1', {port}))"
+
+    def running(stack: contextlib.ExitStack, setup: str = "") -> Process:
+        program = f"import sys\n{setup}\nprint('up', flush=True)\nsys.stdin.read()"
+        command = [sys.executable, "-c", program, "midspan"]
+        process = stack.enter_context(Process(command, {**os.environ, **environ}, pipes=True))
+        assert process.popen.stdout is not None
+        assert process.popen.stdout.readline()
+        return process
+
+    def seen(worker: Process) -> list[str]:
+        view = hub({"worker": "ros2", "side": "ros2", "pid": worker.pid})
+        return [finding.seen for finding in every(ros2.look_at_environment(around(environ=environ, hub=view)))]
+
+    with contextlib.ExitStack() as stack:
+        older, server, younger = running(stack), running(stack, bind), running(stack)
+        (finding,) = seen(older)
+        assert f"at port {port} (process {server.pid}) was restarted after the ROS 2 side" in finding
+        assert seen(younger) == ["domain 0"]
 
 
 def test_peers_and_security_of_the_running_daemon() -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
+
+import psutil
 
 from bridge.adapters.ros2.environment import STATIC_PEERS, available, domain
 from bridge.adapters.ros2.security import ENABLE, is_enabled
@@ -35,7 +38,7 @@ def look_at_environment(context: CheckContext) -> Findings:
     profile = next(filter(None, set_to), None)
     if profile and not Path(profile).is_file():
         findings.append(warn(f"the Fast DDS profile {profile} of this shell does not exist", "unset the variable"))
-    findings += _discovery(context) + _peers(context) + _security(context)
+    findings += _discovery(context) + _restarted_server(context) + _peers(context) + _security(context)
     return findings or ok(f"domain {meant}")
 
 
@@ -90,6 +93,34 @@ def _discovery(context: CheckContext) -> list[Finding]:
             cure = "set it alike in this shell and for the daemon, and restart the daemon (docs/sides/ros2.md)"
             return [warn(f"{seen}: its ROS 2 programs and the daemon may not discover each other", cure)]
     return []
+
+
+def _restarted_server(context: CheckContext) -> list[Finding]:
+    """Check that a discovery server of this machine is not younger than the worker: Fast DDS does not survive that."""
+    for document in context.hub.of_side("ros2", context.config.name):
+        worker = context.process(document)
+        for port in _server_ports(environment_of(worker).get("ROS_DISCOVERY_SERVER", "")):
+            server = _udp_process(port)
+            if worker is not None and server is not None and server.create_time() > worker.create_time():
+                seen = f"the discovery server at port {port} (process {server.pid}) was restarted after the ROS 2 side"
+                cure = "restart Midspan, and the ROS 2 programs that are older than the server"
+                return [warn(f"{seen}: programs from before and after do not discover each other", cure)]
+    return []
+
+
+def _server_ports(servers: str) -> list[int]:
+    """Return the ports in ``ROS_DISCOVERY_SERVER``: ``HOST:PORT;HOST;...``, by default 11811."""
+    ports = [server.rpartition(":")[2] if ":" in server else "11811" for server in servers.split(";") if server.strip()]
+    return [int(port) for port in ports if port.isascii() and port.isdigit()]
+
+
+def _udp_process(port: int) -> psutil.Process | None:
+    """Return this machine's process that receives at a UDP port; None if there is none, or it is another user's."""
+    with contextlib.suppress(psutil.Error):
+        for connection in psutil.net_connections("udp"):
+            if connection.laddr and connection.laddr.port == port and connection.pid:
+                return psutil.Process(connection.pid)
+    return None
 
 
 def _worker_environment(context: CheckContext) -> Mapping[str, str]:
