@@ -51,6 +51,14 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
+def test_tests_that_pages_name_exist() -> None:
+    sources = "".join(file.read_text() for file in (ROOT / "tests").rglob("test_*.py"))
+    existing = set(re.findall(r"^def (test_\w+)", sources, re.MULTILINE))
+    named = {name for page in PAGES for name in re.findall(r"`(test_\w+)`", page.read_text())}
+    assert "test_topics_of_cyclone_dds" in named
+    assert named - existing == set()
+
+
 @pytest.mark.parametrize("folder", sorted(p for p in (ROOT / "docs").iterdir() if p.is_dir()), ids=lambda p: p.name)
 def test_each_page_is_in_its_index(folder: Path) -> None:
     index = set(LINK.findall((folder / "README.md").read_text()))
