@@ -243,11 +243,21 @@ def test_topics_of_cyclone_dds(shared: Deployment) -> None:
     assert text(until(delivered, "a message on Cyclone DDS", 30)[0]) == "from ROS 1"
 
 
+def shows(deployment: Deployment, *texts: str) -> bool:
+    printed = deployment.command("status").stdout
+    return all(text in printed for text in texts)
+
+
 def test_doctor_names_the_nodes(shared: Deployment) -> None:
     native, service = cyclone(shared), Service(Registry(), SET_BOOL)
     native.serve("/lamp", TYPE, service.response())
     until_explained(shared, "/lamp", "bridged")
+    shared.ros2().advertise("/of_fast_dds", "std_msgs/String")
+    until(lambda: shows(shared, "Cyclone DDS 11.0.1 (", "Fast DDS 2 (Iron or Jazzy): "), "status names both", 40)
     findings = json.loads(shared.command("doctor", "--json", seconds=60).stdout)
+    named = [finding["seen"] for finding in findings if finding["check"] == "ros2-releases"]
+    assert any(line.startswith("Cyclone DDS 11.0.1 (") for line in named), named
+    assert any(line.startswith("Fast DDS 2 (Iron or Jazzy): ") for line in named), named
     (line,) = [finding for finding in findings if finding["check"] == "cyclone"]
     assert line["result"] == "ok"
     assert "topics, services and actions cross" in line["seen"]
