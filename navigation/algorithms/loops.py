@@ -1,0 +1,272 @@
+"""Closes loops: matches the present scan to submaps that the robot visited before.
+
+Near the last closure, the scan is matched directly. After a long way without one, or on a loaded map, all poses within
+the drift to be expected are searched by correlation; such a closure counts once a second scan has confirmed it.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navigation.algorithms.likelihood_field import LikelihoodField
+from navigation.algorithms.pose_graph import PoseGraph
+from navigation.algorithms.pose_search import PoseSearch, SearchWindow
+from navigation.algorithms.submaps import Submaps
+from navigation.algorithms.surfels import Match, Surface, Surfels
+from navigation.pose import Pose
+
+Floats = NDArray[np.float64]
+
+NEAR = 5.0
+"""Meters to the middle of a submap within which a scan is matched to it."""
+
+DRIFT = 0.02
+"""Meters of drift to be expected for each meter of way."""
+
+_TURNING = math.radians(0.4)  # the same for the heading, radians a meter
+_MOST_DRIFT = 6.0, math.radians(40.0)
+_DIRECT = 0.25  # meters of drift up to which a scan is matched without a search
+_MOST_DIRECT, _MOST_SEARCHED = 2, 2  # submaps for each scan
+_POINTS, _SEARCH_POINTS = 300, 180  # of a scan
+_SHARE, _SURE_SHARE = 0.5, 0.7  # of a scan's points on a submap's lines: matched directly, found by a search
+_CLEARLY = 0.85  # share of the best candidate's score that the next one may have
+_OFF = 0.3, math.radians(6.0)  # of a direct match from its guess
+_AGREED = 0.3, math.radians(2.0)  # of two closures that confirm each other
+_PATIENCE = 4  # scans within which a closure must be confirmed
+_STEP = 0.3  # meters that each edge adds to a way
+_GRID = 0.1  # side of the search's cells, meters
+_SHARPNESS, _HIT = 0.1, 0.9
+_FLOOR = np.diag((0.004**2, 0.004**2, math.radians(0.08) ** 2))  # least covariance of a match
+_WRONG = 5.0  # standard deviations of error that a closure keeps if it contradicts the others
+
+
+class Closure(NamedTuple):
+    """A match of the present scan with an older submap.
+
+    Attributes:
+        submap: index of the older one.
+        match: the laser in it.
+        before: the laser's pose on the map without the closure.
+        correction: the movement of the map's frame that the closure asks for.
+    """
+
+    submap: int
+    match: Match
+    before: Pose
+    correction: Pose
+
+
+class Candidate(NamedTuple):
+    """A submap to search, within meters and radians of drift."""
+
+    submap: int
+    drift: float
+    turn: float
+
+
+class Place(NamedTuple):
+    """The laser's pose in the current submap."""
+
+    submaps: Submaps
+    current: int
+    pose: Pose
+
+    @property
+    def on_map(self) -> Pose:
+        """The laser's pose on the map."""
+        return self.submaps.graph.poses[self.current] @ self.pose
+
+    def guess(self, index: int) -> Pose:
+        """Return the laser's pose in another submap, according to the graph."""
+        return self.submaps.graph.poses[index].inverse @ self.on_map
+
+    def closure(self, index: int, match: Match) -> Closure:
+        """Return the closure of a match with a submap."""
+        before = self.on_map
+        return Closure(index, match, before, self.submaps.graph.poses[index] @ match.pose @ before.inverse)
+
+
+@dataclass
+class Suspicion:
+    """A closure that a second scan has to confirm."""
+
+    closure: Closure
+    age: int = 0
+
+
+class LoopSearch:
+    """Searches loops for one map.
+
+    Attributes:
+        closed: the number of accepted closures.
+        refused: the number of closures that contradicted the graph.
+    """
+
+    def __init__(self) -> None:
+        self.closed, self.refused = 0, 0
+        self._suspicion: Suspicion | None = None
+        self._turn = 0
+
+    def search(
+        self,
+        submaps: Submaps,
+        current: int,
+        pose: Pose,
+        scan: Surface,
+        end: int,
+        unsure: tuple[float, float] | None,
+    ) -> bool:
+        """Match a scan to older submaps, and optimize the graph; return whether poses changed.
+
+        Args:
+            submaps: all of them.
+            current: index of the one in which the laser has the pose.
+            pose: the laser's, in the current submap.
+            scan: in the laser's frame.
+            end: index of the first submap that is not matched, since it overlaps the current one.
+            unsure: meters and radians by which the pose on the map may be wrong if the current submap is not joined to
+                the older ones yet; None if it is.
+        """
+        place = Place(submaps, current, pose)
+        direct, far = self._candidates(place, end, unsure)
+        points = scan.thinned(_POINTS)
+        closures = [closure for index in direct if (closure := _matched(place, index, points)) is not None]
+        trusted = [] if closures else self._searched(place, far, points)
+        if not closures and not trusted:
+            return False
+        graph = submaps.graph
+        before, edges = list(graph.poses), len(graph.edges)
+        for closure in (*closures, *trusted):
+            information = np.linalg.inv(np.linalg.inv(closure.match.information + 1e-3 * np.eye(3)) * 4.0 + _FLOOR)
+            graph.join(closure.submap, current, closure.match.pose, information, offset=pose, loop=True)
+        graph.optimize(12 if trusted else 4, trusting=4 if trusted else 0)
+        if trusted and graph.errors()[edges:].max() > _WRONG:
+            graph.poses, self.refused = before, self.refused + 1
+            del graph.edges[edges:]
+            return False
+        self.closed += len(closures) + len(trusted)
+        return True
+
+    def _candidates(
+        self, place: Place, end: int, unsure: tuple[float, float] | None
+    ) -> tuple[list[int], list[Candidate]]:
+        """Return the submaps to match directly, and those to search."""
+        here = place.on_map
+        ways = _ways(place.submaps.graph, place.current) if unsure is None else {}
+        near: list[tuple[float, int]] = []
+        far: list[tuple[float, Candidate]] = []
+        for index in range(end):
+            middle = place.submaps.middle(index)
+            if middle is None:
+                continue
+            if unsure is None:
+                way = ways.get(index, math.inf)
+                drift, turn = min(0.05 + DRIFT * way, _MOST_DRIFT[0]), min(0.03 + _TURNING * way, _MOST_DRIFT[1])
+            else:
+                drift, turn = unsure
+            gap = middle.distance(here)
+            if drift < _DIRECT and gap < NEAR:
+                near.append((gap, index))
+            elif drift >= _DIRECT and gap < NEAR + drift:
+                far.append((gap, Candidate(index, drift, turn)))
+        near.sort()
+        far.sort()
+        return [index for _, index in near[:_MOST_DIRECT]], self._chosen([candidate for _, candidate in far])
+
+    def _chosen(self, far: list[Candidate]) -> list[Candidate]:
+        """Return the submap that is to be confirmed, or some of all by turns."""
+        suspicion = self._suspicion
+        if suspicion is not None:
+            again = [candidate for candidate in far if candidate.submap == suspicion.closure.submap]
+            if again:
+                return again
+        self._turn += _MOST_SEARCHED
+        return [far[(self._turn + n) % len(far)] for n in range(min(_MOST_SEARCHED, len(far)))]
+
+    def _searched(self, place: Place, far: list[Candidate], points: Surface) -> list[Closure]:
+        """Return the closure that a search finds if it confirms an earlier one."""
+        suspicion = self._suspicion
+        if suspicion is not None:
+            suspicion.age += 1
+            if suspicion.age > _PATIENCE:
+                suspicion = self._suspicion = None
+        for candidate in far:
+            closure = _found(place, candidate, points)
+            if closure is None:
+                continue
+            if suspicion is not None and _agree(suspicion.closure, closure):
+                self._suspicion = None
+                return [closure]
+            self._suspicion = Suspicion(closure)
+            break
+        return []
+
+
+def _ways(graph: PoseGraph, current: int) -> dict[int, float]:
+    """Return the meters of way along the graph from a submap to each one, which closures shorten."""
+    neighbors: dict[int, list[tuple[int, float]]] = {}
+    for edge in graph.edges:
+        length = _STEP if edge.loop else math.hypot(edge.measured.x, edge.measured.y) + _STEP
+        neighbors.setdefault(edge.first, []).append((edge.second, length))
+        neighbors.setdefault(edge.second, []).append((edge.first, length))
+    ways: dict[int, float] = {}
+    waiting = [(0.0, current)]
+    while waiting:
+        way, index = heapq.heappop(waiting)
+        if index in ways:
+            continue
+        ways[index] = way
+        for other, length in neighbors.get(index, ()):
+            if other not in ways:
+                heapq.heappush(waiting, (way + length, other))
+    return ways
+
+
+def _matched(place: Place, index: int, points: Surface) -> Closure | None:
+    """Match a scan to a submap near its present pose; return None if it does not fit."""
+    guess = place.guess(index)
+    match = place.submaps.surfels(index).match(points, guess, steps=12)
+    if match.share < _SHARE or not _close(guess, match.pose, *_OFF):
+        return None
+    return place.closure(index, match)
+
+
+def _found(place: Place, candidate: Candidate, points: Surface) -> Closure | None:
+    """Search the pose of a scan on a submap; return None if none fits, or two do."""
+    index, drift, turn = candidate
+    match = searched(place.submaps.surfels(index), points, place.guess(index), drift, turn)
+    return None if match is None else place.closure(index, match)
+
+
+def searched(surfels: Surfels, points: Surface, guess: Pose, reach: float, turn: float) -> Match | None:
+    """Search the pose of a scan on surfels within a window; return None if none fits, or two do."""
+    walls, corner = surfels.raster(_GRID)
+    field = LikelihoodField(walls, np.ones(walls.shape, np.bool_), _GRID)
+    table = field.table(_SHARPNESS, _HIT)
+    few = np.ascontiguousarray(points.thinned(_SEARCH_POINTS).points)
+    window = SearchWindow(guess.x - corner[0], guess.y - corner[1], guess.theta, reach, turn)
+    poses, _ = PoseSearch(field, table).best(few, window)
+    matches: list[Match] = []
+    for x, y, theta in poses[:6]:
+        match = surfels.match(points, Pose(x + corner[0], y + corner[1], theta), steps=15)
+        if all(not _close(match.pose, other.pose, 0.3, 0.2) for other in matches):
+            matches.append(match)
+    matches.sort(key=lambda match: -match.share)
+    if not matches or matches[0].share < _SURE_SHARE or not _close(matches[0].pose, guess, reach + 0.5, turn + 0.2):
+        return None
+    return None if len(matches) > 1 and matches[1].share > _CLEARLY * matches[0].share else matches[0]
+
+
+def _agree(a: Closure, b: Closure) -> bool:
+    """Whether two closures move the map in the same way, at the second one's place."""
+    return _close(a.correction @ b.before, b.correction @ b.before, *_AGREED)
+
+
+def _close(a: Pose, b: Pose, meters: float, radians: float) -> bool:
+    return a.distance(b) <= meters and abs(math.remainder(a.theta - b.theta, math.tau)) <= radians

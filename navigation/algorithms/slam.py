@@ -1,0 +1,199 @@
+"""Maps from drifting odometry: scans matched to submaps, and a graph that moves the submaps to their place.
+
+Each scan is matched to the current submap, which overlaps the next one by half, so that the drift within a submap is a
+few millimeters. Near older submaps, the scan is matched to them too, and each match becomes an edge of the graph (Hess
+et al., "Real-Time Loop Closure in 2D LIDAR SLAM", ICRA 2016).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navigation.algorithms.loops import LoopSearch
+from navigation.algorithms.submaps import Scan, Submaps, View
+from navigation.algorithms.surfels import Surface
+from navigation.pose import Pose
+
+Floats = NDArray[np.float64]
+
+MOST_VIEWS = 60_000
+"""Scans that a map may consist of: 9 km of way, and 100 MB with 720 beams."""
+
+_ORIGIN = Pose(0.0, 0.0, 0.0)
+_MOVED, _TURNED = 0.03, math.radians(1.5)  # from the last matched scan
+_VIEW_MOVED, _VIEW_TURNED = 0.15, math.radians(8.0)  # from the last view
+_WAY, _VIEWS = 3.0, 60  # of a submap: meters, and the largest number of views
+_LOOP_EVERY = 0.5  # meters between two searches for loops
+_POINTS = 240  # of a scan that is matched
+# standard deviations of a step of odometry: meters, radians, and the share of the step that is added. The errors are
+# biased, and a small one of the heading would let the bias turn the map
+_METERS, _RADIANS, _DRIFT = 0.004, math.radians(2.0), 0.05
+_LEAST_SHARE = 0.3  # of a scan's points on the submap's lines; with fewer the odometry counts alone
+_MOST_OFF = 0.15, math.radians(6.0)  # of a match from the odometry
+_JUMP = 1.0, math.radians(60.0)  # of the odometry between two scans, after which it counts as reset
+_STEADY = np.diag((0.005**-2.0, 0.005**-2.0, math.radians(0.1) ** -2.0))  # information of two consecutive submaps
+
+
+@dataclass
+class Track:
+    """The laser in the current submap.
+
+    Attributes:
+        odometry: its pose in the odometry frame at the last scan.
+        pose: in the current submap at the last scan.
+        matched: the same at the last match.
+        viewed: the same at the last view.
+        current: index of the submap on which scans are matched.
+        following: index of the next one, which has begun at ``begun`` in the current one; -1 for none.
+        way: meters in the current submap.
+        since_loop: meters since the last search for loops.
+        lost: scans since the last that matched.
+    """
+
+    odometry: Pose
+    current: int
+    pose: Pose = _ORIGIN
+    matched: Pose = _ORIGIN
+    viewed: Pose = _ORIGIN
+    following: int = -1
+    begun: Pose = _ORIGIN
+    way: float = 0.0
+    since_loop: float = 0.0
+    lost: int = 0
+
+
+class Slam:
+    """A map that grows with the robot's way.
+
+    Args:
+        start: the laser's pose on the map at the first scan.
+
+    Attributes:
+        submaps: with their graph.
+        track: None before the first scan.
+        loops: the search for loops.
+        unsure: meters and radians by which the pose may be wrong, until the way is joined to a loaded map; else None.
+    """
+
+    def __init__(self, start: Pose = _ORIGIN) -> None:
+        self.submaps, self.loops = Submaps(), LoopSearch()
+        self.track: Track | None = None
+        self.unsure: tuple[float, float] | None = None
+        self._start, self._joined_from = start, 0
+
+    @classmethod
+    def resumed(cls, submaps: Submaps, guess: Pose, unsure: tuple[float, float]) -> Slam:
+        """Continue a map from a roughly known pose of the laser; `unsure` gives meters and radians."""
+        slam = cls(guess)
+        slam.submaps, slam.unsure, slam._joined_from = submaps, unsure, len(submaps.graph.poses)
+        return slam
+
+    @property
+    def pose(self) -> Pose:
+        """The laser's pose on the map at the last scan."""
+        track = self.track
+        return self._start if track is None else self.submaps.graph.poses[track.current] @ track.pose
+
+    @property
+    def correction(self) -> Pose | None:
+        """The odometry frame's pose on the map; None before the first scan, and while the pose is unsure."""
+        track = self.track
+        return None if track is None or self.unsure is not None else self.pose @ track.odometry.inverse
+
+    @property
+    def full(self) -> bool:
+        """Whether the map accepts no further scans."""
+        return len(self.submaps.views) >= MOST_VIEWS
+
+    def move(self, pose: Pose, unsure: tuple[float, float]) -> None:
+        """Set the laser's pose on the map: that of the way so far, which is not joined to a loaded map, or of all."""
+        change = pose @ self.pose.inverse
+        self._start = pose
+        poses = self.submaps.graph.poses
+        first = self._joined_from if self.unsure is not None else 0
+        poses[first:] = [change @ old for old in poses[first:]]
+        self.unsure = self.unsure and unsure
+
+    def add(self, odometry: Pose, scan: Scan) -> View | None:
+        """Add a scan at the laser's pose in the odometry frame; return its view if it becomes part of the map."""
+        track = self.track
+        if track is None:
+            self.track = Track(odometry, self.submaps.begin(self._start))
+            view = self._view(self.track, scan, scan.surface())
+            self._close_loops(self.track, scan.surface())
+            return view
+        moved = track.odometry.inverse @ odometry
+        track.odometry = odometry
+        if _apart(_ORIGIN, moved, *_JUMP):
+            return None
+        track.pose = guess = track.pose @ moved
+        if not _apart(track.matched, guess, _MOVED, _TURNED):
+            return None
+        surface = scan.surface()
+        track.pose = track.matched = self._matched(track, surface, guess)
+        if self.full or not _apart(track.viewed, track.pose, _VIEW_MOVED, _VIEW_TURNED):
+            return None
+        way = track.viewed.distance(track.pose)
+        track.viewed, track.way, track.since_loop = track.pose, track.way + way, track.since_loop + way
+        view = self._view(track, scan, surface)
+        self._close_loops(track, surface)
+        self._advance(track)
+        return view
+
+    def _matched(self, track: Track, surface: Surface, guess: Pose) -> Pose:
+        """Return the scan's pose in the current submap, or the guess if it does not match."""
+        moved = track.matched.inverse @ guess
+        meters, radians = _METERS + _DRIFT * math.hypot(moved.x, moved.y), _RADIANS + _DRIFT * abs(moved.theta)
+        prior = np.diag((meters**-2.0, meters**-2.0, radians**-2.0))
+        match = self.submaps.surfels(track.current).match(surface.thinned(_POINTS), guess, prior)
+        if match.share < _LEAST_SHARE or _apart(guess, match.pose, *_MOST_OFF):
+            track.lost += 1
+            return guess
+        track.lost = 0
+        return match.pose
+
+    def _view(self, track: Track, scan: Scan, surface: Surface) -> View:
+        view = scan.view(track.current, track.pose)
+        surfels = self.submaps.surfels(track.current)  # first: it may be computed from the views
+        self.submaps.add(view)
+        surfels.add(surface.moved(track.pose))
+        if track.following >= 0:
+            self._add_following(track, view, surface)
+        return view
+
+    def _add_following(self, track: Track, view: View, surface: Surface) -> None:
+        """Add a view to the next submap too."""
+        place = track.begun.inverse @ view.pose
+        self.submaps.surfels(track.following).add(surface.moved(place))
+
+    def _close_loops(self, track: Track, surface: Surface) -> None:
+        if track.since_loop < _LOOP_EVERY and self.unsure is None:
+            return
+        track.since_loop = 0.0
+        end = max(0, track.current - 1) if self.unsure is None else self._joined_from
+        if self.loops.search(self.submaps, track.current, track.pose, surface, end, self.unsure):
+            self.unsure = None
+
+    def _advance(self, track: Track) -> None:
+        """Begin the next submap in the middle of the current one, and change over to it at its end."""
+        graph, views = self.submaps.graph, len(self.submaps.views_of[track.current])
+        if track.following < 0 and (track.way > 0.5 * _WAY or views > _VIEWS // 2):
+            track.begun = track.pose
+            track.following = self.submaps.begin(graph.poses[track.current] @ track.pose)
+            graph.join(track.current, track.following, track.pose, _STEADY)
+            view = self.submaps.views[-1]
+            self._add_following(track, view, view.surface())
+        elif track.following >= 0 and (track.way > _WAY or views > _VIEWS):
+            back = track.begun.inverse
+            track.current, track.following, track.way = track.following, -1, 0.0
+            track.pose, track.matched, track.viewed = (
+                back @ pose for pose in (track.pose, track.matched, track.viewed)
+            )
+
+
+def _apart(a: Pose, b: Pose, meters: float, radians: float) -> bool:
+    return a.distance(b) > meters or abs(math.remainder(a.theta - b.theta, math.tau)) > radians
