@@ -43,6 +43,7 @@ _STEP = 0.3  # meters that each edge adds to a way
 _GRID = 0.1  # side of the search's cells, meters
 _SHARPNESS, _HIT = 0.1, 0.9
 _FLOOR = np.diag((0.004**2, 0.004**2, math.radians(0.08) ** 2))  # least covariance of a match
+_SMALL = 0.7  # standard deviations of error up to which a closure does not move the submaps
 _WRONG = 5.0  # standard deviations of error that a closure keeps if it contradicts the others
 
 
@@ -145,6 +146,9 @@ class LoopSearch:
         for closure in (*closures, *trusted):
             information = np.linalg.inv(np.linalg.inv(closure.match.information + 1e-3 * np.eye(3)) * 4.0 + _FLOOR)
             graph.join(closure.submap, current, closure.match.pose, information, offset=pose, loop=True)
+        if not trusted and graph.errors()[edges:].max() < _SMALL:
+            self.closed += len(closures)
+            return False
         graph.optimize(12 if trusted else 4, trusting=4 if trusted else 0)
         if trusted and graph.errors()[edges:].max() > _WRONG:
             graph.poses, self.refused = before, self.refused + 1
@@ -240,7 +244,11 @@ def _matched(place: Place, index: int, points: Surface) -> Closure | None:
 def _found(place: Place, candidate: Candidate, points: Surface) -> Closure | None:
     """Search the pose of a scan on a submap; return None if none fits, or two do."""
     index, drift, turn = candidate
-    match = searched(place.submaps.surfels(index), points, place.guess(index), drift, turn)
+    guess = place.guess(index)
+    middle = place.submaps.middle(index)
+    if math.isinf(drift) and middle is not None:  # the pose is unknown: the robot may be anywhere in the submap
+        guess, drift = place.submaps.graph.poses[index].inverse @ middle, NEAR
+    match = searched(place.submaps.surfels(index), points, guess, drift, turn)
     return None if match is None else place.closure(index, match)
 
 

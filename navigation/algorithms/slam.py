@@ -20,13 +20,16 @@ from navigation.pose import Pose
 
 Floats = NDArray[np.float64]
 
-MOST_VIEWS = 60_000
-"""Scans that a map may consist of: 9 km of way, and 100 MB with 720 beams."""
+MOST_SUBMAPS = 800
+"""Submaps that a map may have, about 2 km of way: the graph's cost grows with their number."""
+
+ANYWHERE = math.inf, math.pi
+"""Meters and radians by which a pose may be wrong if it is unknown."""
 
 _ORIGIN = Pose(0.0, 0.0, 0.0)
 _MOVED, _TURNED = 0.03, math.radians(1.5)  # from the last matched scan
 _VIEW_MOVED, _VIEW_TURNED = 0.15, math.radians(8.0)  # from the last view
-_WAY, _VIEWS = 3.0, 60  # of a submap: meters, and the largest number of views
+_WAY, _VIEWS = 5.0, 80  # of a submap: meters, and the largest number of views
 _LOOP_EVERY = 0.5  # meters between two searches for loops
 _POINTS = 240  # of a scan that is matched
 # standard deviations of a step of odometry: meters, radians, and the share of the step that is added. The errors are
@@ -86,8 +89,8 @@ class Slam:
         self._start, self._joined_from = start, 0
 
     @classmethod
-    def resumed(cls, submaps: Submaps, guess: Pose, unsure: tuple[float, float]) -> Slam:
-        """Continue a map from a roughly known pose of the laser; `unsure` gives meters and radians."""
+    def resumed(cls, submaps: Submaps, guess: Pose, unsure: tuple[float, float] = ANYWHERE) -> Slam:
+        """Continue a map from a pose of the laser that may be wrong by some meters and radians."""
         slam = cls(guess)
         slam.submaps, slam.unsure, slam._joined_from = submaps, unsure, len(submaps.graph.poses)
         return slam
@@ -107,7 +110,7 @@ class Slam:
     @property
     def full(self) -> bool:
         """Whether the map accepts no further scans."""
-        return len(self.submaps.views) >= MOST_VIEWS
+        return len(self.submaps.graph.poses) >= MOST_SUBMAPS
 
     def move(self, pose: Pose, unsure: tuple[float, float]) -> None:
         """Set the laser's pose on the map: that of the way so far, which is not joined to a loaded map, or of all."""
@@ -118,10 +121,15 @@ class Slam:
         poses[first:] = [change @ old for old in poses[first:]]
         self.unsure = self.unsure and unsure
 
-    def add(self, odometry: Pose, scan: Scan) -> View | None:
-        """Add a scan at the laser's pose in the odometry frame; return its view if it becomes part of the map."""
+    def add(self, odometry: Pose, scan: Scan, *, mapping: bool = True) -> View | None:
+        """Add a scan at the laser's pose in the odometry frame; return its view if it becomes part of the map.
+
+        Without ``mapping``, it only updates the laser's pose.
+        """
         track = self.track
         if track is None:
+            if not mapping:
+                return None
             self.track = Track(odometry, self.submaps.begin(self._start))
             view = self._view(self.track, scan, scan.surface())
             self._close_loops(self.track, scan.surface())
@@ -135,7 +143,7 @@ class Slam:
             return None
         surface = scan.surface()
         track.pose = track.matched = self._matched(track, surface, guess)
-        if self.full or not _apart(track.viewed, track.pose, _VIEW_MOVED, _VIEW_TURNED):
+        if not mapping or self.full or not _apart(track.viewed, track.pose, _VIEW_MOVED, _VIEW_TURNED):
             return None
         way = track.viewed.distance(track.pose)
         track.viewed, track.way, track.since_loop = track.pose, track.way + way, track.since_loop + way

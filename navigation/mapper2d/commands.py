@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 from typing_extensions import override
@@ -12,8 +14,9 @@ from typing_extensions import override
 from bridge.stores.kinds import MAP
 from bridge.stores.store import Store
 from navigation.map2d_server.files import MapsFolder
+from navigation.mapper2d.graph_file import SUFFIX
 from navigation.mapper2d.mapper import MOST_BRUSH, PAINTS, Mapper
-from navigation.mapper2d.poses import Poses
+from navigation.mapper2d.source import PoseSource
 from navigation.mapping_commands import MappingCommands
 from navigation.pose import Pose
 from yarp_compat.dev.mapflag import MapFlag, picture_of_flags
@@ -103,9 +106,9 @@ class MapperCommands(MappingCommands):
     """Answers commands of the RPC port. Called on the module's thread."""
 
     def __init__(
-        self, mapper: Mapper, canvas: Canvas, poses: Poses, store: Callable[[], Store], folder: MapsFolder
+        self, mapper: Mapper, canvas: Canvas, source: PoseSource, store: Callable[[], Store], folder: MapsFolder
     ) -> None:
-        self._mapper, self._canvas, self._poses = mapper, canvas, poses
+        self._mapper, self._canvas, self._source = mapper, canvas, source
         self._store, self._folder = store, folder
         super().__init__(HELP, {
             "start": self._start,
@@ -126,8 +129,9 @@ class MapperCommands(MappingCommands):
     @override
     def save(self) -> str:
         """Save the map in the store; return a text for people. Raises `StoreError`."""
-        grid = self._mapper.grid()
+        grid = self._source.grid()
         self._store().put(MAP, grid.name, grid)
+        self._source.save_graph(self._graph_in_store(grid.name))
         return f"Map {grid.name} saved into the store."
 
     def _start(self, _arguments: list[Any]) -> str:
@@ -139,7 +143,7 @@ class MapperCommands(MappingCommands):
         return "Stopped; 'start' continues."
 
     def _clear(self, _arguments: list[Any]) -> str:
-        self._mapper.clear()
+        self._source.clear()
         return "Started a new map."
 
     def _locate(self, arguments: list[Any]) -> str:
@@ -147,17 +151,19 @@ class MapperCommands(MappingCommands):
             raise ValueError("usage: initLoc MAP X Y THETA (meters, degrees)")
         x, y, theta = _numbers(arguments[1:])
         self._mapper.name = _name(arguments[0])
-        self._poses.set(Pose(x, y, math.radians(theta)))
+        self._source.locate(Pose(x, y, math.radians(theta)))
         return f"The robot is at {x:g}, {y:g} m, {theta:g} degrees on {self._mapper.name}."
 
     def _save_file(self, arguments: list[Any]) -> str:
         file = self._folder.new(_word(arguments, "FILE"), ".map", ".yaml", ".yml")
-        self._mapper.grid().save(file)
+        self._source.grid().save(file)
+        self._source.save_graph(self._folder.file(file.stem + SUFFIX, SUFFIX))
         return f"Map {self._mapper.name} saved as {file.name}."
 
     def _load_file(self, arguments: list[Any]) -> str:
         file = self._folder.existing(_word(arguments, "FILE"), ".map", ".yaml", ".yml")
-        self._mapper.load(MapGrid2D.load(file, jail=self._folder.path))
+        graph = self._folder.file(file.stem + SUFFIX, SUFFIX)
+        self._source.load(MapGrid2D.load(file, jail=self._folder.path), graph)
         return f"Map {self._mapper.name} loaded; mapping continues on it."
 
     def _load(self, arguments: list[Any]) -> str:
@@ -165,8 +171,12 @@ class MapperCommands(MappingCommands):
         grid = self._store().get(MAP, name)
         if grid is None:
             raise ValueError(f"no map {name!r} in the store")
-        self._mapper.load(grid)
+        self._source.load(grid, self._graph_in_store(grid.name))
         return f"Map {self._mapper.name} loaded; mapping continues on it."
+
+    def _graph_in_store(self, name: str) -> Path:
+        """Return the file with the graph of a map of the store."""
+        return self._folder.path / "graphs" / (quote(name, safe="") + SUFFIX)
 
     def _type(self, arguments: list[Any]) -> str:
         self._canvas.use(_word(arguments, "wall|free|unknown|keepout"))

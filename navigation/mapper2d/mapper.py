@@ -130,6 +130,44 @@ class Mapper:
         self._paint = np.where(flags == MapFlag.KEEP_OUT, np.uint8(MapFlag.KEEP_OUT), np.uint8(_BARE))
         self.name, self.scans, self.full = grid.name or self.name, 0, False
 
+    def blank(self) -> Mapper:
+        """Return a mapper with the same paint, size and settings, and without observations."""
+        copy = Mapper(self.settings)
+        rows, columns = self._map.odds.shape
+        copy._map = OccupancyMap(rows, columns, self.settings.resolution, self._map.origin)
+        copy._paint, copy.scans = self._paint.copy(), 1
+        return copy
+
+    def adopt(self, redrawn: Mapper) -> None:
+        """Replace the observations with those of a mapper that `blank` returned; the paint stays."""
+        cell, (rows, columns) = self.settings.resolution, self._paint.shape
+        left, below = (
+            round((new - old) / cell) for new, old in zip(redrawn._map.origin, self._map.origin, strict=True)
+        )
+        new_rows, new_columns = redrawn._paint.shape
+        redrawn._grow(
+            max(0, below), max(0, rows - below - new_rows), max(0, left), max(0, columns - left - new_columns)
+        )
+        corner = redrawn._map.origin
+        paint, origin = self._paint, self._map.origin
+        redrawn._paint[:] = _BARE
+        self._map, self._paint, self.full = redrawn._map, redrawn._paint, redrawn.full
+        self.overlay(paint, (origin[0] - corner[0], origin[1] - corner[1]))
+
+    @property
+    def painted(self) -> tuple[NDArray[np.uint8], tuple[float, float]]:
+        """The painted flags (rows, columns) from the bottom up, 255 for none, and the lower left corner, meters."""
+        return self._paint, self._map.origin
+
+    def overlay(self, paint: NDArray[np.uint8], offset: tuple[float, float]) -> None:
+        """Paint flags as in `painted`, with their corner at meters from the map's; cells outside are ignored."""
+        column, row = (round(value / self.settings.resolution) for value in offset)
+        rows, columns = np.nonzero(paint != _BARE)
+        to_rows, to_columns = rows + row, columns + column
+        inside = (to_rows >= 0) & (to_columns >= 0)
+        inside &= (to_rows < self._paint.shape[0]) & (to_columns < self._paint.shape[1])
+        self._paint[to_rows[inside], to_columns[inside]] = paint[rows[inside], columns[inside]]
+
     @property
     def size(self) -> tuple[float, float]:
         """Width and height, meters."""

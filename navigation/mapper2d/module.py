@@ -21,10 +21,11 @@ from navigation.mapper2d.mapper import Mapper
 from navigation.mapper2d.poses import COVARIANT, Poses, of_message, sent_ns
 from navigation.mapper2d.section import Mapper2DSection
 from navigation.mapper2d.settings import read_file
+from navigation.mapper2d.source import make_source
 from navigation.maps.grid import to_cdr
 from navigation.messages import GRID, stamp_ns
 from navigation.pose import Pose, check_rotation
-from navigation.scan import SCAN, ScanError, believed, of_ros, of_yarp
+from navigation.scan import SCAN, ScanError, of_ros, of_yarp
 from navigation.sensor_queue import SensorQueue
 from navigation.yarp import PortConnection
 from yarp_compat.dev.rangefinder import LaserScan2D
@@ -44,7 +45,7 @@ class _Scan(NamedTuple):
 
 
 class Mapper2D(Module):
-    """Builds a map while somebody drives the robot."""
+    """Builds a map while the robot is driven."""
 
     name = "mapper2d"
 
@@ -63,9 +64,10 @@ class Mapper2D(Module):
         )
         self._changed = True
         self._poses = Poses(host, section)
+        self.source = make_source(host, section, self.mapper, self._poses)
         self._canvas = Canvas(self.mapper)
         folder = MapsFolder(section.folder or host.folder / "maps")
-        self._commands = MapperCommands(self.mapper, self._canvas, self._poses, lambda: host.store, folder)
+        self._commands = MapperCommands(self.mapper, self._canvas, self.source, lambda: host.store, folder)
         if section.scan:
             host.node.subscription(section.scan, SCAN, self._on_scan, Qos(depth=5))
         self._map = host.node.publisher(section.topic, GRID, LATCHED, priority="state") if section.topic else None
@@ -73,7 +75,7 @@ class Mapper2D(Module):
             host.node.subscription(section.initial_pose, COVARIANT, self._on_initial_pose)
         self._offer(host, section.prefix)
         host.on_jump(self._scans.clear)
-        host.every(_BEAT, self._scans.work)
+        host.every(_BEAT, self._work)
         host.every(section.period, self._publish)
 
     def _offer(self, host: Host, prefix: str) -> None:
@@ -99,7 +101,7 @@ class Mapper2D(Module):
         except ValueError as err:
             self._host.log.warning("%s: ignored: %s", self._section.initial_pose, err)
         else:
-            self._poses.set(place)
+            self.source.locate(place)
 
     def _on_scan(self, message: dict[str, Any]) -> None:
         header = message["header"]
@@ -121,17 +123,19 @@ class Mapper2D(Module):
 
     def _add(self, scan: _Scan) -> None:
         self._scans.received_ns = self._host.clock.now_ns()
-        if self.mapper.mapping:
+        if self.mapper.mapping or self._section.slam:
             self._scans.add(scan)
 
     def _map_scan(self, scan: _Scan) -> None:
         """Add a scan to the map; raises `FramesError` while its pose is not known."""
         turn = scan.turn
-        pose = self._poses.laser(scan.frame, turn.time_ns)
         if self._poses.hangs(scan.frame):
             turn = turn.turned_over()
-        self.mapper.scan(pose, believed(turn), turn.first, turn.step, turn.farthest)
-        self._changed = True
+        self._changed |= self.source.add(scan.frame, turn)
+
+    def _work(self) -> None:
+        self._scans.work()
+        self._changed |= self.source.work()
 
     def _publish(self) -> None:
         """Publish the map if it has changed, and send its picture."""
@@ -140,7 +144,7 @@ class Mapper2D(Module):
         self._changed = False
         if self._picture.has_readers:
             try:
-                robot = self._poses.robot()
+                robot: Pose | None = self.source.robot()
             except FramesError:
                 robot = None
             self._picture.write(self._canvas.picture(robot))
@@ -170,6 +174,8 @@ class Mapper2D(Module):
             return Health("waiting", "; ".join((f"no scans on {names}", *troubles)))
         if self._scans.trouble:
             return Health("waiting", self._scans.trouble)
+        if self.source.trouble:
+            return Health("running", self.source.trouble)
         width, height = self.mapper.size
         full = "; the map has reached its largest size (modules.mapper2d.largest)" if self.mapper.full else ""
         return Health("running", f"map {self.mapper.name}: {width:g} x {height:g} m{full}")
@@ -185,6 +191,7 @@ class Mapper2D(Module):
             "trouble": self._scans.trouble,
             "connections": [connection.trouble for connection in self._connected if connection.trouble],
             "notes": list(self._notes),
+            **self.source.status(),
         }
 
     @override

@@ -103,10 +103,17 @@ class Poses:
 
         A laser without a frame, as on YARP, is at the robot's center.
         """
-        mount = self._mount
-        if mount is None:
-            mount = self._frames.transform(self._frames.base_frame, frame) if frame else Pose(0.0, 0.0, 0.0)
-        return self.robot(stamp) @ mount
+        return self.robot(stamp) @ self.mount(frame)
+
+    def mount(self, frame: str) -> Pose:
+        """Return the laser's pose on the robot; raises `FramesError`. Without a frame, it is the robot's center."""
+        if self._mount is not None:
+            return self._mount
+        return self._frames.transform(self._frames.base_frame, frame) if frame else Pose(0.0, 0.0, 0.0)
+
+    def odometry(self, stamp: int = LATEST) -> Pose:
+        """Return the robot's pose in the odometry frame at a time, ns, with the stamp; raises `FramesError`."""
+        return self._frames.transform(self._frames.odom_frame, self._frames.base_frame, stamp)
 
     def hangs(self, frame: str) -> bool:
         """Whether the laser is mounted upside down; False if the section configures its pose."""

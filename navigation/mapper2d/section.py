@@ -34,8 +34,17 @@ class Mapper2DSection(ModuleSection):
         None,
         "Pose of the laser on the robot: meters, meters, degrees; empty: from `/tf`, on YARP the robot's center.",
     )
-    pose: Literal["tf", "topic", "port"] = setting(
-        "tf", "Source of the pose: `tf`: the frames of all sides; `topic`: `pose_topic`; `port`: `odometry:i` on YARP."
+    pose: Literal["slam", "tf", "topic", "port"] = setting(
+        "slam",
+        "Source of the pose: `slam`: the scans, with the odometry on `/tf` as a first guess; or a given pose: `tf`: the"
+        " frames of all sides; `topic`: `pose_topic`; `port`: `odometry:i` on YARP. With `map_frame` equal to"
+        " `odom_frame`, `slam` is `tf`.",
+    )
+    publish_tf: bool = setting(
+        True, "With `slam`: whether the transform from map to odometry is on `/tf`; never while a localizer is active."
+    )
+    tf_tolerance: float = setting(
+        0.1, "With `slam`: seconds by which that transform's stamp is ahead, as with amcl.", ge=0.0, le=2.0
     )
     pose_topic: OptionalTopic = setting(
         "/localization/pose", "Topic of the pose: `Odometry`, `PoseStamped` or `PoseWithCovarianceStamped`."
@@ -46,7 +55,7 @@ class Mapper2DSection(ModuleSection):
     initial_pose: OptionalTopic = setting("", 'Topic that sets the pose (`PoseWithCovarianceStamped`); "": none.')
     map_frame: FrameName = setting(
         "map",
-        "The map's frame. Without a localizer, set it to `odom` to map by odometry only.",
+        "The map's frame; set it to `odom` to map by odometry only.",
         min_length=1,
         max_length=100,
     )
@@ -60,3 +69,8 @@ class Mapper2DSection(ModuleSection):
         None, "The only folder in which clients may save and load; default `maps` in the module's state folder."
     )
     prefix: _Prefix = setting("/mapper2D", "Prefix of the module's YARP ports.")
+
+    @property
+    def slam(self) -> bool:
+        """Whether the poses follow from the scans."""
+        return self.pose == "slam" and self.map_frame.lstrip("/") != self.odom_frame.lstrip("/")

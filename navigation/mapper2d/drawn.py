@@ -1,0 +1,134 @@
+"""A map from drifting odometry: the poses of `Slam`, drawn by `Mapper`, without a thread or a clock."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from navigation.algorithms.slam import Slam
+from navigation.algorithms.submaps import Scan
+from navigation.mapper2d import graph_file
+from navigation.mapper2d.graph_file import SavedGraph
+from navigation.mapper2d.mapper import Mapper
+from navigation.pose import Pose
+from yarp_compat.dev.mapgrid import MapGrid2D
+
+ROUGHLY = 1.0, math.radians(30.0)
+"""Meters and radians by which a pose that a person gives may be wrong."""
+
+_MOVED, _TURNED = 0.02, math.radians(0.1)  # of a submap, after which the map is drawn again
+_PATIENCE = 20  # views for each scan that passes between two drawings
+_SLICE = 100  # views that are drawn at a time
+_EVERY_NS = 500_000_000  # between scans that are drawn without becoming part of the map
+
+
+@dataclass
+class Drawing:
+    """A drawing of the whole map in progress.
+
+    Attributes:
+        mapper: with the views so far.
+        poses: of the submaps at its start.
+        count: of views drawn.
+    """
+
+    mapper: Mapper
+    poses: list[Pose]
+    count: int = 0
+
+
+@dataclass
+class DrawnMap:
+    """Keeps the drawn map up to date with the poses of its scans.
+
+    Attributes:
+        mapper: draws the map.
+        slam: the poses.
+    """
+
+    mapper: Mapper
+    slam: Slam = field(default_factory=Slam)
+    _poses: list[Pose] = field(default_factory=list)  # of the submaps, as drawn
+    _drawing: Drawing | None = None
+    _scans: int = 0  # since the last drawing
+    _drawn_ns: int = 0  # the time of the last scan that was drawn
+
+    def scan(self, odometry: Pose, scan: Scan) -> bool:
+        """Add a scan at the laser's pose in the odometry frame; return whether the map changed."""
+        slam, mapper = self.slam, self.mapper
+        view = slam.add(odometry, scan, mapping=mapper.mapping)
+        self._scans += 1
+        if slam.correction is None or not mapper.mapping:
+            return False
+        if view is None and not 0 <= self._drawn_ns <= odometry.stamp_ns - _EVERY_NS:
+            return False
+        self._drawn_ns = odometry.stamp_ns
+        poses = slam.submaps.graph.poses
+        if not self._poses and len(poses) > 2:
+            self.draw_again()  # the way has just been joined to a loaded map
+        self._poses += poses[len(self._poses) :]
+        mapper.scan(slam.pose, scan.ranges, scan.first, scan.step, scan.farthest)
+        mapper.full = mapper.full or slam.full
+        if self._drawing is None and self._scans * _PATIENCE > len(slam.submaps.views) and self._outdated():
+            self.draw_again()
+        return True
+
+    def _outdated(self) -> bool:
+        return any(
+            drawn.distance(pose) > _MOVED or abs(math.remainder(drawn.theta - pose.theta, math.tau)) > _TURNED
+            for drawn, pose in zip(self._poses, self.slam.submaps.graph.poses, strict=False)
+        )
+
+    def draw_again(self) -> None:
+        """Begin to draw the whole map again; `work` continues it."""
+        self._drawing = Drawing(self.mapper.blank(), list(self.slam.submaps.graph.poses))
+
+    def work(self) -> bool:
+        """Continue the drawing; return whether the map changed."""
+        drawing = self._drawing
+        if drawing is None:
+            return False
+        submaps = self.slam.submaps
+        for view in submaps.views[drawing.count : drawing.count + _SLICE]:
+            drawing.mapper.scan(submaps.on_map(view), view.ranges, view.first, view.step, view.farthest)
+        drawing.count += _SLICE
+        if drawing.count < len(submaps.views):
+            return False
+        self.mapper.adopt(drawing.mapper)
+        self._poses, self._drawing, self._scans = drawing.poses, None, 0
+        return True
+
+    def finish(self) -> None:
+        """Draw the map with the present poses, to the end."""
+        if self._drawing is None and self._outdated():
+            self.draw_again()
+        while self._drawing is not None:
+            self.work()
+
+    def clear(self) -> None:
+        """Start a new map at the present pose."""
+        start = self.slam.pose
+        self.mapper.clear()
+        self._reset(Slam(start))
+
+    def locate(self, laser: Pose) -> None:
+        """Set the laser's present pose: roughly on a loaded map, else exactly, and the map moves with it."""
+        self.slam.move(laser, ROUGHLY)
+        if self.slam.track is not None and self.slam.unsure is None:
+            self.draw_again()
+
+    def save(self, path: Path) -> None:
+        """Save the graph for `load`; raises `OSError`."""
+        graph_file.write(path, SavedGraph(self.slam.submaps, *self.mapper.painted))
+
+    def load(self, grid: MapGrid2D, path: Path) -> None:
+        """Continue a map with its graph, unless one is invalid; raises `OSError`, or `ValueError` with the reason."""
+        saved = graph_file.read(path)
+        self.mapper.load(grid)
+        self._reset(Slam.resumed(saved.submaps, Pose(0.0, 0.0, 0.0)))
+        x, y = self.mapper.painted[1]
+        self.mapper.overlay(saved.paint, (saved.corner[0] - x, saved.corner[1] - y))
+
+    def _reset(self, slam: Slam) -> None:
+        self.slam, self._poses, self._drawing, self._scans, self._drawn_ns = slam, [], None, 0, 0

@@ -1,0 +1,169 @@
+"""Mapper2D with poses from the scans: the drawn map, its graph in a file, and the module on a hub."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from navigation.algorithms.submaps import Scan
+from navigation.mapper2d import graph_file
+from navigation.mapper2d.drawn import DrawnMap
+from navigation.mapper2d.mapper import Mapper
+from navigation.mapper2d.section import Mapper2DSection
+from navigation.pose import Pose
+from tests.navigation.algorithms.scanned import Laser, Seen, corridor, drive
+from tests.peers.hub.modules import Place
+from tests.support.wait import until
+from yarp_compat.dev.mapflag import MapFlag
+from yarp_compat.dev.mapgrid import MapGrid2D
+
+SEGMENTS = corridor()
+AROUND = 28.0
+S = 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def driven() -> list[Seen]:
+    return list(drive(Laser(SEGMENTS), AROUND))
+
+
+def mapping() -> DrawnMap:
+    return DrawnMap(Mapper(Mapper2DSection(width=14.0, height=10.0, farthest=8.0)))
+
+
+def draw(drawn: DrawnMap, driven: list[Seen]) -> None:
+    for number, seen in enumerate(driven):
+        drawn.scan(seen.odometry._replace(stamp_ns=number * S // 5), seen.scan)
+        drawn.work()
+
+
+def far_off(grid: MapGrid2D) -> float:
+    """Return the share of a map's walls that are more than two cells away from the corridor's."""
+    rows, columns = np.nonzero(grid.flags == MapFlag.WALL)
+    points = grid.centers_of(np.stack((columns, rows), -1))
+    start, vectors = SEGMENTS[:, :2], SEGMENTS[:, 2:] - SEGMENTS[:, :2]
+    along = ((points[:, None] - start) * vectors).sum(-1) / (vectors * vectors).sum(-1)
+    nearest = start + np.clip(along, 0.0, 1.0)[..., None] * vectors
+    distances = np.linalg.norm(points[:, None] - nearest, axis=-1).min(axis=1)
+    return float((distances > 2.0 * grid.resolution).mean())
+
+
+def test_the_drawn_map_is_right_after_the_loop(driven: list[Seen], tmp_path: Path) -> None:
+    drawn = mapping()
+    drawn.locate(driven[0].truth)
+    draw(drawn, driven)
+    at = driven[-1].truth
+    drawn.mapper.paint((at.x, at.y), MapFlag.KEEP_OUT, 3)
+    drawn.finish()
+    grid = drawn.mapper.grid()
+    assert (grid.flags == MapFlag.WALL).sum() > 500
+    assert far_off(grid) < 0.01
+    assert (grid.flags == MapFlag.KEEP_OUT).sum() == 9
+
+    # another day, from a place that is only roughly known
+    path = tmp_path / "map.graph.npz"
+    drawn.save(path)
+    again = mapping()
+    again.load(grid, path)
+    assert again.slam.unsure is not None
+    guess = driven[30].truth @ Pose(0.4, 0.2, -0.2)
+    again.locate(guess)
+    draw(again, driven[30:90])
+    assert again.slam.pose.distance(driven[89].truth) < 0.05
+    again.finish()
+    grown = again.mapper.grid()
+    assert far_off(grown) < 0.01
+    assert (grown.flags == MapFlag.KEEP_OUT).sum() == 9
+    assert len(again.slam.submaps.views) > len(drawn.slam.submaps.views)
+
+
+def test_a_map_moves_with_the_robot_that_is_set_elsewhere(driven: list[Seen]) -> None:
+    drawn = mapping()
+    draw(drawn, driven[:30])
+    drawn.locate(driven[29].truth)
+    drawn.finish()
+    assert far_off(drawn.mapper.grid()) < 0.02
+    drawn.clear()
+    assert drawn.slam.pose.distance(driven[29].truth) < 0.01
+    assert not (drawn.mapper.grid().flags == MapFlag.WALL).any()
+
+
+def test_scans_move_the_robot_but_not_the_map_while_mapping_is_stopped(driven: list[Seen]) -> None:
+    drawn = mapping()
+    drawn.locate(driven[0].truth)
+    draw(drawn, driven[:30])
+    drawn.mapper.mapping = False
+    views = len(drawn.slam.submaps.views)
+    draw(drawn, driven[30:40])
+    assert len(drawn.slam.submaps.views) == views
+    assert drawn.slam.pose.distance(driven[39].truth) < 0.03
+
+
+@pytest.mark.parametrize("spoil", ["text", "nan", "owner", "beams"])
+def test_an_invalid_file_is_refused(driven: list[Seen], tmp_path: Path, spoil: str) -> None:
+    drawn = mapping()
+    draw(drawn, driven[:3])
+    path = tmp_path / "map.graph.npz"
+    drawn.save(path)
+    with np.load(path) as loaded:
+        arrays = dict(loaded)
+    if spoil == "nan":
+        arrays["poses"][0, 0] = math.nan
+    elif spoil == "owner":
+        arrays["submaps"][0] = 7
+    elif spoil == "beams":
+        arrays["beams"][0] += 1
+    if spoil == "text":
+        path.write_text("not an archive")
+    else:
+        np.savez(path, **arrays)
+    with pytest.raises(ValueError, match=r"cannot read the graph of the map, map\.graph\.npz"):
+        graph_file.read(path)
+
+
+def test_the_module_publishes_the_odometry_on_the_map(driven: list[Seen], tmp_path: Path) -> None:
+    section = {"enabled": True, "period": 0.1, "farthest": 8.0, "laser": [0.0, 0.0, 0.0]}
+    with Place(tmp_path) as place:
+        place.worker.start(place.config(modules={"mapper2d": section}))
+        scans = place.far.advertise("/scan", "sensor_msgs/LaserScan")
+        frames = place.far.advertise("/tf", "tf2_msgs/TFMessage")
+        corrections = place.far.subscribe("/tf", "tf2_msgs/TFMessage", depth=100)
+        first = driven[0]
+
+        def corrected(seen: Seen, truth: Pose) -> bool:
+            now = time.time_ns()
+            stamp = {"sec": now // S, "nanosec": now % S}
+            place.far.publish(frames, {"transforms": [odometry(seen.odometry, stamp)]})
+            place.far.publish(scans, message(seen.scan, stamp))
+            received = [tf for m in place.far.wait(corrections, 1, 0.1)[-5:] for tf in m["transforms"]]
+            on_map = [pose_of(tf) for tf in received if tf["header"]["frame_id"] == "map"]
+            return any((pose @ seen.odometry).distance(truth) < 0.02 for pose in on_map)
+
+        for seen in driven[:60:2]:
+            # the map's frame is that of the odometry at the first scan
+            truth = first.odometry @ (first.truth.inverse @ seen.truth)
+            until(lambda seen=seen, truth=truth: corrected(seen, truth), "the robot is at its place on the map", 40)
+        assert seen.odometry.distance(truth) > 0.1
+        assert place.answer("mapper2d")["submaps"] >= 1
+
+
+def odometry(pose: Pose, stamp: dict[str, int]) -> dict[str, Any]:
+    half = 0.5 * pose.theta
+    place = {"translation": {"x": pose.x, "y": pose.y}, "rotation": {"z": math.sin(half), "w": math.cos(half)}}
+    header = {"stamp": stamp, "frame_id": "odom"}
+    return {"header": header, "child_frame_id": "base_link", "transform": place}
+
+
+def pose_of(frame: dict[str, Any]) -> Pose:
+    place, rotation = frame["transform"]["translation"], frame["transform"]["rotation"]
+    return Pose(place["x"], place["y"], 2.0 * math.atan2(rotation["z"], rotation["w"]))
+
+
+def message(scan: Scan, stamp: dict[str, int]) -> dict[str, Any]:
+    limits = {"range_min": 0.1, "range_max": 8.0, "angle_min": scan.first, "angle_increment": scan.step}
+    return {"header": {"stamp": stamp, "frame_id": "laser"}, **limits, "ranges": scan.ranges.tolist()}
