@@ -41,7 +41,7 @@ class Edge(NamedTuple):
 
 
 class PoseGraph:
-    """Nodes with poses in one frame, joined by measurements. The first node stays where it is."""
+    """Nodes with poses in one frame, joined by measurements. The first node is fixed."""
 
     def __init__(self) -> None:
         self.poses: list[Pose] = []

@@ -35,7 +35,7 @@ _POINTS = 240  # of a scan that is matched
 # standard deviations of a step of odometry: meters, radians, and the share of the step that is added. The errors are
 # biased, and a small one of the heading would let the bias turn the map
 _METERS, _RADIANS, _DRIFT = 0.004, math.radians(2.0), 0.05
-_LEAST_SHARE = 0.3  # of a scan's points on the submap's lines; with fewer the odometry counts alone
+_LEAST_SHARE = 0.3  # of a scan's points on the submap's lines; with fewer, only the odometry counts
 _MOST_OFF = 0.15, math.radians(6.0)  # of a match from the odometry
 _JUMP = 1.0, math.radians(60.0)  # of the odometry between two scans, after which it counts as reset
 _STEADY = np.diag((0.005**-2.0, 0.005**-2.0, math.radians(0.1) ** -2.0))  # information of two consecutive submaps

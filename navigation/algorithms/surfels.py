@@ -96,7 +96,7 @@ class Match(NamedTuple):
 
     Attributes:
         pose: of the laser in the surfels' frame.
-        information: (3, 3) inverse covariance of x, y (meters) and theta (radians), of the scan's points alone.
+        information: (3, 3) inverse covariance of x, y (meters) and theta (radians), without the prior.
         share: of the scan's points that lie on a line of the surfels.
         error: median distance of these points from their lines, meters.
     """

@@ -1,4 +1,4 @@
-"""Mapper2D: builds a map from a laser and the robot's pose; people can paint on it meanwhile."""
+"""Mapper2D: builds a map from a laser and odometry or a given pose; people can paint on it meanwhile."""
 
 from bridge.descriptors import ModuleDescriptor
 
@@ -6,5 +6,5 @@ MODULE = ModuleDescriptor(
     name="mapper2d",
     factory="navigation.mapper2d.module:Mapper2D",
     section="navigation.mapper2d.section:Mapper2DSection",
-    about="Makes a map from a laser and a known pose; see docs/navigation/mapper2d.md.",
+    about="Makes a map from a laser, with drifting odometry or a known pose; see docs/navigation/mapper2d.md.",
 )

@@ -12,6 +12,7 @@ from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.scan import Turn
 from bridge.modules.host import Host
 from bridge.modules.module import Module
+from bridge.modules.services import Answer
 from bridge.worker import Health
 from navigation.frames import FramesError
 from navigation.ini import laid_under
@@ -22,7 +23,7 @@ from navigation.mapper2d.poses import COVARIANT, Poses, of_message, sent_ns
 from navigation.mapper2d.section import Mapper2DSection
 from navigation.mapper2d.settings import read_file
 from navigation.mapper2d.source import make_source
-from navigation.maps.grid import to_cdr
+from navigation.maps.grid import to_cdr, to_grid
 from navigation.messages import GRID, stamp_ns
 from navigation.pose import Pose, check_rotation
 from navigation.scan import SCAN, ScanError, of_ros, of_yarp
@@ -31,6 +32,8 @@ from navigation.yarp import PortConnection
 from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.pythonic import Received
 from yarp_compat.wire.errors import WireError
+
+GET_MAP = "nav_msgs/srv/GetMap"
 
 _WAITING = 20  # scans that may wait for their poses
 _BEAT = 0.05
@@ -89,6 +92,7 @@ class Mapper2D(Module):
             pairs.append((self._section.pose_port, f"{prefix}/odometry:i"))
         self._connected = [PortConnection(host.yarp.naming, source, target) for source, target in pairs if source]
         self._commands.serve(host, self.name)
+        host.node.server("/dynamic_map", GET_MAP, self._answer_map)
 
     def _on_initial_pose(self, message: dict[str, Any]) -> None:
         """Accept the robot's pose from a topic."""
@@ -148,6 +152,11 @@ class Mapper2D(Module):
             except FramesError:
                 robot = None
             self._picture.write(self._canvas.picture(robot))
+
+    def _answer_map(self, _request: dict[str, Any], answer: Answer) -> None:
+        """Respond with the current map, as slam_toolbox and gmapping do."""
+        grid = to_grid(self.mapper.grid(), self._section.map_frame, self._host.clock.now_ns())
+        answer({"map": grid})
 
     def _answer(self, values: list[Any]) -> list[Any]:
         answer = self._commands.answer(values)

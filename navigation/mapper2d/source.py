@@ -58,7 +58,7 @@ class PoseSource(ABC):
 
     @abstractmethod
     def save_graph(self, graph: Path) -> None:
-        """Save the scans and the graph of a saved map, if there are any; raises `OSError`."""
+        """Save the scans and the graph of a saved map; raises `OSError`."""
 
     def grid(self) -> MapGrid2D:
         """Return the map, complete enough to save it."""
@@ -137,7 +137,7 @@ class MatchedPoses(PoseSource):
         return self.drawn.scan(odometry._replace(stamp_ns=turn.time_ns), scan)
 
     def _begin(self, odometry: Pose) -> None:
-        """Start where the robot was set, or else where the odometry has it, except on a loaded map."""
+        """Start at the pose that was set, or else at that of the odometry, except on a loaded map."""
         start, self._start = self._start, None
         if start is not None:
             self.drawn.locate(start @ self._mount)

@@ -35,7 +35,7 @@ def mapped(driven: list[Seen]) -> Slam:
     return slam
 
 
-def test_the_map_is_right_where_the_odometry_is_not(driven: list[Seen], mapped: Slam) -> None:
+def test_the_map_is_right_despite_drifting_odometry(driven: list[Seen], mapped: Slam) -> None:
     first, last = driven[0], driven[-1]
     meters, degrees = off(first.truth @ (first.odometry.inverse @ last.odometry), last.truth)
     assert meters > 1.0
@@ -75,7 +75,7 @@ def test_a_loaded_map_is_continued_from_a_rough_pose(driven: list[Seen], mapped:
     count = len(mapped.submaps.views)
     again = Slam.resumed(mapped.submaps, driven[40].truth @ Pose(0.4, -0.3, 0.2), (1.0, 0.5))
     assert again.correction is None
-    offset = Pose(5.0, 1.0, 2.0)  # the odometry starts anew
+    offset = Pose(5.0, 1.0, 2.0)  # the odometry was reset
     for seen in driven[40:80]:
         again.add(offset @ seen.odometry, seen.scan)
     assert again.correction is not None

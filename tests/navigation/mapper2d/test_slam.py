@@ -150,6 +150,8 @@ def test_the_module_publishes_the_odometry_on_the_map(driven: list[Seen], tmp_pa
             until(lambda seen=seen, truth=truth: corrected(seen, truth), "the robot is at its place on the map", 40)
         assert seen.odometry.distance(truth) > 0.1
         assert place.answer("mapper2d")["submaps"] >= 1
+        reply = place.far.call("/dynamic_map", "nav_msgs/GetMap").result(20)["reply"]["map"]
+        assert (reply["header"]["frame_id"], 100 in reply["data"]) == ("map", True)
 
 
 def odometry(pose: Pose, stamp: dict[str, int]) -> dict[str, Any]:
