@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from bridge.config.sections.navigation import OURS, NavigationSection, Planner
 from bridge.hub.graph import HubEndpoint
@@ -13,6 +14,9 @@ from bridge.hub.wire.keys import NO_HASH
 from bridge.messages.actions import split
 from bridge.sides import label
 from bridge.status import StatusDocument, refused_routes
+
+if TYPE_CHECKING:
+    from bridge.hub.endpoints.variants import TypeVersions
 
 CURE = "install the same version of the message package on both machines, or name its folder in types.folders"
 
@@ -25,8 +29,16 @@ class Note:
     cure: str = ""
 
 
-def conflicts(endpoints: Iterable[HubEndpoint]) -> list[Note]:
-    """Topics of the hub with several types, or with several hashes of one type."""
+def conflicts(
+    endpoints: Iterable[HubEndpoint], workers: Collection[str] = (), versions: Callable[[], TypeVersions] | None = None
+) -> list[Note]:
+    """Return topics of the hub with several types, or with several hashes of one type that nobody converts.
+
+    Args:
+        endpoints: of the hub.
+        workers: sessions (zid) of Midspan's workers, which convert between the known versions of a type.
+        versions: returns these versions; called only if hashes differ. None: no version is converted.
+    """
     topics: dict[str, dict[str, dict[str, list[HubEndpoint]]]] = {}
     ends: dict[str, list[HubEndpoint]] = {}
     for endpoint in endpoints:
@@ -41,11 +53,27 @@ def conflicts(endpoints: Iterable[HubEndpoint]) -> list[Note]:
             text = f"{topic} has {len(types)} types on the hub ({', '.join(sorted(types))}) that do not match"
             notes.append(Note(text, "give one of them another name, or rename it by a rule"))
         for type_name, hashes in sorted(types.items()):
-            if len(hashes) > 1:
+            if len(hashes) > 1 and not _converted(type_name, hashes, workers, versions):
                 holders = "; ".join(f"{nodes(e)} {h[:17]}..." for h, e in sorted(hashes.items()))
                 text = f"{topic}: the definitions of {type_name} differ ({holders}); no messages are exchanged"
                 notes.append(Note(text, CURE))
     return notes
+
+
+def _converted(
+    type_name: str, hashes: Mapping[str, list[HubEndpoint]], workers: Collection[str],
+    versions: Callable[[], TypeVersions] | None,
+) -> bool:  # fmt: skip
+    """Return whether all versions are known, and a worker has one end of each pair whose versions differ."""
+    native = {(e.kind, e.type_hash) for ends in hashes.values() for e in ends if not (e.origin or e.zid in workers)}
+    published, subscribed = (
+        {type_hash for of, type_hash in native if of is kind}
+        for kind in (EndpointKind.PUBLISHER, EndpointKind.SUBSCRIPTION)
+    )
+    if versions is None or any(one != other for one in published for other in subscribed):
+        return False
+    known = versions()
+    return len({known.here(type_name, type_hash) for type_hash in hashes}) == 1
 
 
 def _all_heard(endpoints: Iterable[HubEndpoint]) -> bool:

@@ -21,6 +21,7 @@ from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind, Origin
 from bridge.hub.wire.keys import NO_HASH
 from bridge.hub.wire.qos import Qos
+from bridge.messages.registry import Registry
 from tests.doctor.parts import around, every, hub, only, results
 from tests.peers.hub.network import HubNetwork
 from tests.support.ports import free_port
@@ -164,6 +165,20 @@ def test_conflicts_on_the_hub() -> None:
     assert conflicts([endpoint("one", "a/srv/A", "1", EndpointKind.SERVER)]) == []
     view = HubSnapshot(endpoints=[endpoint("one", "a/msg/A", "1"), endpoint("two", "a/msg/A", "2")])
     assert only(types.look_at_hashes(around(hub=view))).result is Result.FAIL
+
+
+def test_versions_that_a_worker_converts_are_no_conflict() -> None:
+    registry, name = Registry(), "nav2_msgs/action/NavigateToPose_FeedbackMessage"
+    jazzy, lyrical = registry.releases.hashes(name)
+    nav2 = replace(endpoint("nav2", name, "1"), type_hash=lyrical, zid="5")
+    client = replace(endpoint("client", name, "1", EndpointKind.SUBSCRIPTION), type_hash=jazzy)
+    bridged = replace(client, origin=Origin("ros1", "0" * 24, "robot1"))
+    assert conflicts([nav2, bridged], (), lambda: registry.releases) == []
+    assert conflicts([nav2, client], {client.zid}, lambda: registry.releases) == []
+    other = replace(nav2, type_hash="RIHS01_" + "1" * 64)
+    assert len(conflicts([other, bridged], (), lambda: registry.releases)) == 1
+    (note,) = conflicts([nav2, client, bridged], (), lambda: registry.releases)
+    assert "/client" in note.text
 
 
 def test_bridged_endpoints_are_named_by_their_side() -> None:

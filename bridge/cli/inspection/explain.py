@@ -96,7 +96,7 @@ def explain(client: Client, topic: str) -> Explanation:
     paired = [(decision, _route(decision, documents)) for decision in decisions]
     names |= {d.topic for d in decisions}
     connections = _connections(connected, names)
-    notes = [*silent, *_hub_notes(topic, endpoints), *_warnings(names, documents)]
+    notes = [*silent, *_hub_notes(client, topic, endpoints, documents), *_warnings(names, documents)]
     if decisions or endpoints:  # nothing is decided of a port, such as a module's
         notes += _worker_notes(decisions, documents, {(answer.daemon, answer.worker) for answer in answers})
     notes += [Note(refusal.text, refusal.cure) for refusal in refusals(client, documents) if refusal.topic in names]
@@ -180,8 +180,11 @@ def _route(decision: Decision, documents: Sequence[StatusDocument]) -> RouteStat
     return None
 
 
-def _hub_notes(topic: str, endpoints: Sequence[HubEndpoint]) -> list[Note]:
-    notes = hub_problems.conflicts(endpoints)
+def _hub_notes(
+    client: Client, topic: str, endpoints: Sequence[HubEndpoint], documents: Sequence[StatusDocument]
+) -> list[Note]:
+    workers = {document.zid for document in documents}
+    notes = hub_problems.conflicts(endpoints, workers, lambda: client.registry().releases)
     publishers = [e for e in endpoints if e.kind == "publisher"]
     subscriptions = [e for e in endpoints if e.kind == "subscription"]
     if subscriptions and not publishers:

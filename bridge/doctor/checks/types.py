@@ -9,6 +9,7 @@ from bridge.doctor.hub_problems import CURE, conflicts
 from bridge.hub.graph.tokens import EndpointKind
 from bridge.interfaces.compiler import Compiler
 from bridge.interfaces.definition import BuildError
+from bridge.messages.registry import Registry
 from bridge.status import RefusedRoute, StatusDocument, refused_routes
 
 _SHOWN = 20
@@ -30,7 +31,9 @@ def look_at_hashes(context: CheckContext) -> Findings:
         return skip("the hub does not answer")
     findings = _refusals(context, differing=True)
     findings += merged([warn(text, CURE) for text in _warnings(context) if "md5" in text])[:_SHOWN]
-    findings += merged([fail(note.text, note.cure) for note in conflicts(context.hub.endpoints)])[:_SHOWN]
+    workers = {document.zid for document in context.hub.documents}
+    notes = conflicts(context.hub.endpoints, workers, lambda: Registry.of(context.config.types).releases)
+    findings += merged([fail(note.text, note.cure) for note in notes])[:_SHOWN]
     return findings or ok("no definition differs")
 
 
