@@ -131,11 +131,14 @@ def locked(lock: Path, how: int) -> Iterator[None]:
 
 
 SEGMENT, OTHER_SEGMENT = "fastrtps_0123456789abcdef", "fastrtps_00000000deadbeef"
+SEGMENT_3 = "fastdds_00000000deadbeef"
+"""A segment of Fast DDS 3."""
 
 
 @pytest.mark.parametrize("proc", [PROC, Path("/nowhere")])
 def test_holders_of_a_shared_file(tmp_path: Path, proc: Path) -> None:
-    names = (SEGMENT, "12345.zenoh", "fastrtps_port7410", "somebody_elses", OTHER_SEGMENT)
+    ports = {"fastrtps_port7410", "fastdds_port7410"}
+    names = (SEGMENT, "12345.zenoh", *ports, "somebody_elses", OTHER_SEGMENT, SEGMENT_3)
     locks = {name: shm_file(tmp_path, name) for name in names}
     shm_file(tmp_path, "99.zenoh", age=0.0)
     with locked(locks[SEGMENT], fcntl.LOCK_EX), locked(locks["12345.zenoh"], fcntl.LOCK_SH):
@@ -143,7 +146,7 @@ def test_holders_of_a_shared_file(tmp_path: Path, proc: Path) -> None:
     assert finding.keys() == {*names, "99.zenoh"} - {"somebody_elses"}
     assert {name for name, f in finding.items() if f.held} == {SEGMENT, "12345.zenoh"}
     assert {name for name, f in finding.items() if f.young} == {"99.zenoh"}
-    assert {name for name, f in finding.items() if f.port} == {"fastrtps_port7410"}
+    assert {name for name, f in finding.items() if f.port} == ports
 
 
 def test_litter(tmp_path: Path) -> None:
@@ -175,6 +178,12 @@ def test_another_users_fast_dds(tmp_path: Path, transport: str, result: Result) 
         finding = only(sharedmemory.look_at_users(place))
     assert finding.result is result
     assert "nobody" in finding.seen
+    kilted = shm_file(tmp_path, SEGMENT_3)
+    os.chown(tmp_path / SEGMENT_3, 65534, -1)
+    with locked(kilted, fcntl.LOCK_EX):
+        assert only(sharedmemory.look_at_users(place)).result is result, "no worker is known"
+        with locked(mine, fcntl.LOCK_EX):  # Fast DDS 2, which does not use the other's memory
+            assert only(sharedmemory.look_at_users(place)).result is Result.OK
 
 
 def test_full_disk_is_reported(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from bridge.adapters.ros2.graph.presence import TYPE, PresenceTopic
 from bridge.adapters.ros2.loop import EpollReadLoop, WaitSetReadLoop
 from bridge.adapters.ros2.participant import Participant, mismatch
 from bridge.adapters.ros2.profile import use_profile
+from bridge.adapters.ros2.releases import current
 from bridge.adapters.ros2.services.caller import Ros2Caller
 from bridge.adapters.ros2.services.endpoint import Ros2Context
 from bridge.adapters.ros2.services.server import Ros2Server
@@ -97,7 +98,10 @@ class Ros2Edge(SideEdge):
         profile, number = use_profile(self._config, self._state), domain(self._config, os.environ)
         self._prefix, later = profile.prefix, DelayedCalls("midspan-ros2-later")
         if profile.segment and self._config.ros2.transport == "auto" and self._config.ros2.profile is None:
-            self._neighbours = neighbours.MemoryNeighbours(self._prefix, number, self._leave_shared_memory, later)
+            major = current().fast_dds_major
+            self._neighbours = neighbours.MemoryNeighbours(
+                self._prefix, major, number, self._leave_shared_memory, later
+            )
         if not self._localhost_only:
             self._interfaces = InterfaceWatch(self._use_new_addresses, later)
         participant = Participant(self._config.ros2.node, number)
@@ -352,7 +356,7 @@ class Ros2Edge(SideEdge):
 
     @override
     def warnings(self) -> list[str]:
-        """Return warnings of incompatible QoS, of names served on Cyclone DDS and another DDS, and of new addresses."""
+        """Return warnings of QoS, of other versions of Fast DDS, of names on two kinds of DDS, and of new addresses."""
         offers: dict[str, set[Qos]] = {}
         with self._lock:
             for end in self._ends:
@@ -360,6 +364,7 @@ class Ros2Edge(SideEdge):
                     offers.setdefault(end.topic, set()).add(end.qos)
         cyclone = vendors.report(self.endpoints())
         warnings = [text] if cyclone and (text := vendors.warning(cyclone)) else []
+        warnings += self._over_udp()
         warnings += [self._interfaces.text] if self._interfaces is not None and self._interfaces.text else []
         for endpoint in self.endpoints():
             if endpoint.kind is Kind.SUBSCRIPTION and endpoint.made_by is MadeBy.NATIVE:
@@ -367,6 +372,19 @@ class Ros2Edge(SideEdge):
                 node = endpoint.node or "a node"
                 warnings += [f"{endpoint.topic}: {node} does not receive it: {reason}" for reason in sorted(reasons)]
         return warnings
+
+    def _over_udp(self) -> list[str]:
+        """Return a warning if participants on this machine have another major version of Fast DDS."""
+        watch = self._neighbours
+        count = 0 if watch is None else watch.on_other_major()
+        if not count:
+            return []
+        programs, release = "program uses" if count == 1 else "programs use", current()
+        text = (
+            f"{count} ROS 2 {programs} another major version of Fast DDS on this machine than Midspan,"
+            f" which uses {release.fast_dds} ({release.name}): their messages cross by UDP, not by shared memory"
+        )
+        return [text]
 
 
 _STATUS = 4

@@ -9,9 +9,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from bridge.adapters.ros2 import security
+from bridge.adapters.ros2.releases import RELEASES, names, release_of
 from bridge.config.model import Config
 
-_SYSTEM = Path("/opt/ros/jazzy")
+_SYSTEM = Path("/opt/ros")
 SWITCHES = {
     "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
     # the profile sets the range; ROS 2's setting would add transports
@@ -23,46 +24,56 @@ SWITCHES = {
 STATIC_PEERS = "ROS_STATIC_PEERS"
 """Machines to announce to without multicast: rmw_fastrtps ignores it with SYSTEM_DEFAULT, so the profile has them."""
 UNSET = ("ROS_LOCALHOST_ONLY", "FASTDDS_BUILTIN_TRANSPORTS", "RMW_FASTRTPS_USE_QOS_FROM_XML")
+_PYTHON = f"{sys.version_info.major}.{sys.version_info.minor}"
+_REACHED = "Nodes of other releases are reached over the network, without their installation"
 _CURE = (
-    "install the wheels (pip install 'midspan[ros2]', on Linux and x86-64), or source /opt/ros/jazzy/setup.bash with"
-    " its own Python"
+    "install the wheels (pip install 'midspan[ros2]', on Linux and x86-64), or source the setup.bash of"
+    f" {names()} with its own Python"
 )
 
 
 def available(config: Config) -> str:  # noqa: ARG001 - same signature for every side
     """Return why rclpy is not available, and the cure; "" if it is."""
-    if find_spec("rclpy") is None and _unsourced() is None:
+    prefix = _installation(os.environ)
+    if prefix is None:
+        foreign = next(iter(_foreign(os.environ)), None)
+        if foreign is not None:
+            return f"the sourced ROS 2 in {foreign} is not for Midspan's Python {_PYTHON}; {_CURE}. {_REACHED}"
         return f"rclpy is not installed for {sys.executable}; {_CURE}"
-    if find_spec("rclpy") is not None and find_spec("rmw_fastrtps_cpp") is None and not _sourced(os.environ):
+    if release_of(prefix) is None:
+        return f"the ROS 2 in {prefix} is none of {names()}; {_CURE}. {_REACHED}"
+    if not (_site(prefix) / "rmw_fastrtps_cpp").is_dir() and not _sourced(os.environ):
         return f"rclpy is installed without Fast DDS (rmw_fastrtps_cpp); {_CURE}"
     return security.trouble(os.environ, wheels=uses_wheels(os.environ))
 
 
 def uses_wheels(environ: Mapping[str, str]) -> bool:
     """Return whether a worker would use the wheels in Midspan's environment."""
-    return not _sourced(environ) and (Path(sys.prefix) / "lib/librcl.so").exists()
+    return _installation(environ) == Path(sys.prefix)
 
 
 def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:
     """Return the environment of a ros2 worker, derived from its parent's.
 
-    rclpy comes from a sourced ROS 2, else from the wheels in Midspan's environment, else from ``/opt/ros/jazzy``.
+    rclpy comes from a sourced ROS 2 for this Python, else from the wheels in Midspan's environment, else from
+    ``/opt/ros``. A ROS 2 that is sourced for another Python is removed from the paths: its rclpy would be imported.
     """
     result = dict(environ)
     _without_ros1(result)
-    unsourced = _unsourced()
-    if _sourced(environ):
-        pass
-    elif uses_wheels(environ):
-        # prevents the wheels' start-up hook from restarting the interpreter
+    for foreign in _foreign(environ):
+        _without(result, foreign)
+    prefix = _installation(environ)
+    if prefix is not None:
+        # prevents the wheels' start-up hook from restarting the interpreter with the wheels' libraries
         result["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"
-        _prepend(result, "LD_LIBRARY_PATH", [Path(sys.prefix) / "lib", *sorted(_site(sys.prefix).glob("ros_*.libs"))])
-        _prepend(result, "AMENT_PREFIX_PATH", [Path(sys.prefix)])
-    elif unsourced is not None:
-        libraries = [*unsourced.glob("opt/*/lib"), *unsourced.glob("lib/*-linux-gnu"), unsourced / "lib"]
+    if prefix is not None and not _sourced(environ):
+        if prefix == Path(sys.prefix):
+            libraries = [prefix / "lib", *sorted(_site(prefix).glob("ros_*.libs"))]
+        else:
+            libraries = [*prefix.glob("opt/*/lib"), *prefix.glob("lib/*-linux-gnu"), prefix / "lib"]
+            _prepend(result, "PYTHONPATH", [_site(prefix)])
         _prepend(result, "LD_LIBRARY_PATH", libraries)
-        _prepend(result, "AMENT_PREFIX_PATH", [unsourced])
-        _prepend(result, "PYTHONPATH", [_site(unsourced)])
+        _prepend(result, "AMENT_PREFIX_PATH", [prefix])
     result["ROS_DOMAIN_ID"] = str(domain(config, environ))
     for name in UNSET:
         result.pop(name, None)
@@ -70,17 +81,44 @@ def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, 
 
 
 def _site(prefix: str | Path) -> Path:
-    return Path(prefix) / f"lib/python{sys.version_info.major}.{sys.version_info.minor}/site-packages"
+    return Path(prefix) / f"lib/python{_PYTHON}/site-packages"
+
+
+def _installation(environ: Mapping[str, str]) -> Path | None:
+    """Return the prefix of the ROS 2 that a worker would use, None without one."""
+    sourced = next((p for p in _prefixes(environ) if (_site(p) / "rclpy").is_dir()), None)
+    if sourced is not None:
+        return sourced
+    if (_site(sys.prefix) / "rclpy").is_dir():
+        return Path(sys.prefix)
+    unsourced = next((p for release in RELEASES if (_site(p := _SYSTEM / release.name) / "rclpy").is_dir()), None)
+    return unsourced or _importable(environ)
+
+
+def _importable(environ: Mapping[str, str]) -> Path | None:
+    """Return the prefix of the rclpy on this process's path, unless it is for another Python."""
+    spec = find_spec("rclpy")
+    if spec is None or spec.origin is None or any(Path(spec.origin).is_relative_to(p) for p in _foreign(environ)):
+        return None
+    return Path(spec.origin).parents[4]  # <prefix>/lib/python3.x/site-packages/rclpy/__init__.py
+
+
+def _prefixes(environ: Mapping[str, str]) -> list[Path]:
+    """Return the prefixes that the parent's shell has sourced."""
+    named = map(Path, filter(None, environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)))
+    return [prefix for prefix in named if prefix != Path(sys.prefix)]
 
 
 def _sourced(environ: Mapping[str, str]) -> bool:
     """Return whether the parent's shell has sourced a ROS 2 for this Python version."""
-    prefixes = [p for p in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p and Path(p) != Path(sys.prefix)]
-    return any((_site(p) / "rclpy").is_dir() for p in prefixes)
+    return any((_site(p) / "rclpy").is_dir() for p in _prefixes(environ))
 
 
-def _unsourced() -> Path | None:
-    return _SYSTEM if (_site(_SYSTEM) / "rclpy").is_dir() else None
+def _foreign(environ: Mapping[str, str]) -> list[Path]:
+    """Return the sourced prefixes whose rclpy is for other Python versions only."""
+    folders = ("lib/python3.*/*-packages/rclpy", "local/lib/python3.*/*-packages/rclpy")
+    candidates = [p for p in _prefixes(environ) if any(next(p.glob(f), None) for f in folders)]
+    return [p for p in candidates if not (_site(p) / "rclpy").is_dir()]
 
 
 def _without_ros1(environ: dict[str, str]) -> None:
@@ -89,6 +127,14 @@ def _without_ros1(environ: dict[str, str]) -> None:
     environ.pop("PYTHONPATH", None)
     if folders:
         environ["PYTHONPATH"] = os.pathsep.join(folders)
+
+
+def _without(environ: dict[str, str], prefix: Path) -> None:
+    """Remove the folders of a prefix from the search paths of Python and the dynamic linker."""
+    for name in ("PYTHONPATH", "LD_LIBRARY_PATH"):
+        folders = [f for f in environ.pop(name, "").split(os.pathsep) if f and not Path(f).is_relative_to(prefix)]
+        if folders:
+            environ[name] = os.pathsep.join(folders)
 
 
 def _prepend(environ: dict[str, str], name: str, folders: list[Path]) -> None:

@@ -16,6 +16,7 @@ from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import QoSProfile
 
+from bridge.adapters.ros2.releases import current
 from bridge.adapters.ros2.rmw import RmwSubscription
 from bridge.hub.wire.qos import Durability, History, Qos, Reliability
 from bridge.messages.errors import MessageTypeError
@@ -45,7 +46,7 @@ class Participant:
         self._lock = threading.Lock()
         self._context = Context()
         self._context.init(args=[], initialize_logging=False, domain_id=domain)
-        self._node = _rclpy.Node(name, "", self._context.handle, [], False, False)
+        self._node = _rclpy.Node(name, "", self._context.handle, [], False, False, *current().node_arguments)
 
     @property
     def pointer(self) -> int:
@@ -74,7 +75,7 @@ class Participant:
         """Create another node of this participant, without default endpoints; ``name`` is fully qualified."""
         namespace, _, base = name.rpartition("/")
         with self._lock:
-            return _rclpy.Node(base, namespace, self._context.handle, [], False, False)
+            return _rclpy.Node(base, namespace, self._context.handle, [], False, False, *current().node_arguments)
 
     def make_writer(self, message_class: Any, topic: str, qos: Qos) -> Any:
         """Create a DDS writer; its ``pointer`` is ``rcl_publisher_t *``."""

@@ -31,6 +31,7 @@ from bridge.adapters.ros2.environment import STATIC_PEERS, SWITCHES, UNSET
 from bridge.adapters.ros2.graph import neighbours
 from bridge.adapters.ros2.graph.origins import new_prefix, participant_number, stored_prefixes
 from bridge.adapters.ros2.graph.spdp import MULTICAST, PARTICIPANTS
+from bridge.adapters.ros2.releases import current
 from bridge.config.model import Config
 from bridge.hub.shared_memory import FOLDER
 from bridge.state_file import keep
@@ -42,6 +43,15 @@ _QUEUE = "8192"
 """Limit of the messages in this participant's shared memory that Fast DDS has not read yet."""
 
 _UDP_BUFFER = str(4 * 1024 * 1024)
+
+
+_PROPERTIES = {
+    # the participant's own writers and readers ignore each other
+    "fastdds.ignore_local_endpoints": "true",
+    # Fast DDS 3 announces the definitions of types, and matches endpoints only if they are equal; here they are those
+    # of a lent type support (`bridge.adapters.ros2.types`). Without them it compares the names, like Fast DDS 2.
+    "fastdds.type_propagation": "disabled",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +145,7 @@ def stamped(own: Path, prefix: bytes) -> str:
 
 
 def _set_prefix(rtps: ET.Element, prefix: bytes) -> None:
-    """Set the prefix, and make the participant's own writers and readers ignore each other."""
+    """Set the prefix and the participant's properties."""
     for old in rtps.findall("prefix"):
         rtps.remove(old)
     _add_texts(rtps, prefix=prefix.hex("."))
@@ -143,15 +153,13 @@ def _set_prefix(rtps: ET.Element, prefix: bytes) -> None:
     for name in ("propertiesPolicy", "properties"):
         element = properties.find(name)
         properties = ET.SubElement(properties, name) if element is None else element
-    _add_texts(ET.SubElement(properties, "property"), name="fastdds.ignore_local_endpoints", value="true")
+    for name, value in _PROPERTIES.items():
+        _add_texts(ET.SubElement(properties, "property"), name=name, value=value)
 
 
 def _add_texts(parent: ET.Element, **texts: str) -> None:
     for tag, text in texts.items():
         ET.SubElement(parent, tag).text = text
-
-
-_PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 
 
 def use_profile(config: Config, state: Path) -> FastDdsProfile:
@@ -168,9 +176,9 @@ def use_profile(config: Config, state: Path) -> FastDdsProfile:
         file = os.memfd_create("midspan-fastdds")  # in memory, until this process exits
         os.write(file, text.encode())
         path = Path(f"/proc/{os.getpid()}/fd/{file}")  # not /proc/self: child processes read it too
-    os.environ.update(SWITCHES | dict.fromkeys(_PROFILE_VARIABLES, str(path)))
-    for name in UNSET:
+    for name in (*UNSET, "FASTRTPS_DEFAULT_PROFILES_FILE"):
         os.environ.pop(name, None)
+    os.environ.update(SWITCHES | dict.fromkeys(current().profile_variables, str(path)))
     _loaded.append(profile)
     return profile
 
@@ -181,9 +189,10 @@ _loaded: list[FastDdsProfile] = []
 
 def _segment(config: Config, state: Path) -> int:
     transport = config.ros2.transport
-    if transport == "udp" or (
-        transport == "auto" and (neighbours.has_other_users() or neighbours.prefers_udp(state / "ros2"))
-    ):
+    if transport == "udp":
+        return 0
+    major = current().fast_dds_major
+    if transport == "auto" and (neighbours.has_other_users(major) or neighbours.prefers_udp(state / "ros2")):
         return 0
     size = neighbours.segment_size()
     if not size and config.ros2.profile is None:

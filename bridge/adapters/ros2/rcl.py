@@ -1,6 +1,7 @@
 """Calls of rcl that rclpy does not offer, through ctypes.
 
-Structures as in Jazzy's headers (rcutils/types/uint8_array.h, rmw/types.h). A call through `_rcl_held` keeps the GIL:
+Structures as in the headers of all releases of the table (rcutils/types/uint8_array.h, rmw/types.h; see
+`bridge.adapters.ros2.releases`). A call through `_rcl_held` keeps the GIL:
 it is for calls of a few microseconds, for which releasing the GIL would cost more than the call. No Python code runs on
 a thread of the middleware: its only callback is libc's ``eventfd_write``.
 """
@@ -29,6 +30,7 @@ from ctypes import (
 )
 from typing import Any, NamedTuple
 
+from bridge.adapters.ros2.releases import current
 from bridge.adapters.ros2.tracing import allow_tracing_if_room
 from bridge.kernels import CURE
 from bridge.messages.errors import MessageTypeError
@@ -191,14 +193,14 @@ def host_prefix() -> bytes:
     """Return the four bytes with which Fast DDS begins the GUID prefix of every participant of this host.
 
     Fast DDS recognizes neighbors (for shared memory) by them: vendor 01.0f and two bytes made of the host's addresses.
-    A function of Fast DDS 2.14 returns them. Other versions lack it; then they are the vendor's two bytes and zeros,
-    and only neighbors are not recognized.
+    An internal function of Fast DDS returns them. If this one lacks it, they are the vendor's two bytes and zeros, and
+    only neighbors are not recognized.
     """
     guid = (c_ubyte * _GID_BYTES)()
     participant = c_int32(-1)
     try:
-        library = CDLL("libfastrtps.so.2.14")
-        create = library._ZN8eprosima8fastrtps4rtps14RTPSDomainImpl23create_participant_guidERiRNS1_6GUID_tE
+        release = current()
+        create = getattr(CDLL(release.library), release.new_guid)
     except (OSError, AttributeError):
         return b"\x01\x0f\x00\x00"
     _declare(create, c_bool, POINTER(c_int32), POINTER(c_ubyte * _GID_BYTES))
@@ -218,7 +220,7 @@ def has_eventfd() -> bool:
 # it waited for the GIL there, a thread that creates an endpoint could deadlock.
 #
 # The functions' signatures are those of rosidl_typesupport_fastrtps_cpp/message_type_support.h (Jazzy). They use the
-# public members of Fast CDR 2.2's ``Cdr``, and the offset of its iterators, which `end_of` searches for.
+# public members of Fast CDR 2's ``Cdr``, and the offset of its iterators, which `end_of` searches for.
 
 try:
     from bridge.adapters.ros2 import service_callbacks

@@ -20,6 +20,7 @@ from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 from bridge.adapters.ros2.rcl import Callbacks
+from bridge.adapters.ros2.releases import current
 from bridge.messages.errors import MessageTypeError
 
 _NAME = re.compile(r"^([A-Za-z][A-Za-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)$")
@@ -49,6 +50,12 @@ class _FastDdsCallbacks(Structure):
         ("namespace", c_char_p), ("name", c_char_p),
         *_pointers("serialize", "deserialize", "serialized_size", "max_serialized_size", "key"),
     ]  # fmt: skip
+
+
+class _BufferCallbacks(_FastDdsCallbacks):
+    """Those of a release with buffers; the lent type has none, so that rmw uses the callbacks above."""
+
+    _fields_ = [("has_buffers", c_bool), *_pointers("serialize_with_endpoint", "deserialize_with_endpoint")]
 
 
 class _Members(Structure):
@@ -91,7 +98,8 @@ class Lender:
         find = FindSupport(self.dispatch.find)
         self.fast_dds = TypeSupport.from_address(find(pointer, FAST_DDS))
         self.introspection = TypeSupport.from_address(find(pointer, INTROSPECTION))
-        self.callbacks = _FastDdsCallbacks.from_address(self.fast_dds.data)
+        form = _BufferCallbacks if current().has_buffers else _FastDdsCallbacks
+        self.callbacks = form.from_address(self.fast_dds.data)
         self.members = _Members.from_address(self.introspection.data)
 
 
@@ -152,7 +160,7 @@ class MessageStructures(TypeStructures):
 
     def __init__(self, lender: Lender, type_name: TypeName, serializers: Callbacks | None = None) -> None:
         super().__init__(type_name)
-        self._callbacks = _FastDdsCallbacks.from_buffer_copy(lender.callbacks)
+        self._callbacks = type(lender.callbacks).from_buffer_copy(lender.callbacks)
         self._callbacks.namespace = f"{type_name.package}::{type_name.folder}".encode()
         self._callbacks.name = type_name.name.encode()
         if serializers is not None:

@@ -1,8 +1,8 @@
 """Shared memory: other users' Fast DDS, too little space, leftovers of dead processes.
 
-Fast DDS 2.14 creates segments ``fastrtps_<16 hex>`` and ports ``fastrtps_port<n>``; their users hold a lock (flock) on
-the file ``<name>_el``. zenoh 1.10 creates ``<number>.zenoh`` and locks the file itself. On Linux ``/proc/locks`` lists
-the locked files, also those of other users (verified for both).
+Fast DDS 2 creates segments ``fastrtps_<16 hex>`` and ports ``fastrtps_port<n>``, Fast DDS 3 ``fastdds_...``; neither
+uses the other's. Their users hold a lock (flock) on the file ``<name>_el``. zenoh 1.10 creates ``<number>.zenoh`` and
+locks the file itself. On Linux ``/proc/locks`` lists the locked files, also those of other users (verified for both).
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ def look_at_users(context: CheckContext) -> Findings:
     if context.config.ros2.enabled is False or not context.shm.is_dir():
         return skip("ROS 2 over shared memory is not used here")
     mine = {_daemons_user(context)}
-    living = {f.uid for f in shared_files(context.shm, context.proc) if f.fast_dds and f.held}
-    others = living - mine
+    living = [f for f in shared_files(context.shm, context.proc) if f.fast_dds and f.held]
+    used = {f.maker for f in living if f.uid in mine}  # nothing without a running worker: then any
+    others = {f.uid for f in living if not used or f.maker in used} - mine
     if not others:
         return ok("one user only")
     names = ", ".join(sorted(_user_name(uid) for uid in others))
@@ -101,8 +102,8 @@ def _user_name(uid: int) -> str:
         return f"user {uid}"
 
 
-_SEGMENT = re.compile(r"fastrtps_[0-9a-f]{16}")
-_PORT = re.compile(r"fastrtps_port\d+")
+_SEGMENT = re.compile(r"(?:fastrtps|fastdds)_[0-9a-f]{16}")
+_PORT = re.compile(r"(?:fastrtps|fastdds)_port\d+")
 _LOCK = re.compile(r"FLOCK .* ([0-9a-f]+):([0-9a-f]+):(\d+) ")
 _YOUNG_SECONDS = 10.0
 """A younger file may not be locked yet."""
@@ -125,6 +126,11 @@ class SharedFile:
     def fast_dds(self) -> bool:
         """Whether it belongs to Fast DDS."""
         return not NAME.fullmatch(self.path.name)
+
+    @property
+    def maker(self) -> str:
+        """``fastrtps`` or ``fastdds``: Fast DDS 2 or 3."""
+        return self.path.name.partition("_")[0]
 
     @property
     def port(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from bridge.adapters.ros2 import environment
 from bridge.adapters.ros2.environment import available, worker_environment
+from bridge.adapters.ros2.releases import release_of
 from bridge.config.model import Config
 
 SITE = f"lib/python{sys.version_info.major}.{sys.version_info.minor}/site-packages"
@@ -18,14 +20,72 @@ def config(**ros2: object) -> Config:
     return Config.model_validate({"ros2": ros2})
 
 
+def install(prefix: Path, version: str, site: str = SITE) -> Path:
+    """Create what a ROS 2 with this version of rclpy has in its prefix."""
+    for folder in (f"{site}/rclpy", "share/rclpy"):
+        (prefix / folder).mkdir(parents=True)
+    (prefix / "share/rclpy/package.xml").write_text(f"<package><version>{version}</version></package>\n")
+    return prefix
+
+
+@pytest.fixture
+def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A machine without wheels and without /opt/ros."""
+    monkeypatch.setattr(environment, "_SYSTEM", tmp_path / "none")
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "bare"))
+    return tmp_path
+
+
 def test_rclpy_is_available_here() -> None:
     assert available(Config()) == ""
 
 
-def test_missing_rclpy_is_reported_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_rclpy_is_reported_with_its_cure(monkeypatch: pytest.MonkeyPatch, bare: Path) -> None:
     monkeypatch.setattr(environment, "find_spec", lambda _name: None)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(bare))
     assert "rclpy is not installed" in available(Config())
     assert "pip install" in available(Config())
+
+
+def test_a_release_for_another_python_is_refused_with_the_cure(monkeypatch: pytest.MonkeyPatch, bare: Path) -> None:
+    """ROS 2 Humble is sourced."""
+    humble = install(bare / "humble", "3.3.20", site="local/lib/python3.10/dist-packages")
+    monkeypatch.setattr(environment, "find_spec", lambda _name: None)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(humble))
+    text = available(Config())
+    assert f"the sourced ROS 2 in {humble} is not for Midspan's Python" in text
+    assert "pip install" in text
+    assert "kilted (Python 3.12)" in text
+    assert "reached over the network" in text
+
+
+def test_an_unknown_release_is_refused(monkeypatch: pytest.MonkeyPatch, bare: Path) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(install(bare / "iron", "4.1.7")))
+    assert f"the ROS 2 in {bare / 'iron'} is none of jazzy" in available(Config())
+
+
+@pytest.mark.parametrize(("version", "name"), [("7.1.6", "jazzy"), ("9.1.2", "kilted"), ("10.0.10", "lyrical")])
+def test_a_release_is_recognized(monkeypatch: pytest.MonkeyPatch, bare: Path, version: str, name: str) -> None:
+    prefix = install(bare / "any", version)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(prefix))
+    assert available(Config()) == ""
+    release = release_of(prefix)
+    assert release is not None
+    assert release.name == name
+
+
+def test_the_wheels_are_used_beside_a_sourced_release_for_another_python(tmp_path: Path) -> None:
+    """Otherwise rclpy of Humble would be imported, for which Midspan's Python has no library."""
+    humble = install(tmp_path / "humble", "3.3.20", site="lib/python3.10/site-packages")
+    given = {
+        "AMENT_PREFIX_PATH": str(humble),
+        "PYTHONPATH": f"{humble}/lib/python3.10/site-packages{os.pathsep}/mine",
+        "LD_LIBRARY_PATH": f"{humble}/lib",
+    }
+    result = worker_environment(Config(), given)
+    assert result["PYTHONPATH"] == "/mine"
+    assert str(humble) not in result["LD_LIBRARY_PATH"]
+    assert result["LD_LIBRARY_PATH"].startswith(f"{sys.prefix}/lib")
 
 
 @pytest.mark.parametrize(
@@ -70,11 +130,10 @@ def test_a_sourced_ros2_is_kept(tmp_path: Path) -> None:
     assert {name: result[name] for name in given} == given
 
 
-def test_installed_but_unsourced_ros2_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / SITE / "rclpy").mkdir(parents=True)
-    monkeypatch.setattr(environment, "_SYSTEM", tmp_path)
-    monkeypatch.setattr(sys, "prefix", str(tmp_path / "bare"))
+def test_installed_but_unsourced_ros2_is_found(bare: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    prefix = install(bare / "kilted", "9.1.2")
+    monkeypatch.setattr(environment, "_SYSTEM", bare)
     result = worker_environment(Config(), {})
-    assert result["PYTHONPATH"] == str(tmp_path / SITE)
-    assert result["LD_LIBRARY_PATH"] == str(tmp_path / "lib")
-    assert result["AMENT_PREFIX_PATH"] == str(tmp_path)
+    assert result["PYTHONPATH"] == str(prefix / SITE)
+    assert result["LD_LIBRARY_PATH"] == str(prefix / "lib")
+    assert result["AMENT_PREFIX_PATH"] == str(prefix)

@@ -47,7 +47,8 @@ def test_a_custom_profile_gets_the_mark(tmp_path: Path, space: str) -> None:
     )
     xml = stamped(custom, PREFIX)
     assert texts(xml, "prefix") == [PREFIX.hex(".")]
-    assert texts(xml, "value") == ["true"]
+    assert texts(xml, "name")[-2:] == ["fastdds.ignore_local_endpoints", "fastdds.type_propagation"]
+    assert texts(xml, "value") == ["true", "disabled"]
     assert "<name>kept</name>" in xml
 
 

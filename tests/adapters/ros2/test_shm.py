@@ -12,11 +12,13 @@ import pytest
 from bridge.adapters.ros2.graph import neighbours
 
 HELD, DEAD, FRESH = "fastrtps_" + "a" * 16, "fastrtps_" + "b" * 16, "fastrtps_" + "c" * 16
+DEAD_3 = "fastdds_" + "b" * 16
+"""A segment of Fast DDS 3."""
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    for name in (HELD, DEAD, FRESH, "fastrtps_port7411"):
+    for name in (HELD, DEAD, DEAD_3, FRESH, "fastrtps_port7411", "fastdds_port7411"):
         (tmp_path / name).touch()
         (tmp_path / f"{name}_el").touch()
         if name != FRESH:
@@ -30,20 +32,22 @@ def test_only_segments_of_dead_processes_are_removed(folder: Path) -> None:
     with (folder / f"{HELD}_el").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         before = set(folder.iterdir())
-        assert neighbours.clean(folder) == 1
-        assert before - set(folder.iterdir()) == {folder / DEAD, folder / f"{DEAD}_el"}
+        assert neighbours.clean(folder) == 2
+        removed = {path.name for path in before - set(folder.iterdir())}
+        assert removed == {DEAD, f"{DEAD}_el", DEAD_3, f"{DEAD_3}_el"}
 
 
-def test_ports_of_dead_predecessors_are_removed_unless_in_use(folder: Path) -> None:
+@pytest.mark.parametrize("name", ["fastrtps", "fastdds"])
+def test_ports_of_dead_predecessors_are_removed_unless_in_use(folder: Path, name: str) -> None:
     for number in (7413, 7415):
-        for name in ("fastrtps_port{}", "fastrtps_port{}_el", "sem.fastrtps_port{}_mutex"):
-            (folder / name.format(number)).touch()
+        for file in (f"{name}_port{number}", f"{name}_port{number}_el", f"sem.{name}_port{number}_mutex"):
+            (folder / file).touch()
     before = set(folder.iterdir())
-    with (folder / "fastrtps_port7415_el").open() as used:
+    with (folder / f"{name}_port7415_el").open() as used:
         fcntl.flock(used, fcntl.LOCK_SH)
         neighbours.clean_ports([7413, 7415, 7417], folder)
         removed = {path.name for path in before - set(folder.iterdir())}
-    assert removed == {"fastrtps_port7413", "fastrtps_port7413_el", "sem.fastrtps_port7413_mutex"}
+    assert removed == {f"{name}_port7413", f"{name}_port7413_el", f"sem.{name}_port7413_mutex"}
     neighbours.clean_ports([7415], folder)
     assert not list(folder.glob("*7415*"))
 
@@ -51,12 +55,13 @@ def test_ports_of_dead_predecessors_are_removed_unless_in_use(folder: Path) -> N
 def test_other_users_count_only_while_they_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: mine + 1)
-    assert not neighbours.has_other_users(folder)
+    assert not neighbours.has_other_users(2, folder)
     with (folder / f"{HELD}_el").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        assert neighbours.has_other_users(folder)
+        assert neighbours.has_other_users(2, folder)
+        assert not neighbours.has_other_users(3, folder), "Fast DDS 3 does not use the files of Fast DDS 2"
         monkeypatch.setattr(os, "getuid", lambda: mine)
-        assert not neighbours.has_other_users(folder)
+        assert not neighbours.has_other_users(2, folder)
 
 
 @pytest.mark.parametrize(("free_mb", "segment_mb"), [(100_000, 32), (512, 32), (256, 32), (64, 8), (63, 0), (0, 0)])
@@ -73,4 +78,4 @@ def test_the_segment_is_an_eighth_of_the_free_space(
 def test_a_missing_folder_has_no_space(tmp_path: Path) -> None:
     assert neighbours.segment_size(tmp_path / "none") == 0
     assert neighbours.clean(tmp_path / "none") == 0
-    assert not neighbours.has_other_users(tmp_path / "none")
+    assert not neighbours.has_other_users(2, tmp_path / "none")

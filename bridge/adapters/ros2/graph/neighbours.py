@@ -6,6 +6,9 @@ delivers nothing. The prefix's bytes 4 and 5 are the low half of the process id 
 participant that can share memory has a process on this host with such an id, of the same user, with Fast DDS loaded,
 and with the same /dev/shm.
 
+Fast DDS 2 and 3 announce shared memory in different ways (locators of kind 0x10 and 0x13), and name its files
+differently. Neither uses the other's: their messages go over UDP, also between users.
+
 A participant that was killed just after its start has no process either, and stays on the graph until its lease ends.
 While fewer of the domain's ports are bound than participants of this host are known, one of them has died (a container
 with a separate network has another host's prefix).
@@ -18,11 +21,12 @@ import os
 import re
 import threading
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 
 from bridge.adapters.ros2.graph.origins import is_marked
 from bridge.adapters.ros2.graph.spdp import discovery_ports
+from bridge.adapters.ros2.releases import SHARED_MEMORY
 from bridge.concurrency import DelayedCalls
 from bridge.hub.shared_memory import FOLDER, YOUNG_SECONDS, is_locked
 from bridge.state_file import keep
@@ -35,20 +39,40 @@ LEASE_SECONDS = 25.0
 
 _HOST = slice(0, 4)
 _PID = slice(4, 6)
-_LIBRARIES = (b"libfastrtps", b"libfastdds")
+_LIBRARIES = {major: f"/lib{name}.so.{major}".encode() for major, name in SHARED_MEMORY.items()}
 _NOTE = "udp-alone"
 
 
 class MemoryNeighbours:
-    """Calls ``stranger`` for a participant that shared memory cannot reach. ``own``: this participant's GUID prefix."""
+    """Calls ``stranger`` for a participant that shared memory cannot reach, although Fast DDS offers it.
+
+    Args:
+        own: this participant's GUID prefix.
+        major: the major version of its Fast DDS.
+        domain: its ROS domain.
+        stranger: called once, on a thread of ``later``.
+        later: for delayed checks.
+        proc: the process table.
+        folder: the folder of the files in shared memory.
+    """
 
     def __init__(
-        self, own: bytes, domain: int, stranger: Callable[[], None], later: DelayedCalls, proc: Path = Path("/proc")
+        self,
+        own: bytes,
+        major: int,
+        domain: int,
+        stranger: Callable[[], None],
+        later: DelayedCalls,
+        *,
+        proc: Path = Path("/proc"),
+        folder: Path = FOLDER,
     ) -> None:
-        self._own, self._domain, self._stranger, self._later, self._proc = own, domain, stranger, later, proc
+        self._own, self._major, self._domain, self._stranger = own, major, domain, stranger
+        self._later, self._proc, self._folder = later, proc, folder
         self._lock = threading.Lock()
         self._present: frozenset[bytes] = frozenset()
         self._ours: set[bytes] = set()
+        self._others: set[bytes] = set()
         self._since = 0.0
         self._confirming = self._done = False
 
@@ -57,9 +81,15 @@ class MemoryNeighbours:
         with self._lock:
             self._present = frozenset(participants)
             self._ours &= self._present
+            self._others &= self._present
             if not self._done and not self._confirming and self._suspects():
                 self._since = time.monotonic()
                 self._confirm_later()
+
+    def on_other_major(self) -> int:
+        """Return the number of participants on this host whose Fast DDS has another major version."""
+        with self._lock:
+            return len(self._others)
 
     def _confirm_later(self) -> None:
         self._confirming = True
@@ -67,13 +97,34 @@ class MemoryNeighbours:
 
     def _suspects(self) -> list[bytes]:
         suspects = []
-        for prefix in self._present - self._ours:
-            processes = candidate_processes(self._proc, int.from_bytes(prefix[_PID], "little"))
-            if prefix[_HOST] != self._own[_HOST] or is_marked(prefix) or any(map(shares_memory, processes)):
+        for prefix in self._present - self._ours - self._others:
+            if prefix[_HOST] != self._own[_HOST] or is_marked(prefix):
                 self._ours.add(prefix)
+                continue
+            processes = candidate_processes(self._proc, int.from_bytes(prefix[_PID], "little"))
+            majors = {major for process in processes for major in loaded_majors(process)}
+            majors = majors or {major for process in processes for major in self._majors_of_other_user(process)}
+            if self._major in majors:
+                self._ours.add(prefix)
+            elif majors:
+                self._others.add(prefix)
             else:
                 suspects.append(prefix)
         return suspects
+
+    def _majors_of_other_user(self, process: Path) -> set[int]:
+        """Return the majors of another user's Fast DDS from its live files, as its memory map is not readable.
+
+        Empty if it may share memory of this participant's major, since such files deliver nothing.
+        """
+        try:
+            uid = process.stat().st_uid
+        except OSError:
+            return set()
+        if uid == os.geteuid():
+            return set()
+        majors = {major for major in SHARED_MEMORY for owner in live_users(major, self._folder) if owner == uid}
+        return set() if self._major in majors else majors
 
     def _confirm(self) -> None:
         with self._lock:
@@ -105,18 +156,19 @@ def candidate_processes(proc: Path, low: int) -> list[Path]:
     return [proc / str(pid) for pid in range(low, largest + 1, 1 << 16)]
 
 
-def shares_memory(process: Path) -> bool:
-    """Return whether a process has the same user and /dev/shm, and has Fast DDS loaded."""
+def loaded_majors(process: Path) -> set[int]:
+    """Return the major versions of Fast DDS that a process of the same user and with the same /dev/shm has loaded."""
     try:
         if process.stat().st_uid != os.geteuid():
-            return False
+            return set()
         maps = (process / "maps").read_bytes()
         other = (process / "root" / FOLDER.relative_to("/")).stat()
         mine = FOLDER.stat()
     except OSError:
-        return False
-    same_folder = (other.st_dev, other.st_ino) == (mine.st_dev, mine.st_ino)
-    return same_folder and any(library in maps for library in _LIBRARIES)
+        return set()
+    if (other.st_dev, other.st_ino) != (mine.st_dev, mine.st_ino):
+        return set()
+    return {major for major, library in _LIBRARIES.items() if library in maps}
 
 
 def bound_ports(proc: Path) -> set[int] | None:
@@ -175,7 +227,7 @@ class ProcessWatch:
         if prefix[_HOST] != self._own[_HOST] or is_marked(prefix):
             return {}
         candidates = candidate_processes(self._proc, int.from_bytes(prefix[_PID], "little"))
-        starts = {process: _start(process) for process in candidates if shares_memory(process)}
+        starts = {process: _start(process) for process in candidates if loaded_majors(process)}
         return {process: start for process, start in starts.items() if start}
 
 
@@ -189,15 +241,16 @@ def _start(process: Path) -> str:
 
 
 # -- files in shared memory --------------------------------------------------------------------------------------------
-# Fast DDS 2.14 makes ``fastrtps_<hex>`` (a segment) and ``fastrtps_port<n>`` (a port), each with a lock file
-# ``<name>_el`` that every live user holds locked (flock), and a semaphore ``sem.<port>_mutex``.
+# Fast DDS 2 makes ``fastrtps_<hex>`` (a segment) and ``fastrtps_port<n>`` (a port), each with a lock file ``<name>_el``
+# that every live user holds locked (flock), and a semaphore ``sem.<port>_mutex``. Those of Fast DDS 3 begin with
+# ``fastdds_`` (observed with 2.14.5 and 3.2.3).
 
 LARGEST_SEGMENT = 32 * 1024 * 1024
 """Room for a burst of large messages. Fast DDS writes all of it at creation, so the memory stays allocated."""
 SMALLEST_SEGMENT = 8 * 1024 * 1024
 """Below it shared memory has no benefit: large messages would be fragmented again."""
 
-_LOCK = re.compile(r"^(fastrtps_(?:[0-9a-f]{16}|port\d+))_el$")
+_LOCK = re.compile(rf"^({'|'.join(SHARED_MEMORY.values())})_(?:[0-9a-f]{{16}}|port\d+)_el$")
 
 
 def segment_size(folder: Path = FOLDER) -> int:
@@ -210,14 +263,18 @@ def segment_size(folder: Path = FOLDER) -> int:
     return size if size >= SMALLEST_SEGMENT else 0
 
 
-def has_other_users(folder: Path = FOLDER) -> bool:
-    """Return whether live Fast DDS participants of other users share the folder."""
+def has_other_users(major: int, folder: Path = FOLDER) -> bool:
+    """Return whether live participants of other users, with this major version of Fast DDS, share the folder."""
     mine = os.getuid()
+    return any(uid != mine for uid in live_users(major, folder))
+
+
+def live_users(major: int, folder: Path = FOLDER) -> Iterator[int]:
+    """Yield the owner of each file that a live participant of a major version of Fast DDS has in the folder."""
     for lock in _locks(folder):
         with contextlib.suppress(OSError):
-            if lock.stat().st_uid != mine and is_locked(lock):
-                return True
-    return False
+            if lock.name.startswith(f"{SHARED_MEMORY[major]}_") and is_locked(lock):
+                yield lock.stat().st_uid
 
 
 def clean(folder: Path = FOLDER) -> int:
@@ -242,8 +299,7 @@ def clean_ports(numbers: Iterable[int], folder: Path = FOLDER) -> None:
     """Remove dead predecessors' ports, except those in use: others keep them open until they notice the death."""
     import fcntl
 
-    for number in numbers:
-        port = f"fastrtps_port{number}"
+    for port in (f"{name}_port{number}" for number in numbers for name in SHARED_MEMORY.values()):
         with contextlib.suppress(OSError):  # it does not exist, or is in use
             descriptor = os.open(folder / f"{port}_el", os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
             try:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import os
 import threading
 from collections.abc import Callable, Iterator
@@ -25,7 +27,8 @@ class Table:
     """A fake process table."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
+        self.folder, self.shm = folder, folder / "shm"
+        self.shm.mkdir(parents=True)
         (folder / "sys/kernel").mkdir(parents=True)
         (folder / "sys/kernel/pid_max").write_text("4194304\n")
 
@@ -33,6 +36,13 @@ class Table:
         (self.folder / str(pid)).mkdir()
         (self.folder / str(pid) / "maps").write_text(f"7f00-7f01 r-xp 00000000 08:01 1 {library}\n")
         (self.folder / str(pid) / "root").symlink_to(root)
+
+    @contextlib.contextmanager
+    def locked(self, name: str) -> Iterator[None]:
+        """A live participant's file in shared memory."""
+        with (self.shm / f"{name}_el").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_SH)
+            yield
 
     def bind(self, *ports: int) -> None:
         (self.folder / "net").mkdir(exist_ok=True)
@@ -54,8 +64,9 @@ def strangers(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
 
     def detects(*participants: bytes, then: tuple[bytes, ...] | None = None, seconds: float = 40.0) -> bool:
         reported = threading.Event()
-        watch = neighbours.MemoryNeighbours(OWN, 3, reported.set, later, table.folder)
+        watch = neighbours.MemoryNeighbours(OWN, 2, 3, reported.set, later, proc=table.folder, folder=table.shm)
         watches.append(watch)
+        detects.watch = watch  # type: ignore[attr-defined]
         if then is not None:  # it must exit before the second check, even on a slow machine
             monkeypatch.setattr(neighbours, "CONFIRM_SECONDS", seconds / 2)
         watch.follow(participants)
@@ -89,6 +100,28 @@ def test_process_of_another_user_is_a_stranger(
 def test_a_process_without_fast_dds_does_not_count(table: Table, strangers: Callable[..., bool]) -> None:
     table.add(1, library="/sbin/init")
     assert strangers(prefix(1))
+
+
+def test_a_process_with_another_major_version_of_fast_dds_is_no_stranger(
+    table: Table, strangers: Callable[..., bool]
+) -> None:
+    """Fast DDS 3 is not offered the shared memory of Fast DDS 2, so all of its messages cross by UDP."""
+    table.add(4711, library="/x/libfastdds.so.3.2.2")
+    assert not strangers(prefix(4711), seconds=0.3)
+    assert strangers.watch.on_other_major() == 1  # type: ignore[attr-defined]
+
+
+def test_another_users_fast_dds_of_another_major_version_is_no_stranger(
+    table: Table, strangers: Callable[..., bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table.add(4711)
+    mine = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: mine + 1)
+    with table.locked("fastdds_port7411"):
+        assert not strangers(prefix(4711), seconds=0.3)
+        assert strangers.watch.on_other_major() == 1  # type: ignore[attr-defined]
+        with table.locked("fastrtps_port7413"):
+            assert strangers(prefix(4711)), "it may be the one with the files of Fast DDS 2"
 
 
 def test_a_process_with_a_separate_dev_shm_is_a_stranger(

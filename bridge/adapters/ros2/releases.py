@@ -1,0 +1,97 @@
+"""The releases of ROS 2 on which the ROS 2 side runs, with everything in which they differ for it.
+
+What the side calls by ctypes is the same in Jazzy and Kilted: the headers of rcl, rmw, rcutils and rosidl declare the
+same structures (compared: rclpy 7.1.6 with 9.1.2). Lyrical's row follows its sources (rosidl_typesupport_fastrtps and
+ros2.repos, branch lyrical); the tests run on Jazzy and Kilted.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+_VERSION = re.compile(r"<version[^>]*>\s*(\d+)")
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """One release.
+
+    Attributes:
+        name: its name, as in ``ROS_DISTRO``.
+        rclpy: major version of its rclpy, by which it is recognized.
+        python: the Python of its packages for Ubuntu.
+        fast_dds: version of its Fast DDS, major and minor, as in the library's name.
+        node_arguments: further arguments of rclpy's inner ``Node``, after ``enable_rosout``.
+        has_buffers: whether a message's callbacks for Fast DDS end with those for buffers.
+    """
+
+    name: str
+    rclpy: int
+    python: str
+    fast_dds: str
+    node_arguments: tuple[None, ...]
+    has_buffers: bool
+
+    @property
+    def fast_dds_major(self) -> int:
+        """The major version of Fast DDS: only participants of the same one share memory."""
+        return int(self.fast_dds.partition(".")[0])
+
+    @property
+    def profile_variables(self) -> tuple[str, ...]:
+        """The variables that name the Fast DDS profile; Fast DDS 3 warns of the one that 2 needs."""
+        return ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")[self.fast_dds_major - 2 :]
+
+    @property
+    def library(self) -> str:
+        """File name of Fast DDS's library."""
+        return f"lib{SHARED_MEMORY[self.fast_dds_major]}.so.{self.fast_dds}"
+
+    @property
+    def new_guid(self) -> str:
+        """Symbol of ``RTPSDomainImpl::create_participant_guid(int &, GUID_t &)`` in `library`."""
+        space = SHARED_MEMORY[self.fast_dds_major]
+        return f"_ZN8eprosima{len(space)}{space}4rtps14RTPSDomainImpl23create_participant_guidERiRNS1_6GUID_tE"
+
+
+SHARED_MEMORY = {2: "fastrtps", 3: "fastdds"}
+"""The name that Fast DDS gives its library, its namespace and its files in shared memory, by major version."""
+
+RELEASES = (
+    Release("jazzy", 7, "3.12", "2.14", (), has_buffers=False),
+    Release("kilted", 9, "3.12", "3.2", (None,), has_buffers=False),
+    Release("lyrical", 10, "3.14", "3.6", (None,), has_buffers=True),
+)
+
+
+def release_of(prefix: Path) -> Release | None:
+    """Return the release that is installed in a prefix, such as ``/opt/ros/jazzy``; None if it is not in the table."""
+    try:
+        version = _VERSION.search((prefix / "share/rclpy/package.xml").read_text(encoding="utf-8"))
+    except OSError:
+        return None
+    number = int(version[1]) if version else 0
+    return next((release for release in RELEASES if release.rclpy == number), None)
+
+
+@cache
+def current() -> Release:
+    """Return the release whose rclpy this process imports; raises `ImportError` if none of the table is installed."""
+    spec = importlib.util.find_spec("rclpy")
+    if spec is None or spec.origin is None:
+        raise ImportError("rclpy is not installed")
+    prefix = Path(spec.origin).parents[4]  # <prefix>/lib/python3.x/site-packages/rclpy/__init__.py
+    release = release_of(prefix)
+    if release is None:
+        raise ImportError(f"the ROS 2 in {prefix} is none of {names()}")
+    return release
+
+
+def names(releases: Iterable[Release] = RELEASES) -> str:
+    """Return the releases' names with their Python: "jazzy (Python 3.12), ..."."""
+    return ", ".join(f"{release.name} (Python {release.python})" for release in releases)
