@@ -18,6 +18,7 @@ help: ## list the targets
 	@sed -n 's/^\([a-z0-9-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 22
 
 test test-all: export BROWSER = yes # for the tests of the console
+test test-all: export KILTED = yes # programs of another release of ROS 2
 
 setup: ## install what is missing; the other targets run it first
 	@scripts/setup.sh

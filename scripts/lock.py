@@ -3,8 +3,9 @@
 Run it on Linux, in the virtual environment, with Python 3.11.
 
 requirements.lock lists the packages that Midspan and its tests need, requirements-ros2.lock the additional ROS 2 wheels
-(not installed if a ROS 2 installation is sourced). Newer Pythons use the versions of the oldest supported one; the
-continuous integration verifies that. The files contain versions only; pip uses its configured index.
+(not installed if a ROS 2 installation is sourced), requirements-kilted.lock those of ROS 2 Kilted for tests. Newer
+Pythons use the versions of the oldest supported one; the continuous integration verifies that. The files contain
+versions only; pip uses its configured index.
 
 Both serve every system in SYSTEMS: a line for only some of them has a marker. A package without a wheel for one of them
 needs a marker in pyproject.toml, which leaves it out on that system; `midspan doctor` reports it there.
@@ -172,11 +173,15 @@ def main() -> None:
                 same = [f"{name}=={whole[name]}" for name in without_ros2 if name in whole]
                 plain[system] = resolve([*base, *same], system, Path(folder))
             ros2[system] = {name: version for name, version in whole.items() if name not in plain[system]}
+        kilted = resolve(settings["dependency-groups"]["kilted"], SYSTEMS[0], Path(folder))
     kept_markers = {
         str(canonicalize_name(r.name)): f" ; {r.marker}" for r in map(Requirement, [*extras["sim"], *dev]) if r.marker
     }
     write("requirements.lock", plain, kept_markers)
     write("requirements-ros2.lock", ros2, kept_markers)
+    # what Kilted's packages import besides is in the virtual environment
+    others = {name: version for name, version in kilted.items() if name.startswith("ros-")}
+    write("requirements-kilted.lock", {SYSTEMS[0]: others}, {})
 
 
 if __name__ == "__main__":

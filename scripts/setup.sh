@@ -5,8 +5,9 @@
 #   PYTHON         the Python for the virtual environment (3.11 or newer)
 #   CI=true        anything unavailable is an error; also installs Prometheus and nginx for tests
 #   BROWSER=yes    also installs Chromium for the tests of the console
+#   KILTED=yes     also installs ROS 2 Kilted, for tests with programs of another release
 #   MIDSPAN_CACHE  folder of built message packages; default ~/.cache/midspan/interfaces
-# If /opt/ros/jazzy is sourced, its packages are used and no ROS 2 wheels are installed.
+# If /opt/ros/jazzy, kilted or lyrical is sourced, its packages are used and no ROS 2 wheels are installed.
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -20,6 +21,7 @@ if [ "${CI:-}" = true ]; then
     tools="$tools systemd procps octomap-tools" # procps: the units reload by /bin/kill
     tools="$tools debootstrap lintian" # the Debian package is installed in a fresh system
     BROWSER=yes
+    KILTED=yes
 fi
 if [ -n "${BROWSER:-}" ]; then
     tools="$tools chromium chromium-driver"
@@ -196,11 +198,9 @@ find_python() {
 
 # wheels, or the sourced installation
 ros2_source() {
-    if [ "${ROS_DISTRO:-}" = jazzy ] && [ -n "${AMENT_PREFIX_PATH:-}" ]; then
-        printf 'sourced %s' "$AMENT_PREFIX_PATH"
-    else
-        printf 'wheels'
-    fi
+    case "${ROS_DISTRO:-}" in
+        jazzy | kilted | lyrical) [ -z "${AMENT_PREFIX_PATH:-}" ] || printf 'sourced %s' "$AMENT_PREFIX_PATH" ;;
+    esac
 }
 
 # pip_install TOTAL WHAT...
@@ -248,9 +248,41 @@ setup: install a C compiler and Python's headers (Debian: apt install g++ python
     fi
 }
 
+# Installs the wheels of ROS 2 Kilted beside the other steps, for tests: into a prefix like /opt/ros/kilted, which
+# .cache/kilted links to. Checkouts share it; `await_kilted` waits for it.
+kilted() {
+    if [ -z "${KILTED:-}" ] || [ -n "$kilted_job" ]; then
+        return
+    fi
+    key=$( { cat requirements-kilted.lock && .venv/bin/python -V; } | sha256sum | cut -c 1-16)
+    prefix=${XDG_CACHE_HOME:-$HOME/.cache}/midspan/kilted-$key
+    mkdir -p .cache
+    if ! [ -d "$prefix" ]; then
+        say "installing ROS 2 Kilted for tests, beside the other steps: $(packages_in requirements-kilted.lock) packages"
+        install_kilted "$prefix" >.cache/kilted.log 2>&1 &
+        kilted_job=$!
+    fi
+    rm -f .cache/kilted
+    ln -s "$prefix" .cache/kilted
+}
+
+install_kilted() {
+    .venv/bin/python -m pip install --disable-pip-version-check --no-input --progress-bar off --no-deps --no-compile \
+        --ignore-installed --no-warn-conflicts --no-warn-script-location --prefix "$1.$$" -r requirements-kilted.lock || return
+    mv "$1.$$" "$1" || rm -rf "$1.$$" # another checkout was faster
+}
+
+await_kilted() {
+    if [ -n "$kilted_job" ] && ! wait "$kilted_job" && ! [ -d .cache/kilted/lib ]; then
+        tail -n 5 .cache/kilted.log | sed 's/^/setup: | /' >&2
+        lacking "ROS 2 Kilted's wheels cannot be installed here: tests with its programs are left out"
+    fi
+}
+
 # Creates the virtual environment with all locked packages; a file in it records what it was created from.
 environment() {
     source=$(ros2_source)
+    source=${source:-wheels}
     made_for="$PWD $source"
     made_from="$made_for $(cat pyproject.toml setup.py requirements.lock requirements-ros2.lock | sha256sum)"
     if [ -x .venv/bin/midspan ] && [ "$made_from" = "$(cat .venv/midspan-setup 2>/dev/null)" ]; then
@@ -263,6 +295,7 @@ environment() {
         "$python" -m venv --clear .venv
         printf '%s\n' "$made_for" >.venv/midspan-place
     fi
+    kilted
     say "installing $(packages_in requirements.lock) Python packages (half a minute)"
     pip_install "$(packages_in requirements.lock)" -r requirements.lock || fail "pip could not install requirements.lock"
     if [ "$source" != wheels ]; then
@@ -285,16 +318,19 @@ bytecode() {
     .venv/bin/python -m compileall -q -j 2 bridge navigation sim yarp_compat >/dev/null 2>&1 || true # the folder may be read-only
 }
 
+kilted_job=""
 system_packages
 unpacked prometheus bin/promtool 20
 unpacked nginx sbin/nginx 1
 environment
 kernels
 bytecode
+kilted # if the environment was complete
 if .venv/bin/python -c 'import rclpy' 2>/dev/null; then
     # it reports its own progress
     .venv/bin/midspan interfaces build >/dev/null
 fi
+await_kilted
 if [ -n "$worked" ]; then
     say "ready after $(($(date +%s) - began)) s"
 fi

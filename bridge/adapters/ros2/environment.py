@@ -89,7 +89,7 @@ def _installation(environ: Mapping[str, str]) -> Path | None:
     sourced = next((p for p in _prefixes(environ) if (_site(p) / "rclpy").is_dir()), None)
     if sourced is not None:
         return sourced
-    if (_site(sys.prefix) / "rclpy").is_dir():
+    if find_spec("rclpy") is not None and (_site(sys.prefix) / "rclpy").is_dir():
         return Path(sys.prefix)
     unsourced = next((p for release in RELEASES if (_site(p := _SYSTEM / release.name) / "rclpy").is_dir()), None)
     return unsourced or _importable(environ)

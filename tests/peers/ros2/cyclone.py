@@ -49,9 +49,9 @@ class CyclonePeer(Peer):
         """Return the reply to a call, b"" if none arrives in time."""
         return bytes.fromhex(self.ask("result", id=call, seconds=seconds)["reply"])
 
-    def advertise_raw(self, topic: str, type_: str) -> int:
+    def advertise_raw(self, topic: str, type_: str, *, latched: bool = False) -> int:
         """Advertise a DDS topic by its own name and the name of its type in DDS; return the publisher's id."""
-        return int(self.ask("advertise_raw", topic=topic, type=type_)["id"])
+        return int(self.ask("advertise_raw", topic=topic, type=type_, latched=latched)["id"])
 
     def put(self, endpoint: int, payload: bytes) -> None:
         """Publish one message as CDR."""

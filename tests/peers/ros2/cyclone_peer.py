@@ -165,8 +165,8 @@ class Peer(Commands):
     def advertise(self, topic: str, type: str) -> dict[str, Any]:
         return self.add(Writer(self, f"rt{topic}", dds_type(type, "msg"), RELIABLE))
 
-    def advertise_raw(self, topic: str, type: str) -> dict[str, Any]:
-        return self.add(Writer(self, topic, type, RELIABLE))
+    def advertise_raw(self, topic: str, type: str, latched: bool = False) -> dict[str, Any]:
+        return self.add(Writer(self, topic, type, LATCHED if latched else RELIABLE))
 
     def subscribe(self, topic: str, type: str) -> dict[str, Any]:
         return self.add(Reader(self, f"rt{topic}", dds_type(type, "msg"), RELIABLE))

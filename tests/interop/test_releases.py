@@ -1,0 +1,130 @@
+"""Real programs on ROS 2 Kilted (Fast DDS 3), with Midspan on Jazzy and on Kilted."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.hub.actions import HubActions
+from tests.peers.peer import Peer
+from tests.peers.ros2 import kilted
+from tests.peers.ros2.network import ros2_python
+from tests.support.wait import until
+
+PROGRAM = Path(__file__).parents[1] / "peers" / "ros2" / "parameters.py"
+TEXT, SERVICE, ACTION = "std_msgs/String", "std_srvs/SetBool", "nav2_msgs/NavigateToPose"
+GOAL = {"pose": {"header": {"frame_id": "map"}, "pose": {"position": {"x": 5.0}}}}
+RULES = [
+    {"ros1": "/robot", "node": "/robot_parameters", "owner": "ros1"},
+    {"ros1": "/controller", "node": "/controller_server", "owner": "ros2"},
+]
+
+
+class Rig:
+    """A daemon with its ROS 2 side on a release, a program on Kilted, and programs on ROS 1 and the hub."""
+
+    def __init__(self, deployment: Deployment, side: str) -> None:
+        self.deployment, self.side = deployment, side
+        if side == "kilted":
+            deployment.env = kilted.source(os.environ)
+        deployment.master.start()
+        deployment.configure(routing={"parameters": RULES})
+        self.ros1 = deployment.ros1()
+        self.ros1.ask("set_param", name="/robot", value={"speed": 1.5})
+        env = kilted.program_environment()
+        self.ros2 = deployment.keep(Peer(PROGRAM, ros2_python(), env, "controller_server"))
+        self.ros2.ask("declare", parameters={"mode": "slow"})
+        deployment.run()
+        self.hub = deployment.keep(HubActions(deployment.settings("module")))
+
+
+@pytest.fixture(scope="module", params=["jazzy", pytest.param("kilted", marks=pytest.mark.thorough)])
+def rig(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """The rig of all tests; the parameter is the release of Midspan's side."""
+    with Deployment(tmp_path_factory.mktemp("releases")) as deployment:
+        yield Rig(deployment, request.param)
+
+
+def crossing(source: Peer, sink: Peer, topic: str) -> list[Any]:
+    """Return what crosses on a volatile topic, and on a latched one whose subscriber is late."""
+    publisher, subscription = source.advertise(topic, TEXT), sink.subscribe(topic, TEXT)
+
+    def received() -> list[Any]:
+        source.publish(publisher, {"data": "again"})
+        return sink.wait(subscription, 1, 0.2)
+
+    (volatile, *_) = until(received, f"{topic} crosses", 40)
+    latched = source.advertise(f"{topic}_latched", TEXT, latched=True)
+    source.publish(latched, {"data": "kept"})
+    late = sink.subscribe(f"{topic}_latched", TEXT, latched=True)
+    return [volatile, *sink.wait(late, 1)]
+
+
+def test_topics_and_latched_data(rig: Rig) -> None:
+    both = [{"data": "again"}, {"data": "kept"}]
+    assert crossing(rig.ros2, rig.ros1, "/to_ros1") == both
+    assert crossing(rig.ros1, rig.ros2, "/to_ros2") == both
+    if rig.side == "kilted":
+        jazzy = rig.deployment.ros2()
+        assert crossing(jazzy, rig.ros1, "/from_jazzy") == both
+        assert crossing(rig.ros1, jazzy, "/to_jazzy") == both
+
+
+@pytest.mark.parametrize("native", ["server", "client"])
+def test_services(rig: Rig, native: str) -> None:
+    server, client = (rig.ros2, rig.ros1) if native == "server" else (rig.ros1, rig.ros2)
+    name, reply = f"/lamp_{native}", {"success": True, "message": "lit"}
+    served = server.ask("serve", service=name, type=SERVICE, reply=reply)["id"]
+    if native == "server":
+        rig.deployment.until_route("ros1", name, "out", state="active")
+        client.ask("await_service", service=name, seconds=20)
+    call = client.ask("call", service=name, type=SERVICE, request={"data": True})["id"]
+    assert client.ask("result", id=call, seconds=40)["reply"] == reply
+    assert server.ask("requests", id=served, count=1, seconds=20)["requests"] == [{"data": True}]
+
+
+@pytest.mark.parametrize("native", ["server", "client"])
+def test_actions(rig: Rig, native: str) -> None:
+    server, client = (rig.ros2, rig.hub) if native == "server" else (rig.hub, rig.ros2)
+    name, feedback = f"/go_{native}", [{"distance_remaining": 2.5}]
+    served = server.ask("act", action=name, type=ACTION, feedback=feedback, outcome="succeed")["id"]
+    goal = client.ask("send_goal", action=name, type=ACTION, goal=GOAL, seconds=40)["id"]
+    state = client.ask("goal", id=goal, until={"accepted": True, "status": 4}, seconds=40)
+    assert (state["accepted"], state["status"]) == (True, 4), state
+    (received,) = server.ask("goals", id=served, count=1, seconds=20)["goals"]
+    assert received["pose"]["pose"]["position"]["x"] == 5.0
+
+
+def test_parameters(rig: Rig) -> None:
+    """A node's are in ROS 1, and ROS 1's are those of a node; each is set from the other side."""
+    ros1, ros2 = rig.ros1, rig.ros2
+
+    def in_ros1(name: str) -> Any:
+        return ros1.ask("get_param", name=name)["value"]
+
+    until(lambda: in_ros1("/controller/mode") == "slow", "the node's parameter is in ROS 1", 40, every=0.1)
+    ros1.ask("set_param", name="/controller/mode", value="fast")
+    until(lambda: ros2.ask("own", name="mode")["value"] == "fast", "the node has the new value", 40, every=0.1)
+    node = "/robot_parameters"
+    assert ros2.ask("get_of", node=node, names=["speed"])["values"] == [1.5]
+    assert ros2.ask("set_of", node=node, parameters={"speed": 2.5})["reasons"] == [""]
+    assert in_ros1("/robot/speed") == 2.5
+
+
+def test_status_reports_that_shared_memory_is_not_used(rig: Rig) -> None:
+    """Fast DDS 2 and 3 share none; the side stays on shared memory for programs on its own version."""
+    if rig.side == "kilted":
+        rig.deployment.ros2()
+
+    def reported() -> list[str]:
+        warnings = rig.deployment.worker("ros2").get("warnings", [])
+        return [text for text in warnings if "another major version of Fast DDS" in text]
+
+    (text,) = until(reported, "the warning", 20, every=0.1)
+    assert f"({rig.side})" in text, "the worker runs on this release"
+    assert text.endswith("their messages cross by UDP, not by shared memory")

