@@ -6,7 +6,8 @@ Clients of every side send it goals through the gateway. Replace `wave.plan`, an
 from __future__ import annotations
 
 from typing import Any
-from wave import plan
+
+from wave_search import plan
 
 from bridge.client.actions import SentGoal
 from bridge.hub.wire.qos import LATCHED

@@ -99,7 +99,7 @@ def test_clients_of_all_sides_use_the_planner_and_the_localizer(own: OwnMix) -> 
 
 def test_the_wave_finds_the_gap_in_a_wall(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(FOLDERS[0])
-    from wave import plan
+    from wave_search import plan
 
     flags = np.zeros((60, 100), np.uint8)
     flags[:45, 50] = 1  # a wall from the upper border, open for 1.5 m above the lower one
