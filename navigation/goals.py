@@ -64,6 +64,17 @@ def goal_of(
         raise PlanError(Fault.UNKNOWN_FRAME, reason) from None
 
 
+def places_of(
+    goal: Mapping[str, Any], frames: RobotFrames, maps: Callable[[], Collection[str]]
+) -> tuple[list[MapPlace], Constraints]:
+    """Return the places and the constraints of a ``NavigateToPose`` or ``NavigateThroughPoses`` goal; see `goal_of`."""
+    poses = goal["poses"] if "poses" in goal else [goal["pose"]]
+    if not poses:
+        raise PlanError(Fault.BAD_GOAL, "the goal has no poses")
+    places, constraints = zip(*(goal_of({**goal, "pose": pose}, frames, maps) for pose in poses), strict=True)
+    return list(places), constraints[0]
+
+
 class CurrentGoal:
     """The current goal of the hub's action; its cancellation calls ``stop`` with the reason, which ends the goal."""
 

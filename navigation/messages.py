@@ -9,7 +9,7 @@ from typing import Any
 from navigation.pose import Pose
 
 GRID, STRING = "nav_msgs/msg/OccupancyGrid", "std_msgs/msg/String"
-NAVIGATE = "nav2_msgs/action/NavigateToPose"
+NAVIGATE, THROUGH = "nav2_msgs/action/NavigateToPose", "nav2_msgs/action/NavigateThroughPoses"
 
 Message = dict[str, Any]
 

@@ -18,7 +18,7 @@ from bridge.modules.host import Host
 from bridge.modules.module import Module
 from navigation.constraints import Constraints
 from navigation.frames import FramesError, Localized, RobotFrames
-from navigation.goals import CUT_OFF, GONE, Clients, CurrentGoal, FarClients, MapPlace, goal_of, result
+from navigation.goals import CUT_OFF, GONE, Clients, CurrentGoal, FarClients, MapPlace, places_of, result
 from navigation.messages import NAVIGATE, Message, duration, pose_message
 from navigation.pose import Pose
 from navigation.status import NO_GOAL, STATUS, Compiled, Fault, PlanError, PlannerStatus, State, status_message
@@ -39,10 +39,12 @@ class PlannerModule(Module):
         self._goal = CurrentGoal(host.loop, self.stop_driving)
         self._began, self._fed = 0.0, -math.inf
 
-    def _serve(self, brake: Callable[[bytes], None] | None = None) -> None:
-        """Serve the action, and abort the goals of clients that are cut off."""
-        host, action = self._host, f"/planner/{self.name}/navigate_to_pose"
-        server = host.node.action_server(action, NAVIGATE, self._on_goal, self._goal.cancel, brake=brake)
+    def _serve(
+        self, brake: Callable[[bytes], None] | None = None, name: str = "navigate_to_pose", kind: str = NAVIGATE
+    ) -> None:
+        """Serve an action, and abort the goals of clients that are cut off."""
+        host, action = self._host, f"/planner/{self.name}/{name}"
+        server = host.node.action_server(action, kind, self._on_goal, self._goal.cancel, brake=brake)
         Clients(host, server, lambda: self._abort(GONE))
         FarClients(host, server, lambda goal: self._abort(CUT_OFF) if goal is self._goal.goal else None)
 
@@ -84,6 +86,10 @@ class PlannerModule(Module):
     def _remaining(self, pose: Pose, passed: float) -> tuple[float, float, int]:
         """Return meters to the goal, the expected speed in m/s and the number of recoveries; `passed` in seconds."""
 
+    def _poses_left(self) -> int:
+        """Return the number of poses that it still has to reach."""
+        return 1
+
     def _map_names(self) -> Collection[str]:
         """Return the names of maps that a goal's frame may have."""
         return ()
@@ -117,8 +123,8 @@ class PlannerModule(Module):
     def _on_goal(self, goal: Goal) -> bool:
         """Accept a goal of the action; abort an invalid one, since a rejection could not carry the reason."""
         try:
-            place, wanted = goal_of(goal.goal, self._frames, self._map_names)
-            self.drive(place, constraints=wanted, goal=goal)
+            places, wanted = places_of(goal.goal, self._frames, self._map_names)
+            self.drive(*places, constraints=wanted, goal=goal)
         except PlanError as err:
             goal.abort(result(err.fault, str(err)))
         return True
@@ -137,6 +143,7 @@ class PlannerModule(Module):
             "estimated_time_remaining": duration(left / speed),
             "number_of_recoveries": recoveries,
             "distance_remaining": left,
+            **({"number_of_poses_remaining": self._poses_left()} if "poses" in goal.goal else {}),
         })  # fmt: skip
 
     @override

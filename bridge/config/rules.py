@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from bridge.config.sections.navigation import ACTION, GOAL_POSE, NavigationSection
+from bridge.config.sections.navigation import ACTION, GOAL_POSE, THROUGH_POSES, NavigationSection, through_poses
 from bridge.config.sections.routing import RoutingSection, Rule
 
 VELOCITIES, POSE = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"), "geometry_msgs/msg/PoseStamped"
@@ -52,9 +52,24 @@ def made_rules(section: NavigationSection) -> Iterator[MadeRule]:
     }
     for side, action, goal in (("ros1", doors.ros1, doors.ros1_goal), ("ros2", doors.ros2, doors.ros2_goal)):
         yield from _entry_rules(side, action, goal, owners.get((side, action), ""))
+    yield from _rules_of_poses(section)
     yield _rule("navigation", topic="/navigation/**")
     for velocity in VELOCITIES if section.velocity else ():
         yield _rule("navigation.velocity", kind="topic", topic=section.velocity, type=velocity, priority="command")
+
+
+def _rules_of_poses(section: NavigationSection) -> Iterator[MadeRule]:
+    """Yield the rules of the gateway's `NavigateThroughPoses`: ROS 2 has it beside its entry point, ROS 1 has none."""
+    door = section.doors.ros2
+    name = through_poses(door) if door else ""
+    owners = (planner.name for planner in section.others.values() if planner.side == "ros2" and name in planner.motion)
+    owner = next(owners, "")
+    of = f"navigation ({owner} has {name} there itself)" if owner else "navigation.doors.ros2"
+    if owner or not name:
+        yield _rule(of, kind="action", topic=THROUGH_POSES, to="ros2", deny=True)
+    else:
+        yield _rule(of, kind="action", topic=THROUGH_POSES, to="ros2", rename=name)
+    yield _rule("navigation (ROS 1 has no such action)", kind="action", topic=THROUGH_POSES, to="ros1", deny=True)
 
 
 def _telemetry_rules(section: NavigationSection) -> Iterator[MadeRule]:

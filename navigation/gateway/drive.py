@@ -33,6 +33,7 @@ class ClientDrive:
     goal: Goal | None = None  #: the client's own goal, if it used the action
     name: str = ""  #: of the place, if the client named one
     at: int = 0  #: index of the current target
+    several: bool = False  #: whether the planner's goal contains all remaining targets
     machine: Machine[DriveState, DriveEvent] = field(default_factory=_machine)
     sent: SentGoal | None = None  #: the planner's current or last goal
     followed: SentGoal | None = None  #: the goal whose result was requested again after a loss of contact
@@ -62,6 +63,11 @@ class ClientDrive:
     def target(self) -> Target:
         """The current target."""
         return self.targets[self.at]
+
+    @property
+    def left(self) -> Sequence[Target]:
+        """The targets that it has not reached."""
+        return self.targets[self.at :]
 
     @property
     def begun(self) -> bool:

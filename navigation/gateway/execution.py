@@ -20,7 +20,7 @@ from navigation.gateway.motion import Base, Motion
 from navigation.gateway.planner_link import PlannerLink
 from navigation.gateway.progress import distance, seconds
 from navigation.gateway.stop import GIVE_UP_SECONDS, StopOrder
-from navigation.gateway.targets import Target
+from navigation.gateway.targets import Target, goal_through
 from navigation.gateway.words import MAY_MOVE, own_client
 from navigation.messages import duration
 from navigation.pose import Pose
@@ -155,20 +155,34 @@ class Execution:
             self._give_up_waiting(drive)
             self._changed()
             return
+        several = self._passes(drive)
+        if self._link.other_goals(several=several):
+            if before is not None:
+                self._link.end(before)
+            drive.reason = f"waiting until {self._planner} has ended its previous goal"
+            self._changed()
+            return
         if self._order.state is not StopState.NONE:
             # this goal replaces the planner's earlier goals, which are also canceled
             self._order.drop(f"{MAY_MOVE}: {drive.client} gave another goal")
         drive.machine.on(DriveEvent.SEND)
         drive.released, drive.path_canceled, drive.sent_at, drive.reason = False, False, now, ""
+        drive.several, robot = several, robot_pose(self._frames)
         drive.sent = self._link.send(
-            drive.target.goal(self._planner, robot_pose(self._frames)),
+            goal_through(drive.left, self._planner, robot) if several else drive.target.goal(self._planner, robot),
             lambda sent, result, reason: self._on_end(drive, sent, result, reason),
             lambda feedback: self._on_feedback(drive, feedback),
+            several=several,
         )
         if before is not None:
             # planners end the old goal by themselves, unless they execute several at a time
             self._host.loop.after(REPLACED_SECONDS, lambda: self._link.end(before))
         self._changed()
+
+    def _passes(self, drive: ClientDrive) -> bool:
+        """Whether the planner gets all remaining targets in one goal, and drives through them without stops."""
+        same = {(target.frame, target.tree) for target in drive.left} == {(self._frame, drive.target.tree)}
+        return len(drive.left) > 1 and same and self._link.passes
 
     def _resume(self, drive: ClientDrive) -> None:
         if self.drive is drive and drive.machine.on(DriveEvent.RESUME):
@@ -293,7 +307,13 @@ class Execution:
                 self._send(drive, None)
 
     def _on_feedback(self, drive: ClientDrive, feedback: Mapping[str, Any]) -> None:
-        if self.drive is not drive or drive.goal is None or drive.state not in _ACTIVE:
+        if self.drive is not drive or drive.state not in _ACTIVE:
+            return
+        poses = int(feedback.get("number_of_poses_remaining", 0))
+        if drive.several and 0 < poses < len(drive.left):
+            drive.at = len(drive.targets) - poses
+            self._changed()
+        if drive.goal is None:
             return
         spent = duration(time.monotonic() - drive.began)  # of the client's goal, pauses included
         message = {**feedback, "navigation_time": spent}
@@ -302,6 +322,8 @@ class Execution:
             goal = drive.target.pose if drive.target.frame == self._frame else None
             left = distance(robot_pose(self._frames), goal, self._link.telemetry.path, self._frame)
             message |= {"distance_remaining": left, "estimated_time_remaining": seconds(left, self._motion.speed)}
+        if "poses" in drive.goal.goal:
+            message |= {"number_of_poses_remaining": len(drive.left)}
         drive.goal.feedback(message)
 
     def _on_end(self, drive: ClientDrive, sent: SentGoal, result: Mapping[str, Any] | None, message: str) -> None:
@@ -402,7 +424,7 @@ class Execution:
         return f"{self._planner} {how} the goal" + (f" for {own_client(self._planner)}" if self._link.foreign else "")
 
     def _on_reached(self, drive: ClientDrive) -> None:
-        if drive.at + 1 == len(drive.targets):
+        if drive.several or len(drive.left) == 1:
             self.finish(drive, GoalState.SUCCEEDED, Fault.NONE, "")
         elif drive.state is DriveState.STOPPING:
             self.finish(drive, GoalState.CANCELED, Fault.OTHER, drive.reason)

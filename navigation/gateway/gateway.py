@@ -18,7 +18,7 @@ from navigation.gateway.machine import DriveEvent, DriveState
 from navigation.gateway.motion import Motion, VelocityWatch
 from navigation.gateway.planner_link import PlannerLink
 from navigation.gateway.stop import ANSWER_SECONDS, StopOrder
-from navigation.gateway.targets import Target, TargetError, target_of
+from navigation.gateway.targets import Target, TargetError, targets_of
 from navigation.gateway.words import Situation, derive, own_client, trouble, unconfirmed
 from navigation.messages import Message
 from navigation.pose import Pose
@@ -117,14 +117,14 @@ class Gateway:
     # -- requests of clients -------------------------------------------------------------------------------------------
 
     def accept_goal(self, goal: Goal) -> bool:
-        """Accept a goal of the action; it replaces any other."""
+        """Accept a goal of one of the actions; it replaces any other."""
         try:
-            target = target_of(goal.goal["pose"], goal.goal["behavior_tree"])
+            targets = targets_of(goal.goal)
         except TargetError as err:
             self.ended["refused"] += 1
             goal.abort({"error_code": int(Fault.BAD_GOAL), "error_msg": str(err)})  # a rejection has no reason
             return True
-        self.execution.begin([target], "a client of the action", goal=goal)
+        self.execution.begin(targets, "a client of the action", goal=goal)
         return True
 
     def cancel_goal(self, goal: Goal) -> bool:

@@ -7,7 +7,14 @@ from typing import Any
 
 from typing_extensions import override
 
-from bridge.config.sections.navigation import ACTION, GOAL_POSE, HOLD, HOLD_TYPE, NavigationSection
+from bridge.config.sections.navigation import (
+    ACTION,
+    GOAL_POSE,
+    HOLD,
+    HOLD_TYPE,
+    THROUGH_POSES,
+    NavigationSection,
+)
 from bridge.config.sections.section import Section
 from bridge.hub.errors import HubError
 from bridge.hub.wire.qos import LATCHED, Qos
@@ -21,6 +28,8 @@ from navigation.gateway.services import CLIENT, GatewayDevice, HubServices, Velo
 from navigation.gateway.stop import StopAnswer, wait_for
 from navigation.gateway.targets import StoredPlaces, TargetError, target_of
 from navigation.gateway.telemetry import POSE
+from navigation.goals import CUT_OFF, FarClients
+from navigation.messages import THROUGH
 from navigation.status import STATUS, Fault, State
 from yarp_compat.dev.inavigation2d import Navigation2DServer
 
@@ -49,6 +58,8 @@ class GatewayModule(Module):
         places = StoredPlaces(host, section.frame, lambda: self.gateway.planner == BETWEEN_MAPS)
         gateway = self.gateway
         self._action = NavigateAction(host, gateway.accept_goal, gateway.cancel_goal, gateway.client_lost)
+        poses = host.node.action_server(THROUGH_POSES, THROUGH, gateway.accept_goal, gateway.cancel_goal)
+        FarClients(host, poses, lambda goal: gateway.client_lost(goal, CUT_OFF))
         host.node.subscription(GOAL_POSE, POSE, self._on_goal_pose, Qos(depth=1))
         HubServices(host.node, gateway, places, self._commander)
         self._device = Navigation2DServer(GatewayDevice(host, gateway, places, self._commander, self._begin_stop))

@@ -15,7 +15,7 @@ from navigation.gateway.machine import PlannerEvent, PlannerState
 from navigation.gateway.motion import Base, Motion
 from navigation.gateway.presence import Presence
 from navigation.gateway.telemetry import Telemetry
-from navigation.messages import NAVIGATE, Message
+from navigation.messages import NAVIGATE, THROUGH, Message
 
 
 class PlannerLink:
@@ -29,10 +29,14 @@ class PlannerLink:
         side = other.side if other else ""
         self._client = ActionClient(host.node, action, NAVIGATE)
         self._goals = ActionGoals(host, action, always=side in ("", "ros1"), changed=self._on_list)
+        through = section.through(planner)
         self._motion = [
-            ActionGoals(host, name, always=False, changed=lambda _differs: changed())
-            for name in (other.motion if other is not None else ())
+            ActionGoals(host, name, always=not side, changed=lambda _differs: changed())
+            for name in (other.motion if other is not None else filter(None, [through]))
         ]
+        self._through = ActionClient(host.node, through, THROUGH) if through else None
+        self._through_goals = next((action for action in self._motion if action.action == through), None)
+        self._through_id = b""  # of the last goal of several poses
         self.foreign_goals = ForeignGoals(mark, f"the planner {planner} has disappeared")
         self.telemetry = Telemetry(host, section, planner, changed)
         hosted = not side and planner in host.config.hosted
@@ -93,12 +97,30 @@ class PlannerLink:
 
     def lists(self, sent: SentGoal) -> GoalState | None:
         """Return the state of a goal in a valid list; None if the list does not have it, or is not valid."""
-        return self._goals.list.status(sent.id) if self.state.reported else None
+        goals = self._goals_of(sent)
+        valid = self.state.reported if goals is self._goals else self.reachable and goals.list.known
+        return goals.list.status(sent.id) if valid else None
+
+    def _goals_of(self, sent: SentGoal) -> ActionGoals:
+        through = self._through_goals
+        return through if through is not None and sent.id == self._through_id else self._goals
 
     # -- goals ---------------------------------------------------------------------------------------------------------
 
-    def send(self, goal: Mapping[str, Any], ended: Ended, feedback: Callable[[Message], None]) -> SentGoal:
-        """Send a goal, under a new id."""
+    @property
+    def passes(self) -> bool:
+        """Whether it drives to several poses by one goal."""
+        return self._through is not None and self._through.ready
+
+    def other_goals(self, *, several: bool) -> bool:
+        """Whether a goal of the gateway at its other action is active: Nav2 rejects new goals until that has ended."""
+        other = self._goals if several else self._through_goals
+        return other is not None and not self.ours and any(map(self.mark.is_own, other.list.active))
+
+    def send(
+        self, goal: Mapping[str, Any], ended: Ended, feedback: Callable[[Message], None], *, several: bool = False
+    ) -> SentGoal:
+        """Send a goal, under a new id; ``several``: of several poses, to a planner that `passes`."""
         self.telemetry.begin()
         self.foreign_goals.doubtful = None
 
@@ -107,7 +129,11 @@ class PlannerLink:
             self.telemetry.beat()
             feedback(message)
 
-        sent = self._client.send(goal, ended, on_feedback, self.mark.new_id())
+        client, goal_id = self._client, self.mark.new_id()
+        if several:
+            assert self._through is not None
+            client, self._through_id = self._through, goal_id
+        sent = client.send(goal, ended, on_feedback, goal_id)
         for action in (self._goals, *self._motion):
             action.spare(sent.id)
         return sent
@@ -115,13 +141,14 @@ class PlannerLink:
     def follow(self, sent: SentGoal) -> None:
         """Request again the result of a goal that the planner still has."""
         if not sent.active:
-            self._client.follow(sent)
+            through = self._through
+            (through if through is not None and sent.id == self._through_id else self._client).follow(sent)
 
     def end(self, sent: SentGoal) -> None:
         """Cancel a goal, now or as soon as that is possible, until the planner's list shows that it has ended."""
         if sent.active:
             sent.cancel()
-        self._goals.end(sent.id)
+        self._goals_of(sent).end(sent.id)
 
     def end_all(self) -> None:
         """Cancel everything that moves the base, also goals of its own clients."""
@@ -144,6 +171,9 @@ class PlannerLink:
         """Read the hub's graph and the lists again; called about ten times a second."""
         for action in (self._goals, *self._motion):
             action.refresh()
+        if self._through_goals is not None:
+            for goal in filter(self.mark.is_orphan, self._through_goals.list.active):
+                self._through_goals.end(goal)
         reported = self.state.reported
         self.presence.refresh(complete=self._client.ready, moving=motion.base() is Base.MOVING)
         self._update(reported=reported)
@@ -175,7 +205,8 @@ class PlannerLink:
     @property
     def orphans(self) -> bool:
         """Whether it drives to a goal that this gateway sent before a restart."""
-        return any(self.mark.is_orphan(goal) for goal in self._goals.list.active)
+        several = () if self._through_goals is None else self._through_goals.list.active
+        return any(map(self.mark.is_orphan, (*self._goals.list.active, *several)))
 
     def _on_list(self, differs: bool) -> None:
         self.presence.contact.prove()
@@ -186,6 +217,8 @@ class PlannerLink:
     def close(self) -> None:
         """Close the subscriptions and the clients."""
         self._client.close()
+        if self._through is not None:
+            self._through.close()
         self.telemetry.close()
         for action in (self._goals, *self._motion):
             action.close()

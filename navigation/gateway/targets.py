@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,6 +51,12 @@ class Target:
         return {"header": {"stamp": _NO_STAMP, "frame_id": self.frame}, "pose": pose_message(pose)}
 
 
+def goal_through(targets: Sequence[Target], planner: str, robot: Pose | None) -> dict[str, Any]:
+    """Return the goal of `NavigateThroughPoses` for targets that differ only in their poses."""
+    goals = [target.goal(planner, robot) for target in targets]
+    return {"poses": [goal["pose"] for goal in goals], "behavior_tree": goals[-1]["behavior_tree"]}
+
+
 class TargetError(ValueError):
     """A goal that no planner could follow; the text gives the reason."""
 
@@ -68,6 +74,18 @@ def target_of(message: Mapping[str, Any], tree: str = "") -> Target:
     except ValueError as err:
         raise TargetError(str(err)) from None
     return Target(Pose(float(position["x"]), float(position["y"]), yaw_of(orientation)), frame, tree)
+
+
+MOST_POSES = 1000
+"""Maximum number of poses of one goal."""
+
+
+def targets_of(goal: Mapping[str, Any]) -> list[Target]:
+    """Return the targets of a ``NavigateToPose`` or ``NavigateThroughPoses`` goal; raises `TargetError`."""
+    poses = goal["poses"] if "poses" in goal else [goal["pose"]]
+    if not 0 < len(poses) <= MOST_POSES:
+        raise TargetError(f"the goal has {len(poses)} poses; send 1 to {MOST_POSES}")
+    return [target_of(pose, goal["behavior_tree"]) for pose in poses]
 
 
 _ANY = math.nan

@@ -24,7 +24,7 @@ from navigation.goals import MapPlace
 from navigation.ini import laid_under
 from navigation.layers import LayerSubscriptions
 from navigation.map_in_use import MapInUse
-from navigation.messages import stamp_ns
+from navigation.messages import THROUGH, stamp_ns
 from navigation.planner_module import PlannerModule
 from navigation.pose import Pose
 from navigation.robot_path_planner.atlas import StoreAtlas
@@ -111,6 +111,7 @@ class RobotPathPlanner(PlannerModule):
             host.node.subscription(section.scan, SCAN, on_scan, Qos(depth=1))
         self._layers = LayerSubscriptions(host, section.obstacles, self._frames, self.planner.layer, self.now)
         self._serve(self._brake)
+        self._serve(self._brake, "navigate_through_poses", THROUGH)
         host.answer("picture", lambda _params: host.loop.call(self.picture))
         host.answer("halt", self._on_halt)
         if section.prefix:
@@ -153,6 +154,11 @@ class RobotPathPlanner(PlannerModule):
     @override
     def map_name(self) -> str:
         return self.planner.ground.name if self.planner.ground else ""
+
+    @override
+    def _poses_left(self) -> int:
+        task = self.planner.task
+        return 0 if task is None else 1 + len(task.further)
 
     @override
     def _map_names(self) -> Collection[str]:

@@ -162,6 +162,14 @@ def plan_path(
     return PlannedPath(waypoints, length(places), note)
 
 
+def passing(path: PlannedPath, settings: RobotPathPlannerSection) -> PlannedPath:
+    """Return a path whose end the robot passes without a stop, in any heading."""
+    end = path.waypoints[-1]
+    near = settings.waypoint.tolerance_lin
+    constraints = replace(end.constraints, heading=False, through=True, tolerance_lin=near)
+    return replace(path, waypoints=(*path.waypoints[:-1], replace(end, constraints=constraints)))
+
+
 def _ends(ground: Ground, start: Pose, goal: Pose) -> tuple[Cell, Cell]:
     goal_cell = ground.cell(goal.x, goal.y)
     if goal_cell is None:
@@ -307,6 +315,11 @@ class DriveTask:
     def waypoint(self) -> Waypoint:
         """The waypoint that the robot drives to."""
         return self.waypoints[self.index]
+
+    @property
+    def passes(self) -> bool:
+        """Whether the robot passes the current goal on its way to the next one, without a stop."""
+        return bool(self.further) and self.leg is not None and self.leg.onto is None
 
     @property
     def last(self) -> bool:

@@ -29,6 +29,7 @@ from navigation.robot_path_planner.path import (
     cut,
     is_straight,
     length,
+    passing,
     plan_path,
 )
 from navigation.robot_path_planner.section import RobotPathPlannerSection
@@ -279,7 +280,8 @@ class PathPlanner:
         constraints = task.constraints if task.leg.onto is None else None
         around = around and bool(len(clutter.cells))
         weights = clutter.weights(seen=around) if around or len(clutter.fixed) else None
-        return plan_path(ground, pose, task.leg.end.pose, self.settings, constraints, weights)
+        path = plan_path(ground, pose, task.leg.end.pose, self.settings, constraints, weights)
+        return passing(path, self.settings) if task.passes else path
 
     def _set_out(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator, path: PlannedPath) -> None:
         task.waypoints, task.index, task.note = path.waypoints, 0, path.note
@@ -301,7 +303,7 @@ class PathPlanner:
     def _drive(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator) -> None:
         state = local.state
         task.driven = task.driven or state is not State.ERROR
-        if state is State.REACHED or (not task.last and task.waypoint.is_passed(pose)):
+        if state is State.REACHED or ((task.passes or not task.last) and task.waypoint.is_passed(pose)):
             if task.last:
                 self._arrive(task, now, local)
             else:

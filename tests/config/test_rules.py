@@ -70,6 +70,33 @@ def test_a_planner_with_the_name_of_an_entry_point_keeps_it(
     assert rule_set.enter(other, open_topic, POSE).name == "/goal_pose"
 
 
+def test_ros_2_has_the_gateways_action_of_several_poses_beside_its_entry_point() -> None:
+    several = "nav2_msgs/action/NavigateThroughPoses"
+
+    def policy(rule_set: RuleSet, side: str) -> RoutePolicy:
+        return rule_set.leave("zenoh", side, "/navigation/navigate_through_poses", several, "action")
+
+    assert policy(rules(), "ros2").name == "/navigate_through_poses"
+    assert policy(rules(doors={"ros2": "/robot/navigate_to_pose"}), "ros2").name == "/robot/navigate_through_poses"
+    assert not policy(rules(), "ros1").allowed
+    assert not policy(rules(doors={"ros2": ""}), "ros2").allowed
+    closed = policy(rules("nav2"), "ros2")
+    assert not closed.allowed
+    assert "nav2 has /navigate_through_poses there itself" in closed.why
+
+
+def test_the_planners_with_an_action_of_several_poses() -> None:
+    mine = {"name": "mine", "side": "ros1", "action": "/mine"}
+    section = Config.model_validate({"navigation": {"planner": "nav2", "planners": [mine, {"name": "far"}]}}).navigation
+    assert {name: section.through(name) for name in section.choices} == {
+        "robot_path_planner": "/planner/robot_path_planner/navigate_through_poses",
+        "robot_goto": "",
+        "mine": "",
+        "far": "/planner/far/navigate_through_poses",
+        "nav2": "/navigate_through_poses",
+    }
+
+
 def test_a_planner_with_another_name_leaves_the_entry_point_open() -> None:
     mine = {"name": "mine", "side": "ros1", "action": "/robot/nav/move_base", "velocity": "/robot/nav/cmd_vel"}
     rule_set = rules("robot_goto", planners=[mine])

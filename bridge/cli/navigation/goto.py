@@ -21,7 +21,7 @@ from bridge.client.feed import LatestMessage
 from bridge.client.goals import STATES, SUCCEEDED
 from bridge.client.navigation import STATUS, STATUS_TOPIC, place_goal, place_text, pose_goal, state_text
 from bridge.client.types import Types
-from bridge.config.sections.navigation import ACTION
+from bridge.config.sections.navigation import ACTION, THROUGH_POSES
 from bridge.text import clean
 from navigation.nav2_errors import reason_text
 
@@ -34,13 +34,18 @@ _TERMINATED = (129, 143)
 def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
-        "Drives to a location or an area of the store, or to a pose on the map, with the chosen planner, and shows the"
-        " progress. Ctrl-C, SIGTERM and SIGHUP cancel the goal. Exit code 0: arrived, 1: not arrived, 130, 143 and 129:"
-        " canceled by these signals."
+        "Drives to locations or areas of the store in turn, or to a pose on the map, with the chosen planner, and shows"
+        " the progress. Ctrl-C, SIGTERM and SIGHUP cancel the goal. Exit code 0: arrived, 1: not arrived, 130, 143 and"
+        " 129: canceled by these signals."
     )
-    parser.epilog = "Examples: midspan goto kitchen; midspan goto 1.0 -2.0 90; midspan goto -1.5 2"
+    parser.epilog = (
+        "Examples: midspan goto kitchen; midspan goto hall office; midspan goto 1.0 -2.0 90; midspan goto -1.5 2"
+    )
     parser.add_argument(
-        "where", nargs="+", metavar="PLACE | X Y [DEGREES]", help="a name, or meters and degrees; default: any heading"
+        "where",
+        nargs="+",
+        metavar="PLACE ... | X Y [DEGREES]",
+        help="names, or meters and degrees; default: any heading",
     )
     parser.add_argument("--frame", default="", help="frame of the pose (default: that of maps)")
     parser.add_argument("--timeout", type=float, metavar="SECONDS", help="cancel the goal if it takes longer")
@@ -52,15 +57,18 @@ def register(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Drive there; returns the exit code."""
     numbers = _numbers(args.where)
+    several = numbers is None and len(args.where) > 1
     with open_client(args) as client, Interrupt() as interrupt:
         check_daemon(client)
         types = Types(client)
         if numbers is None:
-            goal = place_goal(gateway_caller(client, types, "get_location"), args.where[0])
+            locate = gateway_caller(client, types, "get_location")
+            poses = [place_goal(locate, name)["pose"] for name in args.where]
+            goal = {"poses": poses} if several else {"pose": poses[0]}
         else:
             goal = pose_goal(args.frame or client.config.navigation.frame, numbers)
         try:
-            sent = FollowedGoal(client, ACTION, "", interrupt)
+            sent = FollowedGoal(client, THROUGH_POSES if several else ACTION, "", interrupt)
         except ClientError as err:
             raise CliError(f"{err}\n{no_answer(client)}") from None
         progress = GoalProgress(sent.id, as_json=args.json)
@@ -72,16 +80,20 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _numbers(words: list[str]) -> list[float] | None:
-    """Return the numbers of a pose, None for the name of a place; raises `CliError`."""
-    if len(words) == 1:
+    """Return the numbers of a pose, None for names of places; raises `CliError`."""
+    numbers = [number for number in map(_number, words) if number is not None]
+    if not numbers or len(words) == 1:
         return None
-    try:
-        numbers = [float(argument) for argument in words]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
-        raise CliError(f"give a place's name (quoted if it has blanks) or X Y [DEGREES], not {' '.join(words)!r}")
+    if len(numbers) != len(words) or len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
+        raise CliError(f"give names of places (quoted if they have blanks) or X Y [DEGREES], not {' '.join(words)!r}")
     return numbers
+
+
+def _number(word: str) -> float | None:
+    try:
+        return float(word)
+    except ValueError:
+        return None
 
 
 class GoalProgress:
@@ -141,7 +153,8 @@ class GoalProgress:
 def _drive(sent: FollowedGoal, goal: dict[str, Any], progress: GoalProgress, timeout: float | None) -> int:
     if not progress.as_json:
         anyhow = ", in any heading" if "behavior_tree" in goal else ""
-        print(f"to {clean(place_text(goal['pose'], heading=not anyhow))}{anyhow}", flush=True)
+        places = (place_text(pose, heading=not anyhow) for pose in goal.get("poses") or [goal["pose"]])
+        print(f"to {clean('; '.join(places))}{anyhow}", flush=True)
     try:
         end, signaled = sent.run(goal, timeout, progress.feedback, progress.refresh, progress.end)
     except ClientError:

@@ -26,6 +26,9 @@ from bridge.config.sections.section import (
 
 OURS = ("robot_path_planner", "robot_goto")  # planners that are modules of Midspan
 ACTION = "/navigate_to_pose"  # the gateway's action on the hub
+THROUGH_POSES = "/navigation/navigate_through_poses"
+"""The gateway's action for several poses. Not Nav2's name, under which a planner's own action is on the hub."""
+
 GOAL_POSE = "/goal_pose"  # the hub's topic on which the gateway receives goals
 HOLD, HOLD_TYPE = "/navigation/hold", "std_msgs/msg/Bool"
 """The gateway's latched topic: whether the planner's velocities are held back; see `bridge.routing.hold`."""
@@ -41,6 +44,11 @@ NAV2_MOTION = (
 def planner_action(name: str) -> str:
     """Return a planner's action on the hub."""
     return f"/planner/{name}/navigate_to_pose"
+
+
+def through_poses(action: str) -> str:
+    """Return the name of `NavigateThroughPoses` beside an action of `NavigateToPose`."""
+    return f"{action.rpartition('/')[0]}/navigate_through_poses"
 
 
 def module_name(factory: str) -> str:
@@ -132,7 +140,10 @@ class DoorsSection(Section):
 
     ros1: OptionalTopic = setting("/move_base", 'The actionlib server (`MoveBase`) on ROS 1; "": none.')
     ros1_goal: OptionalTopic = setting("/move_base_simple/goal", 'Topic of goals on ROS 1 (`PoseStamped`); "": none.')
-    ros2: OptionalTopic = setting("/navigate_to_pose", 'The action (`NavigateToPose`) on ROS 2 (DDS); "": none.')
+    ros2: OptionalTopic = setting(
+        "/navigate_to_pose",
+        'The action (`NavigateToPose`) on ROS 2 (DDS), beside which `navigate_through_poses` is; "": none.',
+    )
     ros2_goal: OptionalTopic = setting("/goal_pose", 'Topic of goals on ROS 2 (`PoseStamped`); "": none.')
     yarp: tuple[PortName, ...] = setting(
         ("/navigation2D_nws_yarp", "/navigationServer"),
@@ -205,6 +216,14 @@ class NavigationSection(Section):
     def choices(self) -> tuple[str, ...]:
         """The planners that clients can choose at run time."""
         return (*OURS, *self.others)
+
+    def through(self, planner: str) -> str:
+        """Return a planner's action `NavigateThroughPoses` on the hub, which it may serve; "" if it has none."""
+        other = self.others.get(planner)
+        if other is None:
+            return through_poses(planner_action(planner)) if planner == OURS[0] else ""
+        name = through_poses(other.action)
+        return name if name in other.motion else ""
 
     def at(self, planner: str) -> str:
         """Return a planner's action on the hub."""

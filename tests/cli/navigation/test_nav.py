@@ -196,6 +196,18 @@ def test_goto_pose_that_aborts(rig: Rig, midspan: Midspan) -> None:
     assert outcome.lines()[-1] == {"status": "aborted", "reason": "no way leads there", "code": 20006}
 
 
+def test_goto_several_places(rig: Rig, midspan: Midspan) -> None:
+    def reach_both() -> None:
+        for number, x in ((1, 5.0), (2, 2.5)):
+            goal = rig.planner.until(number)
+            assert where(goal)[0] == x
+            rig.planner.reach(goal)
+
+    outcome = beside(midspan, ["the hall", "kitchen"], reach_both)
+    assert (outcome.code, outcome.out.splitlines()[-1]) == (0, "arrived")
+    assert "; 2.50, 1.00 m, 90 degrees in map" in outcome.out.splitlines()[0]
+
+
 def test_in_any_heading(rig: Rig, midspan: Midspan) -> None:
     def reach_goal() -> None:
         goal = rig.planner.until(1)

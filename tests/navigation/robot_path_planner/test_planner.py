@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from bridge.config.sections.obstacles import ObstacleSection
 from navigation.goals import MapPlace
-from navigation.pose import Pose
+from navigation.pose import Pose, wrapped
 from navigation.robot_path_planner.ground import Ground, Zone
 from navigation.robot_path_planner.section import RobotPathPlannerSection
 from navigation.status import Fault, State
@@ -80,14 +80,20 @@ def test_a_new_goal_replaces_the_old_one_without_a_stop() -> None:
     assert not drive.local.cancelled
 
 
-def test_the_goals_of_a_path_are_driven_in_sequence() -> None:
+def test_the_goals_of_a_path_are_passed_in_sequence_without_stops() -> None:
     drive = Drive(floor(*ROOMS), WEST)
     north = MapPlace("", Pose(1.0, 4.0, 1.5))
     drive.planner.goal(EAST, now=drive.now, then=[north, MapPlace("floor", WEST)])
     assert drive.run(120.0).state is State.REACHED
-    assert drive.local.pose[:3] == WEST[:3]
+    assert drive.local.pose[:2] == WEST[:2]
+    assert abs(wrapped(drive.local.pose.theta)) < 1e-6
     headed = list(dict.fromkeys(sent[0][:3] for sent in drive.local.sent if sent[1].heading))
-    assert headed == [EAST[:3], north.pose[:3], WEST[:3]]
+    assert headed == [WEST[:3]], "only the last one is reached with its heading"
+    passed = [sent for sent in drive.local.sent if sent[0][:2] in (EAST[:2], north.pose[:2])]
+    assert [sent[0][:2] for sent in passed] == [EAST[:2], north.pose[:2]]
+    assert all(sent[1].through for sent in passed)
+    assert all(min(pose.distance(place) for pose in drive.track) <= 0.1 for place in (EAST, north.pose))
+    assert not drive.local.cancelled
 
 
 def test_cancel_and_pause_stop_the_robot() -> None:

@@ -84,15 +84,22 @@ class ClientGoal:
     """A goal of an action client, with its feedback and result."""
 
     def __init__(
-        self, program: HubNode, message: dict[str, Any], action: str = "/navigate_to_pose", tree: str = ""
+        self,
+        program: HubNode,
+        message: Any,
+        action: str = "/navigate_to_pose",
+        tree: str = "",
+        *,
+        kind: str = NAVIGATE,
+        field: str = "pose",
     ) -> None:
         self.feedback: list[dict[str, Any]] = []
         self.ended = False
         self.result: dict[str, Any] | None = None
-        client = program.on(lambda: program.node.action_client(action, NAVIGATE))
+        client = program.on(lambda: program.node.action_client(action, kind))
         until(lambda: client.ready, f"{action} is served", SECONDS)
         self._program = program
-        goal = {"pose": message, "behavior_tree": tree}
+        goal = {field: message, "behavior_tree": tree}
         self.sent: SentGoal = program.on(lambda: client.send(goal, self._end, self.feedback.append))
 
     def _end(self, _goal: SentGoal, result: dict[str, Any] | None, _reason: str) -> None:
