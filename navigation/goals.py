@@ -16,6 +16,9 @@ from navigation.maps.grid import yaw_of
 from navigation.pose import Pose, check_rotation
 from navigation.status import NO_GOAL, Fault, PlanError, PlannerStatus, State
 
+MOST_POSES = 1000
+"""Maximum number of poses of one goal."""
+
 _FARTHEST = 1e6  # meters; no map is as large, and sums of far larger numbers lose their precision
 
 
@@ -69,8 +72,8 @@ def places_of(
 ) -> tuple[list[MapPlace], Constraints]:
     """Return the places and the constraints of a ``NavigateToPose`` or ``NavigateThroughPoses`` goal; see `goal_of`."""
     poses = goal["poses"] if "poses" in goal else [goal["pose"]]
-    if not poses:
-        raise PlanError(Fault.BAD_GOAL, "the goal has no poses")
+    if not 0 < len(poses) <= MOST_POSES:
+        raise PlanError(Fault.BAD_GOAL, f"the goal has {len(poses)} poses; send 1 to {MOST_POSES}")
     places, constraints = zip(*(goal_of({**goal, "pose": pose}, frames, maps) for pose in poses), strict=True)
     return list(places), constraints[0]
 

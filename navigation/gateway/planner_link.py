@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -16,6 +17,9 @@ from navigation.gateway.motion import Base, Motion
 from navigation.gateway.presence import Presence
 from navigation.gateway.telemetry import Telemetry
 from navigation.messages import NAVIGATE, THROUGH, Message
+
+_KEPT_IDS = 16
+"""Goals of several poses whose action is known: the current one, and replaced ones that may not have ended."""
 
 
 class PlannerLink:
@@ -36,7 +40,7 @@ class PlannerLink:
         ]
         self._through = ActionClient(host.node, through, THROUGH) if through else None
         self._through_goals = next((action for action in self._motion if action.action == through), None)
-        self._through_id = b""  # of the last goal of several poses
+        self._through_ids = deque[bytes](maxlen=_KEPT_IDS)  # of goals of several poses
         self.foreign_goals = ForeignGoals(mark, f"the planner {planner} has disappeared")
         self.telemetry = Telemetry(host, section, planner, changed)
         hosted = not side and planner in host.config.hosted
@@ -103,7 +107,7 @@ class PlannerLink:
 
     def _goals_of(self, sent: SentGoal) -> ActionGoals:
         through = self._through_goals
-        return through if through is not None and sent.id == self._through_id else self._goals
+        return through if through is not None and sent.id in self._through_ids else self._goals
 
     # -- goals ---------------------------------------------------------------------------------------------------------
 
@@ -132,7 +136,8 @@ class PlannerLink:
         client, goal_id = self._client, self.mark.new_id()
         if several:
             assert self._through is not None
-            client, self._through_id = self._through, goal_id
+            client = self._through
+            self._through_ids.append(goal_id)
         sent = client.send(goal, ended, on_feedback, goal_id)
         for action in (self._goals, *self._motion):
             action.spare(sent.id)
@@ -142,7 +147,7 @@ class PlannerLink:
         """Request again the result of a goal that the planner still has."""
         if not sent.active:
             through = self._through
-            (through if through is not None and sent.id == self._through_id else self._client).follow(sent)
+            (through if through is not None and sent.id in self._through_ids else self._client).follow(sent)
 
     def end(self, sent: SentGoal) -> None:
         """Cancel a goal, now or as soon as that is possible, until the planner's list shows that it has ended."""

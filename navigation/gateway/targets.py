@@ -13,6 +13,7 @@ from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, LOCATION, MAP
 from bridge.stores.store import Store
 from navigation.constraints import PREFIX, Constraints
+from navigation.goals import MOST_POSES
 from navigation.maps.grid import from_grid, yaw_of
 from navigation.messages import pose_message
 from navigation.pose import Pose, check_rotation
@@ -74,10 +75,6 @@ def target_of(message: Mapping[str, Any], tree: str = "") -> Target:
     except ValueError as err:
         raise TargetError(str(err)) from None
     return Target(Pose(float(position["x"]), float(position["y"]), yaw_of(orientation)), frame, tree)
-
-
-MOST_POSES = 1000
-"""Maximum number of poses of one goal."""
 
 
 def targets_of(goal: Mapping[str, Any]) -> list[Target]:

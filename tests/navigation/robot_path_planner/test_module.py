@@ -180,7 +180,10 @@ def test_a_hub_goal_of_several_poses_is_driven_without_stops(place: Planning) ->
     assert {constraints.through for x, y, constraints in robot.asked if (x, y) == (2.0, 1.0)} == {True}
     send({"poses": []})
     until(lambda: len(ends) > 1, "the goal ends", 20)
-    assert ends[-1] == (GoalState.ABORTED, {"error_code": int(Fault.BAD_GOAL), "error_msg": "the goal has no poses"})
+    assert ends[-1] == (
+        GoalState.ABORTED,
+        {"error_code": int(Fault.BAD_GOAL), "error_msg": "the goal has 0 poses; send 1 to 1000"},
+    )
     robot.loop.call(client.close)
 
 
