@@ -111,6 +111,15 @@ class Poses:
             return self._mount
         return self._frames.transform(self._frames.base_frame, frame) if frame else Pose(0.0, 0.0, 0.0)
 
+    @property
+    def corrected(self) -> bool:
+        """Whether another program publishes the transform from map to odometry."""
+        try:
+            self._frames.correction()
+        except FramesError:
+            return False
+        return True
+
     def odometry(self, stamp: int = LATEST) -> Pose:
         """Return the robot's pose in the odometry frame at a time, ns, with the stamp; raises `FramesError`."""
         return self._frames.transform(self._frames.odom_frame, self._frames.base_frame, stamp)

@@ -201,7 +201,8 @@ class MatchedPoses(PoseSource):
 
     @property
     def _localized(self) -> bool:
-        return self._localizer == "localized_ok"
+        """Whether another program says where the robot is, so that a second transform would contradict it."""
+        return self._localizer == "localized_ok" or self._poses.corrected
 
     @property
     @override

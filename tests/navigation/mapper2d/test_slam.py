@@ -153,6 +153,21 @@ def test_the_module_publishes_the_odometry_on_the_map(driven: list[Seen], tmp_pa
         reply = place.far.call("/dynamic_map", "nav_msgs/GetMap").result(20)["reply"]["map"]
         assert (reply["header"]["frame_id"], 100 in reply["data"]) == ("map", True)
 
+        def contradicted() -> bool:
+            now = time.time_ns()
+            stamp = {"sec": now // S, "nanosec": now % S}
+            both = [odometry(seen.odometry, stamp), localized(stamp)]
+            place.far.publish(frames, {"transforms": both})
+            place.far.publish(scans, message(seen.scan, stamp))
+            return "a localizer publishes the transform" in place.worker.running("mapper2d").health().text
+
+        until(contradicted, "another program's transform is reported", 20)
+
+
+def localized(stamp: dict[str, int]) -> dict[str, Any]:
+    header = {"stamp": stamp, "frame_id": "map"}
+    return {"header": header, "child_frame_id": "odom", "transform": {"rotation": {"w": 1.0}}}
+
 
 def odometry(pose: Pose, stamp: dict[str, int]) -> dict[str, Any]:
     half = 0.5 * pose.theta
