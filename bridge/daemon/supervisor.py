@@ -36,6 +36,9 @@ STOP_SECONDS = 4.8
 KILLED_SECONDS = 1.0
 """A killed process that still exists after this time hangs in the kernel; not part of `STOP_SECONDS`."""
 
+_TO_EXIT = 0.5
+"""Seconds that are left for the exit of a killed process within `STOP_SECONDS`."""
+
 
 def usable_cores() -> int:
     """Return the number of processor cores that this process may use."""
@@ -265,9 +268,10 @@ class Supervisor:
                 worker.release()
         bridges = [worker for worker in self.workers if not worker.kind.outlives]
         last = [worker for worker in self.workers if worker.kind.outlives]
-        for group, until, left in ((bridges, 3.3, 2.8), (last, STOP_SECONDS, 1.0)):
+        for group, until, least in ((bridges, 3.3, 2.8), (last, STOP_SECONDS, 1.0)):
+            seconds = max(least, begun + until - _TO_EXIT - time.monotonic())
             for worker in group:
-                worker.stop("the daemon stops", left)
+                worker.stop("the daemon stops", seconds)
             self._wait_for_end(group, begun + until)
         self._kill_the_rest()
         logger.info("stopped after %.1f s", time.monotonic() - begun)

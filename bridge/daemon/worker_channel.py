@@ -283,6 +283,8 @@ class SocketChannel(WorkerChannel):
             if code is not None:
                 self._log_last_output()
                 self.detach()
+                with contextlib.suppress(OSError):
+                    self._path.unlink(missing_ok=True)  # a killed process leaves it
                 self._listener.on_exit(Exit(code))
                 return
         if self._socket is None and not self.adopt() and self._connected and self._process is None:

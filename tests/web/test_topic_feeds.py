@@ -45,7 +45,8 @@ class Surroundings:
     def publishers(self, _topic: str) -> list[HubEndpoint]:
         return self.endpoints
 
-    def subscription(self, *arguments: Any) -> Surroundings:
+    def subscription(self, *arguments: Any, exact: bool) -> Surroundings:
+        assert exact, "it receives the message as it was published"
         if self.refusal:
             raise HubError(self.refusal)
         self.callbacks.append(arguments[-1])

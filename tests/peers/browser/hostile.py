@@ -41,8 +41,9 @@ _WARM = 1000
 _LOOK = 200
 _ANSWERS = {100, 101, 200, 206, 304, 307, 400, 403, 404, 405, 413, 416, 426, 431, 503}
 _OPS = {"hello", "value", "reply", "held", "error"}
-_LATER_NS = 800_000_000
-"""Nanoseconds after a page's last hold in which the base may still be commanded to move: 0.3 s, and the latency."""
+_LATER_NS = 3_000_000_000
+"""Nanoseconds after a page's last hold in which the base may still be commanded to move: 0.3 s, and the time that a
+console on a busy machine takes to read what a closed page has sent."""
 
 
 class HostileConsole:
