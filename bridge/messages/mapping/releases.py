@@ -12,8 +12,6 @@ from functools import cache
 from threading import RLock
 from typing import Any
 
-import yaml
-
 from bridge.messages.definitions.library import DefinitionLibrary
 from bridge.messages.definitions.schema import DefaultValue, Definition, Field, FieldType, Schema, Shape
 from bridge.messages.definitions.versions import RELEASES_FOLDER, TypeVersions
@@ -43,6 +41,8 @@ class VersionRule:
 @cache
 def version_rules() -> Mapping[tuple[str, str], VersionRule]:
     """Return the rules by the names of the older and the newer message."""
+    import yaml  # most deployments have one release
+
     entries: list[dict[str, Any]] = yaml.safe_load((RELEASES_FOLDER / "fields.yaml").read_text(encoding="utf-8"))
     rules: dict[tuple[str, str], VersionRule] = {}
     for entry in entries:
