@@ -17,8 +17,9 @@ from navigation.pose import Pose
 from navigation.status import PlanError
 from tests.peers.daemon.deployment import Deployment
 from tests.peers.daemon.examples import EXAMPLES
+from tests.peers.navigation.gateway import pose
 from tests.peers.navigation.mix import OURS, Closing, Mix
-from tests.peers.navigation.mix_clients import COMMAND, ROS1, ROS2, SECONDS, YARP, ZENOH
+from tests.peers.navigation.mix_clients import COMMAND, ROS1, ROS2, SECONDS, YARP, ZENOH, RosClient
 from tests.peers.ros1.network import needs_ros1
 from tests.peers.sim.point_robot import PointRobot
 from tests.support.wait import until
@@ -79,6 +80,12 @@ def test_clients_of_all_sides_use_the_planner_and_the_localizer(own: OwnMix) -> 
     answer, location = localization.get_current_position1_RPC()
     assert answer
     assert location.x == pytest.approx(4.0, abs=0.1)
+
+    ros2, poses = own.clients[ROS2], [pose(5.0), pose(6.0)]
+    assert isinstance(ros2, RosClient)
+    ros2.send("/navigate_through_poses", "nav2_msgs/NavigateThroughPoses", {"poses": poses})
+    until(ros2.end, "the goal of several poses ends", SECONDS)
+    assert (ros2.end(), robot.x) == ("succeeded", pytest.approx(6.0, abs=0.1))
 
     own.clients[ROS2].goto(40.0)
     until(lambda: own.clients[ROS2].progress() > 1, "the robot drives", SECONDS)
