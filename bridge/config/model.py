@@ -1,4 +1,4 @@
-"""The model of Midspan's YAML file. Every key is optional; the defaults run on one machine as they are."""
+"""The model of the YAML file. Every key is optional; the defaults run on one machine as they are."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ class Config(Section):
 
     @property
     def _own_planners(self) -> dict[str, OwnModule]:
-        """The planners that are classes of one's own, as modules by name."""
+        """The planners that a user's class implements, as modules by name."""
         from bridge.config.sections.modules import OwnModule
 
         own = (planner for planner in self.navigation.planners if planner.factory)

@@ -32,11 +32,11 @@ class Note:
 def conflicts(
     endpoints: Iterable[HubEndpoint], workers: Collection[str] = (), versions: Callable[[], TypeVersions] | None = None
 ) -> list[Note]:
-    """Return topics of the hub with several types, or with several hashes of one type that nobody converts.
+    """Return topics of the hub with several types, or with several hashes of one type that are not converted.
 
     Args:
         endpoints: of the hub.
-        workers: sessions (zid) of Midspan's workers, which convert between the known versions of a type.
+        workers: sessions (zid) of Midspan workers, which convert between the known versions of a type.
         versions: returns these versions; called only if hashes differ. None: no version is converted.
     """
     topics: dict[str, dict[str, dict[str, list[HubEndpoint]]]] = {}

@@ -79,7 +79,7 @@ class Slam:
         submaps: with their graph.
         track: None before the first scan.
         loops: the search for loops.
-        unsure: meters and radians by which the pose may be wrong, until the way is joined to a loaded map; else None.
+        unsure: meters and radians by which the pose may be wrong until the trajectory joins a loaded map; else None.
     """
 
     def __init__(self, start: Pose = _ORIGIN) -> None:
@@ -113,7 +113,7 @@ class Slam:
         return len(self.submaps.graph.poses) >= MOST_SUBMAPS
 
     def move(self, pose: Pose, unsure: tuple[float, float]) -> None:
-        """Set the laser's pose on the map: that of the way so far, which is not joined to a loaded map, or of all."""
+        """Set the laser pose on the map: moves the trajectory that has not joined a loaded map yet, else the whole map."""
         change = pose @ self.pose.inverse
         self._start = pose
         poses = self.submaps.graph.poses

@@ -234,6 +234,7 @@ class Gateway:
             doubtful=link.foreign_goals.doubtful is not None,
             motion=link.motion,
             foreign=self._of_foreign(foreign[-1]) if foreign else None,
+            unlisted=link.unlisted,
             orphans=link.orphans,
             drive=None if drive is None else drive.state,
             reason="" if drive is None else drive.reason,

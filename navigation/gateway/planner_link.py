@@ -208,6 +208,12 @@ class PlannerLink:
             self.foreign_goals.doubt()
 
     @property
+    def unlisted(self) -> bool:
+        """Whether it serves goals of several poses, and whether it has any is unknown."""
+        through = self._through_goals
+        return through is not None and through.there and not through.list.known
+
+    @property
     def orphans(self) -> bool:
         """Whether it drives to a goal that this gateway sent before a restart."""
         several = () if self._through_goals is None else self._through_goals.list.active

@@ -28,6 +28,7 @@ class Situation:
     doubtful: bool = False  #: whether it had a goal of a client that bypasses the gateway when it became unreachable
     motion: tuple[str, ...] = ()  #: other actions that move the base now, such as Nav2's ``/follow_path``
     foreign: PlannerStatus | None = None  #: the status of a goal of the planner's own client
+    unlisted: bool = False  #: whether it serves goals of several poses, and has not reported them yet
     orphans: bool = False  #: whether the planner drives to a goal from before the gateway was restarted
     drive: DriveState | None = None
     reason: str = ""  #: why the drive stops or waits
@@ -172,7 +173,7 @@ def _without_drive(now: Situation) -> PlannerStatus:
         return PlannerStatus(State.MOVING, f"{', '.join(now.motion)} moves the base")
     if _coasting(now) and now.last.state is not State.REACHED:
         return _COASTING
-    if not now.planner_state.reported and now.planner_state is not PlannerState.ABSENT:
+    if (now.unlisted or not now.planner_state.reported) and now.planner_state is not PlannerState.ABSENT:
         return _unknown(now)
     return now.last
 

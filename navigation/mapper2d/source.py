@@ -1,4 +1,4 @@
-"""Where the poses of scans come from: a given pose, or the scans themselves."""
+"""The sources of the poses of scans: a given pose, or scan matching."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ class MatchedPoses(PoseSource):
 
     @property
     def _localized(self) -> bool:
-        """Whether another program says where the robot is, so that a second transform would contradict it."""
+        """Whether another program localizes the robot, so that a second transform would contradict it."""
         return self._localizer == "localized_ok" or self._poses.corrected
 
     @property

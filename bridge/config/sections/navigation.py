@@ -47,7 +47,7 @@ def planner_action(name: str) -> str:
 
 
 def through_poses(action: str) -> str:
-    """Return the name of `NavigateThroughPoses` beside an action of `NavigateToPose`."""
+    """Return the name of `NavigateThroughPoses` in the namespace of an action `NavigateToPose`."""
     return f"{action.rpartition('/')[0]}/navigate_through_poses"
 
 
@@ -142,7 +142,7 @@ class DoorsSection(Section):
     ros1_goal: OptionalTopic = setting("/move_base_simple/goal", 'Topic of goals on ROS 1 (`PoseStamped`); "": none.')
     ros2: OptionalTopic = setting(
         "/navigate_to_pose",
-        'The action (`NavigateToPose`) on ROS 2 (DDS), beside which `navigate_through_poses` is; "": none.',
+        'The action (`NavigateToPose`) on ROS 2 (DDS), with `navigate_through_poses` in the same namespace; "": none.',
     )
     ros2_goal: OptionalTopic = setting("/goal_pose", 'Topic of goals on ROS 2 (`PoseStamped`); "": none.')
     yarp: tuple[PortName, ...] = setting(

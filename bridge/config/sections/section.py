@@ -126,7 +126,14 @@ MapSource = Annotated[str, matching(f"store|{ROS2_NAME.pattern}", _NOT_A_TOPIC)]
 FrameName = Annotated[str, Field(min_length=1, max_length=100)]
 FACTORY = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
 Factory = Annotated[str, matching(FACTORY, "does not name a class: write package.module:Class")]
-SOURCES = ("own", "amcl", "tf", "topic", "port", "server")  # of the robot's pose, besides classes of one's own
+SOURCES = (
+    "own",
+    "amcl",
+    "tf",
+    "topic",
+    "port",
+    "server",
+)  # of the robot pose; others are named by class
 PoseSourceName = Annotated[
     str,
     matching(

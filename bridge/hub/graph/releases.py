@@ -1,7 +1,7 @@
 """The ROS 2 releases of the hub's native nodes, by their tokens.
 
 The forms of tokens differ between the releases of rmw_zenoh: see `bridge.hub.graph.hashes` for Humble and
-`bridge.hub.wire.buffers` for Lyrical. There is no rmw_zenoh of Iron.
+`bridge.hub.wire.buffers` for Lyrical. rmw_zenoh was not released for Iron.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def endpoint_releases(endpoint: HubEndpoint) -> Releases:
 
 
 def native_nodes(endpoints: Iterable[HubEndpoint], midspan: Container[str] = ()) -> list[NativeNodes]:
-    """Return the hub's native nodes by release; ``midspan`` has the sessions (zid) of Midspan's own programs."""
+    """Return the hub's native nodes by release; ``midspan`` contains the sessions (zid) of Midspan programs."""
     of_node: dict[tuple[str, str], list[HubEndpoint]] = {}
     for end in endpoints:
         if end.origin is None and not end.pending and not end.own and end.zid not in midspan:

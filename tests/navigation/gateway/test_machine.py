@@ -127,6 +127,14 @@ def test_an_unknown_planner_is_not_idle() -> None:
         assert derive(Situation("nav2", planner, base=Base.STANDING)).state is State.IDLE
 
 
+def test_goals_of_several_poses_are_unknown_until_their_list_arrives() -> None:
+    """After a restart of the gateway, the planner may still drive to one."""
+    moving = derive(Situation("nav2", PlannerState.IDLE, 9.0, base=Base.MOVING, unlisted=True))
+    assert (moving.state, moving.fault) == (State.MOVING, Fault.MAY_MOVE)
+    assert derive(Situation("nav2", PlannerState.IDLE, 9.0, base=Base.UNKNOWN, unlisted=True)).state is State.THINKING
+    assert derive(Situation("nav2", PlannerState.IDLE, 9.0, base=Base.STANDING, unlisted=True)).state is State.IDLE
+
+
 def test_a_stop_is_ok_only_if_it_is_confirmed() -> None:
     for now in SITUATIONS:
         ok = not trouble(now)

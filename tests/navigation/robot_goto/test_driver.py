@@ -97,7 +97,7 @@ def test_a_goals_heading_holds_when_the_robot_has_stopped():
 def test_the_robot_arrives_with_the_heading_if_there_is_room_for_the_bend(obstacle, least, most):
     scene = Scene()
     if obstacle:
-        scene.sim.world.spawn(box(1.2, -0.5, 1.0, 0.2), "box")  # where the bend would be
+        scene.sim.world.spawn(box(1.2, -0.5, 1.0, 0.2), "box")  # in the bend
     scene.driver.goal(Pose(1.5, 0.0, math.radians(50.0)))
     scene.until(lambda: scene.pose.x > 1.44, 20)
     assert least <= 50.0 - math.degrees(scene.pose.theta) < most
@@ -313,7 +313,7 @@ def test_a_lost_pose_stops_the_robot_until_it_is_known_again():
 
 def test_space_without_valid_ranges_is_not_free():
     scene = Scene()
-    scene.edit = lambda ranges: np.where(np.arange(len(ranges)) < 20, ranges, np.nan)  # behind the robot
+    scene.edit = lambda ranges: np.where(np.arange(len(ranges)) < 20, ranges, np.nan)  # the rear of the scan
     scene.driver.goal(Pose(2.0, 0.0, math.nan))
     scene.run(20.0)
     assert scene.pose.distance(Pose(0.0, 0.0, 0.0)) < 0.02
