@@ -113,7 +113,7 @@ class Slam:
         return len(self.submaps.graph.poses) >= MOST_SUBMAPS
 
     def move(self, pose: Pose, unsure: tuple[float, float]) -> None:
-        """Set the laser pose on the map: moves the trajectory that has not joined a loaded map yet, else the whole map."""
+        """Set the laser pose on the map; moves the trajectory if it has not joined a loaded map yet, else the map."""
         change = pose @ self.pose.inverse
         self._start = pose
         poses = self.submaps.graph.poses

@@ -29,9 +29,9 @@ from tests.peers.zenoh.releases import (
     JAZZY,
     KILTED,
     LYRICAL,
+    Nodes,
     Release,
     ReleaseClient,
-    ReleaseNode,
     ReleasePublisher,
     ReleaseServer,
     ReleaseSubscription,
@@ -44,27 +44,11 @@ POSES = [{"header": {"frame_id": "map"}, "pose": {"position": {"x": x}}} for x i
 FEEDBACK = {"distance_remaining": 2.5, "number_of_recoveries": 3}
 ID = bytes(range(16))
 
-Nodes = Callable[[Release], ReleaseNode]
-
 
 @pytest.fixture
 def own(network: HubNetwork) -> Iterator[HubNode]:
     with HubNode(network.settings("midspan")) as node:
         yield node
-
-
-@pytest.fixture
-def node(network: HubNetwork) -> Iterator[Nodes]:
-    """Opens nodes of releases."""
-    nodes: list[ReleaseNode] = []
-
-    def opened(release: Release) -> ReleaseNode:
-        nodes.append(ReleaseNode(network.endpoint, network.domain, f"{release.name}_{len(nodes)}", release))
-        return nodes[-1]
-
-    yield opened
-    for node in nodes:
-        node.close()
 
 
 def result_of(release: Release, **fields: Any) -> dict[str, Any]:

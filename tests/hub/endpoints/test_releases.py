@@ -26,9 +26,9 @@ from tests.peers.zenoh.releases import (
     JAZZY,
     LYRICAL,
     RELEASES,
+    Nodes,
     Release,
     ReleaseClient,
-    ReleaseNode,
     ReleasePublisher,
     ReleaseServer,
     ReleaseSubscription,
@@ -47,23 +47,6 @@ EACH_RELEASE = pytest.mark.parametrize("release", RELEASES, ids=lambda release: 
 def hub(network: HubNetwork) -> Iterator[Hub]:
     with Hub.open(network.settings("midspan")) as hub:
         yield hub
-
-
-@pytest.fixture
-def node(network: HubNetwork) -> Iterator[Callable[[Release], ReleaseNode]]:
-    """Opens nodes of releases."""
-    nodes: list[ReleaseNode] = []
-
-    def opened(release: Release) -> ReleaseNode:
-        nodes.append(ReleaseNode(network.endpoint, network.domain, f"{release.name}_{len(nodes)}", release))
-        return nodes[-1]
-
-    yield opened
-    for node in nodes:
-        node.close()
-
-
-Nodes = Callable[[Release], ReleaseNode]
 
 
 def numbered(count: int) -> list[str]:

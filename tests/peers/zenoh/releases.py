@@ -296,3 +296,7 @@ class ReleaseClient:
     def close(self) -> None:
         """Withdraw the client."""
         self._token.undeclare()
+
+
+Nodes = Callable[[Release], ReleaseNode]
+"""Opens a node of a release."""
