@@ -36,8 +36,8 @@ STOP_SECONDS = 4.8
 KILLED_SECONDS = 1.0
 """A killed process that still exists after this time hangs in the kernel; not part of `STOP_SECONDS`."""
 
-_TO_EXIT = 0.5
-"""Seconds that are left for the exit of a killed process within `STOP_SECONDS`."""
+_TO_EXIT = 1.0
+"""Seconds that are left within `STOP_SECONDS` for the exit of killed processes, and of the daemon itself."""
 
 
 def usable_cores() -> int:
