@@ -134,6 +134,16 @@ class MapperCommands(MappingCommands):
         self._source.save_graph(self._graph_in_store(grid.name))
         return f"Map {grid.name} saved into the store."
 
+    def save_file(self, name: str, *suffixes: str) -> str:
+        """Save the map and its graph in the maps folder; a name without a suffix gets the first one.
+
+        Returns a text for people. Raises `ValueError` for a name that is not plain, and `OSError`.
+        """
+        file = self._folder.new(name, *suffixes)
+        self._source.grid().save(file)
+        self._source.save_graph(self._folder.file(file.stem + SUFFIX, SUFFIX))
+        return f"Map {self._mapper.name} saved as {file.name}."
+
     def _start(self, _arguments: list[Any]) -> str:
         self._mapper.mapping = True
         return "Mapping."
@@ -155,10 +165,7 @@ class MapperCommands(MappingCommands):
         return f"The robot is at {x:g}, {y:g} m, {theta:g} degrees on {self._mapper.name}."
 
     def _save_file(self, arguments: list[Any]) -> str:
-        file = self._folder.new(_word(arguments, "FILE"), ".map", ".yaml", ".yml")
-        self._source.grid().save(file)
-        self._source.save_graph(self._folder.file(file.stem + SUFFIX, SUFFIX))
-        return f"Map {self._mapper.name} saved as {file.name}."
+        return self.save_file(_word(arguments, "FILE"), ".map", ".yaml", ".yml")
 
     def _load_file(self, arguments: list[Any]) -> str:
         file = self._folder.existing(_word(arguments, "FILE"), ".map", ".yaml", ".yml")

@@ -41,6 +41,11 @@ class Mapper:
         self.scans, self.full = 0, False
         self._begin((0.0, 0.0))
 
+    @property
+    def empty(self) -> bool:
+        """Whether the map has neither observed nor painted cells."""
+        return not (self.scans or self._map.odds.any() or (self._paint != _BARE).any())
+
     def scan(self, pose: Pose, ranges: NDArray[np.floating], first: float, step: float, farthest: float) -> bool:
         """Add a scan of a laser at a pose on the map; return whether it was used. Raises `ValueError` for NaN poses.
 
@@ -53,7 +58,7 @@ class Mapper:
             raise ValueError(f"a scan's pose must be finite, not {pose[:3]}")
         beams: NDArray[np.float64] = np.asarray(ranges, np.float64)
         farthest = min(farthest, self.settings.farthest)
-        if not (self.scans or self._map.odds.any() or (self._paint != _BARE).any()):
+        if self.empty:
             self._begin((pose.x, pose.y))
         self._reach(pose, np.where((beams > 0.0) & (beams <= farthest), beams, 0.0), first, step)
         self._map.insert((pose.x, pose.y, pose.theta), beams, first, step, farthest)

@@ -34,6 +34,9 @@ from yarp_compat.pythonic import Received
 from yarp_compat.wire.errors import WireError
 
 GET_MAP = "nav_msgs/srv/GetMap"
+SAVE_MAP = "slam_toolbox/srv/SaveMap"
+
+_SAVED, _NO_MAP, _NOT_SAVED = 0, 1, 255  # RESULT_SUCCESS, RESULT_NO_MAP_RECEIEVD, RESULT_UNDEFINED_FAILURE
 
 _WAITING = 20  # scans that may wait for their poses
 _BEAT = 0.05
@@ -93,6 +96,7 @@ class Mapper2D(Module):
         self._connected = [PortConnection(host.yarp.naming, source, target) for source, target in pairs if source]
         self._commands.serve(host, self.name)
         host.node.server("/dynamic_map", GET_MAP, self._answer_map)
+        host.node.server("/slam_toolbox/save_map", SAVE_MAP, self._save_map)
 
     def _on_initial_pose(self, message: dict[str, Any]) -> None:
         """Accept the robot's pose from a topic."""
@@ -157,6 +161,19 @@ class Mapper2D(Module):
         """Respond with the current map, as slam_toolbox and gmapping do."""
         grid = to_grid(self.mapper.grid(), self._section.map_frame, self._host.clock.now_ns())
         answer({"map": grid})
+
+    def _save_map(self, request: dict[str, Any], answer: Answer) -> None:
+        """Save the map in ROS's format in the maps folder; slam_toolbox saves in its working directory."""
+        if self.mapper.empty:
+            answer({"result": _NO_MAP})
+            return
+        try:
+            self._commands.save_file(str(request["name"]["data"]) or self.mapper.name, ".yaml", ".yml")
+        except (OSError, ValueError) as err:
+            self._host.log.warning("/slam_toolbox/save_map: the map is not saved: %s", err)
+            answer({"result": _NOT_SAVED})
+        else:
+            answer({"result": _SAVED})
 
     def _answer(self, values: list[Any]) -> list[Any]:
         answer = self._commands.answer(values)

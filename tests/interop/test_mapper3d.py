@@ -1,4 +1,7 @@
-"""A real rclpy program publishes a cloud, rospy receives and saves the layer, and rclpy gets the stored map."""
+"""A real rclpy program publishes a cloud, rospy receives and saves the layer, and rclpy gets the stored map.
+
+It also saves Mapper2D's map by the service of slam_toolbox.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,8 @@ from yarp_compat.octree import OcTree
 
 def test_a_cloud_of_ros2_is_a_layer_on_ros1(deployment: Deployment) -> None:
     section = {"enabled": True, "clouds": ["/camera/points"], "map_frame": "odom", "layer": {"period": 0.1}}
-    deployment.start(modules={"mapper3d": section, "map2d_server": {"enabled": True}})
+    flat = {"enabled": True, "map_frame": "odom", "laser": [0, 0, 0]}
+    deployment.start(modules={"mapper3d": section, "map2d_server": {"enabled": True}, "mapper2d": flat})
     ros2, ros1 = deployment.ros2(), deployment.ros1()
     cloud = ros2.advertise("/camera/points", "sensor_msgs/PointCloud2")
     static = ros2.advertise("/tf_static", "tf2_msgs/TFMessage", latched=True)
@@ -41,6 +45,17 @@ def test_a_cloud_of_ros2_is_a_layer_on_ros1(deployment: Deployment) -> None:
     got = asked(ros2, "/maps3d/map/octomap_full", "octomap_msgs/GetOctomap", waits=False)["map"]
     tree = OcTree.from_full(np.array(got["data"], np.int8).tobytes(), got["resolution"])
     assert (got["header"]["frame_id"], tree.search(2.0, 0.0, 0.74) > 0) == ("map", True)
+    scans = ros2.advertise("/scan", "sensor_msgs/LaserScan")
+    fan = {"angle_min": -3.0, "angle_increment": 0.1, "range_min": 0.1, "range_max": 10.0, "ranges": [2.0] * 60}
+
+    def saves() -> bool:
+        ros2.publish(scans, {"header": {"frame_id": "laser"}, **fan})
+        request = {"name": {"data": "floor"}}
+        reply = asked(ros2, "/slam_toolbox/save_map", "slam_toolbox/SaveMap", waits=False, **request)
+        return bool(reply["result"] == 0)
+
+    until(saves, "the map is saved", 60, 0.1)
+    assert {file.suffix for file in deployment.folder.rglob("mapper2d/maps/floor.*")} >= {".yaml", ".pgm"}
 
 
 def value(message: dict[str, Any], x: float, y: float) -> int:

@@ -149,6 +149,27 @@ def test_laser_and_pose_ports_of_yarp_are_connected(place: Place) -> None:
     assert (grid.flags[row, column - 1 : column + 2] == MapFlag.WALL).any()
 
 
+def test_the_map_is_saved_by_slam_toolboxs_service(place: Place, caplog: pytest.LogCaptureFixture) -> None:
+    def save(name: str) -> int:
+        request = {"name": {"data": name}}
+        reply = place.far.call("/slam_toolbox/save_map", "slam_toolbox/SaveMap", **request).result(20)["reply"]
+        return int(reply["result"])
+
+    ask(place, "clear")
+    assert save("nothing") == 1
+    ask(place, "set_pixel_type", "wall")
+    assert ask(place, "paint", 0.0, 0.0)[0].endswith("cells painted.")
+    assert (save("floor"), save("")) == (0, 0)
+    for name in ("../out", "/etc/out", "a/b", "out.txt"):
+        assert save(name) == 255
+    assert "/slam_toolbox/save_map: the map is not saved: '../out' is refused" in caplog.text
+    files = {file.name for file in Path(place.folder).rglob("maps/*")}
+    assert files >= {"floor.yaml", "floor.pgm", "map.yaml"}
+    assert not any("out" in name for name in files)
+    assert ask(place, "load_from_file", "floor.yaml") == ["Map floor loaded; mapping continues on it."]
+    assert ask(place, "initLoc", "map", 1.0, 2.0, 30)[0].endswith("30 degrees on map.")
+
+
 @pytest.mark.parametrize("name", ["../out", "/etc/out.map", "a/b", ".hidden", "out.txt"])
 def test_files_outside_the_map_folder_are_refused(place: Place, name: str) -> None:
     for command in ("save_to_file", "load_from_file"):
