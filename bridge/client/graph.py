@@ -14,7 +14,7 @@ from bridge.hub.graph import HubEndpoint, origin_side
 from bridge.hub.graph.releases import endpoint_releases
 from bridge.hub.graph.tokens import TAPS, EndpointKind
 from bridge.messages.actions import split
-from bridge.releases import release_text
+from bridge.messages.releases import release_text
 from bridge.routing.limits import qos_text
 from bridge.status import StatusDocument
 from bridge.text import arrow, clean, near, side_name

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Container, Iterable
 from dataclasses import dataclass
 
-from bridge import releases
 from bridge.hub.graph.owners import owner
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
 from bridge.hub.graph.view import HubEndpoint
 from bridge.hub.wire.buffers import BUFFER_TYPES
-from bridge.releases import Release, Releases, release_text
+from bridge.messages import releases
+from bridge.messages.releases import Release, Releases, release_text
 
 _RMW_ZENOH = releases.ALL - {Release.IRON}
 _TOPIC_ENDS = (EndpointKind.PUBLISHER, EndpointKind.SUBSCRIPTION)

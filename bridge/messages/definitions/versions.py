@@ -8,7 +8,9 @@ versions have no entry by hash.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
+from threading import Lock
 
 from bridge.messages.definitions.library import DefinitionLibrary
 from bridge.messages.definitions.names import split_part
@@ -22,6 +24,49 @@ _CHAINS = {"jazzy": (), "kilted": ("kilted",), "lyrical": ("lyrical", "kilted")}
 """The folders of each release, the newest first; before all of them is Jazzy."""
 
 _HASHLESS = "humble"
+_MAX_CACHED = 10_000
+
+
+def _libraries(rest: Sequence[DefinitionSource]) -> dict[str, DefinitionLibrary]:
+    """Return the definitions of each release with hashes; ``rest`` has those of Jazzy."""
+    return {
+        name: DefinitionLibrary(
+            World.ROS2, [*(DefinitionFolder(RELEASES_FOLDER / folder, World.ROS2) for folder in chain), *rest]
+        )
+        for name, chain in _CHAINS.items()
+    }
+
+
+@cache
+def _stored() -> frozenset[str]:
+    """Return the names of all messages, services and actions in the folders of the releases."""
+    return frozenset(f"{path.parts[-3]}/{path.parts[-2]}/{path.stem}" for path in RELEASES_FOLDER.glob("*/*/*/*.*"))
+
+
+class ReleaseTypes:
+    """The types of the releases by what Midspan ships, whatever this machine has. Safe to use from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._libraries = _libraries(jazzy_sources())
+        self._hashes: dict[str, Mapping[str, str]] = {}
+
+    def with_hash(self, name: str, type_hash: str) -> tuple[str, ...]:
+        """Return the releases that have this version of a type; () if it is the same in all, or unknown."""
+        with self._lock:
+            hashes = self._hashes.get(name)
+            if hashes is None:
+                if len(self._hashes) >= _MAX_CACHED:
+                    self._hashes.clear()
+                hashes = self._hashes[name] = self._hashes_of(name)
+        return tuple(release for release, known in hashes.items() if known == type_hash)
+
+    def _hashes_of(self, name: str) -> Mapping[str, str]:
+        newest = _find(self._libraries["lyrical"], name)
+        if newest is None or not any(split_part(nested)[0] in _stored() for nested in newest.types):
+            return {}
+        found = ((release, library, _find(library, name)) for release, library in self._libraries.items())
+        return {release: library.fingerprint(schema) for release, library, schema in found if schema is not None}
 
 
 class TypeVersions:
@@ -38,15 +83,10 @@ class TypeVersions:
     ) -> None:
         self._installed = installed
         rest = [*jazzy_sources(), *sources]
-        chains = {
-            name: [*(DefinitionFolder(RELEASES_FOLDER / folder, World.ROS2) for folder in chain), *rest]
-            for name, chain in _CHAINS.items()
-        }
-        chains |= {str(folder): [DefinitionFolder(folder, World.ROS2), *sources] for folder in folders}
-        self._libraries = {name: DefinitionLibrary(World.ROS2, chain) for name, chain in chains.items()}
+        own = {str(folder): [DefinitionFolder(folder, World.ROS2), *sources] for folder in folders}
+        self._libraries = _libraries(rest) | {name: DefinitionLibrary(World.ROS2, own[name]) for name in own}
         hashless = [DefinitionFolder(RELEASES_FOLDER / _HASHLESS, World.ROS2), *rest]
         self._hashless = DefinitionLibrary(World.ROS2, hashless)
-        self._stored = {f"{path.parts[-3]}/{path.parts[-2]}/{path.stem}" for path in RELEASES_FOLDER.glob("*/*/*/*.*")}
         self._folders = bool(folders)
         self._versions: dict[str, Mapping[str, tuple[str, Schema]]] = {}
 
@@ -73,7 +113,7 @@ class TypeVersions:
         """Whether a type or one that it nests may have several versions."""
         schema = _find(self._installed, name)
         names = (name,) if schema is None else schema.types
-        return self._folders or any(split_part(nested)[0] in self._stored for nested in names)
+        return self._folders or any(split_part(nested)[0] in _stored() for nested in names)
 
 
 def _find(library: DefinitionLibrary, name: str) -> Schema | None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from bridge import releases
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
-from bridge.releases import Release, Releases
+from bridge.messages import releases
+from bridge.messages.releases import Release, Releases
 from bridge.routing.edge import Endpoint, MadeBy
 
 _VENDORS = {

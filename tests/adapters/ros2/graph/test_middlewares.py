@@ -11,7 +11,7 @@ from bridge.routing.edge import Endpoint, Kind, MadeBy
 FAST, CYCLONE, OTHER = (bytes.fromhex(vendor + "aabbccdd" + "00" * 6) for vendor in ("010f", "0110", "0199"))
 HASH = "RIHS01_" + "1" * 64
 EVENT = "lifecycle_msgs/msg/TransitionEvent"
-LYRICAL = "RIHS01_78b19e2" + "0" * 57
+LYRICAL = "RIHS01_78b19e2be41a797fc009c96bda68944182edabec7852cccd928a40bc06f6f9d7"
 
 
 def end(prefix: bytes, type_hash: str = HASH, type_name: str = "std_msgs/msg/String", node: str = "/node") -> Endpoint:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from bridge import releases
-from bridge.releases import Release, by_hash, common, release_text
+from bridge.messages import releases
+from bridge.messages.releases import Release, by_hash, common, release_text
 
 TYPES = (
     "lifecycle_msgs/msg/TransitionEvent",
@@ -29,6 +29,29 @@ def test_definitions_of_each_release(release: Release) -> None:
         differs = [n for n in TYPES if other not in admitted.get(n, releases.WITH_HASHES)]
         if Release.LYRICAL in (release, other):
             assert differs, "Lyrical differs from each earlier release"
+
+
+@pytest.mark.parametrize(
+    ("name", "type_hash", "text"),
+    [
+        ("nav_msgs/msg/Goals", "02305a51633b5c04d8979b878a7577cafd422f8a07465c878b17a920af3759e9", ""),
+        (
+            "nav2_msgs/action/NavigateThroughPoses_SendGoal",
+            "5a590fa8e9a32b7b9c838fdf5939a2fb8858d6cfd25bdf2f2e5f0f7bbb25f52b",
+            "Iron or Jazzy",
+        ),
+        (
+            "nav2_msgs/action/NavigateThroughPoses_SendGoal",
+            "0fb14135a40c3900a9a184f95b2ed6966a0ffd298739cc9de7903ebc6dc06a25",
+            "Kilted or later",
+        ),
+        ("my_msgs/msg/Own", "0" * 64, ""),
+        ("../msg/Own", "0" * 64, ""),
+    ],
+)
+def test_definitions_of_navigation(name: str, type_hash: str, text: str) -> None:
+    admitted = by_hash(name, f"RIHS01_{type_hash}")
+    assert release_text(admitted) == (text or release_text(releases.WITH_HASHES))
 
 
 def test_nodes_with_several_announcements() -> None:

@@ -1,14 +1,17 @@
 """The ROS 2 releases that a node may belong to, by what it announces.
 
 No node announces its release. What it does announce excludes some: Humble has no type hashes, and only later releases
-have certain types, or certain definitions of a type. Sources: the message packages of the releases (rosbags' stores of
-types, ros2/rcl_interfaces), and rmw_zenoh_cpp 0.1.9 to 0.10.5 (`bridge.hub.wire.buffers`).
+have certain types, or certain definitions of a type (`bridge.messages.definitions.versions`). On the hub, tokens
+differ too (`bridge.hub.graph.releases`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from enum import IntEnum
+from functools import cache
+
+from bridge.messages.definitions.versions import ReleaseTypes
 
 
 class Release(IntEnum):
@@ -30,21 +33,16 @@ ALL: Releases = frozenset(Release)
 WITHOUT_HASHES: Releases = frozenset({Release.HUMBLE})
 WITH_HASHES = ALL - WITHOUT_HASHES
 
-_BY_HASH: dict[str, dict[str, Releases]] = {
-    "lifecycle_msgs/msg/TransitionEvent": {
-        "RIHS01_d5f8873": frozenset({Release.IRON, Release.JAZZY, Release.KILTED}),
-        "RIHS01_78b19e2": frozenset({Release.LYRICAL}),
-    },
-    "nav_msgs/msg/Goals": {"RIHS01_02305a5": frozenset({Release.KILTED, Release.LYRICAL})},
-    "nav_msgs/msg/Trajectory": {"RIHS01_d3913ce": frozenset({Release.LYRICAL})},
-    "rosgraph_msgs/msg/Graph": {"RIHS01_46e58f3": frozenset({Release.LYRICAL})},
-}
-_KEY = len("RIHS01_") + 7
+_EARLIER = {"jazzy": frozenset({Release.IRON, Release.JAZZY})}
+"""The releases that a version of Jazzy admits: Midspan does not have the definitions of Iron."""
+
+_types = cache(ReleaseTypes)
 
 
 def by_hash(type_name: str, type_hash: str) -> Releases:
     """Return the releases whose packages have this definition of a type; all with hashes if it excludes none."""
-    return _BY_HASH.get(type_name, {}).get(type_hash[:_KEY], WITH_HASHES)
+    named = (_EARLIER.get(name) or {Release[name.upper()]} for name in _types().with_hash(type_name, type_hash))
+    return frozenset().union(*named) or WITH_HASHES
 
 
 def common(announced: Iterable[Releases]) -> Releases:
