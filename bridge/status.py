@@ -309,7 +309,11 @@ class ModuleStatus(StatusDocument):
 
 
 class GatewayKeys(Part):
-    """The gateway's own keys that others use, with `Part.other`."""
+    """The gateway's own keys that others use, with `Part.other`.
+
+    Attributes:
+        inactive_nodes: the states of the planner's lifecycle nodes that are not active, by node.
+    """
 
     planner: Text = ""
     pending: Text = ""
@@ -319,6 +323,7 @@ class GatewayKeys(Part):
     goals_of_others: Int = 0
     goals_ended: dict[Text, Int] | None = None
     served_by: Text = ""
+    inactive_nodes: dict[Text, Text] = {}
 
 
 class WorkerReport(Part):

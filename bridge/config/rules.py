@@ -7,11 +7,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from bridge.config.sections.navigation import ACTION, GOAL_POSE, THROUGH_POSES, NavigationSection, through_poses
+from bridge.config.sections.navigation import ACTION, GOAL_POSE, THROUGH_POSES, NavigationSection, Planner, through_poses
 from bridge.config.sections.routing import RoutingSection, Rule
 
 VELOCITIES, POSE = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"), "geometry_msgs/msg/PoseStamped"
 PATH, GRID = "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid"
+
+GET_STATE = "lifecycle_msgs/srv/GetState"
 
 
 class MadeRule(Rule):
@@ -41,6 +43,7 @@ def made_rules(section: NavigationSection) -> Iterator[MadeRule]:
         if planner.side != "zenoh":  # a stop must cancel these actions too, even if the file denies actions by default
             for action in planner.motion:
                 yield _rule(of, kind="action", topic=action, from_=planner.side)
+            yield from _lifecycle_rules(of, planner)
         if planner.velocity and section.velocity and planner.velocity != section.velocity:
             for velocity in VELOCITIES:
                 yield _rule(
@@ -56,6 +59,15 @@ def made_rules(section: NavigationSection) -> Iterator[MadeRule]:
     yield _rule("navigation", topic="/navigation/**")
     for velocity in VELOCITIES if section.velocity else ():
         yield _rule("navigation.velocity", kind="topic", topic=section.velocity, type=velocity, priority="command")
+
+
+def _lifecycle_rules(of: str, planner: Planner) -> Iterator[MadeRule]:
+    """Yield the rules of a planner's lifecycle managers, and of the states of its nodes, which else are private."""
+    for manager in planner.managers:
+        yield _rule(of, kind="service", topic=f"{manager}/*", from_=planner.side)
+    if planner.lifecycle_nodes:
+        nodes = "|".join(planner.lifecycle_nodes)
+        yield _rule(of, kind="service", regex=f"(?:{nodes})/get_state", type=GET_STATE, from_=planner.side)
 
 
 def _rules_of_poses(section: NavigationSection) -> Iterator[MadeRule]:

@@ -13,7 +13,8 @@ from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
 from bridge.hub.wire.keys import NO_HASH
 from bridge.messages.actions import split
 from bridge.sides import label
-from bridge.status import StatusDocument, refused_routes
+from bridge.status import GatewayKeys, StatusDocument, refused_routes
+from navigation import lifecycle
 
 if TYPE_CHECKING:
     from bridge.hub.endpoints.variants import TypeVersions
@@ -92,6 +93,12 @@ def _all_heard(endpoints: Iterable[HubEndpoint]) -> bool:
 def nodes(endpoints: Iterable[HubEndpoint]) -> str:
     """Return the nodes of some endpoints, for people."""
     return ", ".join(sorted({owner(endpoint) for endpoint in endpoints}))
+
+
+def inactive_nodes(gateway: StatusDocument) -> Note | None:
+    """Return which lifecycle nodes of the planner are not active, by a gateway's status document; None if all are."""
+    states = gateway.other(GatewayKeys).inactive_nodes
+    return Note(lifecycle.trouble(states), lifecycle.cure(states)) if states else None
 
 
 _CHECKS = {"ros1": "ros1-packages and ros1-master", "ros2": "ros2-packages and ros2-environment"}

@@ -21,6 +21,7 @@ from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.worker import Health
+from navigation import lifecycle
 from navigation.frames import RobotFrames
 from navigation.gateway.entry import NavigateAction
 from navigation.gateway.gateway import BETWEEN_MAPS, Gateway
@@ -128,7 +129,9 @@ class GatewayModule(Module):
     def health(self) -> Health:
         gateway = self.gateway
         if not gateway.link.reachable:
-            return Health("waiting", f"the planner {gateway.planner} is not available")
+            inactive = lifecycle.trouble(gateway.link.lifecycle.inactive)
+            why = f": {inactive}" if inactive else ""
+            return Health("waiting", f"the planner {gateway.planner} is not available{why}")
         state, reason, code = gateway.state()
         if code in (Fault.SILENT, Fault.MAY_MOVE):
             return Health("waiting", reason)
@@ -144,7 +147,12 @@ class GatewayModule(Module):
         gateway = self.gateway
         state, reason, _ = gateway.state()
         drive, other = gateway.drive, self._action.served_by
-        warnings = [self._host.yarp.trouble(), f"{ACTION} is served by {other}: {_BESIDE}" if other else ""]
+        inactive = gateway.link.lifecycle.inactive
+        warnings = [
+            self._host.yarp.trouble(),
+            f"{ACTION} is served by {other}: {_BESIDE}" if other else "",
+            f"{lifecycle.trouble(inactive)}; {lifecycle.cure(inactive)}" if inactive else "",
+        ]
         return {
             "planner": gateway.planner,
             "planners": list(gateway.choices),
@@ -157,6 +165,7 @@ class GatewayModule(Module):
             "goals_of_others": len(gateway.link.foreign),
             "goals_ended": dict(gateway.ended),
             "served_by": other,
+            "inactive_nodes": inactive,
             "warnings": list(filter(None, warnings)),
         }
 

@@ -12,6 +12,7 @@ from bridge.messages.actions import GoalState
 from bridge.modules.host import Host
 from navigation.gateway.action_goals import ActionGoals
 from navigation.gateway.foreign import ForeignGoals, GoalMark
+from navigation.gateway.lifecycle import LifecycleNodes
 from navigation.gateway.machine import PlannerEvent, PlannerState
 from navigation.gateway.motion import Base, Motion
 from navigation.gateway.presence import Presence
@@ -43,6 +44,7 @@ class PlannerLink:
         self._through_ids = deque[bytes](maxlen=_KEPT_IDS)  # of goals of several poses
         self.foreign_goals = ForeignGoals(mark, f"the planner {planner} has disappeared")
         self.telemetry = Telemetry(host, section, planner, changed)
+        self.lifecycle = LifecycleNodes(host, other.lifecycle_nodes if other is not None else (), changed)
         hosted = not side and planner in host.config.hosted
         self.presence = Presence(host, action, side, hosted=hosted, topics=self.telemetry.topics)
 
@@ -176,6 +178,7 @@ class PlannerLink:
         """Read the hub's graph and the lists again; called about ten times a second."""
         for action in (self._goals, *self._motion):
             action.refresh()
+        self.lifecycle.refresh()
         if self._through_goals is not None:
             for goal in filter(self.mark.is_orphan, self._through_goals.list.active):
                 self._through_goals.end(goal)
@@ -231,5 +234,6 @@ class PlannerLink:
         if self._through is not None:
             self._through.close()
         self.telemetry.close()
+        self.lifecycle.close()
         for action in (self._goals, *self._motion):
             action.close()

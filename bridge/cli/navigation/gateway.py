@@ -11,7 +11,7 @@ from bridge.client.errors import ClientError
 from bridge.client.navigation import STATUS_TOPIC, Navigation, gateway_document
 from bridge.client.services import ServiceCaller
 from bridge.client.types import Types
-from bridge.doctor.hub_problems import Note, absence
+from bridge.doctor.hub_problems import Note, absence, inactive_nodes
 from bridge.hub.control import WorkerAnswer
 from bridge.status import GatewayKeys, StatusDocument, read_status
 
@@ -64,7 +64,10 @@ def no_answer(client: CliClient) -> str:
 
 
 def planner_away(client: CliClient, gateway: StatusDocument) -> Note | None:
-    """Return why the planner is absent that a gateway waits for, by its status document; None if it waits for none."""
+    """Return why the planner cannot drive, by a gateway's status document: absent, or nodes of it are not active."""
+    inactive = inactive_nodes(gateway)
+    if inactive is not None:
+        return inactive
     if gateway.state != "waiting":
         return None
     planner = gateway.other(GatewayKeys).planner

@@ -1,4 +1,4 @@
-"""``midspan nav``: status, stop, pause, resume, path and show for the planner in use."""
+"""``midspan nav``: status, stop, pause, resume, path, show and the lifecycle of the planner in use."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from bridge.cli.arguments import add_verb, add_verbs
 from bridge.cli.client import CliClient, open_client
 from bridge.cli.maps.show import add_drawing_arguments, draw
 from bridge.cli.navigation.gateway import gateway_caller, gateway_status, planner_away, published_status
+from bridge.cli.navigation.lifecycle import add_lifecycle_verbs
 from bridge.cli.output import CliError, print_json
 from bridge.client.errors import ClientError
 from bridge.client.halt import actions, stop
@@ -36,6 +37,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         added = add_verb(verbs, verb, run, text, example=f"midspan nav {verb}")
         if verb in ("status", "path"):
             added.add_argument("--json", action="store_true", help="print JSON")
+    add_lifecycle_verbs(verbs)
     show = add_verb(
         verbs, "show", run, "draw the map with the robot, its goal and its path",
         "Draws the map in use with the robot, its goal and its path: in the terminal, in letters elsewhere, or as a"

@@ -41,6 +41,16 @@ NAV2_MOTION = (
 """Nav2's actions that move the base besides ``navigate_to_pose`` (Jazzy's default names)."""
 
 
+NAV2_NODES = (
+    "map_server", "amcl", "controller_server", "smoother_server", "planner_server", "route_server", "behavior_server",
+    "velocity_smoother", "collision_monitor", "bt_navigator", "waypoint_follower", "docking_server",
+)  # fmt: skip
+"""Nav2's lifecycle nodes, in the order in which its managers start them (Jazzy's default names)."""
+
+NAV2_MANAGERS = ("lifecycle_manager_localization", "lifecycle_manager_navigation")
+"""Nav2's lifecycle managers (Jazzy's default names), in the order in which they start."""
+
+
 def planner_action(name: str) -> str:
     """Return a planner's action on the hub."""
     return f"/planner/{name}/navigate_to_pose"
@@ -76,6 +86,9 @@ class Planner(Section):
     motion_actions: tuple[TopicName, ...] | None = setting(
         None, "Other actions there that move the base, which a stop cancels too; not set: Nav2's, and none on ROS 1."
     )
+    lifecycle_managers: tuple[TopicName, ...] | None = setting(
+        None, "Its lifecycle managers in the order of their start, as in Nav2; not set: Nav2's two, and none on ROS 1."
+    )
 
     @field_validator("name")
     @classmethod
@@ -108,10 +121,21 @@ class Planner(Section):
     @property
     def motion(self) -> tuple[str, ...]:
         """The other actions on its side that move the base."""
-        if self.motion_actions is not None:
-            return self.motion_actions
+        return self._nav2(NAV2_MOTION) if self.motion_actions is None else self.motion_actions
+
+    @property
+    def managers(self) -> tuple[str, ...]:
+        """Its lifecycle managers, in the order in which they start."""
+        return self._nav2(NAV2_MANAGERS) if self.lifecycle_managers is None else self.lifecycle_managers
+
+    @property
+    def lifecycle_nodes(self) -> tuple[str, ...]:
+        """The lifecycle nodes that it may consist of: Nav2's, in the namespace of its action."""
+        return self._nav2(NAV2_NODES)
+
+    def _nav2(self, names: tuple[str, ...]) -> tuple[str, ...]:
         namespace = self.action.rpartition("/")[0]
-        return () if self.side == "ros1" else tuple(f"{namespace}/{name}" for name in NAV2_MOTION)
+        return () if self.side == "ros1" else tuple(f"{namespace}/{name}" for name in names)
 
     @property
     def on_hub(self) -> str:

@@ -19,7 +19,7 @@ from bridge.doctor.causes import cause, grouped, shared
 from bridge.doctor.check import Finding, Findings, early_cure, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext
 from bridge.doctor.daemon_state import unresponsive_router
-from bridge.doctor.hub_problems import absence
+from bridge.doctor.hub_problems import absence, inactive_nodes
 from bridge.hub.errors import HubConfigError, HubError
 from bridge.hub.router import port_held, port_holder, probe_router
 from bridge.hub.security.certificates import Certificate, CertificateError, read_certificate, signed_by
@@ -131,7 +131,9 @@ def _worker(context: CheckContext, document: StatusDocument, elsewhere: Containe
         return fail(f"{name} crashes again and again, now it is {state}: {document.text}", log)
     warnings = [text for text in document.warnings if cause(text) not in elsewhere]
     if warnings:
-        return warn(f"{name} is {state}, and warns: {'; '.join(grouped(warnings))}")
+        inactive = inactive_nodes(document) if document.worker == "gateway" else None
+        text = f"{name} is {state}, and warns: {'; '.join(grouped(warnings))}"
+        return warn(text, "" if inactive is None else inactive.cure)
     if state == "waiting":
         return _waiting(context, document, name)
     if state in ("running", "standby"):
