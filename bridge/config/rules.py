@@ -7,7 +7,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from bridge.config.sections.navigation import ACTION, GOAL_POSE, THROUGH_POSES, NavigationSection, Planner, through_poses
+from bridge.config.sections.navigation import (
+    ACTION,
+    GOAL_POSE,
+    THROUGH_POSES,
+    NavigationSection,
+    Planner,
+    through_poses,
+)
 from bridge.config.sections.routing import RoutingSection, Rule
 
 VELOCITIES, POSE = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"), "geometry_msgs/msg/PoseStamped"

@@ -13,7 +13,7 @@ from bridge.hub.endpoints.calls import Abandon, CallError
 from bridge.modules.host import Host
 from navigation.lifecycle import ACTIVE, SILENT
 
-POLL_SECONDS, ACTIVE_POLL_SECONDS = 1.0, 5.0
+POLL_SECONDS, ACTIVE_POLL_SECONDS = 1.0, 3.0
 """Time between two requests to a node: until all are active, and after that."""
 
 ANSWER_SECONDS = 10.0

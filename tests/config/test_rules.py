@@ -97,6 +97,31 @@ def test_the_planners_with_an_action_of_several_poses() -> None:
     }
 
 
+def test_states_of_nav2_and_its_managers_cross_to_the_hub() -> None:
+    state, manage = "lifecycle_msgs/srv/GetState", "nav2_msgs/srv/ManageLifecycleNodes"
+    for default in ("allow", "deny"):
+        rule_set = rules("nav2", default=default)
+        for name, type_name, crosses in (
+            ("/docking_server/get_state", state, True),
+            ("/camera/get_state", state, False),
+            ("/docking_server/change_state", "lifecycle_msgs/srv/ChangeState", False),
+            ("/lifecycle_manager_navigation/manage_nodes", manage, True),
+            ("/lifecycle_manager_navigation/is_active", "std_srvs/srv/Trigger", True),
+        ):
+            assert rule_set.enter("ros2", name, type_name, "service").allowed is crosses, (default, name)
+    assert not rules("move_base").enter("ros2", "/docking_server/get_state", state, "service").allowed
+
+
+def test_a_planner_in_a_namespace_has_its_managers_there() -> None:
+    mine: dict[str, Any] = {"name": "arm", "side": "ros2", "action": "/arm/navigate_to_pose"}
+    own = {**mine, "lifecycle_managers": ["/arm/manager"]}
+    ours = {"name": "old", "side": "ros1", "action": "/old"}
+    default = ("/arm/lifecycle_manager_localization", "/arm/lifecycle_manager_navigation")
+    for entry, managers in ((own, ("/arm/manager",)), (ours, ()), (mine, default)):
+        (planner,) = Config.model_validate({"navigation": {"planners": [entry]}}).navigation.planners
+        assert planner.managers == managers
+
+
 def test_a_planner_with_another_name_leaves_the_entry_point_open() -> None:
     mine = {"name": "mine", "side": "ros1", "action": "/robot/nav/move_base", "velocity": "/robot/nav/cmd_vel"}
     rule_set = rules("robot_goto", planners=[mine])

@@ -54,6 +54,13 @@ def test_every_problem_of_a_configuration() -> None:
     assert results(hub_checks.look_at_config(place)) == [Result.FAIL, Result.FAIL]
 
 
+def test_nodes_of_the_planner_that_are_not_active_are_named_with_the_cure() -> None:
+    states = {"/bt_navigator": "unconfigured"}
+    gateway = {"worker": "gateway", "module": True, "state": "waiting", "inactive_nodes": states, "warnings": ["x"]}
+    finding = only(hub_checks.look_at_workers(around(hub=hub(gateway))))
+    assert (finding.result, finding.cure) == (Result.WARN, "midspan nav startup")
+
+
 def test_workers() -> None:
     view = hub(
         {"worker": "router", "state": "running"},

@@ -1,0 +1,77 @@
+"""``midspan nav startup`` and alike: refusals and errors. `tests/interop/test_nav2_servers.py` has real servers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.cli.navigation.lifecycle import MANAGE
+from bridge.modules.services import Answer
+from tests.cli.conftest import Midspan
+from tests.peers.daemon.workers import FakeWorker, config_file
+from tests.peers.hub.network import HubNetwork
+from tests.peers.hub.node import HubNode
+
+LOCALIZATION, NAVIGATION = "/lifecycle_manager_localization", "/lifecycle_manager_navigation"
+
+
+class Managers(HubNode):
+    """Lifecycle managers that note each command; ``fails``: those whose commands fail."""
+
+    def __init__(self, network: HubNetwork, *names: str) -> None:
+        super().__init__(network.settings("managers"))
+        self.commands: list[tuple[str, int]] = []
+        self.fails: set[str] = set()
+        for name in names:
+
+            def answer(request: Any, reply: Answer, name: str = name) -> None:
+                self.commands.append((name, request["command"]))
+                reply({"success": name not in self.fails})
+
+            self.on(lambda name=name, answer=answer: self.node.server(f"{name}/manage_nodes", MANAGE, answer))
+
+
+@pytest.fixture
+def midspan(network: HubNetwork, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Midspan:
+    return Midspan(config_file(tmp_path, network, navigation={"planner": "nav2"}), capsys)
+
+
+@pytest.fixture
+def managers(network: HubNetwork) -> Iterator[Managers]:
+    with Managers(network, LOCALIZATION, NAVIGATION) as managers:
+        yield managers
+
+
+def test_localization_starts_first_and_ends_last(midspan: Midspan, managers: Managers) -> None:
+    assert midspan("nav", "startup").code == 0
+    assert midspan("nav", "shutdown").code == 0
+    assert managers.commands == [(LOCALIZATION, 0), (NAVIGATION, 0), (NAVIGATION, 4), (LOCALIZATION, 4)]
+
+
+def test_navigation_is_not_started_after_a_failure_of_localization(midspan: Midspan, managers: Managers) -> None:
+    managers.fails.add(LOCALIZATION)
+    outcome = midspan("nav", "startup")
+    assert (outcome.code, f"{LOCALIZATION}: startup failed" in outcome.err) == (1, True), outcome
+    assert managers.commands == [(LOCALIZATION, 0)]
+
+
+@pytest.mark.parametrize(("key", "count"), [("goals", 1), ("goals_of_others", 2)])
+def test_a_goal_has_to_be_stopped_first(
+    network: HubNetwork, midspan: Midspan, managers: Managers, closing: list[Any], key: str, count: int
+) -> None:
+    closing.append(FakeWorker(network, "gateway", status=lambda _params: {"planner": "nav2", key: count}))
+    for verb in ("startup", "shutdown"):
+        outcome = midspan("nav", verb)
+        assert (outcome.code, "nav2 has a goal: stop it first ('midspan nav stop')" in outcome.err) == (1, True)
+    assert managers.commands == []
+
+
+def test_missing_managers_are_reported(network: HubNetwork, midspan: Midspan, closing: list[Any]) -> None:
+    outcome = midspan("nav", "startup")
+    assert outcome.code == 1
+    assert f"no lifecycle manager is on the hub: {LOCALIZATION}/manage_nodes or {NAVIGATION}/" in outcome.err
+    closing.append(FakeWorker(network, "gateway", status=lambda _params: {"planner": "robot_goto"}))
+    assert "robot_goto has no lifecycle managers: choose a planner such as nav2" in midspan("nav", "startup").err

@@ -1,0 +1,110 @@
+"""The gateway polls the lifecycle nodes of a planner, which tests play."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from bridge.config.rules import GET_STATE
+from bridge.modules.services import Answer
+from navigation import lifecycle as words
+from navigation.gateway import lifecycle
+from navigation.gateway.lifecycle import LifecycleNodes
+from tests.peers.hub.network import HubNetwork
+from tests.peers.hub.node import HubNode
+from tests.support.wait import until
+
+RESET = "midspan nav reset, then midspan nav startup"
+
+
+class Polling(HubNode):
+    """A module's node with the poller."""
+
+    def __init__(self, settings: Any) -> None:
+        super().__init__(settings)
+        self.changes = 0
+        host: Any = self
+        self.nodes: LifecycleNodes = self.on(lambda: LifecycleNodes(host, ("/a", "/b"), self._changed))
+        self.on(lambda: self.loop.every(0.02, self.nodes.refresh))
+
+    def _changed(self) -> None:
+        self.changes += 1
+
+    def until(self, states: dict[str, str]) -> None:
+        until(lambda: self.nodes.inactive == states, f"the states are {states}", 20)
+
+
+@pytest.fixture
+def network() -> Iterator[HubNetwork]:
+    with HubNetwork() as network:
+        yield network
+
+
+@pytest.fixture
+def polling(network: HubNetwork, monkeypatch: pytest.MonkeyPatch) -> Iterator[Polling]:
+    for name in ("POLL_SECONDS", "ACTIVE_POLL_SECONDS"):
+        monkeypatch.setattr(lifecycle, name, 0.05)
+    with Polling(network.settings("gateway")) as polling:
+        yield polling
+
+
+def serve(node: HubNode, name: str, answer: Callable[[Any, Answer], None]) -> Any:
+    return node.on(lambda: node.node.server(f"{name}/get_state", GET_STATE, answer))
+
+
+def test_states_are_followed_until_the_node_leaves(network: HubNetwork, polling: Polling) -> None:
+    state = {"id": 1, "label": "unconfigured"}
+    with HubNode(network.settings("a")) as node:
+        serve(node, "/a", lambda _request, answer: answer({"current_state": state}))
+        polling.until({"/a": "unconfigured"})
+        state["label"] = "inactive"
+        polling.until({"/a": "inactive"})
+        state["label"] = "active"
+        polling.until({})
+        assert polling.changes == 3
+        state["label"] = "inactive"
+        polling.until({"/a": "inactive"})
+    polling.until({})
+
+
+def test_a_silent_node_has_one_pending_request(
+    network: HubNetwork, polling: Polling, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers: list[Answer] = []
+    with HubNode(network.settings("b")) as node:
+        serve(node, "/b", lambda _request, answer: answers.append(answer))
+        until(lambda: answers, "it is asked", 20)
+        polls: list[None] = []
+        polling.on(lambda: polling.loop.every(0.02, lambda: polls.append(None)))
+        until(lambda: len(polls) > 20, "the poller has polled again and again", 20)
+        assert (len(answers), polling.nodes.inactive) == (1, {})
+        monkeypatch.setattr(lifecycle, "ANSWER_SECONDS", 0.2)
+        polling.until({"/b": words.SILENT})
+        monkeypatch.setattr(lifecycle, "ANSWER_SECONDS", 60.0)
+        asked = len(answers)
+        until(lambda: len(answers) >= asked, "it is asked again", 20)
+        node.on(lambda: answers[-1]({"current_state": {"id": 3, "label": "active"}}))
+        polling.until({})
+
+
+@pytest.mark.parametrize(
+    ("states", "cure"),
+    [
+        ((), ""),
+        (("unconfigured", "unconfigured"), "midspan nav startup"),
+        (("inactive",), "midspan nav activate"),
+        (("inactive", "unconfigured"), RESET),
+        (("finalized", "inactive"), "start these nodes again, then: midspan nav startup"),
+        (
+            ("activating",),
+            "wait for the transition to end; if it does not: midspan nav reset, then midspan nav startup",
+        ),
+    ],
+)
+def test_the_cure_depends_on_the_states(states: tuple[str, ...], cure: str) -> None:
+    nodes = {f"/n{number}": state for number, state in enumerate(states)}
+    assert words.cure(nodes) == cure
+    assert bool(words.trouble(nodes)) == bool(states)
+    assert all(f"n{number} ({state})" in words.trouble(nodes) for number, state in enumerate(states))
