@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import override
+
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.latency.cases import NUMBERED, prepare
@@ -116,6 +118,7 @@ class Crowd(Stage):
 class Bare(Crowd):
     """The same ends and topics, with two bare relays instead of the daemon."""
 
+    @override
     def start_bridge(self) -> None:
         """Start roscore and the relays."""
         self.start_master()
@@ -126,6 +129,7 @@ class Bare(Crowd):
             self.wait_for(kind, "ready")
             self.command(kind, "relay", "relaying", inward=topics[inward], outward=topics[outward])
 
+    @override
     def process_ids(self) -> dict[str, int]:
         """Return process ids by name: the relays as ``ros1`` and ``ros2``, the ends."""
         return {name: child.pid for name, child in self._children.items()}

@@ -25,6 +25,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import psutil
+from typing_extensions import override
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -172,6 +173,7 @@ class Bench(Processes):
         running = [] if status is None else [w for w in status.workers if w.phase == "running"]
         return next((worker.pid for worker in running if worker.worker == self.side.key), 0)
 
+    @override
     def close(self) -> None:
         """Stop all processes, and close the hub session."""
         if self._loop is not None:

@@ -76,7 +76,7 @@ class KernelState:
         """Whether all are compiled from the present sources."""
         return not self.missing and not self.stale
 
-    def __str__(self) -> str:
+    def __str__(self) -> str:  # type: ignore[explicit-override]  # set-up has only the standard library
         parts = [
             f"{len(names)} of {len(KERNELS) + len(C_MODULES) + 1} kernels {are}: {', '.join(names)}"
             for names, are in ((self.missing, "not compiled"), (self.stale, "compiled from other sources"))

@@ -15,6 +15,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, InstanceOf, ValidationError
 from pydantic_core import core_schema
+from typing_extensions import override
 
 _LEAST, _MOST = -(2**63), 2**63 - 1
 
@@ -208,6 +209,7 @@ class Middleware(Part):
     nodes: list[Text] = []
     count: Int = 0
 
+    @override
     def __str__(self) -> str:
         kind = (self.release or "unknown release") if self.ros else "not a ROS 2 program"
         return f"{self.name or 'unknown DDS'} ({kind})"

@@ -16,6 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 
+from typing_extensions import override
+
 FOLDERS = ("bridge", "yarp_compat", "navigation", "sim", "tests", "benchmarks", "examples", "scripts")
 PAGES = "docs"
 """The label of all Markdown: the pages of this folder, and those next to it."""
@@ -84,6 +86,7 @@ class Count:
                 exceeded.append(f"{100 * vague / count:.1f} % of {kind} with a vague name, at most {VAGUE_PERCENT:.0f}")
         return exceeded
 
+    @override
     def __str__(self) -> str:
         functions = 100 * self.vague_functions / max(self.functions, 1)
         variables = 100 * self.vague_variables / max(self.variables, 1)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from yarp_compat import absences, catalogue
 from yarp_compat.dev.drivers import registry
+from yarp_compat.overriding import override
 from yarp_compat.script_names import ScriptError, read
 
 USAGE = "usage: python -m yarp_compat --check script.py [folder ...]"
@@ -38,6 +39,7 @@ class Checked:
     count: int = 0
     absent: list[Absent] = field(default_factory=list)
 
+    @override
     def __str__(self) -> str:
         if not self.imports_yarp:
             return f"{self.path}: it does not import yarp"

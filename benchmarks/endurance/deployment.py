@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from typing_extensions import override
+
 from benchmarks.latency.cases import CASES, Case, Prepared, prepare
 from benchmarks.latency.stage import Stage
 from benchmarks.latency.usage import DAEMON, WORKERS, Meter, Usage, processes
@@ -121,6 +123,7 @@ class Deployment(Stage):
             state: Any = master.getSystemState("/census")
         return sum(node.startswith("/midspan") for kind in state[2] for _, nodes in kind for node in nodes)
 
+    @override
     def close(self) -> None:
         """End all processes."""
         hub, self._hub = self._hub, None

@@ -7,6 +7,7 @@ from typing import Any
 
 import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from typing_extensions import override
 
 from benchmarks.endurance.program import DEPTH, Close, Heard, Program
 from benchmarks.latency.taker import Taker, message_class
@@ -37,12 +38,15 @@ class Ros2Program(Program):
         self._node = rclpy.create_node(f"program_{os.getpid()}", enable_rosout=False, start_parameter_services=False)
         self._taker = Taker()
 
+    @override
     def publisher(self, topic: str, type_: str, *, latched: bool) -> Ros2Publisher:
         return Ros2Publisher(self._node, topic, type_, latched=latched)
 
+    @override
     def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:
         return self._taker.listen(self._node, topic, type_, _qos(latched=latched), heard)
 
+    @override
     def close(self) -> None:
         """Exit at once, without closing the middleware."""
         self._taker.abandon()

@@ -8,6 +8,8 @@ from __future__ import annotations
 import os
 import sys
 
+from typing_extensions import override
+
 from benchmarks.endurance.program import DEPTH, Close, Heard, Program
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.session import Hub, HubSettings
@@ -24,9 +26,11 @@ class ZenohProgram(Program):
         self._hub = Hub.open(HubSettings(domain=domain, router=router, node=node, daemon="program", worker=node))
         self._registry = Registry()
 
+    @override
     def publisher(self, topic: str, type_: str, *, latched: bool) -> HubPublisher:
         return self._hub.publisher(topic, type_, self._registry.ros2(type_).type_id, _qos(latched=latched))
 
+    @override
     def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:
         # ``heard`` runs on zenoh's receiving thread, so that a slow one blocks its link
         type_hash = self._registry.ros2(type_).type_id
@@ -35,6 +39,7 @@ class ZenohProgram(Program):
         )
         return subscription.close
 
+    @override
     def close(self) -> None:
         self._hub.close()
 

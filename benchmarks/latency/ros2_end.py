@@ -8,6 +8,7 @@ from typing import Any
 
 import rclpy
 from rclpy.qos import QoSProfile
+from typing_extensions import override
 
 from benchmarks.latency.end import End
 from benchmarks.latency.taker import Taker, message_class
@@ -25,13 +26,16 @@ class Ros2End(End):
         self._node = rclpy.create_node(f"end_{os.getpid()}", enable_rosout=False, start_parameter_services=False)
         self._taker = Taker()
 
+    @override
     def publisher(self, topic: str, type_: str) -> tuple[Callable[[bytes], None], Callable[[], bool]]:
         publisher = self._node.create_publisher(message_class(type_), topic, _qos())
         return publisher.publish, lambda: publisher.get_subscription_count() > 0
 
+    @override
     def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:
         self._taker.listen(self._node, topic, type_, _qos(), heard)
 
+    @override
     def close(self) -> None:
         """Exit at once, without closing the middleware."""
         self._taker.abandon()

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
+from typing_extensions import override
 
 from benchmarks.footprints.measured import cpu_seconds
 from bridge.demo.leftovers import marked
@@ -33,6 +34,7 @@ class Usage:
     threads: int
     descriptors: int
 
+    @override
     def __str__(self) -> str:
         return f"{self.cpu:6.2f} % CPU  {self.rss:7.1f} MB  {self.threads:4d} threads  {self.descriptors:5d} files"
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 import zenoh
+from typing_extensions import override
 
 from benchmarks.latency.end import End
 from bridge.hub.wire.keys import ATTACHMENT_SIZE
@@ -35,7 +36,8 @@ class ZenohEnd(End):
         self._session = zenoh.open(make_config(tree, None))
         self._endpoints: list[Any] = []
 
-    def publisher(self, topic: str, type_: str) -> tuple[Callable[[bytes], None], Callable[[], bool]]:  # noqa: ARG002
+    @override
+    def publisher(self, topic: str, type_: str) -> tuple[Callable[[bytes], None], Callable[[], bool]]:
         publisher = self._session.declare_publisher(
             topic.strip("/"), congestion_control=zenoh.CongestionControl.DROP, express=self._express
         )
@@ -43,10 +45,12 @@ class ZenohEnd(End):
         attached = bytes(ATTACHMENT_SIZE)
         return lambda payload: publisher.put(payload, attachment=attached), lambda: self._is_linked(publisher)
 
-    def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:  # noqa: ARG002
+    @override
+    def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:
         handler: Any = zenoh.handlers.Callback(lambda sample: heard(sample.payload.to_bytes()), indirect=False)
         self._endpoints.append(self._session.declare_subscriber(topic.strip("/"), handler))
 
+    @override
     def close(self) -> None:
         self._session.close()  # type: ignore[no-untyped-call]
 

@@ -10,6 +10,7 @@ import xmlrpc.client
 from typing import Any
 
 import psutil
+from typing_extensions import override
 
 from benchmarks.processes import Processes
 from bridge.concurrency import GOOD_LIFE
@@ -150,6 +151,7 @@ class Field(Processes):
                     process.kill()
             self.stop(name)
 
+    @override
     def stop(self, name: str) -> None:
         # the program's latched line goes with it
         self.states.pop(name, None)
@@ -163,6 +165,7 @@ class Field(Processes):
                 sizes.append(file.stat().st_blocks * 512)
         return len(sizes), sum(sizes)
 
+    @override
     def close(self) -> None:
         """Stop all processes."""
         with contextlib.suppress(RuntimeError, psutil.Error):

@@ -7,6 +7,8 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+from typing_extensions import override
+
 from benchmarks.losses.program import MEGABYTE, Program
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.session import Hub, HubSettings
@@ -33,12 +35,14 @@ class HubProgram(Program):
         self._hub = Hub.open(settings)
         self._publishers: dict[str, HubPublisher] = {}
 
+    @override
     def open(self) -> None:
         for kind, type_ in (("stream", POINT), ("cmd_vel", TWIST), ("large", STRING)):
             self._publishers[kind] = self._publisher(f"/{self.name}/{kind}", type_, _STREAM)
         self._publishers["state"] = self._publisher("/state", STRING, _latched(1))
         self._subscribe("/state", STRING, _latched(100), lambda data: self.stated(_text(data)))
 
+    @override
     def publish(self, kind: str, sent: float, number: int) -> None:
         if kind == "large":
             self._publishers[kind].put(_string(MEGABYTE))
@@ -46,9 +50,11 @@ class HubProgram(Program):
             more = 3 if kind == "cmd_vel" else 0
             self._publishers[kind].put(CDR + struct.pack(f"<{3 + more}d", sent, number, *[0.0] * (1 + more)))
 
+    @override
     def publish_state(self, line: str) -> None:
         self._publishers["state"].put(_string(line))
 
+    @override
     def listen(self, source: str) -> None:
         if source == "clock":
             self._follow("/clock", CLOCK, _clock)
@@ -57,12 +63,15 @@ class HubProgram(Program):
         self._follow(f"/{source}/cmd_vel", TWIST, _point)
         self._follow(f"/{source}/large", STRING, lambda _data: (0.0, 0.0))
 
+    @override
     def late(self, take: Callable[[str], None]) -> Callable[[], None]:
         return self._subscribe("/state", STRING, _latched(100), lambda data: take(_text(data)))
 
+    @override
     def nodes(self) -> list[str]:
         return [node.node for node in self._hub.graph.nodes()]
 
+    @override
     def close(self) -> None:
         self._hub.close()
 

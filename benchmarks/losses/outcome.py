@@ -8,6 +8,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from typing_extensions import override
+
 from benchmarks.losses.field import ANCHORS, JOINER, Field, Flow
 
 GAP = 0.5
@@ -52,6 +54,7 @@ class Outcome:
         """Whether nothing went wrong."""
         return self.recovered and not (self.stale or self.twice or self.missing or self.left)
 
+    @override
     def __str__(self) -> str:
         """Return one line."""
         text = f"{self.seconds:6.2f} s, longest silence {self.gap:6.2f} s {self.slowest}"

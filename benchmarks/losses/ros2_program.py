@@ -13,6 +13,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
+from typing_extensions import override
 
 from benchmarks.losses.program import MEGABYTE, Program
 
@@ -33,12 +34,14 @@ class Ros2Program(Program):
         self._spinner = threading.Thread(target=self._spin, name="spin", daemon=True)
         self._spinner.start()
 
+    @override
     def open(self) -> None:
         for kind, type_ in KINDS.items():
             self._publishers[kind] = self._node.create_publisher(type_, f"/{self.name}/{kind}", DEPTH)
         self._publishers["state"] = self._node.create_publisher(String, "/state", _latched(1))
         self._node.create_subscription(String, "/state", lambda m: self.stated(m.data), _latched(DEPTH))
 
+    @override
     def publish(self, kind: str, sent: float, number: int) -> None:
         if kind == "clock":
             return  # only ROS 1 has a clock here
@@ -47,9 +50,11 @@ class Ros2Program(Program):
         message = String(data=MEGABYTE) if large else Twist(linear=point) if kind == "cmd_vel" else point
         self._publishers[kind].publish(message)
 
+    @override
     def publish_state(self, line: str) -> None:
         self._publishers["state"].publish(String(data=line))
 
+    @override
     def listen(self, source: str) -> None:
         if source == "clock":
             self._node.create_subscription(Clock, "/clock", self._on_clock, DEPTH)
@@ -60,14 +65,17 @@ class Ros2Program(Program):
     def _on_clock(self, message: Any) -> None:
         self.sound("/clock", message.clock.sec + message.clock.nanosec / 1e9, 0.0)
 
+    @override
     def late(self, take: Callable[[str], None]) -> Callable[[], None]:
         subscription = self._node.create_subscription(String, "/state", lambda m: take(m.data), _latched(DEPTH))
         self._executor.wake()
         return lambda: self._node.destroy_subscription(subscription)
 
+    @override
     def nodes(self) -> list[str]:
         return list(self._node.get_node_names())
 
+    @override
     def close(self) -> None:
         self._executor.shutdown(2.0)
         self._spinner.join(2.0)

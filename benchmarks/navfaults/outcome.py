@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from typing_extensions import override
+
 
 @dataclass
 class Outcome:
@@ -30,6 +32,7 @@ class Outcome:
     end: str = ""
     wrong: str = ""
 
+    @override
     def __str__(self) -> str:
         parts = [
             f"still after {self.still:.2f} s ({self.distance * 100:.0f} cm)"

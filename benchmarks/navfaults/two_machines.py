@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Any
 
 import yaml
+from typing_extensions import override
 
 from tests.peers.daemon.midspan import MIDSPAN
 from tests.peers.navigation.chain import Chain
@@ -38,6 +39,7 @@ class TwoMachines(Chain):
         self._split = split
         self._far: Process | None = None
 
+    @override
     def write(self) -> None:
         """Write both configurations."""
         robot, operator = copy.deepcopy(self.config), copy.deepcopy(self.config)
@@ -64,6 +66,7 @@ class TwoMachines(Chain):
         """Path of the operator's configuration."""
         return self.folder / "operator.yaml"
 
+    @override
     def start(self) -> None:
         """Start both daemons, the client at the operator's, and the observer at the robot's."""
         for name in ("robot1", "operator1"):
@@ -76,6 +79,7 @@ class TwoMachines(Chain):
         if self._split:
             self.until(lambda: self.status(_SEEKS).get("map"), "the map has arrived over the link", 40)
 
+    @override
     def output(self) -> str:
         """Return the end of both logs."""
         return super().output() + (f"--- operator\n{self._far.output()[-8000:]}" if self._far else "")
@@ -86,6 +90,7 @@ class TwoMachines(Chain):
     def _door(self, **more: Any) -> dict[str, Any]:
         return {"keys": str(self.folder / "keys"), **more}
 
+    @override
     def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
         super().__exit__(kind, err, tb)
         if self._far is not None:

@@ -13,6 +13,7 @@ from nav_msgs.srv import GetMap
 from rclpy import action, task
 from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import SetBool
+from typing_extensions import override
 
 from benchmarks.roundtrips.end import MAP_SIDE, End
 
@@ -37,6 +38,7 @@ class Ros2End(End):
         executor.add_node(node)
         return node
 
+    @override
     def serve(self, prefix: str) -> None:
         grid = GetMap.Response()
         grid.map.info.width = grid.map.info.height = MAP_SIDE
@@ -60,6 +62,7 @@ class Ros2End(End):
         self._executors["hold"].wake()  # setting a future's result does not wake the executor
         return _action.CancelResponse.ACCEPT
 
+    @override
     def wait_for(self, prefix: str) -> None:
         for name, kind in (("call", SetBool), ("map", GetMap)):
             path = f"{prefix}/{name}"
@@ -72,12 +75,14 @@ class Ros2End(End):
             if not client.wait_for_server(SECONDS):
                 raise RuntimeError("no server of " + prefix)
 
+    @override
     def call(self, prefix: str) -> int:
         began = time.perf_counter_ns()
         path = f"{prefix}/call"
         self._until(path, self._ends[path].call_async(SetBool.Request(data=True)))
         return time.perf_counter_ns() - began
 
+    @override
     def get_map(self, prefix: str) -> int:
         began = time.perf_counter_ns()
         path = f"{prefix}/map"
@@ -87,6 +92,7 @@ class Ros2End(End):
             raise RuntimeError("the map is incomplete")
         return took
 
+    @override
     def run_goal(self, prefix: str) -> int:
         began = time.perf_counter_ns()
         path = f"{prefix}/go"
@@ -94,6 +100,7 @@ class Ros2End(End):
         self._until(path, goal.get_result_async())
         return time.perf_counter_ns() - began
 
+    @override
     def cancel_goal(self, prefix: str) -> int:
         path = f"{prefix}/hold"
         goal = self._until(path, self._ends[path].send_goal_async(_goal()))
@@ -105,6 +112,7 @@ class Ros2End(End):
         self._until(path, ended)
         return time.perf_counter_ns() - began
 
+    @override
     def close(self) -> None:
         """Exit at once, without closing the middleware."""
         os._exit(0)

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 import zenoh
+from typing_extensions import override
 
 from benchmarks.roundtrips.end import MAP_SIDE, End
 from bridge.hub.wire.keys import ATTACHMENT_SIZE
@@ -32,6 +33,7 @@ class ZenohEnd(End):
         self._queryables: list[Any] = []
         self._asking: list[Any] = []
 
+    @override
     def serve(self, prefix: str) -> None:
         grid = bytes(MAP_SIDE * MAP_SIDE + 100)
         for name, reply in (("call", SMALL), ("map", grid), ("go/send", SMALL), ("go/result", SMALL)):
@@ -49,6 +51,7 @@ class ZenohEnd(End):
         query.drop()
         _answerer(SMALL)(self._asking.pop())
 
+    @override
     def wait_for(self, prefix: str) -> None:
         # also waits for the direct link
         end = time.monotonic() + SECONDS
@@ -61,22 +64,26 @@ class ZenohEnd(End):
             except RuntimeError:
                 time.sleep(0.05)
 
+    @override
     def call(self, prefix: str) -> int:
         began = time.perf_counter_ns()
         self._wait(self._ask(f"{prefix}/call", SMALL))
         return time.perf_counter_ns() - began
 
+    @override
     def get_map(self, prefix: str) -> int:
         began = time.perf_counter_ns()
         self._wait(self._ask(f"{prefix}/map", SMALL))
         return time.perf_counter_ns() - began
 
+    @override
     def run_goal(self, prefix: str) -> int:
         began = time.perf_counter_ns()
         self._wait(self._ask(f"{prefix}/go/send", GOAL))
         self._wait(self._ask(f"{prefix}/go/result", SMALL))
         return time.perf_counter_ns() - began
 
+    @override
     def cancel_goal(self, prefix: str) -> int:
         self._wait(self._ask(f"{prefix}/hold/send", GOAL))
         result = self._ask(f"{prefix}/hold/result", SMALL)
@@ -106,6 +113,7 @@ class ZenohEnd(End):
         if not asked.replies:
             raise RuntimeError("no answer")
 
+    @override
     def close(self) -> None:
         self._session.close()  # type: ignore[no-untyped-call]
 

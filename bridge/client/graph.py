@@ -6,6 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from typing_extensions import override
+
 from bridge.client.errors import ClientError
 from bridge.client.session import Client
 from bridge.client.types import ros2_spelling
@@ -42,6 +44,7 @@ class Decision:
         """Return the object for ``--json``."""
         return {name: getattr(self, name) for name in self.__slots__}
 
+    @override
     def __str__(self) -> str:
         return f"{arrow(self.worker, self.direction)}: {clean(self.decision)}: {clean(self.why)}"
 

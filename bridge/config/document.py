@@ -33,6 +33,7 @@ class Problem:
     key: str
     text: str
 
+    @override
     def __str__(self) -> str:
         place = f"{self.file}:{self.line}:{self.column}" if self.line else str(self.file)
         return f"{place}: {self.key}: {self.text}" if self.key else f"{place}: {self.text}"

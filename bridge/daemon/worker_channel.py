@@ -36,6 +36,7 @@ class Exit:
 
     code: int | None
 
+    @override
     def __str__(self) -> str:
         if self.code is None:
             return "ended"

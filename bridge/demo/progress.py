@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
+from typing_extensions import override
 
 from bridge.daemon.query import Phase, ask_daemon
 from bridge.demo.processes import DemoChild, guarded
@@ -122,6 +123,7 @@ class PartState:
     pid: int = 0
     restarts: int = 0
 
+    @override
     def __str__(self) -> str:
         return ", ".join(filter(None, (f"{self.name}: {self.phase}", self.text)))
 

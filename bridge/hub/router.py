@@ -62,6 +62,7 @@ class RouterInfo:
     daemon: str = ""
     pid: int = 0
 
+    @override
     def __str__(self) -> str:
         """For people."""
         if self.daemon:

@@ -11,6 +11,8 @@ from collections.abc import Iterable
 from enum import IntEnum
 from functools import cache
 
+from typing_extensions import override
+
 from bridge.messages.definitions.versions import ReleaseTypes
 
 
@@ -23,6 +25,7 @@ class Release(IntEnum):
     KILTED = 3
     LYRICAL = 4
 
+    @override
     def __str__(self) -> str:
         return self.name.capitalize()
 

@@ -14,6 +14,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from typing_extensions import override
+
 
 class StoreError(RuntimeError):
     """The store refuses an operation or cannot perform it; nothing has changed, and the text is the reason."""
@@ -112,6 +114,7 @@ class Conflict:
     holds: StoreEntry
     lost: StoreEntry
 
+    @override
     def __str__(self) -> str:
         """Describe the conflict with the lost value, so that it can be restored by hand."""
         return (

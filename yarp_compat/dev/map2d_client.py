@@ -27,18 +27,23 @@ class _View(MutableMapping[str, T], Generic[T]):
     def __init__(self, remote: IMap2DMsgs, kind: str, names: str, delete: str) -> None:
         self._remote, self._kind, self._names, self._delete = remote, kind, names, delete
 
+    @override
     def __getitem__(self, name: str) -> T:
         return cast("T", self._call(f"get_{self._kind}", name, key=name))
 
+    @override
     def __setitem__(self, name: str, value: T) -> None:
         self._call(f"store_{self._kind}", name, value)
 
+    @override
     def __delitem__(self, name: str) -> None:
         self._call(self._delete, name, key=name)
 
+    @override
     def __iter__(self) -> Iterator[str]:
         return iter(self._call(self._names))
 
+    @override
     def __len__(self) -> int:
         return sum(1 for _ in self)
 
@@ -65,6 +70,7 @@ class Maps(_View[MapGrid2D]):
     def __init__(self, remote: IMap2DMsgs) -> None:
         super().__init__(remote, "map", "get_map_names", "remove_map")
 
+    @override
     def __setitem__(self, name: str, value: MapGrid2D) -> None:
         """Store a map; raises `ValueError` unless ``name`` is the map's own name."""
         if value.name != name:

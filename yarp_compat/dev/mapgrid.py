@@ -313,9 +313,11 @@ class MapGrid2D(MapGrid2DInfo, Portable):
             and np.array_equal(self._occupancy, other._occupancy)
         )
 
+    @override
     def __eq__(self, other: object) -> bool:
         return self.isIdenticalTo(other) if isinstance(other, MapGrid2D) else NotImplemented
 
+    @override
     def __repr__(self) -> str:
         return f"<MapGrid2D {self.m_map_name!r} of {self.m_width} x {self.m_height} cells of {self.m_resolution} m>"
 

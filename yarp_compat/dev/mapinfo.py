@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.overriding import override
 from yarp_compat.sig.vec2d import Vec2D, Vec2DInt, Vec2DSize
 from yarp_compat.wire.accessors import getter
 
@@ -68,6 +69,7 @@ class MapGrid2DOrigin:
         ca, sa = math.cos(yaw), math.sin(yaw)
         return cls(x * ca + y * sa, y * ca - x * sa, -math.degrees(yaw))
 
+    @override
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, MapGrid2DOrigin):
             return NotImplemented
@@ -76,6 +78,7 @@ class MapGrid2DOrigin:
     def __iter__(self) -> Iterator[float]:
         return iter((self.x, self.y, self.theta))
 
+    @override
     def __repr__(self) -> str:
         return f"MapGrid2DOrigin({self.x}, {self.y}, {self.theta})"
 

@@ -65,6 +65,7 @@ class ReturnValue(Portable):
     def __bool__(self) -> bool:
         return self.code is ReturnCode.OK
 
+    @override
     def __eq__(self, other: object) -> bool:
         if isinstance(other, int) and not isinstance(other, bool):
             return self.code.vocab_number == other
@@ -77,9 +78,11 @@ class ReturnValue(Portable):
         """Whether ``other`` is the same outcome, or its number (``return_code_...`` of this class)."""
         return self == other
 
+    @override
     def __hash__(self) -> int:
         return hash(self.code.vocab_number)  # equal to its number, so the hashes must be equal
 
+    @override
     def __repr__(self) -> str:
         return f"ReturnValue({self.code.name})"
 

@@ -45,12 +45,15 @@ class TickTime:
 
     __float__ = to_seconds
 
+    @override
     def __eq__(self, other: object) -> bool:
         return isinstance(other, TickTime) and (self.sec, self.nsec) == (other.sec, other.nsec)
 
+    @override
     def __hash__(self) -> int:
         return hash((self.sec, self.nsec))
 
+    @override
     def __repr__(self) -> str:
         return f"TickTime({self.sec}, {self.nsec})"
 
@@ -73,6 +76,7 @@ class Message(Portable):
         for name, value in fields.items():
             setattr(self, name, value)
 
+    @override
     def __setattr__(self, name: str, value: Any) -> None:
         if name not in self._names:  # a misspelled field would be published empty
             raise AttributeError(f"{self.TYPE} has no field {name!r}, only {', '.join(sorted(self._names)) or 'none'}")
@@ -87,9 +91,11 @@ class Message(Portable):
         """Set every field to its default."""
         self.__dict__.update((field.name, self._default(field)) for field in self._definition.fields)
 
+    @override
     def __eq__(self, other: object) -> bool:
         return type(other) is type(self) and self.to_wire() == other.to_wire()
 
+    @override
     def __repr__(self) -> str:
         fields = ", ".join(f"{field.name}={getattr(self, field.name)!r}" for field in self._definition.fields)
         return f"{self.TYPE.replace('/', '.')}({fields})"

@@ -33,6 +33,7 @@ QUANTUM = 8  # rows are padded to a multiple of this number of bytes by default
 class RawImage(np.ndarray[Any, np.dtype[np.uint8]]):
     """An image's bytes; ``int()`` of it is their address."""
 
+    @override
     def __int__(self) -> int:
         return int(self.ctypes.data)
 
@@ -267,6 +268,7 @@ class Image(Raster, Comparable, Portable):
         self.swap(alt)
         alt._place(0, 0, 0, memoryview(bytearray()))
 
+    @override
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Image):
             return NotImplemented
@@ -274,6 +276,7 @@ class Image(Raster, Comparable, Portable):
             return False
         return not self._code or self.numpy().tobytes() == other.numpy().tobytes()
 
+    @override
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self._width} x {self._height} of code {self._code}>"
 

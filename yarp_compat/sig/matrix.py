@@ -160,6 +160,7 @@ class Matrix(Comparable, Portable):
 
     __str__ = toString_c
 
+    @override
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Matrix):
             return NotImplemented
@@ -171,6 +172,7 @@ class Matrix(Comparable, Portable):
     def __setitem__(self, place: tuple[int, int], value: float) -> None:
         self._writable()[place] = value
 
+    @override
     def __repr__(self) -> str:
         return f"Matrix({self._values.tolist()})"
 
@@ -283,12 +285,15 @@ class Quaternion(Portable):
         axes[j], axes[k] = float((r[j, i] + r[i, j]) * part), float((r[k, i] + r[i, k]) * part)
         self._values = (float((r[k, j] - r[j, k]) * part), axes[0], axes[1], axes[2])
 
+    @override
     def __eq__(self, other: object) -> bool:
         return self._values == other._values if isinstance(other, Quaternion) else NotImplemented
 
+    @override
     def __hash__(self) -> int:
         return hash(self._values)
 
+    @override
     def __repr__(self) -> str:
         w, x, y, z = self._values
         return f"Quaternion(x={x}, y={y}, z={z}, w={w})"

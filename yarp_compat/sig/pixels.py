@@ -17,6 +17,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from yarp_compat.overriding import override
+
 LARGEST = 1024  # most bytes of a pixel with unknown content
 
 
@@ -136,6 +138,7 @@ class Pixel:
         except ValueError:
             raise AttributeError(f"{type(self).__name__} has only {', '.join(self.names)}, not {name!r}") from None
 
+    @override
     def __setattr__(self, name: str, value: Any) -> None:
         if name == "_memory":
             object.__setattr__(self, name, value)
@@ -147,11 +150,13 @@ class Pixel:
     def __iter__(self) -> Any:
         return iter(self._memory.tolist())
 
+    @override
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Pixel) or type(other) is not type(self):
             return NotImplemented
         return list(self) == list(other)
 
+    @override
     def __repr__(self) -> str:
         values = ", ".join(f"{name}={getattr(self, name)}" for name in self.names)
         return f"{type(self).__name__}({values})"

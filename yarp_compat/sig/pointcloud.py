@@ -143,12 +143,14 @@ class PointCloud(Portable):
     def __getitem__(self, index: int) -> Any:
         return self._points[index]
 
+    @override
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, PointCloud):
             return NotImplemented
         mine = (self._point, self._height, self.dense, self._points.tolist())
         return mine == (other._point, other._height, other.dense, other._points.tolist())
 
+    @override
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.width()} x {self._height} of type {self._point}>"
 

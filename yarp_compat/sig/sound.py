@@ -297,12 +297,14 @@ class Sound(Comparable, Portable):
             log.warning("marker %s not found", marker)
         return sample if exists else default
 
+    @override
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Sound):
             return NotImplemented
         same = (self._frequency, self._markers) == (other._frequency, other._markers)
         return same and np.array_equal(self._samples, other._samples)
 
+    @override
     def __repr__(self) -> str:
         return f"<Sound of {self.getSamples()} samples in {self.getChannels()} channels at {self._frequency} Hz>"
 

@@ -226,6 +226,7 @@ class VectorOf(Comparable, Portable):
 
     __str__ = toString_c
 
+    @override
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, VectorOf) or other.dtype != self.dtype:
             return NotImplemented
@@ -244,6 +245,7 @@ class VectorOf(Comparable, Portable):
     def __setitem__(self, index: int | slice, value: Any) -> None:
         self._writable()[index] = value
 
+    @override
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.numpy().tolist()})"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from yarp_compat.overriding import override
 from yarp_compat.wire.accessors import getter
 
 
@@ -51,8 +52,10 @@ class Type:
     toString_c = toString
     __str__ = toString
 
+    @override
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Type) and (self._name, self._on_wire) == (other._name, other._on_wire)
 
+    @override
     def __hash__(self) -> int:
         return hash((self._name, self._on_wire))

@@ -19,6 +19,8 @@ from ctypes import CFUNCTYPE, Structure, addressof, c_bool, c_char_p, c_size_t, 
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
+from typing_extensions import override
+
 from bridge.adapters.ros2.rcl import Callbacks
 from bridge.adapters.ros2.releases import current
 from bridge.messages.errors import MessageTypeError
@@ -111,6 +113,7 @@ class TypeName(NamedTuple):
     name: str
     digest: bytes
 
+    @override
     def __str__(self) -> str:
         return f"{self.package}/{self.folder}/{self.name}"
 

@@ -13,6 +13,8 @@ from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.cli.arguments import add_verb, add_verbs, number_in
 from bridge.cli.client import open_client
 from bridge.cli.graph import listing
@@ -225,6 +227,7 @@ class Rate:
     bytes_per_second: float
     lost: int
 
+    @override
     def __str__(self) -> str:
         """For people."""
         times = f"between {self.least * 1e3:.1f} and {self.most * 1e3:.1f} ms, deviation {self.deviation * 1e3:.1f} ms"

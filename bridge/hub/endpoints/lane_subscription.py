@@ -168,6 +168,7 @@ class LaneSubscription(HubSubscription):
         self._zenoh = ZenohSubscriber(context, key, self._on_sample, self._lock)
         return self._zenoh.close
 
+    @override
     def close(self) -> None:
         self._lane.remove(self)
         super().close()

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Container, Iterable
 from dataclasses import dataclass
 
+from typing_extensions import override
+
 from bridge.hub.graph.owners import owner
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
 from bridge.hub.graph.view import HubEndpoint
@@ -29,6 +31,7 @@ class NativeNodes:
     hashless: bool
     nodes: tuple[str, ...]
 
+    @override
     def __str__(self) -> str:
         return f"rmw_zenoh ({self.release or 'unknown release'})"
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import psutil
+from typing_extensions import override
 
 from bridge.concurrency import WorkerPool
 from bridge.hub.security.handshake import Attempt, HostPort, Identity, attempt, resolved
@@ -83,6 +84,7 @@ class EndpointStatus:
         """Whether nothing needs to be done."""
         return EndpointState(self.state).good
 
+    @override
     def __str__(self) -> str:
         """For people, without the time."""
         text = f"hub.open.{self.way} {self.endpoint}: {self.state}"

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import zenoh
+from typing_extensions import override
 
 from bridge.hub.security.reasons import EndpointState, Reason, refused_by_other, refused_certificate, unreachable
 
@@ -90,6 +91,7 @@ class HostPort:
     host: str
     port: int
 
+    @override
     def __str__(self) -> str:
         """``host:port``, with IPv6 addresses in brackets."""
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"

@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
+from typing_extensions import override
+
 DefaultValue = bool | int | float | str | tuple["DefaultValue", ...]
 
 
@@ -63,6 +65,7 @@ class FieldType:
         """The type of one element of an array or sequence."""
         return FieldType(self.base, string_bound=self.string_bound)
 
+    @override
     def __str__(self) -> str:
         """Return the type as spelled in definitions, with the full name of a nested type."""
         bound = f"<={self.string_bound}" if self.string_bound else ""

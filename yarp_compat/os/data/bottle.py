@@ -67,6 +67,7 @@ class Searchable:
     def __contains__(self, key: object) -> bool:
         return isinstance(key, str) and self._has(key)
 
+    @override
     def __str__(self) -> str:
         return self.toString()
 
@@ -163,9 +164,11 @@ class Value(ValueBase, _Comparable):
 
     makeInt, makeDouble, makeVocab = makeInt32, makeFloat64, makeVocab32  # YARP 2's names
 
+    @override
     def __eq__(self, other: object) -> bool:
         return self.isEqual(other) if isinstance(other, Value) else bool(self._value == other)
 
+    @override
     def __repr__(self) -> str:
         return f"Value({self._value!r})"
 
@@ -386,12 +389,14 @@ class Bottle(Portable, _Comparable):
     def __delitem__(self, index: int | slice) -> None:
         del self._edit()[index]
 
+    @override
     def __eq__(self, other: object) -> bool:
         return self._values == (other._values if isinstance(other, Bottle) else other)
 
     def __bool__(self) -> bool:
         return not self._null
 
+    @override
     def __repr__(self) -> str:
         return f"Bottle({self.toString()!r})"
 
@@ -455,9 +460,11 @@ class Property(PropertyBase, Searchable):
         stored = next(k for k in self._entries if k == key)  # a str subclass may mark a number
         return Bottle.of(*entries_of({stored: self._entries[key]}))
 
+    @override
     def __eq__(self, other: object) -> bool:
         return self.toString() == other.toString() if isinstance(other, Property) else self._entries == other
 
+    @override
     def __repr__(self) -> str:
         return f"Property({self.toString()!r})"
 

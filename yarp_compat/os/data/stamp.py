@@ -81,11 +81,14 @@ class Stamp(Portable):
         yield self._count
         yield self._time
 
+    @override
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Stamp) and (self._count, self._time) == (other._count, other._time)
 
+    @override
     def __hash__(self) -> int:
         return hash((self._count, self._time))
 
+    @override
     def __repr__(self) -> str:
         return f"Stamp({self._count}, {self._time!r})"

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.config.sections.routing import ParameterRule
 from bridge.messages.values import is_array
 from bridge.routing.rules import glob_regex
@@ -56,10 +58,12 @@ class ParameterValue:
     kind: ParameterType
     content: Any = None
 
+    @override
     def __eq__(self, other: object) -> bool:
         """Return whether both have the same kind and text."""
         return isinstance(other, ParameterValue) and repr(self) == repr(other)
 
+    @override
     def __hash__(self) -> int:
         """Return a hash that is consistent with `__eq__`."""
         return hash(repr(self))
