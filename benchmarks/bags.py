@@ -169,7 +169,6 @@ def _both(source: Path, target: str, peer: str, folder: Path) -> tuple[tuple[flo
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure all cases."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--megabytes", type=int, default=1000)
     parser.add_argument("--rounds", type=int, default=3)

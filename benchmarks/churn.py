@@ -156,7 +156,6 @@ def rows(churned: Churned) -> list[Row]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--endpoints", type=int, default=10_000, metavar="N", help="endpoints on each side (default %(default)s)"

@@ -95,7 +95,6 @@ def measure(seconds: float) -> list[Row]:
 
 
 def main() -> None:
-    """Measure and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_json_option(parser)
     parser.add_argument("--seconds", type=float, default=60.0, help="of the drive")

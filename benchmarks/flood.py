@@ -124,7 +124,6 @@ def measure(source: str, target: str, args: argparse.Namespace) -> list[Row]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the benchmark."""
     args = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.WARNING)
     pairs = [pair for pair in WAYS if args.way in (None, pair[0])]

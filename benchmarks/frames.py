@@ -250,7 +250,6 @@ def relay(rounds: int, *, realtime: bool) -> list[Row]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=11, help="rounds of each case (default 11)")
     parser.add_argument("--relay", action="store_true", help="measure the relay of transforms between ROS 1 and ROS 2")

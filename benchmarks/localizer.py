@@ -207,7 +207,6 @@ def _held_rows(world: str, minutes: float, seeds: int, settings: LocaliserSectio
 
 
 def main() -> None:
-    """Measure and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_json_option(parser)
     parser.add_argument("--minutes", type=float, default=10.0, help="of each drive")

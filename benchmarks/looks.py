@@ -98,14 +98,12 @@ class EngineUnderLoad:
         return list(self.took)
 
     def close(self) -> None:
-        """Close both sessions."""
         self._engine.stop()
         self._hub.close()
         self._other.close()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--endpoints", nargs="+", type=int, default=[500, 2000], metavar="N", help="beside how many")
     parser.add_argument("--times", type=int, default=10, metavar="N", help="changes of each kind (%(default)s)")

@@ -165,7 +165,6 @@ class Samples:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the benchmark."""
     args = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.WARNING)
     taken = [_measure(args, lane=lane) for lane in LANES[args.lane]]

@@ -284,7 +284,6 @@ def drift_rows(name: str, seconds: float) -> list[Row]:
 
 
 def main() -> int:
-    """Measure and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--plans", nargs="+", default=list(PLANS), metavar="PLAN")
     parser.add_argument(

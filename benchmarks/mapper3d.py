@@ -133,7 +133,6 @@ def layer(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3
 
 
 def main() -> int:
-    """Measure and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=int, default=30, help="of each room")
     parser.add_argument("--rooms", type=float, nargs="+", default=[5.0, 10.0], metavar="METERS")

@@ -29,7 +29,6 @@ _ENOUGH = {"modules": 40.0, "sim": 25.0, "yarp": 10.0, "router": 5.0, "daemon": 
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tables", action="store_true", help="with a depth camera, without Mapper3D and with it")
     parser.add_argument("--seconds", type=float, default=10.0, help="seconds of each measurement (default 10)")

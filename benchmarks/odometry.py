@@ -46,7 +46,6 @@ class Motion(NamedTuple):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=30.0, help="of driving (default 30)")
     parser.add_argument("--busy", type=int, default=4, help="busy processes (default 4)")

@@ -222,7 +222,6 @@ def measured(sizes: list[int], maps: list[str], rounds: int) -> Iterator[Row]:
 
 
 def main() -> int:
-    """Measure and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sizes", type=int, nargs="+", default=list(SIZES), metavar="CELLS")
     parser.add_argument("--maps", choices=MAPS, nargs="+", default=list(MAPS))

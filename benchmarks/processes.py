@@ -120,7 +120,6 @@ class Processes:
         return self._memory
 
     def close(self) -> None:
-        """Stop all processes."""
         self.remember_memory()
         last = ("daemon", "roscore")
         groups = [[name for name in self._children if name not in last], *([name] for name in last)]

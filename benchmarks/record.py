@@ -379,7 +379,6 @@ def measure(args: argparse.Namespace) -> list[Row]:
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Run the comparison."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=10.0, help="seconds of each turn (default 10)")
     parser.add_argument("--rounds", type=int, default=3, help="turns of each (default 3)")

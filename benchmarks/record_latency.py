@@ -99,7 +99,6 @@ def measure(args: argparse.Namespace) -> list[Row]:
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Run the comparison."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=8.0, help="seconds of each turn (default 8)")
     parser.add_argument("--rounds", type=int, default=4, help="turns of each (default 4)")

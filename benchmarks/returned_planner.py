@@ -89,7 +89,6 @@ class Watcher:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop checking."""
         self._stopping.set()
         self._thread.join()
         self._client.close()
@@ -207,7 +206,6 @@ def measure(side: Side, aways: Sequence[float], rounds: int) -> list[Row]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sides", nargs="+", choices=[side.key for side in SIDES], help="default all")
     parser.add_argument(

@@ -83,7 +83,6 @@ def rate(port: int, method: str, clients: int, count: int) -> float:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=2000, metavar="N", help="calls per case (default 2000)")
     add_json_option(parser)

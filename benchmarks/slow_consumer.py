@@ -199,7 +199,6 @@ def rows(slow: Slow) -> list[Row]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sides", nargs="+", choices=SIDES, default=list(SIDES), help="default all")
     parser.add_argument("--rate", type=float, default=50.0, help="images of 1 MB per second (default %(default)s)")

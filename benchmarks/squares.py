@@ -57,7 +57,6 @@ def square(robot: Robot, name: str, program: Program, side: float) -> Iterator[R
 
 
 def main() -> int:
-    """Drive, and report the rows."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--side", type=float, default=4.0, metavar="METERS")
     parser.add_argument("--scale", type=float, default=0.0, help="scale error of the encoders, as a share")

@@ -188,7 +188,6 @@ def measure_release(case: str, name: str, values: Mapping[str, Any], rounds: int
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=15, help="rounds of each comparison (default 15)")
     add_json_option(parser)

@@ -93,11 +93,9 @@ class Robot:
         self._thread = threading.Thread(target=self._publish, name="robot")
 
     def start(self) -> None:
-        """Start to publish."""
         self._thread.start()
 
     def close(self) -> None:
-        """Stop publishing."""
         self._over.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -280,7 +278,6 @@ def _crosses(deployment: Deployment) -> bool:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=10.0, help="seconds of each measurement (default %(default)s)")
     add_json_option(parser)

@@ -91,7 +91,6 @@ def measure(case: str, value: Portable, rounds: int) -> list[Row]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=9, help="rounds of each comparison (default 9)")
     add_json_option(parser)

@@ -155,7 +155,6 @@ class Ours:
         return (time.perf_counter() - start) / count * 1e6
 
     def close(self) -> None:
-        """Close the connection."""
         self._port.close()
 
 
@@ -196,7 +195,6 @@ class Bare:
         return (time.perf_counter() - start) / count * 1e6
 
     def close(self) -> None:
-        """Close the connection."""
         self._sock.close()
 
 
@@ -244,7 +242,6 @@ def _rows(carrier: str, place: str, rounds: int, share: float) -> list[Row]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--share", type=float, default=1.0, help="share of a round's messages; below 1 is faster")

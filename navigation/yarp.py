@@ -176,7 +176,6 @@ class PolledServer(ABC, Generic[M]):
         """Handle an unreachable server or an invalid answer; on that thread."""
 
     def close(self) -> None:
-        """Stop polling."""
         with self._lock:
             self._closed = True
             self._lock.notify()

@@ -125,7 +125,6 @@ class Deployment(Stage):
 
     @override
     def close(self) -> None:
-        """End all processes."""
         hub, self._hub = self._hub, None
         if hub is not None:
             hub.close()

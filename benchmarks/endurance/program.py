@@ -82,7 +82,6 @@ class Program(ABC):
             self.close()
 
     def _publish(self, topics: list[dict[str, Any]]) -> dict[str, Any]:
-        """Create publishers."""
         for topic in topics:
             name = topic["topic"]
             publisher = self.publisher(name, topic["type"], latched=topic["latched"])
@@ -154,7 +153,6 @@ class Source:
             self._publisher.put(fresh)
 
     def close(self) -> None:
-        """Close the publisher."""
         self._publisher.close()
 
 
@@ -176,7 +174,6 @@ class Flow:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop sending."""
         self._stopping.set()
         if self._thread is not None:
             self._thread.join()

@@ -25,7 +25,6 @@ class Ros1Publisher:
         self._publisher.publish(message)
 
     def close(self) -> None:
-        """Close the publisher."""
         self._publisher.unregister()
 
 

@@ -25,7 +25,6 @@ class Ros2Publisher:
         self._publisher.publish(payload)
 
     def close(self) -> None:
-        """Close the publisher."""
         self._node.destroy_publisher(self._publisher)
 
 

@@ -80,7 +80,6 @@ class Program:
 
 
 def main() -> None:
-    """Execute commands until the input ends."""
     answers = only_answers()
     rospy.init_node("frames_load", disable_signals=True)
     program = Program(int(sys.argv[1]))

@@ -93,7 +93,6 @@ class Program:
 
 
 def main() -> None:
-    """Execute commands until the input ends."""
     answers = only_answers()
     rclpy.init()
     program = Program(int(sys.argv[1]))

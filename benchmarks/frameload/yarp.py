@@ -94,14 +94,12 @@ class Program:
         return {"whole": whole, "slowest": slowest}
 
     def close(self) -> None:
-        """Close the transform clients."""
         for end in (self.reader, self.client):
             if end is not None:
                 end.close()
 
 
 def main() -> None:
-    """Execute commands until the input ends."""
     answers = only_answers()
     program = Program(int(sys.argv[1]), int(sys.argv[2]))
     serve(answers, {

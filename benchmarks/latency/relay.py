@@ -136,7 +136,6 @@ def _ros2_half(link: ZenohEnd) -> Callable[[Sequence[str], Sequence[str]], None]
 
 
 def main() -> None:
-    """Execute commands until the input ends."""
     kind, endpoint, master = sys.argv[1:]
     listens = kind == "ros1"
     link = ZenohEnd(

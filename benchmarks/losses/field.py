@@ -167,7 +167,6 @@ class Field(Processes):
 
     @override
     def close(self) -> None:
-        """Stop all processes."""
         with contextlib.suppress(RuntimeError, psutil.Error):
             for name in WORKERS:
                 self.worker(name).resume()

@@ -56,7 +56,6 @@ class Outcome:
 
     @override
     def __str__(self) -> str:
-        """Return one line."""
         text = f"{self.seconds:6.2f} s, longest silence {self.gap:6.2f} s {self.slowest}"
         if not self.recovered:
             text = f"NOT RECOVERED: {self.slowest}"

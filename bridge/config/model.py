@@ -47,7 +47,6 @@ class Default:
         return model
 
     def __call__(self) -> Section:
-        """Return the section."""
         return self.model()
 
 

@@ -80,7 +80,6 @@ class WorkerChannel(ABC):
         """Check for the exit of the process; called often."""
 
     def stop(self) -> None:
-        """Ask the process to stop."""
         self.send(protocol.Stop())
         if self.pid:
             processes.terminate(self.pid)

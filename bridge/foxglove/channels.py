@@ -195,6 +195,5 @@ class Channels:
         }
 
     def close(self) -> None:
-        """Withdraw all channels."""
         for name in list(self._channels):
             self._close(name)

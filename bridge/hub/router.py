@@ -64,7 +64,6 @@ class RouterInfo:
 
     @override
     def __str__(self) -> str:
-        """For people."""
         if self.daemon:
             return f"the router of Midspan daemon {self.daemon} (process {self.pid})"
         return f"a zenoh {self.mode} that is not Midspan's (zid {self.zid})"

@@ -119,7 +119,6 @@ class RouteSubscription:
                     self._current.request_again(gid, endpoint.zid, partial(remove, {gid}))
 
     def close(self) -> None:
-        """Close the subscription, if any."""
         if self._current is not None:
             self._lost_before += self._current.lost
             self._by_lane_before += self._current.by_lane

@@ -69,7 +69,6 @@ class SidePublishers:
         return max((p.dropped for p in (self.latched, self.volatile) if p is not None), default=0)
 
     def close(self) -> None:
-        """Close both."""
         for publisher in (self.latched, self.volatile):
             if publisher is not None:
                 publisher.close()

@@ -72,7 +72,6 @@ class EngineRoutes:
         self.topics_to_hub.close()
 
     def close(self) -> None:
-        """Close all routes."""
         for routes in self._sets:
             routes.close()
 

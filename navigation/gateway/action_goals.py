@@ -85,7 +85,6 @@ class ActionGoals:
                 self._ask(goal)
 
     def close(self) -> None:
-        """Close the client and the subscription."""
         for endpoint in (self._client, self._subscription):
             self._host.node.release(endpoint)
 

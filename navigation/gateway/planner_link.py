@@ -229,7 +229,6 @@ class PlannerLink:
         self._changed()
 
     def close(self) -> None:
-        """Close the subscriptions and the clients."""
         self._client.close()
         if self._through is not None:
             self._through.close()

@@ -60,7 +60,6 @@ class Server:
         self._last_location: dict[str, str] = {}  # the last location that each client requested and received
 
     def __call__(self, request: PortMessage) -> None:
-        """Reply to a message."""
         peer = request.peer
         name, link = peer.route.source, peer.address
         reply = self.answer(request.payload, name, peer.profile, link, text=peer.carrier.text, acked=peer.carrier.ack)

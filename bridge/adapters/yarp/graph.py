@@ -101,7 +101,6 @@ class Ros1Ports:
         return joined
 
     def close(self) -> None:
-        """Close the connection to the master."""
         if "_master" in self.__dict__ and self._master is not None:
             self._master.close()
 

@@ -229,7 +229,6 @@ class Rate:
 
     @override
     def __str__(self) -> str:
-        """For people."""
         times = f"between {self.least * 1e3:.1f} and {self.most * 1e3:.1f} ms, deviation {self.deviation * 1e3:.1f} ms"
         lost = f", {self.lost} lost" if self.lost else ""
         return f"{self.rate:.2f} msg/s ({times}, window {self.window}), {size(self.bytes_per_second)}/s{lost}"

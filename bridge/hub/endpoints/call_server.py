@@ -98,7 +98,6 @@ class CallServer:
         return payload
 
     def _attached(self, pending: PendingRequest) -> bytes | None:  # noqa: ARG002
-        """The attachment of a reply."""
         return None
 
     def _outgoing(self, query: zenoh.Query, reply: bytes) -> bytes | CallError:  # noqa: ARG002
@@ -106,7 +105,6 @@ class CallServer:
         return reply
 
     def _reply_key(self, query: zenoh.Query) -> str:  # noqa: ARG002
-        """The key of a reply."""
         return self._key
 
     def _on_pending(self, pending: PendingRequest) -> None:

@@ -141,7 +141,6 @@ class CallClient:
         )
 
     def _attached(self, number: int) -> bytes | None:  # noqa: ARG002
-        """The attachment of a request."""
         return None
 
     def _abandoned(self, attached: bytes | None) -> None:

@@ -168,7 +168,6 @@ class ZenohSubscriber:
                     self.everywhere = False
 
     def close(self) -> None:
-        """Stop receiving."""
         with self._switching:
             self._closed = True
             undeclare(self._subscriber)

@@ -92,7 +92,6 @@ class LatchedPublisher:
             )
 
     def close(self) -> None:
-        """Drop the cached samples."""
         self._closed = True
         # Not `undeclare`, which holds Python's lock; dropping the last reference releases it.
         del self._publisher

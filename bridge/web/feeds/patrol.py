@@ -19,7 +19,6 @@ class PatrolFeed(Feed):
 
     @override
     def open(self) -> None:
-        """Publish the current state."""
         self.put(self._now, "" if self._now else "no patrol yet")
 
     @override

@@ -93,7 +93,6 @@ class ServerLoop(asyncio.SelectorEventLoop):
 
     @override
     async def create_server(self, *args: Any, **options: Any) -> asyncio.Server:
-        """Create a server; see asyncio."""
         if options.get("ssl") is not None:
             options["ssl_handshake_timeout"] = HANDSHAKE_SECONDS
         return await super().create_server(*args, **options)

@@ -67,7 +67,6 @@ class OwnOnly:
         self._refused = ScarceLog()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve or refuse one request."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -90,7 +89,6 @@ class Prefixed:
         self._app, self._prefix = app, prefix
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one request."""
         if self._prefix and scope["type"] in ("http", "websocket"):
             path: str = scope["path"]
             if path == self._prefix and scope["type"] == "http":  # relative addresses of the page need the slash

@@ -144,7 +144,6 @@ class Announcements:
             return dict(self._versions)
 
     def close(self) -> None:
-        """Close the sockets."""
         with self._lock:
             while self._sockets:
                 self._sockets.pop().close()
