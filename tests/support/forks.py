@@ -36,6 +36,9 @@ DAEMON = ("bridge.config.load", "bridge.daemon.worker_main", "bridge.daemon.supe
 DAEMON_AND_WORKERS = (*DAEMON, *WORKERS)
 """Imports of `midspan run` that forks its workers, see `tests.support.forked_workers`."""
 
+COMMAND = (*DAEMON, "bridge.client.session", "bridge.hub.router", "bridge.messages.registry")
+"""Imports of a verb that asks a hub or a daemon, in addition to the verb's module."""
+
 _AT_START = ("PYTHON", "LD_", "_ROS_WHEELS", "MALLOC_", "GLIBC_", "MIDSPAN_")
 """Prefixes of variables that Python, the linker or Midspan read at a start or import."""
 

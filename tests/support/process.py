@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import tempfile
+import threading
 import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -90,6 +91,35 @@ class Process:
 
     def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
         self.stop()
+
+
+def run_forked(
+    args: Sequence[str | Path],
+    env: Mapping[str, str] | None = None,
+    *,
+    imports: Sequence[str],
+    seconds: float = 60.0,
+) -> subprocess.CompletedProcess[str]:
+    """Run a forked Python program to its end, as `subprocess.run` runs a started one; its input is empty.
+
+    Raises `subprocess.TimeoutExpired` after ``seconds``.
+    """
+    with Process(args, env, pipes=True, imports=imports) as process:
+        assert process.popen.stdin is not None
+        assert process.popen.stdout is not None
+        process.popen.stdin.close()
+        timer = threading.Timer(seconds, process.signal, (signal.SIGKILL,))
+        timer.start()
+        try:
+            out = process.popen.stdout.read()
+            code = process.popen.wait()
+        finally:
+            expired = not timer.is_alive()
+            timer.cancel()
+            timer.join()
+        if expired:
+            raise subprocess.TimeoutExpired(process.args, seconds, out, process.output())
+        return subprocess.CompletedProcess(process.args, code, out, process.output())
 
 
 def outputs() -> list[tuple[str, str]]:

@@ -10,12 +10,18 @@ from typing import Any
 
 import yaml
 
+from bridge.cli.main import VERBS
 from bridge.hub.session import HubSettings
-from tests.support.forks import DAEMON, DAEMON_AND_WORKERS
+from tests.support.forks import COMMAND, DAEMON, DAEMON_AND_WORKERS
 from tests.support.ports import free_port
-from tests.support.process import Process
+from tests.support.process import Process, run_forked
 
 MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]
+
+
+def verb_module(verb: str) -> str:
+    """Return the module that a verb of the command line imports."""
+    return VERBS[verb].register.partition(":")[0]
 
 
 class MidspanDaemon:
@@ -55,7 +61,7 @@ class MidspanDaemon:
     def command(self, *words: str, seconds: float = 60.0) -> subprocess.CompletedProcess[str]:
         """Run a ``midspan`` command, and return its output and exit code."""
         command = [*MIDSPAN, *words, "--config", str(self.file)]
-        return subprocess.run(command, env=self.env, capture_output=True, text=True, timeout=seconds, check=False)
+        return run_forked(command, self.env, imports=[*COMMAND, verb_module(words[0])], seconds=seconds)
 
     def settings(self, node: str, worker: str = "") -> HubSettings:
         """Return settings for a session in the test's process, without the shared memory of workers that it kills."""
