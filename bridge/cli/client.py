@@ -90,7 +90,9 @@ def _connected(args: argparse.Namespace, config: Config) -> Iterator[Client]:
     """Join the hub; the error names what this machine's daemon knows of its router."""
     with ExitStack() as stack:
         try:
-            client = stack.enter_context(connect(config, here=of_this_machine(args), hint=router_hint))
+            client = stack.enter_context(
+                connect(config, here=of_this_machine(args), hint=router_hint, on_wait=print_wait)
+            )
         except UnreachableHubError as err:
             state = daemon_state(config, file=config_file(args)) if of_this_machine(args) else DaemonState("")
             missing = state.why_missing("router", config) or _report(state)
@@ -99,6 +101,11 @@ def _connected(args: argparse.Namespace, config: Config) -> Iterator[Client]:
             hint = "" if err.hint == DOWN or (HELD in err.hint and "is held by" in missing) else err.hint
             raise CliError("\n".join(filter(None, (err.text, missing, state.cure, hint)))) from None
         yield client
+
+
+def print_wait(text: str) -> None:
+    """Print on stderr what a verb waits for."""
+    print(f"midspan: {text}", file=sys.stderr, flush=True)
 
 
 def router_hint(config: Config) -> str:

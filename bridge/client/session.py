@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
 import time
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 
 CONNECT_SECONDS = 2.0
+SLOW_SECONDS = 8.0
+"""Further seconds for a router that listens, but has not answered yet, as on a busy machine."""
 ASK_SECONDS = 2.0
 _QUIET = 0.1
 _SETTLE_SECONDS = 1.5
@@ -93,18 +96,24 @@ def unreachable_hint(config: Config) -> str:
     return f"{HELD} {place}: it is not a zenoh router{tls}. {cure}"
 
 
+def _log_wait(text: str) -> None:
+    logging.getLogger("midspan").warning(text)
+
+
 @contextmanager
 def connect(
     config: Config, seconds: float = CONNECT_SECONDS, *, here: bool = False,
-    hint: Callable[[Config], str] = unreachable_hint,
+    hint: Callable[[Config], str] = unreachable_hint, on_wait: Callable[[str], None] = _log_wait,
 ) -> Iterator[Client]:  # fmt: skip
     """Join the hub of a configuration; raises `ClientError` if no router answers within ``seconds``.
 
-    ``here``: the hub is that of this machine's daemon, whose name the client gets if the configuration has none.
+    A router that listens but does not answer gets `SLOW_SECONDS` more, after a call of ``on_wait`` with a line for
+    people. ``here``: the hub is that of this machine's daemon, whose name the client gets if the configuration has
+    none.
     """
     where = f"the hub at {connect_endpoint(config.hub.listen)} (domain {config.hub.domain})"
     try:
-        session = zenoh.open(client_session_config(config.hub.listen, config.hub.zenoh, seconds))
+        session = _open(config, seconds, on_wait)
     except zenoh.ZError as err:
         text = f"no zenoh router answers for {where}: {_short(err)}"
         raise UnreachableHubError(text, hint(config)) from None
@@ -123,6 +132,23 @@ def connect(
         yield Client(hub, config, where)
     finally:
         hub.close()
+
+
+def _open(config: Config, seconds: float, on_wait: Callable[[str], None]) -> zenoh.Session:
+    """Open a session; raises `zenoh.ZError`."""
+    from bridge.hub.router import may_be_slow  # needed only here
+
+    hub = config.hub
+    try:
+        return zenoh.open(client_session_config(hub.listen, hub.zenoh, seconds))
+    except zenoh.ZError:
+        if not may_be_slow(hub.listen):
+            raise
+    on_wait(
+        f"the router at {connect_endpoint(hub.listen)} has not answered for {seconds:g} s, although it listens; "
+        f"waiting up to {SLOW_SECONDS:g} s more"
+    )
+    return zenoh.open(client_session_config(hub.listen, hub.zenoh, SLOW_SECONDS))
 
 
 def _with_name(config: Config, session: zenoh.Session) -> Config:

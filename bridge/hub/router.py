@@ -22,6 +22,7 @@ from typing_extensions import override
 
 from bridge.config.model import Config
 from bridge.config.rules import commands
+from bridge.config.sections.section import is_loopback
 from bridge.hub.control import Control
 from bridge.hub.daemons import identity_of
 from bridge.hub.errors import HubError, zenoh_reason
@@ -40,6 +41,9 @@ _log = logging.getLogger(__name__)
 _ANSWER_SECONDS = 1.0
 _MAX_MEMBERS = 1000
 """Largest number of sessions in the status document."""
+
+_ROUTERS = {"router", "zenohd", "rmw_zenohd"}
+"""Words in the command lines of routers: Midspan's (`midspan worker router`) and those of others."""
 
 _DOOR_SECONDS = 5.0
 _REOPEN_SECONDS = 0.3
@@ -111,6 +115,22 @@ def port_holder(endpoint: str) -> psutil.Process | None:
     except (psutil.Error, OSError, ValueError):
         return None
     return None
+
+
+def may_be_slow(endpoint: str) -> bool:
+    """Whether a router that has not answered may do so later: its port accepts connections.
+
+    A visible process that is no router, by its command line, never answers.
+    """
+    if not port_held(endpoint):
+        return False
+    holder = port_holder(endpoint) if is_loopback(connect_endpoint(endpoint)) else None
+    if holder is None:
+        return True
+    try:
+        return any(Path(word).name in _ROUTERS for word in holder.cmdline())
+    except psutil.Error:
+        return True
 
 
 def create_router() -> RouterWorker:

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.text import Text
 
 from bridge.cli.arguments import add_hub_arguments
-from bridge.cli.client import client_config, config_file, of_this_machine, router_hint
+from bridge.cli.client import client_config, config_file, of_this_machine, print_wait, router_hint
 from bridge.cli.output import CliError, print_json
 from bridge.client.errors import ClientError
 from bridge.client.session import connect
@@ -72,7 +72,7 @@ def _gathered_context(args: argparse.Namespace) -> CheckContext:
 def _hub_snapshot(config: Config, *, here: bool) -> tuple[Config, HubSnapshot]:
     """Return the configuration with the daemon's name, and the hub."""
     try:
-        with connect(config, here=here, hint=router_hint) as client:
+        with connect(config, here=here, hint=router_hint, on_wait=print_wait) as client:
             return client.config, snapshot(client)
     except ClientError as err:
         return config, HubSnapshot(str(err))

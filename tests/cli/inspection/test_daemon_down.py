@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 import yaml
 import zenoh
@@ -98,6 +99,20 @@ def test_verbs_that_need_a_worker_fail_with_the_cause(dead: tuple[RobotDaemon, s
 def test_other_verbs_mention_the_dead_daemon(dead: tuple[RobotDaemon, str], words: list[str]) -> None:
     robot, down = dead
     assert down in robot.command(*words).stderr
+
+
+def test_a_router_that_answers_late(dead: tuple[RobotDaemon, str]) -> None:
+    """A busy machine, here by signals: its port accepts connections all the time."""
+    robot, down = dead
+    router = psutil.Process(int(re.findall(r"\d+", down)[-1]))
+    router.suspend()
+    try:
+        listing = robot.midspan("topic", "list")
+        until(lambda: "has not answered for 2 s, although it listens" in listing.output(), "the command waits", 40)
+    finally:
+        router.resume()
+    assert listing.popen.wait(40) == 0, listing.output()
+    assert "no zenoh router answers" not in listing.output()
 
 
 @pytest.mark.thorough
@@ -216,6 +231,7 @@ def test_without_router_and_daemon(dead: tuple[RobotDaemon, str], tmp_path: Path
     assert done.returncode == 1
     assert "the daemon robot is not running" in done.stderr
     assert "start the daemon: 'midspan run'" in done.stderr
+    assert "although it listens" not in done.stderr, "a router that is down is not waited for"
 
 
 @pytest.mark.thorough
