@@ -1,9 +1,9 @@
-"""Thousands of endpoints created and closed on each side; the daemon should retain nothing of them.
+"""Leaks of the daemon after thousands of endpoints have been created and closed on each side.
 
 Real rospy, rclpy and zenoh programs create and close publishers and subscriptions in batches of a hundred. Each
-endpoint carries a message before it is closed, and is closed with a last message in flight. Printed are the slope of
-each process's memory over the endpoints, and the threads, descriptors, routes, hub tokens and ROS 1 registrations that
-are left at the end.
+endpoint carries a message before it is closed, and is closed with a last message in flight. The result is the growth
+of each process's memory per endpoint, and the threads, descriptors, routes, hub tokens and ROS 1 registrations that are
+left at the end.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Churn:
         self._feeds = [deployment.topic(side, name, kind, latched=latched) for name, kind, latched in fed + streams]
 
     def run(self, endpoints: int, warm: int = WARM) -> Churned:
-        """Create and close endpoints, after some batches that do not count."""
+        """Create and close endpoints, after ``warm`` batches before the measurement."""
         deployment = self._deployment
         for _ in range(warm):
             self.batch()

@@ -4,8 +4,8 @@ Five parts, selected by `--parts`:
 
 - `start`: each worker, started as by the daemon, compared with an interpreter with only rospy, rclpy or a zenoh session
   and one subscriber: seconds to the first heartbeat and until it runs, processor time until then.
-- `robot`: `midspan run` with all sides and the demo's robot, which stands: memory of each process compared with the
-  project's aims and the bare peers, seconds until all sides run, processor time at rest.
+- `robot`: `midspan run` with all sides and the demo's robot at rest: memory of each process compared with the
+  project's aims and the bare peers, seconds until all sides run, processor time.
 - `idle`: the same without a robot and with the zenoh side: idle processor time, compared with bare zenoh sessions that
   are configured and joined like the hub's, and idle ROS 1 and ROS 2 programs. The difference is what could be saved.
 - `metrics`: the cost of metrics at rest, without scrapes and with one every five seconds, compared with no metrics.
@@ -32,7 +32,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.footprints.measured import Taken, cpu_seconds, taken
+from benchmarks.footprints.measured import ProcessUsage, cpu_seconds, process_usage
 from benchmarks.footprints.worker import StartedWorker
 from benchmarks.latency.usage import daemon_processes
 from benchmarks.processes import Processes
@@ -51,10 +51,10 @@ IDLE, STANDING, RUN, HELP, VERB = 1.0, 25.0, 3.0, 0.25, 0.8
 """Aims: percent of a core idle and with the robot at rest; seconds of `midspan run`, `midspan --help` and a verb."""
 SIDES = ("ros1", "ros2", "yarp")
 DRIVER = "robot_goto"
-"""The module that is running last, because it waits for the simulator's laser."""
+"""The module that is ready last, because it waits for the simulator's laser."""
 VERBS = ("--help", "status", "topic list", "nav status", "tf tree")
 SETTLE_SECONDS = 10.0
-"""Seconds after which compilation, opening and discovery of the start are over."""
+"""Seconds until the compilation, connections and discovery of a start-up are over."""
 _UP_SECONDS = 60.0
 PARTS = ("start", "robot", "idle", "metrics", "cli")
 SCRAPE_SECONDS = 5.0
@@ -96,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _metrics(peers: dict[str, Taken], seconds: float) -> list[Row]:
+def _metrics(peers: dict[str, ProcessUsage], seconds: float) -> list[Row]:
     """Measure the daemon without metrics, with metrics, and with scrapes."""
     modules = {"modules": {"enabled": False}}
     address = f"127.0.0.1:{free_port()}"
@@ -106,7 +106,7 @@ def _metrics(peers: dict[str, Taken], seconds: float) -> list[Row]:
         place,
         _,
     ):
-        usage = taken(daemon_processes(place.place.folder)["metrics"])
+        usage = process_usage(daemon_processes(place.place.folder)["metrics"])
         quiet = _at_rest("metrics, not scraped", place, seconds, IDLE)[-1]
         stop = threading.Event()
         scraper = threading.Thread(target=_scrape, args=(f"http://{address}/metrics", stop))
@@ -127,7 +127,7 @@ def _scrape(url: str, stop: threading.Event) -> None:
             answer.read()
 
 
-def _peers(place: Processes) -> tuple[dict[str, Taken], dict[str, float]]:
+def _peers(place: Processes) -> tuple[dict[str, ProcessUsage], dict[str, float]]:
     """Measure the bare peers and their start-up, in seconds."""
     children, seconds = {}, {}
     for kind in ("ros1", "ros2", "zenoh"):
@@ -135,7 +135,7 @@ def _peers(place: Processes) -> tuple[dict[str, Taken], dict[str, float]]:
         children[kind] = place.launch(kind, "benchmarks.footprints.peer", kind, system=kind == "ros1")
         place.wait_for(kind, "ready")
         seconds[kind] = time.monotonic() - began
-    usage = {kind: taken(child.pid) for kind, child in children.items()}
+    usage = {kind: process_usage(child.pid) for kind, child in children.items()}
     for kind in children:
         place.stop(kind)
     return usage, seconds
@@ -161,8 +161,8 @@ def _idle_floor(place: Processes, seconds: float) -> float:
     return share
 
 
-def _start(place: Processes, peers: dict[str, Taken], peer_seconds: dict[str, float]) -> list[Row]:
-    """Start the workers in sequence, each with the earlier ones running, as after a restart of it."""
+def _start(place: Processes, peers: dict[str, ProcessUsage], peer_seconds: dict[str, float]) -> list[Row]:
+    """Start the workers one after the other, so that each starts while the earlier ones run, as after its restart."""
     config, environ, rows = with_state(place.place.config), place.place.environment(), []
     with contextlib.ExitStack() as stack:
         for name, kind in PEERS.items():
@@ -178,7 +178,7 @@ def _start(place: Processes, peers: dict[str, Taken], peer_seconds: dict[str, fl
 
 @contextlib.contextmanager
 def _daemon(place: Processes, sides: Sequence[str]) -> Iterator[tuple[Processes, list[Row]]]:
-    """Start a daemon, and wait until all sides run and it rests; yields the rows of its start-up."""
+    """Start a daemon, and wait until all sides run and its load has settled; yields the rows of its start-up."""
     with place:
         place.start_master()
         began = time.monotonic()
@@ -204,8 +204,8 @@ def _daemon(place: Processes, sides: Sequence[str]) -> Iterator[tuple[Processes,
         yield place, rows
 
 
-def _robot(place: Processes, peers: dict[str, Taken], seconds: float) -> list[Row]:
-    usage = {name: taken(pid) for name, pid in daemon_processes(place.place.folder).items()}
+def _robot(place: Processes, peers: dict[str, ProcessUsage], seconds: float) -> list[Row]:
+    usage = {name: process_usage(pid) for name, pid in daemon_processes(place.place.folder).items()}
     rows = [Row(f"{name}: PSS, aim", usage[name].pss, aim, "MB") for name, aim in AIMS.items()]
     for name, kind in PEERS.items():
         rows.append(Row(f"{name}: PSS, bare {kind}", usage[name].pss, peers[kind].pss, "MB"))

@@ -72,18 +72,18 @@ def measure(seconds: float, rounds: int) -> list[Row]:
         for case, (size, rate) in CASES.items():
             with running(role("publish", router, size, rate), "ready"):
                 rows.append(Row(f"idle with {case}", cpu(ours, seconds), 0.0, "%"))
-                taken: dict[str, list[float]] = {"ours": [], "relay": []}
+                loads: dict[str, list[float]] = {"ours": [], "relay": []}
                 for _ in range(rounds):
-                    with running(role("client", port), "takes"):
-                        taken["ours"].append(cpu(ours, seconds))
+                    with running(role("client", port), "receiving"):
+                        loads["ours"].append(cpu(ours, seconds))
                         memory = pss(ours)
                     with (
                         running(role("relay", router), "port") as bare,
-                        running(role("client", bare.said.split()[-1]), "takes"),
+                        running(role("client", bare.ready_line.split()[-1]), "receiving"),
                     ):
-                        taken["relay"].append(cpu(bare, seconds))
+                        loads["relay"].append(cpu(bare, seconds))
                         bare_memory = pss(bare)
-                rows.append(Row(f"processor, {case}", median(taken["ours"]), median(taken["relay"]), "%"))
+                rows.append(Row(f"processor, {case}", median(loads["ours"]), median(loads["relay"]), "%"))
                 rows.append(Row(f"memory (PSS), {case}", memory, bare_memory, "MB"))
     return rows
 
@@ -118,14 +118,14 @@ class Program:
         self.popen = subprocess.Popen(
             [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
-        self.process, self.said = psutil.Process(self.popen.pid), ""
+        self.process, self.ready_line = psutil.Process(self.popen.pid), ""
         assert self.popen.stdout is not None
         for line in self.popen.stdout if ready else ():
-            self.said = line.strip()
+            self.ready_line = line.strip()
             if ready in line:
                 break
-        if ready not in self.said:
-            raise RuntimeError(f"{command} ended: {self.said}")
+        if ready not in self.ready_line:
+            raise RuntimeError(f"{command} ended: {self.ready_line}")
         threading.Thread(target=self.popen.stdout.read, daemon=True).start()
 
 
@@ -185,8 +185,8 @@ def relay(router: str) -> None:
     channel = foxglove.Channel(TOPIC, message_encoding="cdr", schema=schema)
     tree = session_tree(router, shared_memory=True, max_payload=MAX_PAYLOAD)
     with zenoh.open(make_config(tree, None)) as session:
-        take: Any = zenoh.handlers.Callback(lambda sample: channel.log(sample.payload.to_bytes()), indirect=False)
-        session.declare_subscriber(f"0{TOPIC}/**", take)
+        on_sample: Any = zenoh.handlers.Callback(lambda sample: channel.log(sample.payload.to_bytes()), indirect=False)
+        session.declare_subscriber(f"0{TOPIC}/**", on_sample)
         print("port", server.port, flush=True)
         signal.pause()
 
@@ -211,7 +211,7 @@ def client(port: str) -> None:
                 continue
             count += 1
             if count == 10:
-                print("takes", flush=True)
+                print("receiving", flush=True)
 
 
 ROLES: dict[str, Callable[..., None]] = {"publish": publish, "relay": relay, "client": client}

@@ -1,12 +1,12 @@
 """A load of frames, set by one YARP client and received by rospy, rclpy and a streaming YARP client; and late joiners.
 
-200 frames (``--frames``) are set in one call 100 times per second (``--rate``) for a minute (``--seconds``). Printed
-are the ticks of which each side received all frames, of those that were set, and the processor time of each worker.
-YARP's stream is a state, sent 100 times per second by its own clock, so it samples the frames: for it, the complete
-messages count.
+200 frames (``--frames``) are set in one call 100 times per second (``--rate``) for a minute (``--seconds``). The result
+is the number of ticks for which each side received all frames, and the processor time of each worker. YARP's stream is
+a state that is sent 100 times per second on its own clock, so it samples the frames; its result is the number of
+complete messages.
 
-Then each side publishes 100 static frames, and programs of each side join late, one after the other (``--joiners``);
-counted is how many of them receive all frames.
+Then each side publishes 100 static frames, and programs of each side join late, one after the other (``--joiners``).
+The result is how many of them receive all frames.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SIDES = ("ros1", "ros2", "yarp")
 STATIC = 100
 PATIENCE = 20.0
 _WARM = 10_000_000
-"""Tick numbers that do not count."""
+"""Number of the ticks before the measurement."""
 
 
 class Load:
@@ -102,14 +102,20 @@ class Load:
         for side in ("ros1", "ros2"):
             program = self.programs[side]
             seen = self._seen(program, before[side]["ticks"], sent)
-            rows.append(Row(f"{self.frames} frames at {rate:g} Hz, {side}, ticks seen of set", seen, sent, "", "more"))
+            rows.append(
+                Row(f"{self.frames} frames at {rate:g} Hz, {side}, ticks received of those set", seen, sent, "", "more")
+            )
         report_ = self.programs["yarp"].ask("report")
         streamed, short = (report_[key] - before["yarp"][key] for key in ("messages", "short"))
-        rows.append(Row("yarp stream, messages with all frames, of all", streamed - short, streamed, "", "more"))
-        rows.append(Row("yarp stream, ticks seen of set", report_["ticks"] - before["yarp"]["ticks"], sent, "", "more"))
-        rows.append(Row("setTransforms, p50, to its period", done["ms"], 1000 / rate, "ms"))
-        rows.append(Row("time for all, to what it should be", took, seconds, "s"))
-        rows += [Row(f"CPU of {name}, of one core", used[name] / took, 1.0, "cores") for name in processes]
+        rows.append(Row("yarp stream, complete messages of all messages", streamed - short, streamed, "", "more"))
+        rows.append(
+            Row(
+                "yarp stream, ticks received of those set", report_["ticks"] - before["yarp"]["ticks"], sent, "", "more"
+            )
+        )
+        rows.append(Row("setTransforms, p50, compared with its period", done["ms"], 1000 / rate, "ms"))
+        rows.append(Row("total time, compared with the nominal time", took, seconds, "s"))
+        rows += [Row(f"CPU of {name}, cores", used[name] / took, 1.0, "cores") for name in processes]
         return rows
 
     def join(self, count: int) -> list[Row]:
@@ -123,8 +129,12 @@ class Load:
             program.ask("join", count=1, frames=everything, seconds=2 * PATIENCE)
         for side, program in self.programs.items():
             joined = program.ask("join", count=count, frames=everything, seconds=PATIENCE)
-            rows.append(Row(f"late joiners of {side} with all {len(everything)}", joined["whole"], count, "", "more"))
-            rows.append(Row(f"the slowest of {side}, to {PATIENCE:g} s", joined["slowest"], PATIENCE, "s"))
+            rows.append(
+                Row(f"late joiners of {side} with all {len(everything)} frames", joined["whole"], count, "", "more")
+            )
+            rows.append(
+                Row(f"slowest late joiner of {side}, compared with {PATIENCE:g} s", joined["slowest"], PATIENCE, "s")
+            )
         return rows
 
     def _warm(self, rate: float) -> None:
@@ -140,7 +150,7 @@ class Load:
 
     @staticmethod
     def _seen(program: Peer, before: int, sent: int) -> int:
-        """Return the ticks that a program received, once all or no more arrive."""
+        """Return the number of ticks that a program received, after all have arrived or 5 s."""
         end = time.monotonic() + 5.0
         while True:
             seen = int(program.ask("report")["ticks"]) - before

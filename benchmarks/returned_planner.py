@@ -40,7 +40,7 @@ from bridge.modules.loop import EventLoop
 
 _PEERS = Path(__file__).parents[1] / "tests" / "peers"
 _TYPE = "nav2_msgs/action/NavigateToPose"  # move_base's too, on the hub
-_LOOK_SECONDS = 0.002
+_POLL_SECONDS = 0.002
 _IDLE_SECONDS = 10.0
 _STEADY_SECONDS = 3.0
 
@@ -94,7 +94,7 @@ class Watcher:
         self._client.close()
 
     def _run(self) -> None:
-        while not self._stopping.wait(_LOOK_SECONDS):
+        while not self._stopping.wait(_POLL_SECONDS):
             ready = self._client.ready
             if ready != self.ready:
                 self.since, self.ready = time.monotonic(), ready

@@ -1,6 +1,6 @@
 """State machines whose transitions are a table: states and events are enums.
 
-An event that a state does not list leaves it as it is. ARCHITECTURE.md draws the tables of the tree.
+An event that a state does not list changes nothing. ARCHITECTURE.md shows all tables.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Machine(Generic[S, E]):
         self.since = time.monotonic()
 
     def on(self, event: E) -> bool:
-        """Handle an event; whether it changed the state."""
+        """Handle an event; return whether it changed the state."""
         following = self._table[self.state].get(event, self.state)
         if following is self.state:
             return False

@@ -132,13 +132,13 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_whole_build_is_well(tree: Path) -> None:
     assert kernels.state().ok
-    assert only(machine.look_at_kernels(around())).result is Result.OK
+    assert only(machine.check_kernels(around())).result is Result.OK
 
 
 def test_a_build_of_other_sources_is_told(tree: Path) -> None:
     (tree / "one.py").write_text("X = 2\n", encoding="utf-8")
     assert kernels.state().stale == ("bridge.one",)
-    finding = only(machine.look_at_kernels(around()))
+    finding = only(machine.check_kernels(around()))
     assert finding.result is Result.WARN
     assert "make setup" in finding.cure
 
@@ -169,7 +169,7 @@ def test_what_is_not_compiled_is_told(tree: Path) -> None:
     tree.mkdir()
     (tree / "one.py").write_text("X = 1\n", encoding="utf-8")
     assert kernels.state().missing == ("bridge.one", kernels.SHARED)
-    finding = only(machine.look_at_kernels(around()))
+    finding = only(machine.check_kernels(around()))
     assert finding.result is Result.FAIL
     assert "nothing drives" in finding.seen
     assert "g++" in finding.cure

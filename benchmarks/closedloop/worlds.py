@@ -37,11 +37,11 @@ LEAST, TALL = 0.05, 1.3
 """Range of heights above the floor in which things are obstacles, meters."""
 
 
-def hidden(there: FloorWorld) -> list[Piece]:
+def hidden(world: FloorWorld) -> list[Piece]:
     """Return the fixed obstacles that a robot's map lacks: boards, steps, and drops in the floor."""
-    fast = [piece for piece in there.pieces[: there.first_leaf] if piece.above < TALL and piece.top > LEAST]
-    drops = [Piece("", *d.at, 0.0, *d.size, d.depth, above=-d.depth) for d in there.floor.drops]
-    return [piece for piece in fast if not piece.above <= export.SEEN < piece.top] + drops
+    fixed = [piece for piece in world.pieces[: world.first_leaf] if piece.above < TALL and piece.top > LEAST]
+    drops = [Piece("", *d.at, 0.0, *d.size, d.depth, above=-d.depth) for d in world.floor.drops]
+    return [piece for piece in fixed if not piece.above <= export.SEEN < piece.top] + drops
 
 
 def covered(grid: MapGrid2D, pieces: Iterable[Piece]) -> NDArray[np.float64]:
@@ -81,7 +81,7 @@ class World:
 
     @property
     def drops(self) -> tuple[Rectangle, ...]:
-        """The lower parts of the floor."""
+        """The areas that lie lower than the floor."""
         drops = self.plan.floors[self.plan.first].drops
         halves = [((d.at[0], d.at[1]), (d.size[0] / 2, d.size[1] / 2)) for d in drops]
         return tuple((x - length, y - width, x + length, y + width) for (x, y), (length, width) in halves)

@@ -12,7 +12,7 @@ _FIGURE = re.compile(r"^(Pss|Rss): +(\d+) kB", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class ProcessUsage:
     """A process's use so far.
 
     Attributes:
@@ -26,10 +26,10 @@ class Taken:
     seconds: float
 
 
-def taken(pid: int) -> Taken:
+def process_usage(pid: int) -> ProcessUsage:
     """Return a process's use so far."""
     figures = {name: int(value) / 1024 for name, value in _FIGURE.findall(_text(pid))}
-    return Taken(figures["Pss"], figures["Rss"], cpu_seconds(pid))
+    return ProcessUsage(figures["Pss"], figures["Rss"], cpu_seconds(pid))
 
 
 def cpu_seconds(pid: int) -> float:

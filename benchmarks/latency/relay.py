@@ -1,9 +1,9 @@
 """A bare relay: one half of a bridge between ROS 1 and ROS 2, without Midspan in the path of a message.
 
 It is controlled by JSON lines like the ends (`benchmarks.latency.end`). The ROS 1 half reads all connections on one
-thread, and writes on zenoh's; the ROS 2 half is an end (`benchmarks.latency.ros2_end`). Both are connected by a direct
-link of zenoh sessions that are configured like the daemon's. It relays only strings, converted by hand, without type
-lookups, checks, numbers, counters, queues or caches.
+thread, and sends on zenoh's thread; the ROS 2 half is an end (`benchmarks.latency.ros2_end`). Both are connected by a
+direct link of zenoh sessions that are configured like the daemon's. It relays only strings, converted by hand, without
+type lookups, checks, numbers, counters, queues or caches.
 
 Usage: ``python -m benchmarks.latency.relay ros1|ros2 ENDPOINT MASTER``; the ROS 1 half listens on the zenoh endpoint.
 """
@@ -58,7 +58,7 @@ class Ros1Half:
             threading.Thread(target=run, daemon=True).start()
 
     def relay(self, inward: Sequence[str], outward: Sequence[str]) -> None:
-        """Relay topics from ROS 1, and to ROS 1."""
+        """Relay the topics ``inward`` from ROS 1 and ``outward`` to ROS 1."""
         address = f"http://127.0.0.1:{self._api.server_address[1]}/"
         for topic in inward:
             self._senders[topic] = self._link.publisher(topic, TYPE["type"])[0]
@@ -121,7 +121,7 @@ def _plain(sock: DeadlineSocket) -> socket.socket:
 
 
 def _ros2_half(link: ZenohEnd) -> Callable[[Sequence[str], Sequence[str]], None]:
-    """Return a function that relays topics from ROS 2, and to ROS 2."""
+    """Return a function that relays topics ``outward`` from ROS 2 and ``inward`` to ROS 2."""
     from benchmarks.latency.ros2_end import Ros2End  # needs rclpy
 
     end, type_ = Ros2End(), "std_msgs/msg/String"

@@ -62,4 +62,4 @@ def _open_content(path: Path, file: BinaryIO) -> Bag:
         raise BagError(path, "is empty", None, "its recorder was killed before it wrote anything")
     program = unpacker(start)
     cure = f"it is compressed: unpack it with '{program}' first" if program else ""
-    raise BagError(path, "is neither MCAP nor a bag of ROS 1 or ROS 2", 0, cure)
+    raise BagError(path, "is neither an MCAP file nor a bag of ROS 1 or ROS 2", 0, cure)

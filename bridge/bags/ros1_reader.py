@@ -36,7 +36,7 @@ _RUN = 1 << 20
 
 _MESSAGE_FIELD = b"\x04\0\0\0op=\x02"
 _FIELDS_BEFORE = (0, 13, 17, 30)
-"""Bytes of the fields of a message's header that may precede that one: ``conn``, ``time``, or both."""
+"""Possible lengths in bytes of the header fields before ``op``: none, ``conn``, ``time``, or both."""
 
 
 Fields = dict[bytes, bytes]
@@ -141,7 +141,7 @@ class Ros1Bag(SpanBag):
         self._connections[number] = (fields, parse_fields(data))
 
     def _scan(self) -> Counter[int]:
-        """Return the message counts of all chunks and set their times: from the index, else from the chunk."""
+        """Return the message counts and set the times of all chunks, from the index or else from the chunk itself."""
         counts: Counter[int] = Counter()
         for place, span in enumerate(self._spans):
             if span.offset in self._infos:
@@ -169,7 +169,7 @@ class Ros1Bag(SpanBag):
         return rows
 
     def _split(self, span: FileSpan, on_damage: Callable[[BagError], None]) -> Rows:
-        """Return the messages of a piece; unless ``on_damage`` raises, those before and after the damage."""
+        """Return the messages of a piece; if ``on_damage`` does not raise, without the damaged part."""
         data = self._plain(span, on_damage)
         table, at, filled, sound = new_table(len(data)), 0, 0, True
         while True:

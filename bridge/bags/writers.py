@@ -180,13 +180,11 @@ def _profile(qos: Qos) -> Any:
 
 
 def kind_of(path: Path) -> Kind:
-    """Return the format of a file name's ending; a name without one is a folder of rosbag2. Raises `BagError`."""
+    """Return the format for a file name's extension; without one it is a folder of rosbag2. Raises `BagError`."""
     kinds: dict[str, Kind] = {".mcap": "mcap", ".db3": "db3", ".bag": "bag", "": "db3"}
     kind = kinds.get(path.suffix.lower())
     if kind is None:
-        raise BagError(
-            path, "has an unknown ending", None, "name it .mcap, .bag or .db3, or without an ending: a folder"
-        )
+        raise BagError(path, "has an unknown extension", None, "use .mcap, .bag or .db3, or no extension for a folder")
     return kind
 
 

@@ -162,9 +162,14 @@ def add_hub_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("which hub")
     add_config(group)
     group.add_argument(
-        "--router", type=_endpoint, metavar="ENDPOINT", help="zenoh endpoint of the router, as tcp/192.168.1.4:7447"
+        "--router",
+        type=_endpoint,
+        metavar="ENDPOINT",
+        help="zenoh endpoint of the router, such as tcp/192.168.1.4:7447",
     )
-    group.add_argument("--hub-domain", type=_domain, metavar="N", help="the hub's domain; default the configuration's")
+    group.add_argument(
+        "--hub-domain", type=_domain, metavar="N", help="the hub's domain id (default: the configured one)"
+    )
 
 
 def _endpoint(text: str) -> str:

@@ -36,7 +36,7 @@ VERBS: dict[str, Verb] = {
     "run": Verb("bridge.cli.daemon.run:register_run", "run the daemon: start, watch and restart the workers"),
     "worker": Verb("bridge.cli.daemon.run:register_worker", "run one worker, also on another machine"),
     "module": Verb("bridge.cli.daemon.run:register_module", "run one hosted module, also on another machine"),
-    "reload": Verb("bridge.cli.daemon.reload:register", "let the running daemon load its changed configuration"),
+    "reload": Verb("bridge.cli.daemon.reload:register", "make the running daemon reload its configuration"),
     "sim": Verb(
         "bridge.cli.daemon.sim:register",
         "run the simulated base without a daemon; make maps and pictures of floor plans",
@@ -45,45 +45,45 @@ VERBS: dict[str, Verb] = {
     "status": Verb("bridge.cli.inspection.status:register_status", "show daemons, workers and routes"),
     "top": Verb("bridge.cli.inspection.status:register_top", "live table of all routes"),
     "explain": Verb("bridge.cli.inspection.explain:register", "show why a topic is or is not bridged"),
-    "doctor": Verb("bridge.cli.inspection.doctor:register", "check for common problems, with the cures"),
+    "doctor": Verb("bridge.cli.inspection.doctor:register", "check for common problems and name the cures"),
     "topic": Verb("bridge.cli.graph.topic:register", "list, info, echo, hz and pub on any side's topics"),
     "service": Verb("bridge.cli.graph.calls:register_service", "list, info and call on any side's services"),
     "action": Verb("bridge.cli.graph.calls:register_action", "list, info and send on any side's actions"),
     "record": Verb("bridge.cli.daemon.record:register", "record topics of any side into MCAP files"),
     "play": Verb("bridge.cli.bags.play:register", "play bags of ROS 1, ROS 2 and MCAP onto the hub"),
-    "bag": Verb("bridge.cli.bags.bag:register", "info, convert, cut and mend of MCAP files and ROS bags"),
-    "tf": Verb("bridge.cli.frames.tf:register", "list, tree, echo and monitor of frames"),
-    "map": Verb("bridge.cli.maps.map:register", "list, show, import, export, edit-flags and use of the stored maps"),
-    "location": Verb("bridge.cli.maps.location:register", "list, add, remove and export of the stored locations"),
+    "bag": Verb("bridge.cli.bags.bag:register", "inspect, convert, cut and mend MCAP files and ROS bags"),
+    "tf": Verb("bridge.cli.frames.tf:register", "list, tree, echo and monitor for the frames on /tf"),
+    "map": Verb("bridge.cli.maps.map:register", "list, show, import, export, edit and choose the stored maps"),
+    "location": Verb("bridge.cli.maps.location:register", "list, add, remove and export the stored locations"),
     "goto": Verb("bridge.cli.navigation.goto:register", "drive to a place or a pose"),
     "nav": Verb(
-        "bridge.cli.navigation.nav:register", "status, stop, pause, resume, path and show of what drives the robot"
+        "bridge.cli.navigation.nav:register", "status, stop, pause, resume, path and show for the planner in use"
     ),
-    "teleop": Verb("bridge.cli.navigation.teleop:register", "drive a base by the keyboard"),
-    "halt": Verb("bridge.cli.navigation.halt:register", "zero velocity on every side, and all goals canceled"),
+    "teleop": Verb("bridge.cli.navigation.teleop:register", "drive a base with the keyboard"),
+    "halt": Verb("bridge.cli.navigation.halt:register", "publish zero velocity on every side and cancel all goals"),
     "yarp": Verb("bridge.cli.yarp_network.yarp:register", "inspect and use a YARP network, as YARP's own tool does"),
     "ros1": Verb("bridge.cli.ros1.ros1:register", "run a ROS 1 master, for machines without roscore"),
     "config": Verb(
         "bridge.cli.setup.config:register_config", "check a configuration file; print its schema or an example"
     ),
-    "import": Verb("bridge.cli.setup.config:register_import", "turn another bridge's configuration into ours"),
+    "import": Verb("bridge.cli.setup.config:register_import", "convert another bridge's configuration to Midspan's"),
     "interfaces": Verb("bridge.cli.setup.interfaces:register", "build ROS 2 message packages that are missing"),
-    "keys": Verb("bridge.cli.setup.keys:register", "make and show the certificates of the machines"),
-    "install": Verb("bridge.cli.setup.install:register_install", "put the systemd services in place"),
-    "demo": Verb("bridge.demo.command:register", "a simulated robot sent to rooms by YARP, ROS 1 and ROS 2 clients"),
+    "keys": Verb("bridge.cli.setup.keys:register", "make and show the certificates of a fleet's machines"),
+    "install": Verb("bridge.cli.setup.install:register_install", "install the systemd services"),
+    "demo": Verb("bridge.demo.command:register", "a simulated robot that YARP, ROS 1 and ROS 2 clients send to rooms"),
     "completion": Verb("bridge.cli.setup.install:register_completion", "print a shell completion script"),
 }
 
 
 def build_parser(loaded: Iterable[str]) -> argparse.ArgumentParser:
-    """The parser with all verbs; only those in ``loaded`` are imported and know their own arguments."""
+    """Return the parser with all verbs; only those in ``loaded`` are imported, with their own arguments."""
     parser = VerbParser(
         prog="midspan",
         description="A bridge daemon for mobile robots: it joins ROS 1, ROS 2, YARP and zenoh.",
         epilog="'midspan VERB --help' describes each verb.",
     )
     parser.add_argument("--version", action="store_true", help="print the version and exit")
-    parser.add_argument("--debug", action="store_true", help="show tracebacks (may stand anywhere)")
+    parser.add_argument("--debug", action="store_true", help="show tracebacks (anywhere on the command line)")
     subparsers = parser.add_subparsers(metavar="VERB")
     for name, verb in VERBS.items():
         verb_parser = subparsers.add_parser(name, help=verb.help)
@@ -101,7 +101,7 @@ def _named_verb(arguments: Sequence[str]) -> list[str]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.encoding.lower() != "utf-8":
-        # a Windows console may lack characters: it shows their numbers
+        # a Windows console may lack a character: show its escape sequence
         sys.stdout.reconfigure(errors="backslashreplace")
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments  # anywhere, also after the verb

@@ -1,6 +1,6 @@
 """Sockets at a path in the state folder, for processes of the same user.
 
-Where Python has Unix sockets, the path is one, and the rights of its file decide. Elsewhere (on Windows) it is a file
+If Python has Unix sockets, the path is one, and its file mode controls access. Elsewhere (on Windows) it is a file
 with a port of the loopback interface and two secrets. Every user of the machine can connect to that port, so a client
 sends the first secret before anything else. The listener then responds with the second one, by which the client knows
 that no other program listens there: the file may be left by a dead process.
@@ -72,7 +72,7 @@ class LocalListener:
             raise
 
     def _publish(self) -> _Address:
-        """Write the file, complete from its first moment."""
+        """Write the file atomically."""
         first, second = (secrets.token_hex(_SECRET_BYTES) for _ in range(2))
         port = self.sock.getsockname()[1]
         new = self._path.with_name(f"{self._path.name}.new")
@@ -144,11 +144,11 @@ def connect(path: Path, seconds: float) -> socket.socket:
 
 
 def _join(sock: socket.socket, address: _Address) -> None:
-    """Connect to a port of the loopback interface, and check that the listener of this file has it."""
+    """Connect to a port of the loopback interface, and check that the listener of this file owns it."""
     sock.connect(("127.0.0.1", address.port))
     sock.sendall(address.of_client)
     if not hmac.compare_digest(receive(sock, len(address.of_listener)), address.of_listener):
-        raise PermissionError(f"another program has port {address.port}")
+        raise PermissionError(f"port {address.port} belongs to another program")
 
 
 def _read(path: Path) -> _Address:

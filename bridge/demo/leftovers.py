@@ -54,7 +54,7 @@ def erase(folder: Path, ports: range) -> list[str]:
 
 
 def shared_memory(folder: Path, ports: range) -> tuple[set[Path], set[Path]]:
-    """Return a run's files in shared memory on Linux: its own, by its domain's ports, and Fast DDS's common ones."""
+    """Return a run's files in shared memory (Linux): those only it uses, and Fast DDS ports that others may use."""
     used = {file for pid in marked(folder) for file in used_by(pid)}
     own_files = {file for file in used if is_own(file.name, ports)}
     return own_files, _shared_ports(used - own_files)
@@ -91,7 +91,7 @@ def is_own(name: str, ports: range) -> bool:
 
 
 def _of_ports(ports: range) -> set[Path]:
-    """Return the files of a ROS domain's ports: the domain held by a run belongs to it, in use or not."""
+    """Return the files of a ROS domain's ports; a run owns all files of the domain that it holds, in use or not."""
     matches = {file: _PORT.fullmatch(file.name) for file in _MEMORY.iterdir()} if _MEMORY.is_dir() else {}
     return {file for file, port in matches.items() if port is not None and int(port[1]) in ports}
 
@@ -101,7 +101,7 @@ def remove_unread(ports: set[Path]) -> None:
 
     In addition to its domain's ports each participant takes the machine's first free one, from 7000 on. A participant
     that ended after creating the port and before locking it leaves no lock, so the lock is taken here: a new
-    participant then finds the port in use, and tries the next.
+    participant then sees the port as used, and tries the next.
     """
     for port in ports:
         lock = port.with_name(port.name + _LOCK)

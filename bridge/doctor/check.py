@@ -39,26 +39,26 @@ Findings = Finding | Sequence[Finding]
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One check with a stable id; ``look`` is given up after ``seconds``."""
+    """One check with a stable id; ``run`` is abandoned after ``seconds``."""
 
     id: str
     title: str
-    look: Callable[[CheckContext], Findings]
+    run: Callable[[CheckContext], Findings]
     seconds: float = 8.0
 
 
 def ok(seen: str) -> Finding:
-    """All is well."""
+    """Return a finding without a problem."""
     return Finding(Result.OK, seen)
 
 
 def warn(seen: str, cure: str = "") -> Finding:
-    """Something that may be meant, or will bite later."""
+    """Return a finding that may be intended, or may cause a problem later."""
     return Finding(Result.WARN, seen, cure)
 
 
 def fail(seen: str, cure: str = "") -> Finding:
-    """Something that keeps topics from crossing."""
+    """Return a finding that keeps topics from being bridged."""
     return Finding(Result.FAIL, seen, cure)
 
 
@@ -115,7 +115,7 @@ def examine(context: CheckContext, checks: Sequence[Check]) -> list[Report]:
 
 def _run(context: CheckContext, report: Report) -> None:
     try:
-        findings = report.check.look(context)
+        findings = report.check.run(context)
     except Exception as err:
         _log.debug("check %s failed", report.check.id, exc_info=err)
         findings = fail(f"the check itself failed: {type(err).__name__}: {err}")

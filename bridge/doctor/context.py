@@ -83,7 +83,7 @@ class CheckContext:
         """The ROS 1 master that the daemon uses by configuration and environment."""
         return master_uri(self.config, self.environ)
 
-    def look_at_master(self) -> MasterState | Ros1Error:
+    def master_state(self) -> MasterState | Ros1Error:
         """The master's state, or why it does not answer; asked once."""
         with self._lock:
             return self._query_master
@@ -108,7 +108,7 @@ def read_master(uri: str) -> MasterState | Ros1Error:
     """A master's state, or why it does not answer."""
     try:
         with contextlib.closing(XmlRpcClient(uri, _MASTER_SECONDS)) as client:
-            return MasterReader(client, "/midspan_doctor").look()
+            return MasterReader(client, "/midspan_doctor").read()
     except Ros1Error as err:
         return err
 

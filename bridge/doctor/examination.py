@@ -19,7 +19,7 @@ _CLOCK_SECONDS = 0.5
 _MAX_CLOCKS = 50
 
 
-def look_from(client: Client, file: Path | None) -> CheckContext:
+def context_from(client: Client, file: Path | None) -> CheckContext:
     """Return what the checks examine, for a program of the daemon that is on the hub; ``file``: the configuration."""
     return gathered(client.config, snapshot(client), daemon_state(client.config, file=file), file)
 
@@ -33,13 +33,13 @@ def gathered(config: Config, hub: HubSnapshot, state: DaemonState, file: Path | 
 
 
 def check_file(file: Path | None) -> tuple[str, bool]:
-    """Return what is known of a file, by default of the one that `find` finds, and whether it is good."""
+    """Check a configuration file, by default the one that `find` returns; return a text, and whether it is valid."""
     try:
         load(file)
     except ConfigError as err:
         return str(err), False
     file = file or find()
-    return (f"{file} is good" if file is not None else "no configuration file: all defaults"), True
+    return (f"{file} is valid" if file is not None else "no configuration file: all defaults"), True
 
 
 def snapshot(client: Client) -> HubSnapshot:

@@ -65,7 +65,7 @@ _REMEMBERED_SECONDS = 60.0
 _COMPARE_SECONDS = 5.0
 """Time between two comparisons with the router's peers. One that is missing in two of them has no link."""
 
-_LOOK_SECONDS = 0.4
+_POLL_SECONDS = 0.4
 _MOST_EVENTS = 1000
 """Maximum number of unread events of links."""
 
@@ -115,7 +115,7 @@ class Mesh:
         return frozenset(self._lost)
 
     def _run(self) -> None:
-        while not self._closed.wait(_LOOK_SECONDS):  # zenoh's own wait for an event polls ten times a second
+        while not self._closed.wait(_POLL_SECONDS):  # zenoh's own wait for an event polls ten times a second
             try:
                 self._take_all()
                 self._compare()

@@ -16,7 +16,7 @@ from bridge.interfaces.values import string_value
 
 
 class BuildError(Exception):
-    """A message package cannot be built; ``where`` is ``package/msg/Name.msg:line``, ``cure`` what a person can do."""
+    """A message package cannot be built; ``where`` is ``package/msg/Name.msg:line``, ``cure`` what to do about it."""
 
     def __init__(self, message: str, where: str = "", cure: str = "") -> None:
         text = f"{where}: {message}" if where else message
@@ -65,7 +65,7 @@ IMPLICIT = {
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """A message type that a field of a definition has, and its line (from 1)."""
+    """The message type of a field, and the field's line (from 1)."""
 
     package: str
     name: str
@@ -121,7 +121,7 @@ def _read(package: str, path: str, text: str) -> InterfaceFile:
         raise BuildError(
             f"{bare.count('---')} lines '---', a .{suffix} has {form.parts - 1}", where=f"{package}/{path}"
         )
-    # the programs of ROS 2 that read the installed text, such as `ros2 interface show`, know no other separator
+    # programs of ROS 2 that read the installed text, such as `ros2 interface show`, accept no other separator
     text = _SEPARATOR.sub("---", text)
     return InterfaceFile(package, path, form, text, "".join(f"{line}\n" for line in bare), tuple(reader.references))
 
@@ -163,7 +163,7 @@ class _Reader:
             try:
                 value = string_value(value, is_array="[" in field_type)
             except ValueError as err:
-                raise self._fault(number, f"the text {value} cannot be built: {err}") from None
+                raise self._fault(number, f"invalid string {value}: {err}") from None
         elif not _VALUE.fullmatch(value):
             raise self._fault(number, "the value has a backslash, or a character that is not plain ASCII")
         if is_constant:

@@ -81,7 +81,7 @@ class RouteDecision:
 
     @classmethod
     def one_ended(cls, topic: str, type_name: str, why: str, of: str = "topic") -> Self:
-        """Decide on a name with nothing to cross: it has only subscriptions, or only clients."""
+        """Decide on a name without a source: it has only subscriptions, or only clients."""
         return cls("out", topic, topic, type_name, RoutePolicy(allowed=True, why=why, name=topic), own=why, of=of)
 
     def refuse(self, reason: str, cure: str) -> None:

@@ -15,7 +15,7 @@ SOON_DAYS = 30
 _MAKE = "'midspan keys make' makes the files; see docs/operate/console.md"
 
 
-def look_at_certificate(context: CheckContext) -> Findings:
+def check_certificate(context: CheckContext) -> Findings:
     """Check the files of the console's TLS: present, readable, of one authority, valid, and protected."""
     web, metrics = context.config.section(WebSection), context.config.section(MetricsSection)
     if not (web.enabled and web.guarded) and not (metrics.enabled and metrics.reached):
@@ -45,4 +45,4 @@ def look_at_certificate(context: CheckContext) -> Findings:
     )
 
 
-CHECKS = (Check("console", "the certificate of the console (`web`)", look_at_certificate),)
+CHECKS = (Check("console", "the certificate of the console (`web`)", check_certificate),)

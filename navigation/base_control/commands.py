@@ -95,7 +95,7 @@ ABSURD = 10.0
 
 
 class CommandInput:
-    """One input with its last command, which is zero after ``timeout`` seconds. Commands come from any thread."""
+    """One input with its last command, which is zero after ``timeout`` seconds. Any thread may send commands."""
 
     def __init__(self, name: str, timeout: float = DEFAULT_TIMEOUT) -> None:
         self.name, self.timeout = name, timeout
@@ -105,7 +105,7 @@ class CommandInput:
         self.last: tuple[Velocity, float, float] | None = None
 
     def command(self, velocity: Velocity, now: float, timeout: float | None = None) -> None:
-        """Store a command, at seconds of `Arbiter.choose`'s clock; it may have a shorter time-out.
+        """Store a command that came at ``now``, seconds of `Arbiter.choose`'s clock; ``timeout`` may shorten its life.
 
         Raises `CommandError` for NaN, infinity or an absurd value. The last valid command stays until its time-out.
         """

@@ -73,7 +73,7 @@ def test_only_files_of_the_current_time_are_read(tmp_path: Path) -> None:
     assert (Watched.reading, Watched.most) == (0, 2)
 
 
-@pytest.mark.parametrize(("content", "words"), [(EMPTY, "is empty"), (GARBAGE, "is neither MCAP")])
+@pytest.mark.parametrize(("content", "words"), [(EMPTY, "is empty"), (GARBAGE, "is neither an MCAP file")])
 def test_a_file_that_cannot_be_opened_loses_only_its_messages(
     content: bytes, words: str, folder: Path, tmp_path: Path
 ) -> None:

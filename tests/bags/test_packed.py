@@ -79,7 +79,7 @@ def test_errors_name_the_compressed_file(tmp_path: Path) -> None:
         assert bag.unfinished
         assert str(bag.trouble).startswith(f"{source}, byte")
     source.write_bytes(zstandard.compress(b"no bag"))
-    with pytest.raises(BagError, match=rf"{source}, byte 0: is neither MCAP"):
+    with pytest.raises(BagError, match=rf"{source}, byte 0: is neither an MCAP file"):
         open_bag(source)
     source.write_bytes(zstandard.compress(bytes(1000))[:-5])
     with pytest.raises(BagError, match=str(source)):

@@ -25,7 +25,7 @@ def verbs_of(parser: argparse.ArgumentParser) -> list[Any]:
 
 
 def leaves(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
-    """Yield the parsers below one that have no verbs, unless they share a function that it names."""
+    """Return the parsers of the innermost verbs, or the parser of a verb whose subverbs share its function."""
     below = [child for action in verbs_of(parser) for child in action.choices.values()]
     if not below or parser.get_default("run"):
         return [parser]

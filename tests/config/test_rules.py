@@ -188,7 +188,10 @@ def test_goals_and_velocities_are_commands_under_each_of_their_names() -> None:
     ("section", "error"),
     [
         ({"planner": "moovebase"}, "no planner is named 'moovebase'"),
-        ({"planners": [{"name": "x", "side": "zenoh", "action": "/navigate_to_pose"}]}, "is the gateway's on the hub"),
+        (
+            {"planners": [{"name": "x", "side": "zenoh", "action": "/navigate_to_pose"}]},
+            "the gateway itself serves /navigate_to_pose on the hub",
+        ),
         ({"planners": [{"name": "robot_goto", "side": "ros1", "action": "/x"}]}, "is the name of a built-in planner"),
         ({"planners": [{"name": "x", "side": "ros1", "action": "x"}]}, "begin it with a slash"),
         ({"planners": [{"name": "x", "side": "ros1", "action": "/x"}] * 2}, "two planners have the name x"),

@@ -16,7 +16,7 @@ from yarp_compat.wire.profile import Profile
 
 RULES = [{"port": "/old/*", "release": "3.9.1"}, {"port": "/old/but/new", "release": "4"}]
 
-GUESS = "a guess: its requests are those of several releases"
+GUESS = "a guess: several releases send such requests"
 YARP3 = "its bytes are YARP 3's; the release of YARP 3 is a guess"
 
 

@@ -25,7 +25,7 @@ def result(peer: PeerLike, call: int, seconds: float = 30.0) -> dict[str, Any]:
     return ended
 
 
-def test_from_the_hub_to_a_server_of_the_side(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_a_call_from_the_hub_reaches_a_server_on_the_side(side: Side, bridge: Bridge, far: HubSide) -> None:
     peer = side.peer()
     served = peer.ask("serve", service="/do", type=SET, reply=YES)["id"]
     assert far.call("/do", SET, data=True).result()["reply"] == YES
@@ -44,7 +44,7 @@ def test_from_the_hub_to_a_server_of_the_side(side: Side, bridge: Bridge, far: H
     assert [(line["kind"], line["decision"]) for line in far.explain("/do")] == [("service", "bridged")]
 
 
-def test_from_the_side_to_a_server_of_the_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_a_call_from_the_side_reaches_a_server_on_the_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
     serving = far.serve("/do", SET, reply=YES)
     far.until_route("/do", "out", 60)
     peer = side.peer()
@@ -61,7 +61,7 @@ def test_from_the_side_to_a_server_of_the_hub(side: Side, bridge: Bridge, far: H
     until(lambda: far.route("/do", "out")["replies"] == before + 5, "counted", every=0.1)
 
 
-def test_a_slow_server_delays_no_other(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_a_slow_server_does_not_delay_others(side: Side, bridge: Bridge, far: HubSide) -> None:
     peer = side.peer()
     slow = peer.ask("serve", service="/slow", type=SET, reply=YES, held=True)["id"]
     peer.ask("serve", service="/quick", type=SET, reply=YES)
@@ -101,19 +101,19 @@ def test_a_bridge_that_stops_ends_its_calls(side: Side, bridge: Bridge, far: Hub
 
 def test_errors_cross(side: Side, bridge: Bridge, far: HubSide) -> None:
     if not side.tells_errors:
-        pytest.skip("its servers and clients have no errors")
+        pytest.skip("its services cannot report errors")
     peer = side.peer()
     peer.ask("serve", service="/in", type=SET, error="the arm is stuck")
     assert "the arm is stuck" in far.call("/in", SET).result()["error"]
     far.serve("/out", SET, error="no map yet")
     far.until_route("/out", "out", 60)
 
-    def told() -> bool:
+    def reported() -> bool:
         ended = result(peer, peer.ask("call", service="/out", type=SET)["id"])
         assert ended["reply"] is None
         return "no map yet" in ended["error"]
 
-    until(told, "the error's text", 60)
+    until(reported, "the error's text", 60)
 
 
 def test_rules_of_services(side: Side, far: HubSide, config) -> None:
@@ -135,8 +135,8 @@ def test_rules_of_services(side: Side, far: HubSide, config) -> None:
     assert not far.hub.graph.servers("/secret")
 
 
-def test_a_name_that_is_served_on_both_stays_apart(side: Side, bridge: Bridge, far: HubSide) -> None:
-    """A call goes to one server; explain gives the cure."""
+def test_a_service_with_servers_on_both_sides_is_not_bridged(side: Side, bridge: Bridge, far: HubSide) -> None:
+    """A call must reach only one server, so calls stay local; explain gives the cure."""
     far.serve("/do", SET, reply=YES)
     far.until_route("/do", "out", 60)
     peer = side.peer()

@@ -46,7 +46,7 @@ class Output:
 
 
 class Driver:
-    """A program that drives."""
+    """A program on the hub that publishes velocities in the form that the base subscribes to."""
 
     def __init__(self, far: HubSide) -> None:
         form = VelocityForm(CMD_VEL)
@@ -55,7 +55,7 @@ class Driver:
         )
 
     def drives(self, base: PeerLike, end: int) -> Callable[[], bool]:
-        """Return a function that publishes, and returns whether the base has received the velocity."""
+        """Return a function that publishes a velocity, and returns whether the base has received it."""
 
         def driven() -> bool:
             self._publisher.publish(SPEED)
@@ -66,19 +66,21 @@ class Driver:
 
 
 @pytest.mark.parametrize("side", ["ros1", "ros2"], indirect=True)
-def test_a_stamped_base_is_driven(side: Side, far: HubSide, config: Callable[..., Any]) -> None:
+def test_velocities_have_the_form_that_the_base_subscribes_to(
+    side: Side, far: HubSide, config: Callable[..., Any]
+) -> None:
     side.bridge(config())
     base = side.peer()
     stamped = base.subscribe(CMD_VEL, BASES[TWIST_STAMPED])
     until(lambda: subscribers(far.hub.graph, CMD_VEL) == {TWIST_STAMPED: [side.name]}, "its form is announced", 20)
-    obstacle = Output(far, TWIST)  # of another program
+    obstacle = Output(far, TWIST)  # another program's publisher, whose form must not decide
     driver = Driver(far)
     until(driver.drives(base, stamped), "the base receives stamped velocities", 20)
-    if side.name == "ros1":  # its master knows one type for each topic, from now on Midspan's
+    if side.name == "ros1":  # its master stores one type per topic, now the one that Midspan publishes
         return
     obstacle.close()
     base.drop(stamped)
-    base = side.peer()  # rclpy destroys the former subscription later, and DDS has one type per topic and program
+    base = side.peer()  # a new process: rclpy destroys subscriptions late, and DDS has one type per topic and process
     plain = base.subscribe(CMD_VEL, BASES[TWIST])
     until(driver.drives(base, plain), "the base receives velocities without a stamp", 20)
 
@@ -89,7 +91,7 @@ def test_a_stamped_base_is_driven(side: Side, far: HubSide, config: Callable[...
 def test_a_rule_converts_the_velocities_of_another_program(
     side: Side, far: HubSide, config: Callable[..., Any], source: str, form: str
 ) -> None:
-    """Nav2 of Kilted drives a base on ROS 1, and a planner that publishes ``Twist`` one of Kilted."""
+    """Nav2 of Kilted drives a base on ROS 1; a planner that publishes ``Twist`` drives a base of Kilted."""
     side.bridge(config(rules=[{"topic": CMD_VEL, "to": side.name, "stamped": form == TWIST_STAMPED}]))
     base = side.peer()
     end = base.subscribe(CMD_VEL, BASES[form])

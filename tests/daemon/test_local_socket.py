@@ -220,7 +220,7 @@ def test_a_program_at_the_port_of_a_dead_listener_gets_no_configuration(tmp_path
 
         thread = threading.Thread(target=impostor)
         thread.start()
-        with pytest.raises(PermissionError, match="another program has port"):
+        with pytest.raises(PermissionError, match="belongs to another program"):
             local_socket.connect(tmp_path / "socket", 20.0)
         thread.join()
     assert received == [b"a" * 64, b""]

@@ -15,7 +15,7 @@ from bridge.config.load import load
 from bridge.daemon import units
 from bridge.daemon.units import start_hint, unit_of, units_in_use
 from bridge.doctor.check import Result
-from bridge.doctor.checks.hub import look_at_services
+from bridge.doctor.checks.hub import check_services
 from bridge.doctor.daemon_state import Life, daemon_state
 from tests.doctor.parts import around, every, only
 from tests.peers.daemon.robot_daemon import RobotDaemon
@@ -53,7 +53,7 @@ class System:
         return file
 
     def findings(self) -> list[tuple[Result, str, str]]:
-        result = every(look_at_services(around(root=self.root)))
+        result = every(check_services(around(root=self.root)))
         return [(finding.result, finding.seen, finding.cure) for finding in result]
 
 
@@ -77,10 +77,10 @@ def test_units_in_use_are_enabled_or_active(system: System) -> None:
 
 
 def test_the_doctor_compares_the_services(system: System) -> None:
-    assert only(look_at_services(around(root=system.root))).result is Result.SKIP
+    assert only(check_services(around(root=system.root))).result is Result.SKIP
     system.enable("midspan")
     system.configure("midspan", name="robot1")
-    assert only(look_at_services(around(root=system.root))).result is Result.SKIP
+    assert only(check_services(around(root=system.root))).result is Result.SKIP
     system.enable("midspan@robot2")
     second = system.configure("robot2", name="robot2", ros2={"domain": 2})
     assert system.findings() == [

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from bridge.doctor.check import Finding, Result
-from bridge.doctor.checks.connections import look_at_connections
+from bridge.doctor.checks.connections import check_connections
 from bridge.hub.security.certificates import Authority
 from tests.doctor.parts import around, every, hub
 from tests.hub.security.test_endpoints import Machine
@@ -27,7 +27,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def looked_at(keys: Path, *reported: dict[str, Any], **door: Any) -> list[Finding]:
     documents = [{"worker": "router", "side": "router", "endpoints": list(reported)}] if reported else []
-    return list(every(look_at_connections(around({"hub": {"open": {"keys": str(keys), **door}}}, hub=hub(*documents)))))
+    return list(every(check_connections(around({"hub": {"open": {"keys": str(keys), **door}}}, hub=hub(*documents)))))
 
 
 def report(way: str, endpoint: str, state: str, reason: str = "") -> dict[str, Any]:
@@ -35,7 +35,7 @@ def report(way: str, endpoint: str, state: str, reason: str = "") -> dict[str, A
 
 
 def test_a_closed_hub_is_skipped() -> None:
-    assert [finding.result for finding in every(look_at_connections(around({})))] == [Result.SKIP]
+    assert [finding.result for finding in every(check_connections(around({})))] == [Result.SKIP]
 
 
 def test_successful_connection(keys: Path) -> None:

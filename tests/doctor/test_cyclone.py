@@ -13,7 +13,7 @@ WORKER = {"worker": "ros2", "side": "ros2"}
 
 def test_nodes_are_named() -> None:
     report = {"nodes": ["/lamp", "/planner"], "both": []}
-    finding = only(cyclone.look_at_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
+    finding = only(cyclone.check_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
     assert finding.result is Result.OK
     assert "/lamp, /planner on Cyclone DDS" in finding.seen
     assert "topics, services and actions cross" in finding.seen
@@ -21,7 +21,7 @@ def test_nodes_are_named() -> None:
 
 def test_names_that_are_served_twice() -> None:
     report = {"nodes": ["/lamp"], "both": ["/go", "/switch"]}
-    finding = only(cyclone.look_at_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
+    finding = only(cyclone.check_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
     assert finding.result is Result.WARN
     assert "calls are refused: /go, /switch" in finding.seen
     assert "stop one of the servers" in finding.cure
@@ -29,23 +29,23 @@ def test_names_that_are_served_twice() -> None:
 
 def test_many_nodes_are_counted() -> None:
     report = {"nodes": [f"/node{number}" for number in range(25)], "both": []}
-    finding = only(cyclone.look_at_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
+    finding = only(cyclone.check_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
     assert "/node9 and 15 more on Cyclone DDS" in finding.seen
 
 
 @pytest.mark.parametrize("report", [None, [], "text", {}, {"nodes": 3}])
 def test_report_of_another_version(report: object) -> None:
-    finding = only(cyclone.look_at_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
+    finding = only(cyclone.check_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
     assert finding.result is Result.OK
 
 
 def test_without_such_nodes() -> None:
-    assert only(cyclone.look_at_nodes(around(hub=hub(WORKER)))).result is Result.OK
+    assert only(cyclone.check_nodes(around(hub=hub(WORKER)))).result is Result.OK
 
 
 def test_without_a_worker() -> None:
-    assert only(cyclone.look_at_nodes(around(hub=hub()))).result is Result.SKIP
-    assert only(cyclone.look_at_nodes(around())).result is Result.SKIP
+    assert only(cyclone.check_nodes(around(hub=hub()))).result is Result.SKIP
+    assert only(cyclone.check_nodes(around())).result is Result.SKIP
 
 
 def test_the_doctor_runs_it() -> None:

@@ -46,18 +46,18 @@ def endpoint(
     ],
 )
 def test_open_hub_causes_a_warning(section: dict[str, Any], count: int) -> None:
-    assert results(hub_checks.look_at_config(around({"hub": section}))) == [Result.OK, Result.WARN][:count]
+    assert results(hub_checks.check_config(around({"hub": section}))) == [Result.OK, Result.WARN][:count]
 
 
 def test_every_problem_of_a_configuration() -> None:
     place = around(config_text="a.yaml:1:1: x: bad\na.yaml:2:1: y: bad", config_good=False)
-    assert results(hub_checks.look_at_config(place)) == [Result.FAIL, Result.FAIL]
+    assert results(hub_checks.check_config(place)) == [Result.FAIL, Result.FAIL]
 
 
 def test_nodes_of_the_planner_that_are_not_active_are_named_with_the_cure() -> None:
     states = {"/bt_navigator": "unconfigured"}
     gateway = {"worker": "gateway", "module": True, "state": "waiting", "inactive_nodes": states, "warnings": ["x"]}
-    finding = only(hub_checks.look_at_workers(around(hub=hub(gateway))))
+    finding = only(hub_checks.check_workers(around(hub=hub(gateway))))
     assert (finding.result, finding.cure) == (Result.WARN, "midspan nav startup")
 
 
@@ -71,23 +71,21 @@ def test_workers() -> None:
         {"worker": "sim", "state": "starting", "text": "importing dartpy (4 s)"},
         {"worker": "modules", "state": "cannot work", "text": "no module is there"},
     )
-    finding = every(hub_checks.look_at_workers(around(hub=view)))
+    finding = every(hub_checks.check_workers(around(hub=view)))
     assert results(finding) == [Result.OK, Result.WARN, Result.WARN, Result.FAIL, Result.WARN, Result.FAIL]
     assert finding[-2].seen == "robot1/sim is starting: importing dartpy (4 s)"
     assert finding[-1].seen == "robot1/modules cannot work: no module is there"
     for nobody in (HubSnapshot("nothing answers"), HubSnapshot()):
-        assert only(hub_checks.look_at_workers(around(hub=nobody))).result is Result.WARN
+        assert only(hub_checks.check_workers(around(hub=nobody))).result is Result.WARN
 
 
 def test_a_free_port() -> None:
-    assert (
-        only(hub_checks.look_at_port(around({"hub": {"listen": f"tcp/127.0.0.1:{free_port()}"}}))).result is Result.OK
-    )
+    assert only(hub_checks.check_port(around({"hub": {"listen": f"tcp/127.0.0.1:{free_port()}"}}))).result is Result.OK
 
 
 def test_our_own_router() -> None:
     with HubNetwork() as network:
-        finding = only(hub_checks.look_at_port(around({"hub": {"listen": network.endpoint}})))
+        finding = only(hub_checks.check_port(around({"hub": {"listen": network.endpoint}})))
     assert (finding.result, "Midspan daemon test" in finding.seen) == (Result.OK, True), finding
 
 
@@ -116,7 +114,7 @@ def strangers_port() -> Iterator[int]:
 
 
 def test_port_used_by_another_program(strangers_port: int) -> None:
-    finding = only(hub_checks.look_at_port(around({"hub": {"listen": f"tcp/127.0.0.1:{strangers_port}"}})))
+    finding = only(hub_checks.check_port(around({"hub": {"listen": f"tcp/127.0.0.1:{strangers_port}"}})))
     assert finding.result is Result.FAIL
     assert "that is not zenoh" in finding.seen
     assert "hub.listen" in finding.cure
@@ -132,7 +130,7 @@ def test_another_router(mode: str, wanted: Any, result: Result) -> None:
     for key, value in (("mode", mode), ("listen/endpoints", [listen]), ("scouting/multicast/enabled", False)):
         config.insert_json5(key, json.dumps(value))
     with zenoh.open(config):
-        finding = only(hub_checks.look_at_port(around({"hub": {"listen": listen, "router": wanted}})))
+        finding = only(hub_checks.check_port(around({"hub": {"listen": listen, "router": wanted}})))
     assert (finding.result, listen in finding.seen) == (result, True), finding
 
 
@@ -145,18 +143,18 @@ def test_refused_types_and_differing_definitions() -> None:
         "reason": "x/B has the md5 1 there but 2 here: the differ",
     }
     place = around(hub=hub({"worker": "ros1", "side": "ros1", "refused": [unknown, differs]}))
-    refused, hashes = only(types.look_at_refused(place)), only(types.look_at_hashes(place))
+    refused, hashes = only(types.check_refused(place)), only(types.check_hashes(place))
     assert (refused.result, refused.cure) == (Result.FAIL, "c")
     assert "/a (x/A, ros1 -> hub)" in refused.seen
     assert (hashes.result, "/b" in hashes.seen) == (Result.FAIL, True)
     deaf = "/c: /old gets no messages: it asks for x/C with md5 1, we publish x/C with md5 2"
-    warned = only(types.look_at_hashes(around(hub=hub({"worker": "ros1", "warnings": [deaf, "/d: other"]}))))
+    warned = only(types.check_hashes(around(hub=hub({"worker": "ros1", "warnings": [deaf, "/d: other"]}))))
     assert (warned.result, warned.seen) == (Result.WARN, deaf)
     many = hub({"worker": "ros1", "refused": [{**unknown, "type": f"x/A{number}"} for number in range(30)]})
-    assert "and 10 more" in every(types.look_at_refused(around(hub=many)))[-1].seen
+    assert "and 10 more" in every(types.check_refused(around(hub=many)))[-1].seen
     nothing = around(hub=hub({"worker": "ros1"}))
-    assert only(types.look_at_refused(nothing)).result is Result.OK
-    assert only(types.look_at_hashes(nothing)).result is Result.OK
+    assert only(types.check_refused(nothing)).result is Result.OK
+    assert only(types.check_hashes(nothing)).result is Result.OK
 
 
 def test_conflicts_on_the_hub() -> None:
@@ -171,7 +169,7 @@ def test_conflicts_on_the_hub() -> None:
     assert "a/msg/A, a/msg/B" in kinds.text
     assert conflicts([endpoint("one", "a/srv/A", "1", EndpointKind.SERVER)]) == []
     view = HubSnapshot(endpoints=[endpoint("one", "a/msg/A", "1"), endpoint("two", "a/msg/A", "2")])
-    assert only(types.look_at_hashes(around(hub=view))).result is Result.FAIL
+    assert only(types.check_hashes(around(hub=view))).result is Result.FAIL
 
 
 def test_versions_that_a_worker_converts_are_no_conflict() -> None:
@@ -219,7 +217,7 @@ def test_a_map_server_of_ros_beside_map2d_server() -> None:
         services = ("/static_map", "/change_map")
         ends = [endpoint("map2d_server", "nav_msgs/srv/GetMap", "1", EndpointKind.SERVER, s) for s in services]
         view = hub(server, {"worker": "ros1", "side": "ros1", "refused": entries}, endpoints=ends)
-        return list(types.look_at_refused(around(hub=view)))
+        return list(types.check_refused(around(hub=view)))
 
     both = [*refused("/static_map"), *refused("/change_map")]
     finding = check_refused({"/map": 1}, both)
@@ -232,10 +230,10 @@ def test_a_map_server_of_ros_beside_map2d_server() -> None:
 
 def test_missing_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CXX", "no-such-compiler")
-    finding = only(types.look_at_compiler(around()))
+    finding = only(types.check_compiler(around()))
     if finding.result is not Result.SKIP:  # without rclpy nothing is built
         assert (finding.result, "no-such-compiler" in finding.seen) == (Result.WARN, True)
-    assert only(types.look_at_compiler(around({"ros2": {"enabled": False}}))).result is Result.SKIP
+    assert only(types.check_compiler(around({"ros2": {"enabled": False}}))).result is Result.SKIP
 
 
 def test_two_daemons_on_one_network() -> None:

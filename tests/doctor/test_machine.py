@@ -59,7 +59,7 @@ def test_the_quickest_answer_counts(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_clocks(seconds: float, error: float, result: Result) -> None:
     view = hub(clocks={"robot2/ros1": Offset(9.0, 8.0), "robot2/ros2": Offset(seconds, error)})
-    finding = only(machine.look_at_clocks(around(hub=view)))
+    finding = only(machine.check_clocks(around(hub=view)))
     assert finding.result is result
     assert "robot2" in finding.seen
     assert bool(finding.cure) == (result is not Result.OK)
@@ -78,7 +78,7 @@ def test_simulated_time_without_a_publisher(
 ) -> None:
     ends: Any = [SimpleNamespace(topic="/clock", kind=kind) for kind in kinds]
     view = replace(hub({"worker": "ros1", "side": "ros1"}, clocks=clocks), endpoints=ends)
-    finding = only(machine.look_at_clocks(around({"clock": {"source": source}}, hub=view)))
+    finding = only(machine.check_clocks(around({"clock": {"source": source}}, hub=view)))
     assert (finding.result is Result.FAIL) is missing
     assert ("/clock has no publisher" in finding.seen) is missing
     assert ("midspan play --clock" in finding.cure) is missing
@@ -94,14 +94,14 @@ def test_a_worker_that_runs_out_of_descriptors() -> None:
             assert process.popen.stdout is not None
             assert process.popen.stdout.readline() == "ready\n"
             document = {"worker": "ros1", "side": "ros1", "pid": process.pid}
-            finding = machine.look_at_descriptors(around(hub=hub(document)))
+            finding = machine.check_descriptors(around(hub=hub(document)))
             assert result in results(finding), finding
             assert (Result.FAIL in results(finding)) is (result is Result.FAIL)
 
 
 def test_the_state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def check_state(folder: Path) -> Finding:
-        return only(machine.look_at_state(around({"state": folder})))
+        return only(machine.check_state(around({"state": folder})))
 
     assert check_state(tmp_path / "later").result is Result.SKIP
     assert check_state(tmp_path).result is Result.OK
@@ -152,12 +152,12 @@ def test_holders_of_a_shared_file(tmp_path: Path, proc: Path) -> None:
 def test_litter(tmp_path: Path) -> None:
     place = around(shm=tmp_path, proc=PROC)
     shm_file(tmp_path, "fastrtps_port7410", sharedmemory.LITTER_BYTES * 2)  # taken over, thus no litter
-    assert only(sharedmemory.look_at_litter(place)).result is Result.OK
+    assert only(sharedmemory.check_litter(place)).result is Result.OK
     segment = shm_file(tmp_path, SEGMENT, sharedmemory.LITTER_BYTES)
     shm_file(tmp_path, "12345.zenoh", 4096)
     with locked(segment, fcntl.LOCK_EX):
-        assert only(sharedmemory.look_at_litter(place)).result is Result.OK
-    finding = only(sharedmemory.look_at_litter(place))
+        assert only(sharedmemory.check_litter(place)).result is Result.OK
+    finding = only(sharedmemory.check_litter(place))
     assert finding.result is Result.WARN
     assert "2 files" in finding.seen
     assert "fastdds shm clean" in finding.cure
@@ -173,25 +173,25 @@ def test_another_users_fast_dds(tmp_path: Path, transport: str, result: Result) 
     mine, theirs = shm_file(tmp_path, SEGMENT), shm_file(tmp_path, OTHER_SEGMENT)
     os.chown(tmp_path / OTHER_SEGMENT, 65534, -1)
     with locked(mine, fcntl.LOCK_EX):
-        assert only(sharedmemory.look_at_users(place)).result is Result.OK
+        assert only(sharedmemory.check_users(place)).result is Result.OK
     with locked(theirs, fcntl.LOCK_EX):
-        finding = only(sharedmemory.look_at_users(place))
+        finding = only(sharedmemory.check_users(place))
     assert finding.result is result
     assert "nobody" in finding.seen
     kilted = shm_file(tmp_path, SEGMENT_3)
     os.chown(tmp_path / SEGMENT_3, 65534, -1)
     with locked(kilted, fcntl.LOCK_EX):
-        assert only(sharedmemory.look_at_users(place)).result is result, "no worker is known"
+        assert only(sharedmemory.check_users(place)).result is result, "no worker is known"
         with locked(mine, fcntl.LOCK_EX):  # Fast DDS 2, which does not use the other's memory
-            assert only(sharedmemory.look_at_users(place)).result is Result.OK
+            assert only(sharedmemory.check_users(place)).result is Result.OK
 
 
 def test_full_disk_is_reported(tmp_path: Path) -> None:
-    assert only(sharedmemory.look_at_size(around(shm=tmp_path / "none"))).result is Result.SKIP
+    assert only(sharedmemory.check_size(around(shm=tmp_path / "none"))).result is Result.SKIP
     # a file system without any room: /sys is one
     if Path("/sys").is_mount():
-        assert only(sharedmemory.look_at_size(around(shm=Path("/sys")))).result is Result.FAIL
-    assert str(tmp_path) in only(sharedmemory.look_at_size(around(shm=tmp_path))).seen
+        assert only(sharedmemory.check_size(around(shm=Path("/sys")))).result is Result.FAIL
+    assert str(tmp_path) in only(sharedmemory.check_size(around(shm=tmp_path))).seen
 
 
 def test_foreign_process_is_ignored() -> None:

@@ -39,14 +39,14 @@ def native(node: str, type_hash: str = "RIHS01_" + "1" * 64, **more: Any) -> Hub
     ],
 )
 def test_nodes_of_the_side(group: dict[str, Any], result: Result, words: str) -> None:
-    finding = only(releases.look_at_releases(around(hub=hub(side(group)))))
+    finding = only(releases.check_releases(around(hub=hub(side(group)))))
     assert finding.result is result
     assert words in finding.seen
     assert bool(finding.cure) is (result is Result.WARN)
 
 
 def test_two_versions_of_fast_dds_share_no_memory() -> None:
-    findings = every(releases.look_at_releases(around(hub=hub(side(JAZZY, KILTED)))))
+    findings = every(releases.check_releases(around(hub=hub(side(JAZZY, KILTED)))))
     assert [finding.result for finding in findings] == [Result.OK, Result.OK, Result.WARN]
     assert "Fast DDS 2 and Fast DDS 3.2.2 on one network: they share no memory" in findings[2].seen
 
@@ -59,7 +59,7 @@ def test_native_nodes_of_the_hub() -> None:
         native("ours", own=True),
         native("bridged", origin=Origin("ros2", "", "robot1")),
     ]
-    findings = every(releases.look_at_releases(around(hub=hub(side(), endpoints=ends))))
+    findings = every(releases.check_releases(around(hub=hub(side(), endpoints=ends))))
     assert [(finding.result, finding.seen.partition(";")[0]) for finding in findings] == [
         (Result.WARN, "on the hub: rmw_zenoh (Humble): /humble"),
         (Result.OK, "on the hub: rmw_zenoh (Jazzy or later): /other"),
@@ -69,9 +69,9 @@ def test_native_nodes_of_the_hub() -> None:
 
 def test_midspan_itself_is_no_node_of_a_release() -> None:
     view = hub({**side(), "zid": "ab"}, endpoints=[native("midspan_console")])
-    assert only(releases.look_at_releases(around(hub=view))).seen == "no ROS 2 node is there"
+    assert only(releases.check_releases(around(hub=view))).seen == "no ROS 2 node found"
 
 
 def test_without_a_worker() -> None:
-    assert results(releases.look_at_releases(around(hub=hub()))) == [Result.SKIP]
+    assert results(releases.check_releases(around(hub=hub()))) == [Result.SKIP]
     assert "ros2-releases" in [check.id for check in CHECKS]

@@ -55,9 +55,9 @@ def register(master: RosMaster, node: str, uri: str) -> None:
 @needs_ros1
 def test_reachable_master(master: RosMaster) -> None:
     place = around({"ros1": {"master": master.uri}}, hub=hub(WORKER))
-    finding = only(ros1.look_at_master(place))
+    finding = only(ros1.check_master(place))
     assert (finding.result, "1 nodes" in finding.seen) == (Result.OK, True), finding
-    assert only(ros1.look_at_nodes(place)).result is Result.OK
+    assert only(ros1.check_nodes(place)).result is Result.OK
 
 
 @pytest.mark.parametrize(
@@ -70,33 +70,33 @@ def test_reachable_master(master: RosMaster) -> None:
 def test_unreachable_master(master: str, words: str, result: Result) -> None:
     uri = master.replace("{free}", str(free_port()))
     place = around({"ros1": {"master": uri}}, hub=hub(WORKER))
-    finding = only(ros1.look_at_master(place))
+    finding = only(ros1.check_master(place))
     assert (finding.result, words in finding.seen) == (result, True), finding
     assert finding.cure
-    assert only(ros1.look_at_nodes(place)).result is Result.SKIP
+    assert only(ros1.check_nodes(place)).result is Result.SKIP
 
 
 def test_checks_are_skipped_without_ros1() -> None:
     off = around({"ros1": {"enabled": False}})
-    for check in (ros1.look_at_master, ros1.look_at_environment, ros1.look_at_address, ros1.look_at_nodes):
+    for check in (ros1.check_master, ros1.check_environment, ros1.check_address, ros1.check_nodes):
         assert results(check(off)) == [Result.SKIP]
-    assert results(ros1.look_at_packages(off)) == [Result.SKIP]
+    assert results(ros1.check_packages(off)) == [Result.SKIP]
 
 
 def test_missing_packages(tmp_path: Path) -> None:
     missing = tmp_path / "missing"
     for enabled, result in ((True, Result.FAIL), ("auto", Result.WARN)):
         place = around({"ros1": {"enabled": enabled, "packages": missing}})
-        finding = only(ros1.look_at_packages(place))
+        finding = only(ros1.check_packages(place))
         assert (finding.result, str(missing) in finding.seen) == (result, True), finding
-    assert only(ros1.look_at_master(around({"ros1": {"packages": missing}}))).result is Result.SKIP
+    assert only(ros1.check_master(around({"ros1": {"packages": missing}}))).result is Result.SKIP
 
 
 def test_a_machine_without_ros1(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bridge.adapters.ros1.environment.DEFAULT_MASTER", f"http://127.0.0.1:{free_port()}")
     place = around({})
-    assert only(ros1.look_at_packages(place)).result is Result.OK
-    finding = only(ros1.look_at_master(place))
+    assert only(ros1.check_packages(place)).result is Result.OK
+    finding = only(ros1.check_master(place))
     assert (finding.result, "waits for a master" in finding.seen) == (Result.SKIP, True), finding
 
 
@@ -107,7 +107,7 @@ def test_unreachable_nodes(master: RosMaster) -> None:
     register(master, "/lost_too", f"http://{NOWHERE}:4712/")
     register(master, "/dead", f"http://127.0.0.1:{dead}/")
     register(master, "/strange", f"http://{'x' * 70}.y:1/")
-    finding = ros1.look_at_nodes(around({"ros1": {"master": master.uri}}, hub=hub(WORKER)))
+    finding = ros1.check_nodes(around({"ros1": {"master": master.uri}}, hub=hub(WORKER)))
     lost = next(f for f in finding if NOWHERE in f.seen)
     assert lost.result is Result.FAIL
     assert "/lost, /lost_too: " in lost.seen
@@ -133,7 +133,7 @@ def test_unreachable_nodes(master: RosMaster) -> None:
     ],
 )
 def test_address_announced_to_peers(environ: dict[str, str], config: dict[str, str], result: Result) -> None:
-    finding = only(ros1.look_at_address(around({"ros1": config}, environ, hub=hub(WORKER))))
+    finding = only(ros1.check_address(around({"ros1": config}, environ, hub=hub(WORKER))))
     assert (finding.result, bool(finding.cure)) == (result, result is Result.FAIL), finding
 
 
@@ -143,14 +143,14 @@ def test_another_master_than_the_daemons(master: RosMaster) -> None:
     run_id = master.call("getParam", "/run_id")
     for network, result in ((run_id, Result.OK), ("another run id", Result.FAIL)):
         place = around(environ=shell, hub=hub({**WORKER, "network": network}))
-        assert only(ros1.look_at_environment(place)).result is result
+        assert only(ros1.check_environment(place)).result is result
     place = around({"ros1": {"master": "http://other:11311"}}, shell, hub=hub(WORKER))
-    finding = only(ros1.look_at_environment(place))
+    finding = only(ros1.check_environment(place))
     assert (finding.result, "http://other:11311" in finding.seen) == (Result.WARN, True)
     same = around(
         {"ros1": {"master": master.uri.rstrip("/").replace("127.0.0.1", "localhost")}}, shell, hub=hub(WORKER)
     )
-    assert only(ros1.look_at_environment(same)).result is Result.OK
+    assert only(ros1.check_environment(same)).result is Result.OK
 
 
 class _Http(SimpleXMLRPCRequestHandler):

@@ -54,7 +54,7 @@ participant.close()
     ],
 )
 def test_environment(environ: dict[str, str], config: dict[str, object], result: Result, words: str) -> None:
-    finding = only(ros2.look_at_environment(around({"ros2": config}, environ)))
+    finding = only(ros2.check_environment(around({"ros2": config}, environ)))
     assert finding.result is result
     assert words in f"{finding.seen} {finding.cure}"
 
@@ -64,7 +64,7 @@ def test_the_running_daemon_has_another_domain() -> None:
     with Process([sys.executable, "-c", "import sys; sys.stdin.read()", "midspan"], env, pipes=True) as worker:
         until(lambda: Path(f"/proc/{worker.pid}/cmdline").read_bytes().count(b"midspan"), "it runs")
         view = hub({"worker": "ros2", "side": "ros2", "pid": worker.pid})
-        finding = only(ros2.look_at_environment(around(environ={"ROS_DOMAIN_ID": "5"}, hub=view)))
+        finding = only(ros2.check_environment(around(environ={"ROS_DOMAIN_ID": "5"}, hub=view)))
     assert finding.result is Result.WARN
     assert "the running daemon uses 23" in finding.seen
 
@@ -75,7 +75,7 @@ def test_discovery_server_of_the_running_daemon(mine: str, result: Result) -> No
     with Process([sys.executable, "-c", "import sys; sys.stdin.read()", "midspan"], env, pipes=True) as worker:
         until(lambda: Path(f"/proc/{worker.pid}/cmdline").read_bytes().count(b"midspan"), "it runs")
         view = hub({"worker": "ros2", "side": "ros2", "pid": worker.pid})
-        finding = only(ros2.look_at_environment(around(environ={"ROS_DISCOVERY_SERVER": mine}, hub=view)))
+        finding = only(ros2.check_environment(around(environ={"ROS_DISCOVERY_SERVER": mine}, hub=view)))
     assert finding.result is result
     assert result is Result.OK or "not set in this shell, 10.0.0.1:11811 for the daemon" in finding.seen
 
@@ -96,7 +96,7 @@ def test_a_discovery_server_that_is_younger_than_the_daemon() -> None:
 
     def seen(worker: Process) -> list[str]:
         view = hub({"worker": "ros2", "side": "ros2", "pid": worker.pid})
-        return [finding.seen for finding in every(ros2.look_at_environment(around(environ=environ, hub=view)))]
+        return [finding.seen for finding in every(ros2.check_environment(around(environ=environ, hub=view)))]
 
     with contextlib.ExitStack() as stack:
         older, server, younger = running(stack), running(stack, bind), running(stack)
@@ -111,7 +111,7 @@ def test_peers_and_security_of_the_running_daemon() -> None:
     with Process([sys.executable, "-c", "import sys; sys.stdin.read()", "midspan"], env, pipes=True) as worker:
         until(lambda: Path(f"/proc/{worker.pid}/cmdline").read_bytes().count(b"midspan"), "it runs")
         view = hub({"worker": "ros2", "side": "ros2", "pid": worker.pid})
-        findings = every(ros2.look_at_environment(around({"ros2": {"localhost_only": False}}, mine, hub=view)))
+        findings = every(ros2.check_environment(around({"ros2": {"localhost_only": False}}, mine, hub=view)))
     assert results(findings) == [Result.WARN, Result.FAIL]
     assert "ROS_STATIC_PEERS is 10.0.0.2 in this shell, not set for the daemon" in findings[0].seen
     assert "ROS_SECURITY_ENABLE is true for this shell, not for the daemon" in findings[1].seen
@@ -129,7 +129,7 @@ def test_peers_and_security_of_the_running_daemon() -> None:
     ],
 )
 def test_rmw(rmw: str, result: Result) -> None:
-    assert only(ros2.look_at_rmw(around(environ={"RMW_IMPLEMENTATION": rmw}))).result is result
+    assert only(ros2.check_rmw(around(environ={"RMW_IMPLEMENTATION": rmw}))).result is result
 
 
 @needs(ROS2)
@@ -148,7 +148,7 @@ def test_other_bridges_on_dds(tmp_path: Path) -> None:
 
         def seen() -> bridges.DdsView | None:
             """On a busy machine a look may end before all is discovered."""
-            view = bridges.look_at_dds(config, os.environ)
+            view = bridges.check_dds(config, os.environ)
             return view if view.midspans and "/ros_bridge" in view.nodes else None
 
         view = until(seen, "both are seen")

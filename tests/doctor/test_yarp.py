@@ -23,35 +23,35 @@ def names() -> Iterator[Names]:
 
 def test_the_name_server(names: Names) -> None:
     reachable = around({"yarp": {"address": names.endpoint, "nameserver": "site"}})
-    assert only(yarp.look_at_name_server(reachable)).result is Result.OK
+    assert only(yarp.check_name_server(reachable)).result is Result.OK
     address = f"127.0.0.1:{free_port()}"
-    site = only(yarp.look_at_name_server(around({"yarp": {"address": address, "nameserver": "site"}})))
+    site = only(yarp.check_name_server(around({"yarp": {"address": address, "nameserver": "site"}})))
     assert (site.result, "start yarpserver" in site.cure) == (Result.FAIL, True)
-    assert only(yarp.look_at_name_server(around({"yarp": {"address": address}}))).result is Result.WARN
-    assert only(yarp.look_at_name_server(around({"yarp": {"enabled": False}}))).result is Result.SKIP
+    assert only(yarp.check_name_server(around({"yarp": {"address": address}}))).result is Result.WARN
+    assert only(yarp.check_name_server(around({"yarp": {"enabled": False}}))).result is Result.SKIP
 
 
 def test_this_shells_yarp(names: Names, tmp_path: Path) -> None:
     config = {"yarp": {"address": names.endpoint}}
     environ = {"YARP_CONFIG_HOME": str(tmp_path)}
-    none = only(yarp.look_at_environment(around(config, environ)))
+    none = only(yarp.check_environment(around(config, environ)))
     assert (none.result, str(tmp_path / "yarp.conf") in none.cure) == (Result.WARN, True)
     (tmp_path / "yarp.conf").write_text("127.0.0.1 1 yarp\n")
-    assert "has 127.0.0.1:1" in only(yarp.look_at_environment(around(config, environ))).seen
+    assert "has 127.0.0.1:1" in only(yarp.check_environment(around(config, environ))).seen
     (tmp_path / "yarp.conf").write_text(f"{names.address.host} {names.address.port} yarp\n")
-    assert only(yarp.look_at_environment(around(config, environ))).result is Result.OK
+    assert only(yarp.check_environment(around(config, environ))).result is Result.OK
     (tmp_path / "yarp.conf").write_text("nonsense\n")
-    assert only(yarp.look_at_environment(around(config, environ))).result is Result.FAIL
+    assert only(yarp.check_environment(around(config, environ))).result is Result.FAIL
 
 
 def report_on(*peers: dict[str, str]) -> list[Finding]:
     module = {"module": True, "worker": "gateway", "ports": [{"port": "/nav/rpc", "peers": list(peers)}]}
-    findings = yarp.look_at_releases(around(hub=hub(module)))
+    findings = yarp.check_releases(around(hub=hub(module)))
     return [findings] if isinstance(findings, Finding) else list(findings)
 
 
 def test_the_releases_of_clients() -> None:
-    assert only(yarp.look_at_releases(around())).result is Result.SKIP
+    assert only(yarp.check_releases(around())).result is Result.SKIP
     known = {"port": "/new/rpc", "generation": "4.0", "generation_why": "it asked"}
     guess = {"port": "/old/rpc", "generation": "3.12", "generation_why": "a guess", "generation_cure": "set it"}
     (ok,) = report_on(known)

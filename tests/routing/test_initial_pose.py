@@ -1,4 +1,4 @@
-"""A localiser's start without a covariance is given one; nothing else is touched."""
+"""An initial pose without a covariance gets that of RViz; all other messages stay unchanged."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ class Installed:
     Args:
         folder: where it is created.
         wheels: the wheels to install, without their requirements.
-        libraries: available packages of the tests; None: all. Midspan's packages come only from the wheels.
+        libraries: which of the tests' packages are available; None: all. Midspan's packages come only from the wheels.
     """
 
     def __init__(self, folder: Path, wheels: Sequence[Path], libraries: Sequence[str] | None = None) -> None:

@@ -11,7 +11,7 @@ import pytest
 from bridge.doctor.check import Result
 from bridge.hub.security import certificates
 from bridge.hub.security.certificates import Authority
-from bridge.web.checks import look_at_certificate
+from bridge.web.checks import check_certificate
 from tests.doctor.parts import around, only
 
 TOKENS = {"anna": {"sha256": "0" * 64}}
@@ -23,19 +23,19 @@ def place(folder: Path, **web: Any) -> Any:
 
 
 def test_console_on_loopback_needs_no_certificate() -> None:
-    assert only(look_at_certificate(around({"web": {"enabled": True}}))).result is Result.SKIP
+    assert only(check_certificate(around({"web": {"enabled": True}}))).result is Result.SKIP
 
 
 def test_public_metrics_need_a_certificate_without_a_console(tmp_path: Path) -> None:
     open_to_all = {"enabled": True, "listen": "0.0.0.0:9480"}
     config = {"hub": {"open": {"keys": str(tmp_path)}}, "web": {"tokens": TOKENS}, "metrics": open_to_all}
-    finding = only(look_at_certificate(around(config)))
+    finding = only(check_certificate(around(config)))
     assert finding.result is Result.FAIL
     assert "the worker metrics cannot start" in finding.seen
 
 
 def test_missing_files(tmp_path: Path) -> None:
-    finding = only(look_at_certificate(place(tmp_path)))
+    finding = only(check_certificate(place(tmp_path)))
     assert finding.result is Result.FAIL
     assert "there is no" in finding.seen
 
@@ -51,14 +51,14 @@ def test_certificate_and_key_are_examined(tmp_path: Path, days: int, mode: int, 
     authority.make()
     authority.issue("robot1", days=days)
     (tmp_path / "robot1.key").chmod(mode)
-    assert seen in only(look_at_certificate(place(tmp_path, names=names))).seen
+    assert seen in only(check_certificate(place(tmp_path, names=names))).seen
 
 
 def test_a_certificate_that_is_not_valid_yet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Authority(tmp_path).make()
     monkeypatch.setattr(certificates, "_EARLIER", timedelta(hours=-6))
     Authority(tmp_path).issue("robot1")
-    finding = only(look_at_certificate(place(tmp_path)))
+    finding = only(check_certificate(place(tmp_path)))
     assert finding.result is Result.FAIL
     assert "is not valid before" in finding.seen
     assert "clock" in finding.cure

@@ -113,8 +113,8 @@ def test_the_log_of_a_restarted_daemon_starts_again(desk: Desk, daemon: Daemon, 
 @pytest.mark.parametrize(
     ("args", "why"),
     [
-        ({"after": -1}, "log: after must be the number of a line, not -1"),
-        ({"after": True}, "log: after must be the number of a line, not True"),
+        ({"after": -1}, "log: after must be a line number, not -1"),
+        ({"after": True}, "log: after must be a line number, not True"),
         ({"level": "loud"}, "log: level must be one of debug, info, warning, error, not 'loud'"),
         ({"text": "x" * 300}, "log: text must be a text of up to 200 characters"),
         ({"side": "ros1"}, "log has no argument 'side'; it has after, level, worker, text"),

@@ -1,14 +1,15 @@
-"""Decides in which of YARP's four generations of replies a client is answered.
+"""Chooses the format of replies to each YARP client, out of four generations.
 
-YARP's generated (thrift) services have replied with a bool, a plain number, a tagged number and a list, in turn, to the
-same requests. A client's generation follows, in this order, from
+YARP's generated (thrift) services have changed their replies to the same requests three times: first a bool, then an
+untagged number, a tagged number, and a list. The first of these sources that applies decides a client's generation:
 
-1. its bytes: YARP 4 has its own tags for numbers and asks for the protocol's version, and some methods came with 3.12;
+1. its bytes: YARP 4 has its own tags for numbers and asks for the protocol's version, and some methods exist only since
+   3.12;
 2. the settings;
 3. findings: the YARP library that its process has loaded, or how it reacts to a reply;
-4. a guess, for which the carrier that it connects by is a hint.
+4. a guess, with the carrier of its connection as a hint.
 
-Clients with only a guess are answered with care, see `yarp_compat.dev.returnvalue`.
+After a guess, replies that another release would misread are avoided (`yarp_compat.dev.returnvalue`).
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ class GenerationDecision:
         return not self.cure
 
     def as_dict(self) -> dict[str, str]:
-        """Return generation and reason for a status document, and the cure of a guess."""
+        """Return the generation and its reason for a status document; for a guess also the setting that replaces it."""
         document = {"generation": self.generation.value, "generation_why": self.reason}
         return document if self.sure else {**document, "generation_cure": self.cure}
 
@@ -94,7 +95,7 @@ class GenerationDecision:
 class ReleaseFinding:
     """An observation of a client.
 
-    ``sure``: only this generation explains it; ``overrides``: the client disclosed it itself, so settings do not count.
+    ``sure``: only this generation explains it; ``overrides``: the client disclosed it itself, so settings are ignored.
     """
 
     generation: Generation
@@ -121,7 +122,7 @@ def device_of(peer: str) -> str:
 
 
 class Findings:
-    """Observations of clients, by device: its ports belong to one process. Shared by all servers of our process."""
+    """Observations of clients, by device, whose ports all belong to one process. All our servers share them."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[str, PeerAddress], tuple[str, ReleaseFinding]] = {}  # with the port that disclosed it
@@ -130,7 +131,7 @@ class Findings:
         self._lock = threading.Lock()
 
     def get(self, peer: str, link: PeerAddress = _NOWHERE) -> ReleaseFinding | None:
-        """Return the finding on a client, if there is one; else a sure one on another device of its process."""
+        """Return the finding on a client; if it is missing or a guess, prefer a sure one on its other devices."""
         with self._lock:
             known = self._known.get(_key(peer, link))
             if known is not None and known[1].sure:
@@ -143,7 +144,7 @@ class Findings:
             return None if known is None else known[1]
 
     def join(self, peer: str, process: str) -> None:
-        """Record the process of a client, as the name server knows it."""
+        """Record the process that a client belongs to."""
         with self._lock:
             self._processes[device_of(peer)] = process
             _limit(self._processes)
@@ -158,12 +159,12 @@ class Findings:
                 _limit(self._known)
 
     def begin(self, device: str, trial: Trial) -> Trial | None:
-        """Begin a trial of a device; return None while there is one already."""
+        """Begin a trial of a device; return None while another one runs."""
         with self._lock:
             return trial if self._trials.setdefault(device, trial) is trial else None
 
     def trial_of(self, peer: str) -> Trial | None:
-        """Return the trial of a client, if there is one now."""
+        """Return the running trial of a client, or None."""
         return self._trials.get(device_of(peer))
 
     def end(self, device: str) -> None:
@@ -186,7 +187,7 @@ def _key(peer: str, link: PeerAddress) -> tuple[str, PeerAddress]:
 
 
 class Generations:
-    """The decisions for all connections, with the facts that their clients disclosed."""
+    """The generations of all clients, by connection, with the facts that the clients disclosed."""
 
     def __init__(
         self,
@@ -207,7 +208,7 @@ class Generations:
         self._lock = threading.Lock()
 
     def adopt(self, other: Generations) -> None:
-        """Adopt the settings of another; what clients disclosed stays."""
+        """Adopt the settings of another instance; keep what clients disclosed."""
         self._default, self._guess, self._cure, self._rules = other._default, other._guess, other._cure, other._rules
         self._hinted = set()
 
@@ -215,13 +216,13 @@ class Generations:
         """Record that the client asked for the protocol's version, as clients of 4.0 do, and some of 3.12."""
         request = "it asked for the protocol's version"
         if profile is Profile.YARP3:
-            reason = f"{request}, and is of YARP 3, of which only 3.12 does"
+            reason = f"{request} in YARP 3's format, as only 3.12 does"
             self._remember(link, GenerationDecision(peer, Generation.YARP_3_12, reason))
         else:
             self._remember(link, GenerationDecision(peer, Generation.YARP_4, f"{request}, as clients of 4.0 do"))
 
     def recognised(self, peer: str, profile: Profile, link: PeerAddress = _NOWHERE) -> None:
-        """Record that the client wrote bytes of this profile only; that overrides even an introduction.
+        """Record that the client writes bytes that only this profile has; they override even an introduction.
 
         (Clients of custom services may introduce themselves in 3.12 too.)
         """
@@ -229,9 +230,11 @@ class Generations:
             self._remember(link, self._by_bytes(peer, profile))
 
     def called(self, peer: str, method: str, since: Generation, link: PeerAddress = _NOWHERE) -> None:
-        """Record that the client, of YARP 3, called a method that releases before ``since`` lack."""
+        """Record that a client of YARP 3 called a method that exists only since ``since``."""
         if not self.of(peer, link=link).sure:
-            self._remember(link, GenerationDecision(peer, since, f"it called {method}, which came with {since.value}"))
+            self._remember(
+                link, GenerationDecision(peer, since, f"it called {method}, which exists since {since.value}")
+            )
 
     def of(self, peer: str, profile: Profile | None = None, link: PeerAddress = _NOWHERE) -> GenerationDecision:
         """Return the generation for a client. A known profile overrides the rules, even before its first call."""
@@ -257,7 +260,7 @@ class Generations:
                 return GenerationDecision(peer, generation, f"set by the rule for {pattern}")
         if self._default is not None:
             return GenerationDecision(peer, self._default, "its name server's generation")
-        return self._guessed(peer, self._guess, "a guess: its requests are those of several releases")
+        return self._guessed(peer, self._guess, "a guess: several releases send such requests")
 
     def _by_bytes(self, peer: str, profile: Profile | None) -> GenerationDecision:
         reason = f"its bytes are YARP {'4' if profile is Profile.YARP4 else '3'}'s"
@@ -281,7 +284,7 @@ class Generations:
             self.findings.add(peer, ReleaseFinding(Generation.YARP_3_6, reason, sure=False), link)
 
     def inspects(self, peer: str, profile: Profile | None = None, link: PeerAddress = _NOWHERE) -> bool:
-        """Return whether to inspect the client's process: once for each connection, and only instead of a guess."""
+        """Return whether to inspect the client's process: once per connection, if its generation is only a guess."""
         if self.of(peer, profile, link).sure:
             return False
         with self._lock:

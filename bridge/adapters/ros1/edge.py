@@ -66,7 +66,7 @@ class Ros1Edge(SideEdge):
         self._timer = DelayedCalls("midspan-ros1-later")
         self._names = names.NameTable()
         self._lock = threading.Lock()
-        self._look: MasterState | None = None
+        self._state: MasterState | None = None
         self._standing = StandingGraph(self._connections)
         self._publishers: frozenset[Registration] = frozenset()
         self._presence = self._links = NodeConnections(self._caller, self._presence_changed, self._wake_master)
@@ -125,7 +125,7 @@ class Ros1Edge(SideEdge):
         self._topics.prober.close()
         if self._node is not None:
             self._node.stop()
-        self._look = None
+        self._state = None
 
     def _caller(self) -> str:
         return self._node.name if self._node is not None else "/midspan"
@@ -162,8 +162,8 @@ class Ros1Edge(SideEdge):
     @override
     def network(self) -> str | None:
         """Return the master's run id; None if it is unreachable and no connection to another node is left."""
-        look = self._look
-        return look.network if look is not None else None
+        state = self._state
+        return state.network if state is not None else None
 
     @override
     def is_own_network(self, origin: Origin) -> bool:
@@ -172,17 +172,17 @@ class Ros1Edge(SideEdge):
     @override
     def endpoints(self) -> Sequence[Endpoint]:
         """Return the other nodes' publishers, subscriptions, servers and actions; service clients are invisible."""
-        look = self._look
-        if look is None:
+        state = self._state
+        if state is None:
             return ()
-        topics = (e for e in self._topics.endpoints(look) if not self._actions.is_part(e.topic, e.type))
-        return [*topics, *self._services.endpoints(look), *self._actions.endpoints()]
+        topics = (e for e in self._topics.endpoints(state) if not self._actions.is_part(e.topic, e.type))
+        return [*topics, *self._services.endpoints(state), *self._actions.endpoints()]
 
     @override
     def has_subscribers(self, topic: str) -> bool:
         """Return whether another node subscribes to a topic; called every second, so it creates no endpoints."""
-        look, node = self._look, self._caller()
-        return look is not None and any(s.topic == topic and s.node != node for s in look.subscribers)
+        state, node = self._state, self._caller()
+        return state is not None and any(s.topic == topic and s.node != node for s in state.subscribers)
 
     def others(self) -> Sequence[NodeEntry]:
         """Return the other Midspan nodes on this network that are alive, in the order of their names."""
@@ -208,7 +208,7 @@ class Ros1Edge(SideEdge):
                 " clock.source to sim, or the parameter to false"
             )
         warnings += self._topics.warnings()
-        subscribed = {(s.topic, s.node) for s in self._look.subscribers} if self._look is not None else set()
+        subscribed = {(s.topic, s.node) for s in self._state.subscribers} if self._state is not None else set()
         for (topic, node), reason in sorted(self._book.rejected().items()):
             if (topic, node) in subscribed:
                 warnings.append(f"{topic}: {node} does not receive it: {reason}")
@@ -225,31 +225,31 @@ class Ros1Edge(SideEdge):
             # an earlier worker that had parameter rules and was killed may have left copies
             if not self._config.routing.parameters:
                 self._parameter_server().close()
-        look = self._standing.update(listed)
-        changed = look is not self._look
-        self._look = look
+        state = self._standing.update(listed)
+        changed = state is not self._state
+        self._state = state
         if changed:
-            publishers = frozenset(p for p in look.publishers if p.node != self._node.name) if look else frozenset()
+            publishers = frozenset(p for p in state.publishers if p.node != self._node.name) if state else frozenset()
             self._publishers = publishers
-            self._actions.seen(look)
-            links = publishers | look.subscribers | look.servers if look else frozenset()
+            self._actions.seen(state)
+            links = publishers | state.subscribers | state.servers if state else frozenset()
             self._names.learn({k.topic for k in links} | self._actions.names())
-            self._pool.forget({k.uri for k in publishers | (look.servers if look else frozenset())})
+            self._pool.forget({k.uri for k in publishers | (state.servers if state else frozenset())})
         self._topics.take_up(self._publishers)
-        self._services.seen(look)
+        self._services.seen(state)
         self._actions.looked()
         self._watch_others(listed)
         if changed:
             self._graph_changed()
 
-    def _watch_others(self, look: MasterState | None) -> None:
+    def _watch_others(self, state: MasterState | None) -> None:
         """Follow the entries of the other Midspan nodes; without a master only their connections remain."""
         assert self._master is not None
         entry = self._master.presence()
-        if look is None or NodeEntry.parse(look.presence.get(entry.key)) != entry:
+        if state is None or NodeEntry.parse(state.presence.get(entry.key)) != entry:
             self._settled = float("-inf")
             return
-        self._links.follow(others(look, entry))
+        self._links.follow(others(state, entry))
         before, self._settled = self._settled, self._master.looked
         if self._settled - before > _LONG:  # the first read, or the first after a suspension: the watch waits for it
             self._presence_changed()
@@ -346,8 +346,8 @@ class Ros1Edge(SideEdge):
     @override
     def connections(self) -> list[ConnectionStatus]:
         """Return the connections of all topics, to publishers and subscribers."""
-        look = self._look
-        nodes = {p.uri: p.node for p in look.publishers} if look is not None else {}
+        state = self._state
+        nodes = {p.uri: p.node for p in state.publishers} if state is not None else {}
         directions = {"i": "in", "o": "out"}
         return [
             ConnectionStatus(

@@ -62,7 +62,7 @@ DISCOVERY_SECONDS = 1.5
 _KEPT = 64
 _MAX_RECORD = 1 << 20
 _MAX_UNSURE = 4096
-_LOOK_SECONDS = 5.0
+_POLL_SECONDS = 5.0
 
 
 class KeyNeighbours:
@@ -132,13 +132,13 @@ class KeyNeighbours:
             if self._looked_since >= since:
                 return True
             now = time.monotonic()
-            if self._looking_since is not None and now - self._looking_since < _LOOK_SECONDS:
+            if self._looking_since is not None and now - self._looking_since < _POLL_SECONDS:
                 return False
             self._looking_since = now
         self._session.liveliness().get(
             f"{SPACE}/*/{self._place}",
             zenoh.handlers.Callback(self._on_found, lambda: self._looked(now), indirect=False),
-            timeout=_LOOK_SECONDS,
+            timeout=_POLL_SECONDS,
         )
         return False
 

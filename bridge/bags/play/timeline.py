@@ -8,7 +8,7 @@ from collections.abc import Callable
 from enum import Enum
 
 LATE = 0.2
-"""Lag in seconds from which the bag's time is set back: it does not run ahead of messages that cannot keep up."""
+"""Lag of a message, in seconds, above which the bag's time is set back to it, so that it does not run ahead."""
 
 MAX_STEPS = 1000
 """Maximum number of pending steps."""

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 CLOCK_HZ = 40.0
 MATCH_SECONDS = 1.0
 _EPILOG = """\
-While it plays in a terminal: space pauses and goes on, '.' or 's' plays one message while paused, 'q' ends.
-Without one: the services /midspan/play/pause (std_srvs/SetBool) and /midspan/play/step (std_srvs/Trigger).
+Keys in a terminal: space pauses and resumes, '.' or 's' plays one message while paused, 'q' ends.
+Without a terminal: the services /midspan/play/pause (std_srvs/SetBool) and /midspan/play/step (std_srvs/Trigger).
 
 examples:
   midspan play run.bag                                   # a ROS 1 bag, also for ROS 2, YARP and zenoh
@@ -40,7 +40,7 @@ examples:
 _LINGER_SECONDS = 0.3
 """Seconds for which the publishers stay after the last message, so that it arrives."""
 
-_LOOK_SECONDS = 0.1
+_POLL_SECONDS = 0.1
 _END_SECONDS = 0.5
 _REMAP = re.compile(r"(?P<old>[^:=\s]+):=(?P<new>[^:=\s]+)")
 
@@ -49,13 +49,17 @@ def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
         "Plays bags onto the hub: MCAP, ROS 2's .db3 and folders, ROS 1's .bag. The rules decide to which sides"
-        " each topic crosses. Velocities, goals and cancels are left out unless --commands."
+        " each topic is bridged. Velocities, goals and cancels are left out without --commands."
     )
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="bags; several are played as one, by time")
+    parser.add_argument(
+        "files", nargs="+", type=Path, metavar="FILE", help="bags; several are played as one, ordered by time"
+    )
     group = parser.add_argument_group("what")
-    group.add_argument("--topics", nargs="+", action="extend", metavar="TOPIC", help="names or globs, as '/camera/**'")
+    group.add_argument(
+        "--topics", nargs="+", action="extend", metavar="TOPIC", help="names or globs, such as '/camera/**'"
+    )
     add_exclude(group)
     group.add_argument(
         "--remap", action="append", default=[], type=remapping, metavar="OLD:=NEW",
@@ -63,19 +67,23 @@ def register(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     group.add_argument(
         "--commands", action="store_true",
-        help="play velocities, goals and cancels too: THE ROBOT MOVES. Late ones are dropped; zero ends them",
+        help="play velocities, goals and cancels too: THE ROBOT MOVES. Late ones are dropped; zero velocity follows",
     )  # fmt: skip
     when = parser.add_argument_group("when")
-    when.add_argument("--rate", type=number_in(0.01, 100), default=1.0, metavar="R", help="times as fast (default 1)")
+    when.add_argument("--rate", type=number_in(0.01, 100), default=1.0, metavar="R", help="speed factor (default 1)")
     when.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
-    when.add_argument("--start", type=span, default=0.0, metavar="TIME", help="begin at this time into the bags")
-    when.add_argument("--duration", type=span, metavar="TIME", help="play this much of them")
+    when.add_argument(
+        "--start", type=span, default=0.0, metavar="TIME", help="start this long after the beginning of the bags"
+    )
+    when.add_argument("--duration", type=span, metavar="TIME", help="stop after this much of the bags")
     when.add_argument("--paused", action="store_true", help="begin paused")
     when.add_argument(
         "--clock", type=number_in(1, 1000), nargs="?", const=CLOCK_HZ, default=0.0, metavar="HZ",
-        help=f"publish the bags' time on /clock at this rate (default {CLOCK_HZ:g}); it stands still while paused",
+        help=f"publish the bags' time on /clock at this rate (default {CLOCK_HZ:g}); it stops while paused",
     )  # fmt: skip
-    when.add_argument("--settle", type=span, default=1.0, metavar="TIME", help="for listeners to connect (default 1s)")
+    when.add_argument(
+        "--settle", type=span, default=1.0, metavar="TIME", help="time for subscribers to connect first (default 1s)"
+    )
     parser.add_argument("--json", action="store_true", help="print what was played as JSON, at the end")
     add_hub_arguments(parser)
     parser.set_defaults(run=run)
@@ -155,7 +163,7 @@ def _play(args: argparse.Namespace, client: Client, bags: list[Bag], ended: thre
     player = Player(source, output, timeline, loop=args.loop, report=_print_note)
     if services.taken:
         _print_note(
-            "another player is on the hub: a call of /midspan/play/pause or /midspan/play/step reaches one of them"
+            "another player is on the hub: a call to /midspan/play/pause or /midspan/play/step reaches only one of them"
         )
     failed: BaseException | None = None
     try:
@@ -195,7 +203,7 @@ def _tell_choice(topics: list[PlayTopic], left: list[LeftOut], rate: float) -> N
 
 
 def _begin(args: argparse.Namespace, output: Any, ended: threading.Event) -> None:
-    """Warn of a live robot, and let listeners connect."""
+    """Warn of a live robot, and let subscribers connect."""
     for name, nodes in output.others().items():
         _print_note(
             f"{name} has a publisher already, {', '.join(sorted(set(nodes)))}: subscribers receive both (a live robot?)"
@@ -225,7 +233,7 @@ def _follow(
     with Screen(player, source, keys=keys, progress=progress) as screen:
         thread.start()
         while thread.is_alive() and not ended.is_set():
-            if screen.poll(_LOOK_SECONDS, ended):
+            if screen.poll(_POLL_SECONDS, ended):
                 break
         player.timeline.stop()
         thread.join(_END_SECONDS)

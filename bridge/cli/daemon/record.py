@@ -26,18 +26,18 @@ if TYPE_CHECKING:
 
 _EPILOG = """\
 examples:
-  midspan record -a                                    # all that is on the hub
+  midspan record -a                                    # all topics on the hub
   midspan record /scan /tf /tf_static -o run.mcap
   midspan record -a -x '^/camera' --split-size 1GB
-  midspan record -a --side yarp --duration 1m          # also what YARP keeps at home
-  midspan record -a --ring 10m --trigger /bumper       # the last ten minutes, each time that something happens
-  midspan record --daemon trigger                      # the same in the daemon, which records by 'record:'
+  midspan record -a --side yarp --duration 1m          # also topics that stay on YARP
+  midspan record -a --ring 10m --trigger /bumper       # the last ten minutes before each trigger
+  midspan record --daemon trigger                      # trigger the daemon's recorder (section 'record')
 """
 _COMMANDS = ("start", "stop", "split", "trigger")
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([kMGT]?)i?B?", re.IGNORECASE)
 _JOIN_SECONDS = 5.0
 _NO_RECORDER = "set record.enabled in the daemon's configuration"
-_LOOK_SECONDS = 0.2
+_POLL_SECONDS = 0.2
 
 
 def megabytes(text: str) -> int:
@@ -54,44 +54,63 @@ def megabytes(text: str) -> int:
 def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
-        "Records topics of any side into a file of MCAP, which ROS 2's tools, Foxglove and 'midspan play' read, until"
-        " Ctrl-C. The messages are written as they are on the hub, latched ones at the start of each file too. A file"
-        " of a recording that was killed can be read up to its last second."
+        "Records topics of any side until Ctrl-C, into an MCAP file for ROS 2's tools, Foxglove and 'midspan play'. The"
+        " messages are written as they are on the hub; each file starts with the latched ones. If the recording is"
+        " killed, its file can be read up to the last second."
     )
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     group = parser.add_argument_group("what")
-    group.add_argument("topics", nargs="*", metavar="TOPIC", help="names or globs, as /camera/**")
+    group.add_argument("topics", nargs="*", metavar="TOPIC", help="names or globs, such as /camera/**")
     group.add_argument("-a", "--all", action="store_true", help="all topics")
     add_exclude(group)
     group.add_argument(
         "--side", action="append", default=[], metavar="SIDE",
-        help="only from this side, and of it also what does not cross: ros1, ros2, yarp, zenoh ...; may be repeated",
+        help="only topics of this side, including those that are not bridged: ros1, ros2, yarp, zenoh ...; may be"
+        " repeated",
     )  # fmt: skip
-    group.add_argument("--duration", type=span, metavar="TIME", help="exit after this time, as 30s or 10m")
+    group.add_argument("--duration", type=span, metavar="TIME", help="exit after this time, such as 30s or 10m")
     where = parser.add_argument_group("where")
-    where.add_argument("-o", "--output", type=Path, metavar="FILE", help="default midspan_<time>.mcap, here")
     where.add_argument(
-        "--folder", action="store_true", help="write a folder with metadata.yaml, as rosbag2 does, of that name"
+        "-o", "--output", type=Path, metavar="FILE", help="file to write (default: midspan_<time>.mcap in this folder)"
     )
-    where.add_argument("--split-size", type=megabytes, default=0, metavar="SIZE", help="another file after 1GB")
-    where.add_argument("--split-time", type=span, default=0.0, metavar="TIME", help="another file after 10m")
-    where.add_argument("--compression", choices=["zstd", "lz4", "none"], default="zstd", help="default zstd")
     where.add_argument(
-        "--queue", type=megabytes, default=128, metavar="SIZE", help="wait to be written (default 128MB)"
+        "--folder", action="store_true", help="write a folder of that name with a metadata.yaml, as rosbag2 does"
+    )
+    where.add_argument(
+        "--split-size", type=megabytes, default=0, metavar="SIZE", help="start a new file at this size, such as 1GB"
+    )
+    where.add_argument(
+        "--split-time", type=span, default=0.0, metavar="TIME", help="start a new file after this time, such as 10m"
+    )
+    where.add_argument(
+        "--compression", choices=["zstd", "lz4", "none"], default="zstd", help="of the file's chunks (default zstd)"
+    )
+    where.add_argument(
+        "--queue",
+        type=megabytes,
+        default=128,
+        metavar="SIZE",
+        help="maximum size of messages that wait to be written (default 128MB)",
     )
     ring = parser.add_argument_group("only the last minutes")
     ring.add_argument(
         "--ring", type=span, default=0.0, metavar="TIME",
-        help="keep this time span, and write it into a folder (in that of -o) when triggered: by 'midspan halt', a goal"
-        " of the gateway that failed, a call of /record/trigger, or --trigger",
+        help="keep only this time span, and write it into a folder (in that of -o) when triggered: by 'midspan halt', a"
+        " failed goal of the gateway, a call of /record/trigger, or --trigger",
     )  # fmt: skip
-    ring.add_argument("--ring-size", type=megabytes, default=2048, metavar="SIZE", help="at most (default 2GB)")
     ring.add_argument(
-        "--trigger", action="append", default=[], metavar="TOPIC", help="a message on it triggers; may be repeated"
+        "--ring-size", type=megabytes, default=2048, metavar="SIZE", help="maximum size of the ring (default 2GB)"
     )
-    parser.add_argument("--daemon", choices=_COMMANDS, help="control the daemon's recorder, which 'record:' configures")
-    parser.add_argument("--json", action="store_true", help="print what was recorded, or done, as JSON")
+    ring.add_argument(
+        "--trigger",
+        action="append",
+        default=[],
+        metavar="TOPIC",
+        help="a message on this topic triggers; may be repeated",
+    )
+    parser.add_argument("--daemon", choices=_COMMANDS, help="control the daemon's recorder (section 'record')")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     add_hub_arguments(parser)
     parser.set_defaults(run=run)
 
@@ -104,9 +123,9 @@ def run(args: argparse.Namespace) -> int:
     if not (args.topics or args.all or args.side):
         raise CliError("name the topics to record: names, globs, or -a for all")
     if args.trigger and not args.ring:
-        raise CliError("--trigger writes what a ring holds: give --ring TIME too")
+        raise CliError("--trigger writes the ring: give --ring TIME too")
     config = client_config(args)
-    # the state folder is the daemon's, and so are its lanes
+    # the lanes in the state folder belong to the daemon
     config = config.model_copy(update={"hub": config.hub.model_copy(update={"lane": False})})
     section = _section(args)
     from bridge.record.places import stamp
@@ -215,14 +234,14 @@ def _await_hub(recording: Recording, config: Config, ended: threading.Event) -> 
                 f"no zenoh router answers at {config.hub.listen}\n"
                 "Is the daemon running? Start it with 'midspan run', or name another router with --router."
             )
-        ended.wait(_LOOK_SECONDS)
+        ended.wait(_POLL_SECONDS)
 
 
 def _follow(recording: Recording, duration: float | None, ended: threading.Event) -> None:
     """Wait for the end, and report errors and new files meanwhile."""
     end = None if duration is None else time.monotonic() + duration
     trouble = ""
-    while not ended.wait(_LOOK_SECONDS if end is None else max(0.0, min(_LOOK_SECONDS, end - time.monotonic()))):
+    while not ended.wait(_POLL_SECONDS if end is None else max(0.0, min(_POLL_SECONDS, end - time.monotonic()))):
         try:
             recording.recorder.computes()
         except (RuntimeError, TimeoutError) as err:

@@ -34,7 +34,7 @@ def register_run(parser: argparse.ArgumentParser) -> None:
         default=[],
         choices=list(worker_kinds({})),
         metavar="WORKER",
-        help="use this worker of a separate service, never start or stop it (may be repeated)",
+        help="use this worker, which a separate service runs; never start or stop it (may be repeated)",
     )
     parser.set_defaults(run=run_run)
 

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 _EPILOG = """\
 examples:
   midspan web --open
-  midspan web --token anna                # who may drive
-  midspan web --token hall --role watch   # who may look
+  midspan web --token anna                # may drive
+  midspan web --token hall --role watch   # may only watch
 """
 
 
@@ -28,8 +28,8 @@ def register(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
     group = parser.add_mutually_exclusive_group()
     group.add_argument("--open", action="store_true", help="open it in this machine's browser")
-    group.add_argument("--token", metavar="NAME", help="make a token for a person or a program, and print it this once")
-    parser.add_argument("--role", choices=["watch", "drive"], default="drive", help="of the token (default drive)")
+    group.add_argument("--token", metavar="NAME", help="create a token for a person or a program, and print it once")
+    parser.add_argument("--role", choices=["watch", "drive"], default="drive", help="role of the token (default drive)")
     parser.set_defaults(run=run)
 
 

@@ -119,7 +119,7 @@ def _table(frames: Iterable[FrameInfo]) -> Table:
 
 
 _RATE = 1.0
-_LOOK_SECONDS = 1.0
+_POLL_SECONDS = 1.0
 
 
 def _register_echo(verbs: Any) -> None:
@@ -159,10 +159,10 @@ def _next(args: argparse.Namespace, listener: TransformListener) -> Transform:
     while True:
         left = max(0.0, end - time.monotonic())
         try:
-            return listener.buffer.lookup_transform(args.reference, args.frame, timeout=min(left, _LOOK_SECONDS))
+            return listener.buffer.lookup_transform(args.reference, args.frame, timeout=min(left, _POLL_SECONDS))
         except TransformError as err:
             reason = clean(err).strip()
-            if left <= _LOOK_SECONDS or isinstance(err, InvalidArgumentError):
+            if left <= _POLL_SECONDS or isinstance(err, InvalidArgumentError):
                 raise CliError(reason) from None
         if reason != printed:
             print(f"waiting: {reason}", file=sys.stderr, flush=True)

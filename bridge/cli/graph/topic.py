@@ -144,7 +144,7 @@ def _register_pub(verbs: Any) -> None:
         help="late joiners get the last message (transient local); without --rate it publishes once, until Ctrl-C",
     )  # fmt: skip
     parser.add_argument(
-        "--settle", type=float, default=1.0, metavar="SECONDS", help="time for listeners to connect first (default 1)"
+        "--settle", type=float, default=1.0, metavar="SECONDS", help="time for subscribers to connect first (default 1)"
     )
 
 

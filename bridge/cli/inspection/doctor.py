@@ -28,9 +28,10 @@ _STYLES = {Result.OK: "green", Result.WARN: "yellow", Result.FAIL: "bold red", R
 def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
-        "Checks the configuration, the daemon, all sides, the network and this machine for what commonly keeps topics"
-        " from crossing, and names a cure for each finding. It needs no running daemon and changes nothing; run it in"
-        " the shell, and as the user, whose programs have trouble. Exit code 1 when a check fails; warnings give 0."
+        "Checks the configuration, the daemon, all sides, the network and this machine for common reasons why topics"
+        " are not bridged, and names a cure for each finding. It needs no running daemon and changes nothing. Run it"
+        " in the same shell and as the same user as the programs with the problem. Exit code 1 if a check fails, 0 if"
+        " there are only warnings."
     )
     parser.add_argument("--json", action="store_true", help="print one entry for each finding as JSON")
     parser.add_argument("--only", metavar="ID", action="append", default=[], help="run only this check (repeatable)")

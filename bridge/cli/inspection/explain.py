@@ -34,9 +34,9 @@ _VERDICTS = {
     "denied": "does not cross",
     "private": "does not cross",
     "refused": "cannot cross",
-    "unseen": "has nothing to cross",
+    "unseen": "has no endpoint to bridge",
     "own": "is not routed",
-    "standby": "is not carried here",
+    "standby": "is not bridged here",
 }
 
 
@@ -46,7 +46,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         "Shows each worker's decision on a topic, service or action with its reason, and the endpoints on the hub, with"
         " a cure for each problem. Exit code 1 if the name is unknown."
     )
-    parser.add_argument("topic", help="its name, on the hub or on a side; or that of a YARP port of ours")
+    parser.add_argument("topic", help="name on the hub or on a side, or the name of one of Midspan's YARP ports")
     parser.add_argument("--json", action="store_true", help="print it as JSON")
     add_hub_arguments(parser)
     parser.set_defaults(run=run)

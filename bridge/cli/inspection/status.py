@@ -38,7 +38,7 @@ def register_status(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Shows every daemon and worker on the hub, this machine's workers that start or cannot work, what blocks"
         " topics, and for each route what crosses, how fast, and what was dropped. Exit code 1 if the hub cannot be"
-        " joined, if nothing answers, and if this machine's daemon does not run although its router does."
+        " joined, if nothing answers, or if this machine's router runs without its daemon."
     )
     parser.add_argument("--json", action="store_true", help="print the workers' status documents as JSON")
     add_hub_arguments(parser)
@@ -221,15 +221,15 @@ _INTERVAL = 1.0
 def register_top(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
-        "Shows every route of every worker on the hub until Ctrl-C: messages a second, latency (from the source's time"
-        " stamp to the worker that delivers; between machines as good as their clocks agree), messages, drops by"
-        " reason, age of the last message. Without a terminal it prints the table once, or every --interval seconds."
+        "Shows every route of every worker on the hub until Ctrl-C: messages per second, latency (from the source's"
+        " time stamp to delivery; between machines only as exact as their clocks), messages, drops by reason, age of"
+        " the last message. Without a terminal it prints the table once, or every --interval seconds."
     )
     parser.add_argument("--once", action="store_true", help="print the table once and end")
     parser.add_argument(
-        "--interval", type=number_in(0.1, 3600), metavar="SECONDS", help=f"how often to look (default {_INTERVAL:g})"
+        "--interval", type=number_in(0.1, 3600), metavar="SECONDS", help=f"time between updates (default {_INTERVAL:g})"
     )
-    parser.add_argument("--json", action="store_true", help="print all status documents, one JSON list a line")
+    parser.add_argument("--json", action="store_true", help="print all status documents, one JSON list per line")
     add_hub_arguments(parser)
     parser.set_defaults(run=run_top)
 

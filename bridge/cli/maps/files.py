@@ -86,7 +86,7 @@ def _export_maps(args: argparse.Namespace) -> int:
             return 0
         grid = named_map(stored, args.name)
     if args.file.suffix.lower() not in (".map", ".yaml", ".yml"):
-        raise CliError(f"{args.file} has an unknown ending: use .map (YARP), .yaml (ROS), .ini or one for 3D")
+        raise CliError(f"{args.file} has an unknown extension: use .map (YARP), .yaml (ROS), .ini or one for 3D")
     _save(lambda: grid.save(args.file, **({} if args.file.suffix.lower() == ".map" else {"image": args.image})))
     print(f"{clean(grid.name)} to {args.file}")
     return 0

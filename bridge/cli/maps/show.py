@@ -27,8 +27,8 @@ def register(verbs: Any) -> None:
     """Add the verb's parser."""
     parser = add_verb(
         verbs, "show", run, "draw a map with its flags, locations and areas",
-        "Draws a map with its flags, locations and areas: in the terminal, as text for a pipe, or as a PNG; of an"
-        " octomap the slice at a height, with occupied, free and unknown cells.",
+        "Draws a map with its flags, locations and areas: in the terminal, as plain text into a pipe, or as a PNG. An"
+        " octomap is drawn as the slice at a height, with occupied, free and unknown cells.",
         example="midspan map show house --png house.png",
     )  # fmt: skip
     parser.add_argument("name", nargs="?", help="name of the map (default: the one in use)")
@@ -69,9 +69,9 @@ def draw(
     grid: MapGrid2D, locations: Mapping[str, Map2DLocation], areas: Mapping[str, Map2DArea], args: argparse.Namespace,
     path: Sequence[tuple[float, float]] = (),
 ) -> None:  # fmt: skip
-    """Draw a map by `add_drawing_arguments`, with a line through ``path`` (meters); raises `CliError`."""
+    """Draw a map, given `add_drawing_arguments`' values, with a line along ``path`` (meters); raises `CliError`."""
     if not 0 <= args.scale <= _MOST_SCALE or (args.width is not None and not 0 < args.width <= 1000):
-        raise CliError(f"--scale is 1 to {_MOST_SCALE}, --width 1 to 1000")
+        raise CliError(f"--scale must be from 1 to {_MOST_SCALE}, --width from 1 to 1000")
     if args.png is not None:
         from bridge.display.drawing import draw as picture
 

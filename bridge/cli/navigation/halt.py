@@ -18,8 +18,8 @@ def register(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Publishes zero on every topic of velocities on the hub (the rules decide which sides it reaches), clears the"
         " commands of each BaseControl and the goals of the gateway and Midspan's planners, and cancels every goal of"
-        " every action. It is not an emergency stop: later commands are obeyed. Exit code 1 if something did not"
-        " answer, or if it is not confirmed that the robot stands."
+        " every action. It is not an emergency stop: later commands are executed. Exit code 1 if something did not"
+        " answer, or if it is not confirmed that the robot stands still."
     )
     parser.epilog = "Example: midspan halt"
     parser.add_argument(
@@ -57,10 +57,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_result(topics: dict[str, int], cancels: list[GoalCancellation], bases: dict[str, str]) -> None:
-    for topic, listeners in topics.items():
-        print(f"{clean(topic)}: zero velocity, {plural(listeners, 'listener')} on the hub")
+    for topic, subscribers in topics.items():
+        print(f"{clean(topic)}: zero velocity, {plural(subscribers, 'subscriber')} on the hub")
     for base, reason in bases.items():
         print(f"{clean(base)}: {clean(reason) or 'stands still'}")
     for cancel in cancels:
-        text = f"not cancelled: {clean(cancel.error)}" if cancel.error else f"{plural(cancel.found, 'goal')} cancelled"
+        text = f"not canceled: {clean(cancel.error)}" if cancel.error else f"{plural(cancel.found, 'goal')} canceled"
         print(f"{clean(cancel.name)}: {text}")

@@ -26,13 +26,13 @@ _DONE = {"stop": "stopped: no goal is under way", "pause": "paused", "resume": "
 
 def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
-    verbs = add_verbs(parser, "Shows and holds the planner that drives the robot, whichever it is.", dest="nav_verb")
+    verbs = add_verbs(parser, "Shows and controls the planner that drives the robot.", dest="nav_verb")
     for verb, text in (
         ("status", "the planner's state, its reason and the goal"),
-        ("path", "the waypoints that are left"),
-        ("stop", "give up the goal, whoever gave it"),
+        ("path", "the remaining waypoints"),
+        ("stop", "cancel the goal, whichever client sent it"),
         ("pause", "stand still; the client's goal stays active"),
-        ("resume", "go on after a pause"),
+        ("resume", "continue after a pause"),
     ):
         added = add_verb(verbs, verb, run, text, example=f"midspan nav {verb}")
         if verb in ("status", "path"):
@@ -40,8 +40,8 @@ def register(parser: argparse.ArgumentParser) -> None:
     add_lifecycle_verbs(verbs)
     show = add_verb(
         verbs, "show", run, "draw the map with the robot, its goal and its path",
-        "Draws the map in use with the robot, its goal and its path: in the terminal, in letters elsewhere, or as a"
-        " PNG.",
+        "Draws the map in use with the robot, its goal and its path: in the terminal, as plain text into a pipe, or as"
+        " a PNG.",
         example="midspan nav show --png way.png",
     )  # fmt: skip
     add_drawing_arguments(show)
@@ -91,7 +91,7 @@ def _stop_itself(client: CliClient, types: Types, why: str) -> int:
         raise CliError(f"{why}\n{text}{unsure}")
     if unsure:
         raise CliError(f"{why}{unsure}")
-    print(f"the gateway is not there; {planner} itself was asked: {plural(cancel.found, 'goal')} cancelled")
+    print(f"the gateway is not there; {planner} itself was asked: {plural(cancel.found, 'goal')} canceled")
     return 0
 
 

@@ -44,7 +44,7 @@ The base stops when no key is held."""
 
 
 class HeldKeys(NamedTuple):
-    """What the keys ask for: shares of the speeds, forward, left and turning left."""
+    """The velocity that the held keys request, as shares of the speeds: forward, left and turning left."""
 
     forward: int = 0
     left: int = 0
@@ -80,8 +80,8 @@ class Keys:
 def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
-        "Drives a base on any side by the keyboard: publishes velocities on the hub while a key is held, then zero, and"
-        " nothing once it has ended."
+        "Drives a base on any side with the keyboard: publishes velocities on the hub while a key is held, then zero,"
+        " and nothing after it exits."
     )
     parser.epilog = HELP
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
@@ -91,8 +91,10 @@ def register(parser: argparse.ArgumentParser) -> None:
         choices=_STAMPED,
         help="publish TwistStamped, or Twist; auto: what the base subscribes to (default: navigation.stamped)",
     )
-    parser.add_argument("--speed", type=float, default=0.2, metavar="M/S", help="to begin with (default 0.2)")
-    parser.add_argument("--turn", type=float, default=0.5, metavar="RAD/S", help="to begin with (default 0.5)")
+    parser.add_argument("--speed", type=float, default=0.2, metavar="M/S", help="initial speed (default 0.2)")
+    parser.add_argument(
+        "--turn", type=float, default=0.5, metavar="RAD/S", help="initial angular velocity (default 0.5)"
+    )
     add_hub_arguments(parser)
     parser.set_defaults(run=run)
 

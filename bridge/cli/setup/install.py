@@ -23,7 +23,7 @@ def register_install(parser: argparse.ArgumentParser) -> None:
         "--root", "--prefix", type=Path, default=Path("/"), metavar="DIR", help="install below this folder (default: /)"
     )
     parser.add_argument(
-        "--user", default=DEFAULT_USER, metavar="NAME", help=f"user of the services (default: {DEFAULT_USER}, made new)"
+        "--user", default=DEFAULT_USER, metavar="NAME", help=f"user of the services (default: {DEFAULT_USER}, created)"
     )
     parser.add_argument("--dry-run", action="store_true", help="print what would be done, and do nothing")
     parser.add_argument("--uninstall", action="store_true", help="remove the services")

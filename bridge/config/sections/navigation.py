@@ -27,7 +27,7 @@ from bridge.config.sections.section import (
 OURS = ("robot_path_planner", "robot_goto")  # planners that are modules of Midspan
 ACTION = "/navigate_to_pose"  # the gateway's action on the hub
 THROUGH_POSES = "/navigation/navigate_through_poses"
-"""The gateway's action for several poses. Not Nav2's name, under which a planner's own action is on the hub."""
+"""The gateway's action for several poses. A planner's own action has Nav2's name on the hub, so this one differs."""
 
 GOAL_POSE = "/goal_pose"  # the hub's topic on which the gateway receives goals
 HOLD, HOLD_TYPE = "/navigation/hold", "std_msgs/msg/Bool"
@@ -70,10 +70,10 @@ def module_name(factory: str) -> str:
 class Planner(Section):
     """A planner that is not part of Midspan: any server of `NavigateToPose`, or of `MoveBase` on ROS 1."""
 
-    name: SmallName = Field(description="Its name here: small letters, digits and underscores.")
+    name: SmallName = Field(description="The planner's name: small letters, digits and underscores.")
     side: Literal["ros1", "ros2", "zenoh"] = setting("zenoh", "The side that it runs on; `zenoh` is the hub.")
     action: OptionalTopic = setting(
-        "", 'Its action there, for example `/move_base`; "": `/planner/<name>/navigate_to_pose` on the hub.'
+        "", 'Its action on that side, such as `/move_base`; "": `/planner/<name>/navigate_to_pose` on the hub.'
     )
     factory: Factory | None = setting(
         None, "Its class as `package.module:Class`, a module that Midspan hosts; empty: it is a separate program."
@@ -82,9 +82,9 @@ class Planner(Section):
     path: OptionalTopic = setting("", 'Topic of its path (`nav_msgs/msg/Path`); "": none.')
     local_map: OptionalTopic = setting("", 'Topic of its local map (`nav_msgs/msg/OccupancyGrid`); "": none.')
     current_goal: OptionalTopic = setting("", 'Topic of its current goal (`geometry_msgs/msg/PoseStamped`); "": none.')
-    velocity: OptionalTopic = setting("", "Its topic of velocities, if other than `navigation.velocity`.")
+    velocity: OptionalTopic = setting("", "Its velocity topic, if not `navigation.velocity`.")
     motion_actions: tuple[TopicName, ...] | None = setting(
-        None, "Other actions there that move the base, which a stop cancels too; not set: Nav2's, and none on ROS 1."
+        None, "Other actions on its side that move the base; a stop cancels them too. Not set: Nav2's, none on ROS 1."
     )
     lifecycle_managers: tuple[TopicName, ...] | None = setting(
         None, "Its lifecycle managers in the order of their start, as in Nav2; not set: Nav2's two, and none on ROS 1."
@@ -92,7 +92,7 @@ class Planner(Section):
 
     @field_validator("name")
     @classmethod
-    def _name_is_one(cls, value: str) -> str:
+    def _name_is_free(cls, value: str) -> str:
         if value in OURS:
             raise ValueError(f"{value} is the name of a built-in planner; choose another one")
         return value
@@ -113,9 +113,11 @@ class Planner(Section):
         return self
 
     @model_validator(mode="after")
-    def _leaves_the_gateway_its_name(self) -> Planner:
+    def _differs_from_the_gateway(self) -> Planner:
         if self.side == "zenoh" and self.action == ACTION:
-            raise ValueError(f"{ACTION} is the gateway's on the hub; let the planner serve {planner_action(self.name)}")
+            raise ValueError(
+                f"the gateway itself serves {ACTION} on the hub; let the planner serve {planner_action(self.name)}"
+            )
         return self
 
     @property
@@ -160,7 +162,7 @@ KNOWN = {
 
 
 class DoorsSection(Section):
-    """The names that clients on each side use. The gateway leaves a name to a planner that has it."""
+    """The names that clients on each side use. If a planner serves one of them itself, the gateway does not."""
 
     ros1: OptionalTopic = setting("/move_base", 'The actionlib server (`MoveBase`) on ROS 1; "": none.')
     ros1_goal: OptionalTopic = setting("/move_base_simple/goal", 'Topic of goals on ROS 1 (`PoseStamped`); "": none.')
@@ -176,7 +178,7 @@ class DoorsSection(Section):
 
 
 class NavigationSection(Section):
-    """Any planner with any client."""
+    """The planner that drives the robot, and the names under which its clients send goals."""
 
     planner: str = setting(
         "",
@@ -192,25 +194,23 @@ class NavigationSection(Section):
     map: MapSource = setting("store", "The map for Midspan's planner and localizer: `store`, or a topic.")
     frame: FrameName = setting("map", "The frame of maps and locations.")
     base_frame: FrameName = setting("base_link", "The robot's frame.")
-    velocity: OptionalTopic = setting(
-        "/cmd_vel", "The base's topic of velocities on the hub (`Twist` or `TwistStamped`)."
-    )
+    velocity: OptionalTopic = setting("/cmd_vel", "The base's velocity topic on the hub (`Twist` or `TwistStamped`).")
     stamped: Enabled = setting(
         "auto",
         "Midspan's own velocities: `true`: `TwistStamped`, `false`: `Twist`, `auto`: what the base subscribes to.",
     )
     patience: float = setting(
-        10.0, "Seconds for which a goal waits for a planner that is absent, or left while driving.", ge=0.0, le=3600.0
+        10.0, "Seconds that a goal waits for a planner that is missing, or disappears while driving.", ge=0.0, le=3600.0
     )
     silence: float = setting(
-        5.0, "Seconds without status and feedback that make a planner silent; 0: never.", ge=0.0, le=3600.0
+        5.0, "Seconds without status and feedback after which a planner is silent; 0: never.", ge=0.0, le=3600.0
     )
     doors: DoorsSection = subsection(DoorsSection, "The names that clients use.")
 
     @model_validator(mode="before")
     @classmethod
     def _planner_of_a_class(cls, data: Any) -> Any:
-        """Add a class that ``planner`` names to ``planners``, and choose it there by its name."""
+        """If ``planner`` names a class, add it to ``planners``, and choose it by its name there."""
         factory = data.get("planner") if isinstance(data, dict) else None
         if not (isinstance(factory, str) and FACTORY.fullmatch(factory)):
             return data

@@ -54,11 +54,11 @@ def _on_hub(context: CheckContext) -> list[Finding]:
 def _on_ros1(context: CheckContext) -> list[Finding]:
     if reason := why_not(context):
         return [skip(f"ROS 1: {reason}")]
-    look = context.look_at_master()
-    if isinstance(look, Ros1Error):
+    state = context.master_state()
+    if isinstance(state, Ros1Error):
         return [skip("ROS 1: the master does not answer")]
-    findings = _foreign("ROS 1", look.uris)
-    entries = [entry for entry in map(NodeEntry.parse, look.presence.values()) if entry is not None]
+    findings = _foreign("ROS 1", state.uris)
+    entries = [entry for entry in map(NodeEntry.parse, state.presence.values()) if entry is not None]
     for entry in entries:
         if _is_ours(context, entry):
             continue
@@ -83,7 +83,7 @@ def _on_ros2(context: CheckContext) -> list[Finding]:
     if context.config.ros2.enabled is False or available(context.config):
         return [skip("ROS 2: not on this machine")]
     try:
-        return of_dds(context, look_at_dds(context.config, context.environ))
+        return of_dds(context, check_dds(context.config, context.environ))
     except LookError as err:
         return [warn(f"ROS 2: the network could not be checked: {err}")]
 
@@ -123,7 +123,7 @@ class DdsView:
     nodes: frozenset[str]
 
 
-def look_at_dds(config: Config, environ: Mapping[str, str]) -> DdsView:
+def check_dds(config: Config, environ: Mapping[str, str]) -> DdsView:
     """Join the network briefly; raises `LookError`."""
     if reason := available(config):
         raise LookError(reason)

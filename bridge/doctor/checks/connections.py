@@ -7,7 +7,7 @@ from functools import partial
 
 from bridge.concurrency import WorkerPool
 from bridge.doctor.check import Finding, Findings, Result, fail, ok, warn
-from bridge.doctor.checks.hub import look_at_keys
+from bridge.doctor.checks.hub import check_keys
 from bridge.doctor.context import CheckContext
 from bridge.hub.errors import HubError
 from bridge.hub.security.door import door_tree, has_tls
@@ -23,10 +23,10 @@ SECONDS = 20.0
 """Limit of the check: one test takes 10 s at most for each address."""
 
 
-def look_at_connections(context: CheckContext) -> Findings:
+def check_connections(context: CheckContext) -> Findings:
     """The certificates of ``hub.open``, and whether each of its endpoints connects."""
     opened = context.config.hub.open
-    keys = look_at_keys(context)
+    keys = check_keys(context)
     findings = [keys] if isinstance(keys, Finding) else list(keys)
     if not opened.opened:
         return findings

@@ -10,13 +10,13 @@ from bridge.text import listed
 _CURE = "stop one of the servers, or rename one by a remapping of its node"
 
 
-def look_at_nodes(context: CheckContext) -> Findings:
+def check_nodes(context: CheckContext) -> Findings:
     """Name the nodes on Cyclone DDS that the workers of the ROS 2 side see."""
     documents = context.hub.of_side("ros2")
     if context.hub.error or not documents:
         return skip("no worker of the ROS 2 side answers")
     findings = [_finding(document.daemon, document.cyclone) for document in documents if document.cyclone is not None]
-    return findings or ok("no node is on Cyclone DDS")
+    return findings or ok("no node uses Cyclone DDS")
 
 
 def _finding(daemon: str, cyclone: CycloneNodes) -> Finding:
@@ -26,5 +26,5 @@ def _finding(daemon: str, cyclone: CycloneNodes) -> Finding:
     return warn(f"{seen}; also served on another DDS, so that calls are refused: {listed(cyclone.both)}", _CURE)
 
 
-CHECKS = (Check("cyclone", "ROS 2 nodes on Cyclone DDS", look_at_nodes),)
+CHECKS = (Check("cyclone", "ROS 2 nodes on Cyclone DDS", check_nodes),)
 """The check of other middlewares on the ROS 2 side's network."""

@@ -33,23 +33,24 @@ _COMES = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED)}
 """What the daemon says of a worker that does not answer on the hub yet."""
 
 
-def look_at_config(context: CheckContext) -> Findings:
+def check_config(context: CheckContext) -> Findings:
     """The file's problems, and a hub that is open to everybody."""
     if not context.config_good:
         return [fail(line, "mend it ('midspan config check')") for line in context.config_text.splitlines()]
     findings = [ok(context.config_text)]
-    door = context.config.hub.open
-    if door.insecure:
-        seen = f"the hub is open without TLS at {', '.join((*door.listen, *door.connect))}: whoever reaches it joins"
+    listener = context.config.hub.open
+    if listener.insecure:
+        endpoints = ", ".join((*listener.listen, *listener.connect))
+        seen = f"the hub is open without TLS at {endpoints}: any machine that reaches it can join"
         findings.append(warn(seen, "certificates ('midspan keys'), and tls/ endpoints in hub.open"))
     return findings
 
 
-def look_at_services(context: CheckContext) -> Findings:
-    """Daemons of this machine that are services: their configurations, and what two of them cannot share."""
+def check_services(context: CheckContext) -> Findings:
+    """Check the daemons that run as services here: their configurations, and resources that two cannot share."""
     units = units_in_use(context.root)
     if len(units) < 2:
-        return skip("not more than one daemon is a service here")
+        return skip("fewer than two daemons run as services here")
     findings: list[Finding] = []
     configs: dict[str, Config] = {}
     for unit, file in units.items():
@@ -90,7 +91,7 @@ def _shared_ports(configs: Mapping[str, Config]) -> Iterator[Finding]:
                 yield fail(seen, "set another port in one of them")
 
 
-def look_at_workers(context: CheckContext) -> Findings:
+def check_workers(context: CheckContext) -> Findings:
     """The daemon itself, and the state of each worker."""
     hub, state = context.hub, context.daemon
     missing = [fail(state.trouble, state.cure)] if state.trouble else []
@@ -159,7 +160,7 @@ def _waiting(context: CheckContext, document: StatusDocument, name: str) -> Find
     return warn(f"{name} waits: {document.text}")
 
 
-def look_at_port(context: CheckContext) -> Findings:
+def check_port(context: CheckContext) -> Findings:
     """The program at the router's address: our router, another one, or something else."""
     hub = context.config.hub
     try:
@@ -197,7 +198,7 @@ SOON_DAYS = 30
 _RENEW = "'midspan keys make NAME --replace', and copy the files; the router takes them up by itself"
 
 
-def look_at_keys(context: CheckContext) -> Findings:
+def check_keys(context: CheckContext) -> Findings:
     """The files of ``hub.open``: there, readable, for this machine, of one authority, and valid for a while."""
     if not has_tls(context.config.hub.open):
         return skip("hub.open names no endpoint with TLS: no certificate is needed")

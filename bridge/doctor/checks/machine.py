@@ -23,7 +23,7 @@ WANTED = 4096
 """A descriptor for each connection; a thousand topics with several each, and room for the rest."""
 
 
-def look_at_descriptors(context: CheckContext) -> Findings:
+def check_descriptors(context: CheckContext) -> Findings:
     """This shell's limit, which a daemon started here would get, and how much of theirs the workers use."""
     if sys.platform == "win32":
         return skip("Windows has no such limit")
@@ -32,7 +32,7 @@ def look_at_descriptors(context: CheckContext) -> Findings:
     _soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     findings: list[Finding] = []
     if hard != resource.RLIM_INFINITY and hard < WANTED:
-        findings.append(warn(f"at most {hard} files may be open at once; 1,000 topics want {WANTED}", RAISE))
+        findings.append(warn(f"at most {hard} files may be open at once; 1,000 topics need {WANTED}", RAISE))
     workers = [
         StatusDocument(daemon=context.daemon.name, worker=worker.worker, pid=worker.pid)
         for worker in context.daemon.document.workers
@@ -54,16 +54,16 @@ def _worker(name: str, process: psutil.Process) -> list[Finding]:
     return []
 
 
-def look_at_state(context: CheckContext) -> Findings:
+def check_state(context: CheckContext) -> Findings:
     """Whether the daemon can keep what it must know again."""
     folder = state_file.state_folder(context.config, context.environ)
     if not folder.exists():
-        return skip(f"{folder} is not there yet; the daemon makes it")
+        return skip(f"{folder} does not exist yet; the daemon creates it")
     seen, _, cure = folder_trouble(folder).rpartition("; ")
     return fail(seen, cure) if seen else ok(str(folder))
 
 
-def look_at_kernels(_around: CheckContext) -> Findings:
+def check_kernels(_around: CheckContext) -> Findings:
     """Whether what computes is compiled, of the sources that lie here."""
     state = kernels.state()
     if state.missing:
@@ -74,13 +74,13 @@ def look_at_kernels(_around: CheckContext) -> Findings:
 WARN_SECONDS = 0.02
 """Transforms of a moving robot are usually looked up within some tens of milliseconds."""
 FAIL_SECONDS = 0.5
-_CURE_CLOCK = "synchronise them: apt install chrony on both machines, one of them serving the time to the other"
+_CURE_CLOCK = "synchronize them: apt install chrony on both machines, one of them serving the time to the other"
 
 
 _CURE_TIME = "start the simulation or 'midspan play --clock', or set clock.source: system"
 
 
-def look_at_clocks(context: CheckContext) -> Findings:
+def check_clocks(context: CheckContext) -> Findings:
     """One finding for each daemon whose clock differs, and one if simulated time has no publisher."""
     findings = _simulated_time(context)
     if not context.hub.clocks:
@@ -112,8 +112,8 @@ def _simulated_time(context: CheckContext) -> list[Finding]:
     return [fail(seen, _CURE_TIME)]
 
 
-def look_at_wheels(context: CheckContext) -> Findings:
-    """Are there wheels of everything for this system, or else the side's packages in another way?"""
+def check_wheels(context: CheckContext) -> Findings:
+    """Check that binary wheels exist for this system, or that the side's packages are installed in another way."""
     try:
         requirements = importlib.metadata.requires("midspan") or []
     except importlib.metadata.PackageNotFoundError:
@@ -123,7 +123,7 @@ def look_at_wheels(context: CheckContext) -> Findings:
 
 
 def compare(context: CheckContext, requirements: Sequence[str], environment: Mapping[str, str]) -> Findings:
-    """What the requirements leave out on a system; an extra is named for the side that needs it."""
+    """Return what the requirements leave out on a system; each extra has the name of the side that needs it."""
     system = f"{environment['sys_platform']}, {environment['platform_machine']}"
     kinds = worker_kinds()
     findings: list[Finding] = []
@@ -138,7 +138,7 @@ def compare(context: CheckContext, requirements: Sequence[str], environment: Map
         tell = fail if kind.enabled(context.config) is True else warn
         cure = f"run 'midspan worker {side}' on a machine that has them, in the same hub; here {side}.enabled: false"
         findings.append(tell(f"{seen}; so side {side} is not available", cure))
-    return findings or ok(f"there are wheels of everything for this system ({system})")
+    return findings or ok(f"all dependencies have wheels for this system ({system})")
 
 
 def left_out(requirements: Sequence[str], environment: Mapping[str, str]) -> dict[str, list[str]]:

@@ -17,13 +17,13 @@ _CURE_HASHES = (
 _CURE_MEMORY = "nothing to do: messages between Fast DDS 2 and Fast DDS 3 use UDP, at a lower rate for large ones"
 
 
-def look_at_releases(context: CheckContext) -> Findings:
+def check_releases(context: CheckContext) -> Findings:
     """Name the DDS and the release of the nodes on the ROS 2 side and on the hub."""
     if context.hub.error or not context.hub.documents:
         return skip("no worker answers")
     findings = [finding for document in context.hub.of_side("ros2") for finding in _of_side(document.middlewares)]
     findings += _on_hub(context)
-    return findings or ok("no ROS 2 node is there")
+    return findings or ok("no ROS 2 node found")
 
 
 def _of_side(groups: Sequence[Middleware]) -> Iterator[Finding]:
@@ -48,5 +48,5 @@ def _on_hub(context: CheckContext) -> Iterator[Finding]:
             yield ok(seen)
 
 
-CHECKS = (Check("ros2-releases", "the DDS and the release of ROS 2 nodes", look_at_releases),)
+CHECKS = (Check("ros2-releases", "the DDS and the release of ROS 2 nodes", check_releases),)
 """The check of middlewares and releases."""

@@ -23,7 +23,7 @@ from bridge.doctor.check import Check, Finding, Findings, fail, ok, packages, sk
 from bridge.doctor.context import CheckContext, environment_of, read_master
 
 
-def look_at_packages(context: CheckContext) -> Findings:
+def check_packages(context: CheckContext) -> Findings:
     """Check that the side can run as configured; it needs no ROS 1 packages."""
     enabled, lacking = context.config.ros1.enabled, available(context.config)
     if enabled is False or lacking:
@@ -38,29 +38,29 @@ def why_not(context: CheckContext) -> str:
     return "" if context.hub.of_side("ros1") else available(context.config)
 
 
-def look_at_master(context: CheckContext) -> Findings:
+def check_master(context: CheckContext) -> Findings:
     """Check that the master's name resolves, and that it responds."""
     if reason := why_not(context):
         return skip(reason)
     uri = context.master
-    look = context.look_at_master()
-    if not isinstance(look, Ros1Error):
-        return ok(f"{uri} answers: {len(look.uris)} nodes, {len(look.types)} topics")
+    state = context.master_state()
+    if not isinstance(state, Ros1Error):
+        return ok(f"{uri} answers: {len(state.uris)} nodes, {len(state.types)} topics")
     host = urlsplit(uri).hostname or ""
     try:
         addresses = sorted({str(info[4][0]) for info in socket.getaddrinfo(host, None, socket.AF_INET)})
     except (OSError, UnicodeError):
         cure = f"add '{host}' with its address to /etc/hosts, or give the address itself in ros1.master"
         return fail(f"{uri}: the host name '{host}' does not resolve on this machine", cure)
-    seen = f"{look} (it resolves to {', '.join(addresses)})"
-    cure = "start roscore there, check ROS_MASTER_URI or ros1.master, and that no firewall holds its port back"
+    seen = f"{state} (it resolves to {', '.join(addresses)})"
+    cure = "start roscore there, check ROS_MASTER_URI or ros1.master, and that no firewall blocks its port"
     meant = context.config.ros1.master or context.environ.get("ROS_MASTER_URI")
     if meant or context.config.ros1.enabled is True:
         return fail(seen, cure)
     return skip(f"the ROS 1 side waits for a master at {uri}")
 
 
-def look_at_environment(context: CheckContext) -> Findings:
+def check_environment(context: CheckContext) -> Findings:
     """Check that this shell's programs and the daemon use the same master."""
     if reason := why_not(context):
         return skip(reason)
@@ -88,8 +88,8 @@ def _against_worker(context: CheckContext, shell: str) -> list[Finding]:
 
 
 def _network(uri: str) -> str | None:
-    look = read_master(uri)
-    return None if isinstance(look, Ros1Error) else look.network
+    state = read_master(uri)
+    return None if isinstance(state, Ros1Error) else state.network
 
 
 def _same_place(one: str, other: str) -> bool:
@@ -110,7 +110,7 @@ _AT_ONCE = 16
 _SHOWN = 5
 
 
-def look_at_address(context: CheckContext) -> Findings:
+def check_address(context: CheckContext) -> Findings:
     """Check that the address announced to ROS 1 peers belongs to this machine, and is reachable for them."""
     if reason := why_not(context):
         return skip(reason)
@@ -135,14 +135,14 @@ def look_at_address(context: CheckContext) -> Findings:
     return ok(f"{name} is {value}")
 
 
-def look_at_nodes(context: CheckContext) -> Findings:
+def check_nodes(context: CheckContext) -> Findings:
     """Check that each registered node can be reached from here under its registered address."""
     if reason := why_not(context):
         return skip(reason)
-    look = context.look_at_master()
-    if isinstance(look, Ros1Error):
+    state = context.master_state()
+    if isinstance(state, Ros1Error):
         return skip("the master does not answer")
-    nodes = dict(sorted(look.uris.items())[:MAX_NODES])
+    nodes = dict(sorted(state.uris.items())[:MAX_NODES])
     remote = not is_local(urlsplit(context.master).hostname or "")
     troubles = in_parallel(lambda uri: _trouble(uri, remote=remote), list(nodes.values()), _AT_ONCE)
     groups: dict[Finding, list[str]] = {}
@@ -255,10 +255,10 @@ def in_parallel(work: Callable[[Item], Outcome], items: Sequence[Item], threads:
 
 
 CHECKS = (
-    Check("ros1-packages", "ROS 1 on this machine", look_at_packages),
-    Check("ros1-master", "the ROS 1 master", look_at_master),
-    Check("ros1-environment", "this shell's ROS 1 against the daemon's", look_at_environment),
-    Check("ros1-address", "the address that ROS 1 peers are given", look_at_address),
-    Check("ros1-nodes", "the addresses of ROS 1 nodes", look_at_nodes),
+    Check("ros1-packages", "ROS 1 on this machine", check_packages),
+    Check("ros1-master", "the ROS 1 master", check_master),
+    Check("ros1-environment", "this shell's ROS 1 against the daemon's", check_environment),
+    Check("ros1-address", "the address that ROS 1 peers are given", check_address),
+    Check("ros1-nodes", "the addresses of ROS 1 nodes", check_nodes),
 )
 """The doctor's checks of this side."""

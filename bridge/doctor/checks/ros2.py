@@ -16,12 +16,12 @@ from bridge.doctor.context import CheckContext, environment_of
 _KNOWN_RMW = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp", "rmw_connextdds", "rmw_zenoh_cpp")
 
 
-def look_at_packages(context: CheckContext) -> Findings:
+def check_packages(context: CheckContext) -> Findings:
     """Check that rclpy is installed."""
     return packages("ros2", "rclpy", context.config.ros2.enabled, available(context.config))
 
 
-def look_at_environment(context: CheckContext) -> Findings:
+def check_environment(context: CheckContext) -> Findings:
     """Check that this shell's programs use the daemon's domain and discovery range."""
     if context.config.ros2.enabled is False:
         return skip("ros2.enabled is false")
@@ -42,7 +42,7 @@ def look_at_environment(context: CheckContext) -> Findings:
     return findings or ok(f"domain {meant}")
 
 
-def look_at_rmw(context: CheckContext) -> Findings:
+def check_rmw(context: CheckContext) -> Findings:
     """Check that this shell's ROS 2 programs use DDS, like the ROS 2 side."""
     name = context.environ.get("RMW_IMPLEMENTATION", "")
     if not name or name.startswith("rmw_fastrtps"):
@@ -154,8 +154,8 @@ def _security(context: CheckContext) -> list[Finding]:
 
 
 CHECKS = (
-    Check("ros2-packages", "ROS 2 on this machine", look_at_packages),
-    Check("ros2-environment", "this shell's ROS 2 against the daemon's", look_at_environment),
-    Check("ros2-rmw", "the ROS 2 middleware of this shell", look_at_rmw),
+    Check("ros2-packages", "ROS 2 on this machine", check_packages),
+    Check("ros2-environment", "this shell's ROS 2 against the daemon's", check_environment),
+    Check("ros2-rmw", "the ROS 2 middleware of this shell", check_rmw),
 )
 """The doctor's checks of this side."""

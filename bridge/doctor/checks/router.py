@@ -6,11 +6,11 @@ from bridge.doctor.check import Check
 from bridge.doctor.checks import connections, hub
 
 CHECKS = (
-    Check("router-port", "the router's port", hub.look_at_port),
+    Check("router-port", "the router's port", hub.check_port),
     Check(
         "keys",
         "the certificates and connections of other machines (`hub.open`)",
-        connections.look_at_connections,
+        connections.check_connections,
         seconds=connections.SECONDS,
     ),
 )

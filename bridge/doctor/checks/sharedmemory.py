@@ -28,7 +28,7 @@ LITTER_FILES = 20
 _CURE_SIZE = "give it more: docker run --shm-size=1g, or mount -o remount,size=1g /dev/shm"
 
 
-def look_at_users(context: CheckContext) -> Findings:
+def check_users(context: CheckContext) -> Findings:
     """Check for other users: Fast DDS's shared memory delivers nothing to them, although the graph looks complete."""
     if context.config.ros2.enabled is False or not context.shm.is_dir():
         return skip("ROS 2 over shared memory is not used here")
@@ -52,7 +52,7 @@ def look_at_users(context: CheckContext) -> Findings:
     return warn(seen, f"Midspan (ros2.transport: auto) switches to UDP by itself; for the other programs: {cure}")
 
 
-def look_at_size(context: CheckContext) -> Findings:
+def check_size(context: CheckContext) -> Findings:
     """Check the free space."""
     if not context.shm.is_dir():
         return skip(f"no {context.shm} here")
@@ -66,14 +66,14 @@ def look_at_size(context: CheckContext) -> Findings:
     return ok(text)
 
 
-def look_at_litter(context: CheckContext) -> Findings:
+def check_litter(context: CheckContext) -> Findings:
     """Check for segments of killed processes."""
     if not context.shm.is_dir():
         return skip(f"no {context.shm} here")
     left = [f for f in shared_files(context.shm, context.proc) if f.held is False and not f.young and not f.port]
     size = sum(file.size for file in left)
     if size < LITTER_BYTES and len(left) < LITTER_FILES:
-        return ok(f"{len(left)} files left, {size / 1e6:.1f} MB")
+        return ok(f"{len(left)} files of dead processes, {size / 1e6:.1f} MB")
     dds, zenoh = [f for f in left if f.fast_dds], [f for f in left if not f.fast_dds]
     cures = []
     if dds:

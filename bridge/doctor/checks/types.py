@@ -18,15 +18,15 @@ _TWICE = "already"
 _DIFFERS = ("differ", "RIHS01", "md5", "fingerprint")
 
 
-def look_at_refused(context: CheckContext) -> Findings:
-    """What the workers refused, but for definitions that differ."""
+def check_refused(context: CheckContext) -> Findings:
+    """Report what the workers refused, except for definitions that differ."""
     if context.hub.error or not context.hub.documents:
         return skip("no worker answers")
-    return [*(_refusals(context, differing=False) or [ok("every type could be used")]), *_map_services(context)]
+    return [*(_refusals(context, differing=False) or [ok("no type was refused")]), *_map_services(context)]
 
 
-def look_at_hashes(context: CheckContext) -> Findings:
-    """What the workers refused because definitions differ, and the same among the hub's endpoints."""
+def check_hashes(context: CheckContext) -> Findings:
+    """Report definitions that differ: refused by the workers, or between the hub's endpoints."""
     if context.hub.error:
         return skip("the hub does not answer")
     findings = _refusals(context, differing=True)
@@ -34,10 +34,10 @@ def look_at_hashes(context: CheckContext) -> Findings:
     workers = {document.zid for document in context.hub.documents}
     notes = conflicts(context.hub.endpoints, workers, lambda: Registry.of(context.config.types).releases)
     findings += merged([fail(note.text, note.cure) for note in notes])[:_SHOWN]
-    return findings or ok("no definition differs")
+    return findings or ok("no definitions differ")
 
 
-def look_at_compiler(context: CheckContext) -> Findings:
+def check_compiler(context: CheckContext) -> Findings:
     """Could `midspan interfaces build` make a ROS 2 message package that a program here lacks?"""
     if context.config.ros2.enabled is False or available(context.config):
         return skip("no ROS 2 here")

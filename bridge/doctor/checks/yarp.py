@@ -15,7 +15,7 @@ from yarp_compat.ports.naming import NamingConfigError, NamingError
 MOST_NAMED = 10  # clients in one line of the report
 
 
-def look_at_name_server(context: CheckContext) -> Findings:
+def check_name_server(context: CheckContext) -> Findings:
     """Does it answer?"""
     section = context.config.yarp
     if reason := _why_not(context):
@@ -31,7 +31,7 @@ def look_at_name_server(context: CheckContext) -> Findings:
     return ok(f"{client.address.host} port {client.address.port} answers: {len(ports)} ports")
 
 
-def look_at_environment(context: CheckContext) -> Findings:
+def check_environment(context: CheckContext) -> Findings:
     """Check whether the YARP programs of this shell use the daemon's name server."""
     section = context.config.yarp
     if reason := _why_not(context):
@@ -48,10 +48,10 @@ def look_at_environment(context: CheckContext) -> Findings:
     if wanted is not None and (wanted.host, wanted.port) != (configured.host, configured.port):
         seen = f"yarp.address is {wanted.host}:{wanted.port}, {_file(context)} has {configured.host}:{configured.port}"
         return warn(seen, "set both alike, unless they are one machine's two names")
-    return ok(f"{_file(context)} has {configured.host} port {configured.port}")
+    return ok(f"{_file(context)} names {configured.host} port {configured.port}")
 
 
-def look_at_releases(context: CheckContext) -> Findings:
+def check_releases(context: CheckContext) -> Findings:
     """Name the release of each YARP client of our ports, and the setting for those whose release is unknown."""
     clients = {peer.port: (port, peer) for port in _module_ports(context) for peer in port.peers if peer.generation}
     if not clients:
@@ -93,8 +93,8 @@ def _file(context: CheckContext) -> str:
 
 
 CHECKS = (
-    Check("yarp-names", "the YARP name server", look_at_name_server),
-    Check("yarp-environment", "this shell's YARP against the daemon's", look_at_environment),
-    Check("yarp-releases", "the releases of YARP clients", look_at_releases),
+    Check("yarp-names", "the YARP name server", check_name_server),
+    Check("yarp-environment", "this shell's YARP against the daemon's", check_environment),
+    Check("yarp-releases", "the releases of YARP clients", check_releases),
 )
 """The doctor's checks of this side."""

@@ -18,7 +18,7 @@ from bridge.hub.zenoh_compat import answer, keep_thread_state, undeclare
 
 _log = logging.getLogger(__name__)
 
-_LOOK_SECONDS, _LONGEST_LOOK_SECONDS = 0.02, 0.5
+_POLL_SECONDS, _LONGEST_POLL_SECONDS = 0.02, 0.5
 """Seconds between two checks of a subscription that is switching transports; longer while nothing changes."""
 
 _SETTLE_SECONDS = 0.02
@@ -102,10 +102,10 @@ class Lane:
 
     def _run(self) -> None:
         again: list[Choosing] = []
-        pause = _LOOK_SECONDS
+        pause = _POLL_SECONDS
         while not self._closing.is_set():
             woken = self._wake.wait(pause if again else None)
-            pause = _LOOK_SECONDS if woken else min(2 * pause, _LONGEST_LOOK_SECONDS)
+            pause = _POLL_SECONDS if woken else min(2 * pause, _LONGEST_POLL_SECONDS)
             self._wake.clear()
             with self._lock:
                 looking, self._looking = {**dict.fromkeys(again), **self._looking}, {}

@@ -15,7 +15,7 @@ _VERSION = re.compile(r"([0-9]{1,5})\.[0-9]{1,5}")
 
 
 def refusal(version: object) -> str:
-    """Return why a peer with this version is refused, "" if it is compatible; None: it announces no version."""
+    """Return why a peer is refused, "" if it is compatible, as is one that announces no version (None)."""
     if version is None:
         return ""
     match = _VERSION.fullmatch(version) if isinstance(version, str) else None

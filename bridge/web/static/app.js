@@ -9,7 +9,7 @@ import { VIEWS } from "./views.js";
 const byId = (id) => document.getElementById(id);
 
 const socket = new Socket(new URL("socket", location.href).href.replace(/^http/, "ws"));
-const views = {}; // name -> {show(), hide(), look(rest of the hash)}, made when first shown
+const views = {}; // name -> {show(), hide(), navigate(rest of the hash)}, made when first shown
 let shown = null;
 
 // -- views
@@ -28,7 +28,7 @@ function route() {
     views[wanted].show();
     byId("main").scrollTop = 0;
   }
-  views[wanted].look?.(decoded(rest.join("/")));
+  views[wanted].navigate?.(decoded(rest.join("/")));
   for (const tab of byId("tabs").children) {
     if (tab.hash === `#${wanted}`) tab.setAttribute("aria-current", "page");
     else tab.removeAttribute("aria-current");

@@ -39,13 +39,13 @@ class Doctor:
             examine,
         )
         from bridge.doctor.checks import CHECKS
-        from bridge.doctor.examination import look_from  # see above
+        from bridge.doctor.examination import context_from  # see above
 
         file = config_file(self._client.config)
         secrets = Secrets()
         with contextlib.suppress(ConfigError, yaml.YAMLError, RecursionError):
             secrets = secrets_of(text_of(file)) if file is not None else secrets
-        reports = examine(look_from(self._client, file), CHECKS)
+        reports = examine(context_from(self._client, file), CHECKS)
         return [{key: secrets.hide(text) for key, text in entry.items()} for entry in as_json(reports)]
 
 
@@ -65,7 +65,7 @@ def inspection_verbs(client: Client, log: LogFollower) -> dict[str, PageVerb]:
 
 def _number(value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**53:
-        raise ValueError("must be the number of a line")
+        raise ValueError("must be a line number")
     return value
 
 

@@ -176,19 +176,19 @@ def test_a_file_of_a_folder_that_cannot_be_opened_is_named(capsys: pytest.Captur
     mcap_file(Path("run/run_0.mcap"))
     Path("run/run_1.mcap").write_bytes(b"nothing of the kind")
     assert main(["bag", "info", "run"]) == 0
-    assert "run/run_1.mcap, byte 0: is neither MCAP" in capsys.readouterr().out
+    assert "run/run_1.mcap, byte 0: is neither an MCAP file" in capsys.readouterr().out
     assert main(["bag", "mend", "run", "whole.mcap"]) == 0
     shown = capsys.readouterr().out
     assert "whole.mcap: 21 messages" in shown
-    assert "not read: is neither MCAP nor a bag of ROS 1 or ROS 2 (run_1.mcap, byte 0)" in shown
+    assert "not read: is neither an MCAP file nor a bag of ROS 1 or ROS 2 (run_1.mcap, byte 0)" in shown
 
 
 @pytest.mark.parametrize(
     ("words", "says"),
     [
         ("info gone.mcap", "gone.mcap: file not found"),
-        ("info text.bag", "text.bag, byte 0: is neither MCAP nor a bag"),
-        ("convert a.mcap b.zip", "b.zip: has an unknown ending"),
+        ("info text.bag", "text.bag, byte 0: is neither an MCAP file nor a bag"),
+        ("convert a.mcap b.zip", "b.zip: has an unknown extension"),
         ("convert a.mcap a.mcap", "a.mcap: exists already"),
         ("convert a.mcap b.bag --topics /gone", "a.mcap: has no topic /gone"),
         ("cut a.mcap b.bag", "use 'midspan bag convert'"),

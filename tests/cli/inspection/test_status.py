@@ -153,7 +153,7 @@ def test_named_hub_is_used_despite_a_broken_file(
     assert printed.err.endswith("; the file is ignored, as --router names the hub\n")
     assert len(printed.err.splitlines()) == 1
     assert main(["doctor", "--only", "config", *hub]) == 1
-    assert "midspan.yaml is good" not in capsys.readouterr().out
+    assert "midspan.yaml is valid" not in capsys.readouterr().out
     for named in ([], ["--config", "midspan.yaml", *hub], hub[2:]):
         assert main([*words, *named]) == 1
         assert "is ignored" not in capsys.readouterr().err

@@ -86,7 +86,7 @@ def test_halt_stops_everything(midspan: Midspan, network: HubNetwork, robot: Rob
     assert done.out.splitlines() == [
         "/cmd_vel: zero velocity, 1 listener on the hub",
         "base_control of robot1: stands still",
-        "/lookup: 2 goals cancelled",
+        "/lookup: 2 goals canceled",
     ]
     assert halt_requests == [{}]
     until(lambda: [goal.status for goal in robot.sent] == [GoalState.CANCELED] * 2, "both goals were cancelled")
@@ -146,7 +146,7 @@ def test_halt_reaches_a_base_on_a_side_that_no_program_of_the_hub_drives(
     worker.side.read_from("/cmd_vel", form, Qos(), MadeBy.NATIVE, "/base", lambda data, *_: received.append(data))
     until(lambda: both.graph.velocities(), "the base is announced")
     done = midspan("halt", "--seconds", "1")
-    assert (done.code, done.out) == (0, "/cmd_vel: zero velocity, 3 listeners on the hub\n"), done
+    assert (done.code, done.out) == (0, "/cmd_vel: zero velocity, 3 subscribers on the hub\n"), done
     twists = [to_json(registry, form, data) for data in received]
     assert twists
     assert all(twist.get("twist", twist)["linear"]["x"] == 0.0 for twist in twists)
@@ -200,8 +200,8 @@ def test_nonsense_on_the_hub_keeps_nothing_from_stopping(
     until(lambda: graph.servers("/a/_action/cancel_goal") and graph.velocities(), "the tokens are known")
     done = midspan("halt", "--seconds", "1")
     assert (done.code, halts) == (1, [{}])
-    assert "/a: not cancelled: the server of /a/_action/cancel_goal does not accept calls" in done.out
-    assert "/lookup: 2 goals cancelled" in done.out
+    assert "/a: not canceled: the server of /a/_action/cancel_goal does not accept calls" in done.out
+    assert "/lookup: 2 goals canceled" in done.out
     assert "base_control of robot1: stands still" in done.out
     assert f"/a: zero could not be published as {TWIST} (type hash 'nonsense' is not" in done.err
     assert [line for line in done.err.splitlines() if "a b" in line or "*" in line] == []
@@ -223,7 +223,7 @@ def test_zero_does_not_wait_for_an_action_server_that_is_unreachable(
     until(lambda: robot.node.hub.graph.servers("/a/_action/cancel_goal"), "the server is announced")
     done = midspan("halt", "--seconds", "0.05")
     assert done.code == 1
-    assert "/a: not cancelled" in done.out
+    assert "/a: not canceled" in done.out
     assert len(robot.heard) > 5, "zero is repeated meanwhile"
     token.undeclare()
 
@@ -261,7 +261,7 @@ def test_a_base_that_appears_during_the_halt_gets_zero(
 
     closing.append(FakeWorker(network, "base_control", halt=halts))
     done = midspan("halt", "--seconds", "3")
-    assert "/late/cmd_vel: zero velocity, 1 listener" in done.out
+    assert "/late/cmd_vel: zero velocity, 1 subscriber" in done.out
     until(lambda: received, "it gets zero")
 
 
@@ -292,7 +292,7 @@ def test_bases_that_cannot_be_asked_are_reported(
     done = midspan("halt", "--seconds", "0.5")
     assert done.code == 1
     assert "bases could not be asked to halt and may still be moving: no answer can be read" in done.err
-    assert "/lookup: 2 goals cancelled" in done.out
+    assert "/lookup: 2 goals canceled" in done.out
     assert robot.heard
 
 

@@ -162,7 +162,7 @@ def folder(tmp_path: Path) -> Path:
 
 def looked_at(folder: Path, **more: str) -> list[tuple[Result, str]]:
     door = {"listen": ["tls/0.0.0.0:7448"], "keys": str(folder), **more}
-    findings = every(hub_checks.look_at_keys(around({"hub": {"open": door}})))
+    findings = every(hub_checks.check_keys(around({"hub": {"open": door}})))
     return [(finding.result, finding.seen) for finding in findings]
 
 
@@ -170,7 +170,7 @@ def test_doctor_is_content(folder: Path) -> None:
     ((result, seen),) = looked_at(folder)
     assert result is Result.OK
     assert "robot1" in seen
-    assert results(hub_checks.look_at_keys(around({}))) == [Result.SKIP]
+    assert results(hub_checks.check_keys(around({}))) == [Result.SKIP]
 
 
 def test_doctor_finds_what_is_wrong_with_the_files(folder: Path) -> None:
@@ -205,7 +205,7 @@ def test_doctor_tells_who_takes_no_commands(folder: Path) -> None:
         router("a", "robot1", trusted=True), router("b", "robot1", trusted=False), router("c", "other", trusted=False)
     )
     place = around({"hub": {"open": {"connect": ["tls/b:7448"], "keys": str(folder)}}}, hub=view)
-    finding = only(hub_checks.look_at_keys(place))
+    finding = only(hub_checks.check_keys(place))
     assert finding.result is Result.WARN
     assert finding.seen.startswith("b takes no commands")
 

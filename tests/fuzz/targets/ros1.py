@@ -190,17 +190,17 @@ def _graph() -> Subject:
 
     def parse(data: bytes) -> None:
         client = _rpc_client()
-        looker = MasterReader(client, "/midspan")
+        reader = MasterReader(client, "/midspan")
         client.reply = data
         for _ in range(2):
             with contextlib.suppress(Ros1Error):
-                look = looker.look()
-                entries = others(look, own_node)
-                removal_calls(look, entries)
-                hash((look.publishers, look.subscribers))
+                state = reader.read()
+                entries = others(state, own_node)
+                removal_calls(state, entries)
+                hash((state.publishers, state.subscribers))
         # also as the answer to a request for the same number of nodes
-        looker._nodes = ("/a", "/b", "/c")
-        looker.look()
+        reader._nodes = ("/a", "/b", "/c")
+        reader.read()
 
     seeds = [
         _answer(good),

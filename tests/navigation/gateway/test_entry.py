@@ -14,7 +14,7 @@ from rich.console import Console
 from bridge.cli.inspection.status import show
 from bridge.config.sections.navigation import ACTION
 from bridge.doctor.check import Result
-from bridge.doctor.checks.hub import look_at_workers
+from bridge.doctor.checks.hub import check_workers
 from bridge.messages.actions import GoalState, names
 from bridge.modules.worker import ModulesWorker
 from bridge.status import read_status
@@ -199,7 +199,7 @@ def test_status_and_doctor_name_the_node_that_serves_the_action(rig: Rig) -> Non
     printed = io.StringIO()
     show(Console(file=printed, width=1000), [read_status(document, "here", "gateway")])
     assert f"warning: {warning}" in printed.getvalue()
-    findings = every(look_at_workers(around({"name": "here"}, hub=hub(document))))
+    findings = every(check_workers(around({"name": "here"}, hub=hub(document))))
     (matching,) = [finding for finding in findings if warning in finding.seen]
     assert matching.result is Result.WARN
 

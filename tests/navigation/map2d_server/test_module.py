@@ -146,7 +146,7 @@ def test_each_change_is_published(served: Served) -> None:
     served.store.put(MAP, "one", six_flags("one"))
     served.store.use_map("one")
     current, other = served.latest("/map", GRID), served.latest("/maps/one", GRID)
-    until(lambda: current() and other(), "the map is out", 20)
+    until(lambda: current() and other(), "the map is published", 20)
     changed = six_flags("one", seed=2)
     with served.client() as client:
         client.maps["one"] = changed
@@ -170,7 +170,7 @@ def test_the_map_services_answer(served: Served) -> None:
     until(lambda: served.store.current_map() == "two", "it is current", 20)
     got = until(
         lambda: far.call("/static_map", "nav_msgs/GetMap").result(20)["reply"],
-        "the map is there for all",
+        "the map is served",
         20,
         every=0.1,
     )
@@ -332,7 +332,7 @@ def test_explain_shows_the_protocol_of_a_client(
         assert list(client.maps) == []
         assert main(["explain", "/map2D_nws_yarp/rpc", "--config", str(file)]) == 0
     output = capsys.readouterr().out
-    assert "its calls are answered as YARP 3.12 does (it asked for the protocol's version, and is of YARP 3" in output
+    assert "its calls are answered as YARP 3.12 does (it asked for the protocol's version in YARP 3's format" in output
     assert "has decided nothing" not in output
 
 

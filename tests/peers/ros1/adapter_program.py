@@ -206,7 +206,7 @@ class Program(Commands):
             "descriptors": len(list(Path("/proc/self/fd").iterdir())),
         }
 
-    def look(self, every: float) -> dict[str, Any]:
+    def set_period(self, every: float) -> dict[str, Any]:
         """Read the master now, and from now on with this period in seconds."""
         self.edge._master._period = every
         self.edge._master.wake()

@@ -68,7 +68,7 @@ def subscribe(
     """Declare a subscription with the options of `SubscriptionData::init`.
 
     ``ignore_local`` is rmw's option ``ignore_local_publications``. One option is missing in zenoh's Python wheel:
-    rmw_zenoh's queries for cached samples never expire, these after the session's 10 minutes.
+    rmw_zenoh's queries for cached samples never expire; here they expire after the session's 10 minutes.
     """
     handler = zenoh.handlers.Callback(callback, indirect=False)
     origin = zenoh.Locality.REMOTE if ignore_local else zenoh.Locality.ANY
@@ -159,7 +159,7 @@ class RmwSubscription(_Announced):
         return [payload.decode() for payload in self.payloads]
 
     def expect(self, *texts: str, seconds: float = 40.0) -> None:
-        """Wait until exactly these arrived, in this order."""
+        """Wait until exactly these messages have arrived, in this order."""
         with contextlib.suppress(AssertionError):
             until(lambda: len(self.payloads) >= len(texts), "all arrive", seconds)
         assert self.texts() == list(texts), f"{self.texts()} arrived, not {list(texts)}"
@@ -229,7 +229,7 @@ class RmwNode:
     def subscription(
         self, topic: str, type_name: str, type_hash: str, qos: Qos, received: Callable[[bytes], None]
     ) -> RmwSubscription:
-        """Declare a subscription, which leaves out this node's own messages, and announce it."""
+        """Declare a subscription that ignores this node's own messages, and announce it."""
         key = topic_key(self._token.domain, topic, type_name, type_hash)
         subscription = RmwSubscription(self._session, key, qos, received, ignore_local=True)
         subscription.announce(self._endpoint(EndpointKind.SUBSCRIPTION, topic, type_name, type_hash, qos))

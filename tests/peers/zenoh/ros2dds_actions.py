@@ -1,4 +1,4 @@
-"""Actions of nodes of a bridge like zenoh-bridge-ros2dds, with the commands of `tests.peers.peer`.
+"""Action servers and clients behind a bridge like zenoh-bridge-ros2dds, with the commands of `tests.peers.peer`.
 
 Their only action is ``tf2_msgs/LookupTransform``, whose feedback has no fields.
 """
@@ -69,7 +69,7 @@ class Sent(PolledGoal):
         until(lambda: bridge.tokens(params["action"], "AS"), f"{params['action']} is announced", params["seconds"])
 
         def answered() -> Any:
-            """Return the reply; the plugin's client has none before the other side's server exists."""
+            """Return the reply; the plugin's client gets none before the other side's server exists."""
             return self._client.ask("send_goal", request).result()["reply"]
 
         reply = until(answered, f"there is a server of {params['action']}", params["seconds"], every=0.1)

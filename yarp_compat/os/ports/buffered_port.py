@@ -61,7 +61,7 @@ class CallbackThread:
                 log.exception("a callback failed; the port continues with the next message")
 
     def stop(self, wake: Callable[[], None]) -> None:
-        """Stop calling, and wait for a running call unless on its thread; ``wake`` wakes up the waiting ``receive``."""
+        """Stop; wait for a running call, unless this is its thread. ``wake`` wakes up the waiting ``receive``."""
         self._stopped.set()
         wake()
         if threading.current_thread() is not self._thread:
@@ -78,10 +78,10 @@ def _caller(function: Callable[..., Any], port: Any) -> Callable[[Any], Any]:
 
 
 class BufferedPort(Contactable, TypedReaderCallback):
-    """A port for one type of data, ``content``, that buffers what it reads and writes.
+    """A port for one type of data, ``content``, that buffers received and written messages.
 
-    A reader gets the newest message, unless `setStrict`; a written message replaces one that is still queued for a slow
-    peer, unless `writeStrict`. ``BufferedPortBottle`` and similar classes have a fixed content.
+    A reader gets the newest message, or every message after `setStrict`. A written message replaces one that is still
+    queued for a slow peer, except with `writeStrict`. ``BufferedPortBottle`` and similar classes have a fixed content.
     """
 
     CONTENT: ClassVar[type[Any] | None] = None

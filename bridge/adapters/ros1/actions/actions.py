@@ -53,10 +53,10 @@ class Ros1Actions:
             thread.join(1.0)
         self._publishers.close()
 
-    def seen(self, look: MasterState | None) -> None:
+    def seen(self, state: MasterState | None) -> None:
         """Adopt a changed state of the master."""
-        self._found = discovery.find(look, self._network.own()) if look is not None else NOTHING
-        self._guard.seen(look)
+        self._found = discovery.find(state, self._network.own()) if state is not None else NOTHING
+        self._guard.seen(state)
 
     def looked(self) -> None:
         """Do periodic work after each read of the master, changed or not."""

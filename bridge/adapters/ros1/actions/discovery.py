@@ -60,10 +60,10 @@ def topics_of(name: str, type_: str) -> dict[str, str]:
     return {f"{name}/{part}": kind for part, kind in types.items()}
 
 
-def find(look: MasterState, own: str) -> FoundActions:
+def find(state: MasterState, own: str) -> FoundActions:
     """Return the actions in a master's state, without the actions of the node ``own``."""
-    published = _by_node(look.publishers, own)
-    subscribed = _by_node(look.subscribers, own)
+    published = _by_node(state.publishers, own)
+    subscribed = _by_node(state.subscribers, own)
     servers: dict[str, list[FoundServer]] = defaultdict(list)
     topics: dict[str, str] = {}
     for ends, others, has, hears in (
@@ -72,7 +72,7 @@ def find(look: MasterState, own: str) -> FoundActions:
     ):
         for (name, node, uri), parts in ends.items():
             if has <= parts and hears <= others.get((name, node, uri), set()):
-                type_ = _type(name, look.types)
+                type_ = _type(name, state.types)
                 if not type_:
                     continue
                 topics |= topics_of(name, type_)

@@ -216,9 +216,9 @@ class FrameGuard:
         for subscription in removed:
             subscription.close()
 
-    def seen(self, look: MasterState | None) -> None:
+    def seen(self, state: MasterState | None) -> None:
         """Adopt the master's state: topics with transforms are recognized by type, not by name."""
-        topics = sorted(t for t, kind in look.types.items() if kind in TF_TYPES) if look is not None else []
+        topics = sorted(t for t, kind in state.types.items() if kind in TF_TYPES) if state is not None else []
         with self._lock:
             self._topics = frozenset(topics[:_MAX_TOPICS])
             removed = self._follow()

@@ -43,7 +43,7 @@ Lost = Callable[[str], None]
 class _Own(NamedTuple):
     """This node's topics in one state of the master."""
 
-    look: MasterState
+    state: MasterState
     published: frozenset[str]
     subscribed: frozenset[str]
 
@@ -69,7 +69,7 @@ class Master:
         self._period, self._seen, self._lost_name, self._is_dead = period, seen, lost_name, is_dead
         self._evicted = False
         self._client = XmlRpcClient(uri, _TIMEOUT)
-        self._looker = MasterReader(self._client, node.name)
+        self._reader = MasterReader(self._client, node.name)
         self._run_id: str | None = None
         self._own: _Own | None = None
         self._failures = 0
@@ -91,7 +91,7 @@ class Master:
 
     def doubt(self, service: str) -> None:
         """Look up a service's address again in the next read, as the known one failed."""
-        self._looker.doubt(service)
+        self._reader.doubt(service)
 
     def evicted(self) -> None:
         """Stop registering: another node has this name, and the two would shut each other down in turn."""
@@ -111,8 +111,8 @@ class Master:
         with contextlib.closing(client):
             try:
                 entry = self.presence()
-                look = MasterReader(client, entry.node).look()
-                for batch in _batches(removal_calls(look, [entry])):
+                state = MasterReader(client, entry.node).read()
+                for batch in _batches(removal_calls(state, [entry])):
                     client.calls(batch)
                 self._ledger.remember(None)
             except Ros1Error as err:
@@ -120,13 +120,13 @@ class Master:
 
     def _loop(self) -> None:
         while True:
-            self._wake.wait(_RETRY if self._failures == 1 else self._looker.pause(self._period))
+            self._wake.wait(_RETRY if self._failures == 1 else self._reader.pause(self._period))
             self._wake.clear()
             if self._stopping.is_set():
                 self._client.close()
                 return
             try:
-                look = self._turn()
+                state = self._turn()
             except Ros1Error as err:
                 self._failed(err)
             except Exception as err:
@@ -134,18 +134,18 @@ class Master:
                 self._failed(Ros1ProtocolError(f"{self.uri} has a state that cannot be used: {type(err).__name__}"))
             else:
                 self._failures, self.trouble, self._answered = 0, "", time.monotonic()
-                self._seen(look)
+                self._seen(state)
 
     def _turn(self) -> MasterState:
         self.looked = time.monotonic()
-        look = self._looker.look()
-        if look.run != self._run_id:
-            self._join(look)
+        state = self._reader.read()
+        if state.run != self._run_id:
+            self._join(state)
             self.looked = time.monotonic()
-            look = self._looker.look()
-            self._run_id = look.run
-        self._guard_name(look)
-        calls = [] if self._evicted else self._missing(look)
+            state = self._reader.read()
+            self._run_id = state.run
+        self._guard_name(state)
+        calls = [] if self._evicted else self._missing(state)
         self._refused &= {_what(call) for call in calls}
         for batch in _batches(calls):
             if self._stopping.is_set():
@@ -155,8 +155,8 @@ class Master:
             self._ended.clear()
         if calls:
             self.looked = time.monotonic()
-            look = self._looker.look()
-        return look
+            state = self._reader.read()
+        return state
 
     def _failed(self, err: Ros1Error) -> None:
         self._failures += 1
@@ -171,28 +171,28 @@ class Master:
 
     # -- joining -------------------------------------------------------------------------------------------------------
 
-    def _join(self, look: MasterState) -> None:
+    def _join(self, state: MasterState) -> None:
         entry = self.presence()
-        dead = [e for e in self._ledger.predecessors(look, entry) if not is_alive(entry.node, e)]
-        for batch in _batches(removal_calls(look, dead)):
+        dead = [e for e in self._ledger.predecessors(state, entry) if not is_alive(entry.node, e)]
+        for batch in _batches(removal_calls(state, dead)):
             self._client.calls(batch)
         dead_uris = {e.uri for e in dead}
         for _ in range(_SPARE_NAMES):
-            name = self._free_name(look, dead_uris)
+            name = self._free_name(state, dead_uris)
             if name != self._node.name:
                 _log.info("the name %s is taken on this ROS 1 network; this node is %s", self._node.name, name)
                 self._node.name = name
-                self._looker.caller = name
+                self._reader.caller = name
             # Another daemon may be choosing a name, too: the one that then reads the other's entry chooses another
             # name.
             entry = self.presence()
             self._client.calls([("setParam", (entry.node, entry.parameter, entry.as_dict()))])
-            look = self._looker.look()
-            if self._free_name(look, dead_uris) == name:
+            state = self._reader.read()
+            if self._free_name(state, dead_uris) == name:
                 break
         self._ledger.remember(self.presence())
         self._agree_on_the_clock()
-        _log.info("joined the ROS 1 network %s as %s", look.network, name)
+        _log.info("joined the ROS 1 network %s as %s", state.network, name)
 
     def _agree_on_the_clock(self) -> None:
         """Make new nodes use ``/clock`` in a simulated run; otherwise read whether they do."""
@@ -201,21 +201,21 @@ class Master:
         else:
             (self.simulated,) = (bool(v) for v in self._client.calls([("getParam", (self._node.name, SIM_TIME))]))
 
-    def _free_name(self, look: MasterState, dead: set[str]) -> str:
+    def _free_name(self, state: MasterState, dead: set[str]) -> str:
         """Return this node's name, or a variant if a live node has it, which the master would shut down."""
         first = self._node.name
         second = f"{first}_{re.sub(r'[^A-Za-z0-9_]', '_', self._daemon)}"
         for name in (first, second, *(f"{second}_{n}" for n in range(2, 2 + _SPARE_NAMES))):
-            entries = [NodeEntry.parse(entry) for entry in look.presence.values()]
-            uris = {look.uris.get(name), *(e.uri for e in entries if e is not None and e.node == name)}
+            entries = [NodeEntry.parse(entry) for entry in state.presence.values()]
+            uris = {state.uris.get(name), *(e.uri for e in entries if e is not None and e.node == name)}
             holders = {u for u in uris if u and u != self._node.uri and u not in dead}
             if not any(self._answers(holder) for holder in holders):
                 return name
         return f"{second}_{os.getpid()}"
 
-    def _guard_name(self, look: MasterState) -> None:
+    def _guard_name(self, state: MasterState) -> None:
         name = self._node.name
-        uri = look.uris.get(name, self._node.uri)
+        uri = state.uris.get(name, self._node.uri)
         if uri != self._node.uri and not self._evicted and self._answers(uri):
             self.evicted()
             self._lost_name(f"another node, at {uri}, took the name {name} on this ROS 1 network")
@@ -229,14 +229,16 @@ class Master:
 
     # -- registrations -------------------------------------------------------------------------------------------------
 
-    def _missing(self, look: MasterState) -> list[Call]:
+    def _missing(self, state: MasterState) -> list[Call]:
         """Return the calls that correct this node's registrations."""
         name, uri = self._node.name, self._node.uri
         self._ended |= self._node.take_removed()
         published, subscribed = self._node.publications(), self._node.subscriptions()
-        if self._own is None or self._own.look is not look:
-            ends = (look.publishers, look.subscribers)
-            self._own = _Own(look, *(frozenset(r.topic for r in end if (r.node, r.uri) == (name, uri)) for end in ends))
+        if self._own is None or self._own.state is not state:
+            ends = (state.publishers, state.subscribers)
+            self._own = _Own(
+                state, *(frozenset(r.topic for r in end if (r.node, r.uri) == (name, uri)) for end in ends)
+            )
         _, has_published, has_subscribed = self._own
         # A publication that ended and was created again between two reads is unregistered and registered: a rospy
         # subscriber whose connection broke reconnects only when the master reports a publisher that was not listed.
@@ -246,18 +248,18 @@ class Master:
             *(("unregisterSubscriber", (name, t, uri)) for t in has_subscribed - subscribed.keys()),
             *(("registerPublisher", (name, t, published[t], uri)) for t in published.keys() - standing),
             *(("registerSubscriber", (name, t, subscribed[t], uri)) for t in subscribed.keys() - has_subscribed),
-            *self._service_calls(look),
+            *self._service_calls(state),
         ]
         entry = self.presence()
-        if NodeEntry.parse(look.presence.get(entry.key)) != entry:
+        if NodeEntry.parse(state.presence.get(entry.key)) != entry:
             calls.append(("setParam", (name, entry.parameter, entry.as_dict())))
         return calls
 
-    def _service_calls(self, look: MasterState) -> list[Call]:
+    def _service_calls(self, state: MasterState) -> list[Call]:
         """Return the calls for services: a master has one server per name, and the last to register replaces it."""
         name, uri, wanted = self._node.name, self._node.uri, self._node.services()
-        has = {link.topic: link.uri for link in look.servers if link.node == name}
-        taken = {link.topic for link in look.servers if link.node != name and not self._is_dead(link)}
+        has = {link.topic: link.uri for link in state.servers if link.node == name}
+        taken = {link.topic for link in state.servers if link.node != name and not self._is_dead(link)}
         return [
             *(("unregisterService", (name, s, a)) for s, a in has.items() if a and wanted.get(s) != a),
             *(("registerService", (name, s, a, uri)) for s, a in wanted.items() if has.get(s) != a and s not in taken),

@@ -76,9 +76,9 @@ class NodeEntry:
         return None
 
 
-def others(look: MasterState, own: NodeEntry) -> list[NodeEntry]:
+def others(state: MasterState, own: NodeEntry) -> list[NodeEntry]:
     """Return the entries of all other Midspan nodes, including dead ones."""
-    entries = [NodeEntry.parse(entry) for entry in look.presence.values()]
+    entries = [NodeEntry.parse(entry) for entry in state.presence.values()]
     return [e for e in entries if e is not None and e.uri != own.uri]
 
 
@@ -90,20 +90,20 @@ def is_alive(caller: str, entry: NodeEntry) -> bool:
         return False
 
 
-def removal_calls(look: MasterState, dead: Iterable[NodeEntry]) -> list[Call]:
+def removal_calls(state: MasterState, dead: Iterable[NodeEntry]) -> list[Call]:
     """Return the calls to the master that remove the registrations of dead nodes."""
     calls: list[Call] = []
     for entry in dead:
         node, uri = entry.node, entry.uri
         # The master ignores these if another process has taken the node's name meanwhile, as its address differs.
-        for method, links in (("unregisterPublisher", look.publishers), ("unregisterSubscriber", look.subscribers)):
+        for method, links in (("unregisterPublisher", state.publishers), ("unregisterSubscriber", state.subscribers)):
             calls += [(method, (node, k.topic, uri)) for k in links if k.node == node and k.uri == uri]
         calls += [
             ("unregisterService", (node, k.topic, k.uri))
-            for k in look.servers
+            for k in state.servers
             if k.node == node and k.uri.endswith(f":{entry.port}")
         ]
-        if NodeEntry.parse(look.presence.get(entry.key)) == entry:
+        if NodeEntry.parse(state.presence.get(entry.key)) == entry:
             calls.append(("deleteParam", (node, entry.parameter)))
     return calls
 
@@ -126,9 +126,9 @@ class Ledger:
         document = {"owner": self.owner, "last": entry.as_dict() if entry else None}
         keep(self._path, json.dumps(document), "registrations of a killed worker will stay on the master")
 
-    def predecessors(self, look: MasterState, own: NodeEntry) -> list[NodeEntry]:
+    def predecessors(self, state: MasterState, own: NodeEntry) -> list[NodeEntry]:
         """Return the entries of this daemon's earlier nodes, from the master and from the state folder."""
-        entries = {e.uri: e for e in others(look, own) if e.owner == self.owner}
+        entries = {e.uri: e for e in others(state, own) if e.owner == self.owner}
         if self.last is not None and self.last.uri != own.uri:
             entries.setdefault(self.last.uri, self.last)
         return list(entries.values())

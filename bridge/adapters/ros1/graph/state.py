@@ -71,7 +71,7 @@ class MasterReader:
         self._size = 0
         self._nodes: tuple[str, ...] = ()
         self._answers: list[Any] = []
-        self._look: MasterState | None = None
+        self._state: MasterState | None = None
         self._servers: dict[Registration, str] = {}
         self._doubted: set[str] = set()
 
@@ -83,31 +83,31 @@ class MasterReader:
         """Return the seconds to the next read, at least ``period``: a master with a large state is read less often."""
         return max(period, min(self._size / _RATE, _LONGEST))
 
-    def look(self) -> MasterState:
+    def read(self) -> MasterState:
         """Return the master's state; the same object as before if nothing changed. Raises `Ros1Error`."""
         try:
             return self._try()
         except (LookupError, TypeError, ValueError) as err:
-            self._nodes, self._answers, self._look = (), [], None
+            self._nodes, self._answers, self._state = (), [], None
             raise Ros1ProtocolError(f"the master's state is malformed: {err}") from None
 
     def _try(self) -> MasterState:
         for _ in range(_TRIES):
             nodes = self._nodes
             answers = self._ask()
-            if answers == self._answers and self._look is not None and not self._doubted:
-                return self._look
+            if answers == self._answers and self._state is not None and not self._doubted:
+                return self._state
             self._nodes = tuple(sorted({node for kind in _state(answers) for _, names in kind for node in names}))
             if self._nodes == nodes:
                 break
         # if nodes appeared during the address look-up, the next read repeats it
         self._answers = answers if self._nodes == nodes else []
-        look = _read(answers, nodes)
-        look = replace(look, servers=self._addresses(_state(answers)[2], look.uris))
-        if look != self._look:
-            self._look = look
-        assert self._look is not None
-        return self._look
+        state = _read(answers, nodes)
+        state = replace(state, servers=self._addresses(_state(answers)[2], state.uris))
+        if state != self._state:
+            self._state = state
+        assert self._state is not None
+        return self._state
 
     def _addresses(self, services: list[tuple[str, list[str]]], uris: Mapping[str, str]) -> frozenset[Registration]:
         """Return each service's server; look up its address once, and again if its node changes or it is doubted."""

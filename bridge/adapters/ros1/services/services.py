@@ -40,10 +40,10 @@ class Ros1Services(Follower[Ros1Caller]):
         self.close()
         self.servers.close()
 
-    def seen(self, look: MasterState | None) -> None:
+    def seen(self, state: MasterState | None) -> None:
         """Adopt the master's state; called on its thread."""
         node = self._context.node()
-        self.take_up(frozenset(s for s in look.servers if s.node != node) if look is not None else frozenset())
+        self.take_up(frozenset(s for s in state.servers if s.node != node) if state is not None else frozenset())
         self._check_rivals()
 
     def _check_rivals(self) -> None:
@@ -60,11 +60,11 @@ class Ros1Services(Follower[Ros1Caller]):
         ours = frozenset(self.servers.names())
         return sorted(link for link in self._links if link.topic in ours) if ours else []
 
-    def endpoints(self, look: MasterState) -> Iterator[Endpoint]:
+    def endpoints(self, state: MasterState) -> Iterator[Endpoint]:
         """Yield the other nodes' servers."""
         node, facts = self._context.node(), self.prober.facts()
-        midspans = {entry.get("node") for entry in look.presence.values()}
-        for link in look.servers:
+        midspans = {entry.get("node") for entry in state.presence.values()}
+        for link in state.servers:
             if link.node != node:
                 yield _endpoint(link, facts.get(link), midspan=link.node in midspans)
 

@@ -28,16 +28,16 @@ class Ros1Topics(Follower["Ros1Subscription"]):
         super().__init__(context, holds=True)
         self._refused = refused
 
-    def endpoints(self, look: MasterState) -> Iterator[Endpoint]:
+    def endpoints(self, state: MasterState) -> Iterator[Endpoint]:
         """Yield the other nodes' publishers and subscriptions."""
         node, facts = self._context.node(), self.prober.facts()
-        for link in look.publishers:
+        for link in state.publishers:
             if link.node != node:
-                yield _publisher(link, look, facts.get(link))
-        midspans = {entry.get("node") for entry in look.presence.values()}
-        for link in look.subscribers:
+                yield _publisher(link, state, facts.get(link))
+        midspans = {entry.get("node") for entry in state.presence.values()}
+        for link in state.subscribers:
             if link.node != node:
-                yield _subscriber(link, look, midspan=link.node in midspans)
+                yield _subscriber(link, state, midspan=link.node in midspans)
 
     def connected(self) -> frozenset[Registration]:
         """Return the publishers to which a subscription is connected."""
@@ -78,9 +78,9 @@ class Ros1Topics(Follower["Ros1Subscription"]):
         end.follow(known)
 
 
-def _publisher(link: Registration, look: MasterState, facts: Facts | None) -> Endpoint:
+def _publisher(link: Registration, state: MasterState, facts: Facts | None) -> Endpoint:
     if facts is None:
-        type_, qos, made_by, md5, definition = look.types.get(link.topic, ""), _VOLATILE, MadeBy.UNKNOWN, "", ""
+        type_, qos, made_by, md5, definition = state.types.get(link.topic, ""), _VOLATILE, MadeBy.UNKNOWN, "", ""
     else:
         type_, md5, definition = facts.type, facts.md5, facts.definition
         qos = LATCHED if facts.latching else _VOLATILE
@@ -89,8 +89,8 @@ def _publisher(link: Registration, look: MasterState, facts: Facts | None) -> En
     return Endpoint(name, Kind.PUBLISHER, link.topic, type_, qos, made_by, link.node, md5, definition)
 
 
-def _subscriber(link: Registration, look: MasterState, *, midspan: bool) -> Endpoint:
+def _subscriber(link: Registration, state: MasterState, *, midspan: bool) -> Endpoint:
     name = f"subscription {link.topic} {link.node} {link.uri}"
-    type_ = look.types.get(link.topic, "").replace("*", "")
+    type_ = state.types.get(link.topic, "").replace("*", "")
     made_by = MadeBy.MIDSPAN if midspan else MadeBy.NATIVE
     return Endpoint(name, Kind.SUBSCRIPTION, link.topic, type_, _VOLATILE, made_by, link.node)

@@ -220,11 +220,11 @@ def test_a_returning_server_is_discovered_by_its_connection(tmp_path):
         parts = {"topic": "/returns/_action/send_goal", "made_by": "native"}
         until(lambda: not edge.endpoints(**parts), "its exit is noticed", SECONDS)
         hub.close()
-        edge.ask("look", every=3600.0)
+        edge.ask("set_period", every=3600.0)
         with peer_on(master, "returns") as peer:
             peer.ask("server", name="/returns")
             until(lambda: edge.endpoints(**parts), "it is discovered", SECONDS)
-            edge.ask("look", every=0.1)  # a connection that fails is retried when the master is read
+            edge.ask("set_period", every=0.1)  # a connection that fails is retried when the master is read
             again = HubClient(edge, "/returns")
             goal, sent = again.send(10)
             assert again.accepted(sent), edge.output()[-3000:]

@@ -91,16 +91,16 @@ def test_a_node_that_registers_again_is_listed_once(side):
 def test_a_node_whose_name_is_taken_over_is_removed(side):
     """The master has requested the older node's shutdown; one that hangs does not react."""
     new = STATUS._replace(uri="http://c:1/")
-    look = replace(FULL, publishers=frozenset({new}), subscribers=frozenset(), uris={"/move_base": new.uri})
-    state = side.graph.update(look)
+    state = replace(FULL, publishers=frozenset({new}), subscribers=frozenset(), uris={"/move_base": new.uri})
+    state = side.graph.update(state)
     assert state.publishers == {new, SCAN}
     assert (state.subscribers, state.servers) == (frozenset(), FULL.servers)
 
 
 def test_a_registration_that_a_running_master_lost_stays_except_a_service(side):
     """A server that unregisters may leave its connections open."""
-    look = replace(FULL, publishers=frozenset({SCAN}), servers=frozenset())
-    state = side.graph.update(look)
+    state = replace(FULL, publishers=frozenset({SCAN}), servers=frozenset())
+    state = side.graph.update(state)
     assert (state.publishers, state.servers) == (FULL.publishers, frozenset())
     side.publishers = {SCAN}
-    assert side.graph.update(look) is look
+    assert side.graph.update(state) is state

@@ -57,89 +57,89 @@ def master():
 
 
 @pytest.fixture
-def looker(master):
+def reader(master):
     with node(**master.methods()) as uri:
         client = XmlRpcClient(uri, 5.0)
         with contextlib.closing(client):
             yield MasterReader(client, "/me")
 
 
-def test_a_complete_state(master, looker):
-    look = looker.look()
-    assert (look.network, look.run) == ("run", "run#42")
-    assert look.publishers == {Registration("/a", "/topic", "http://a:1/")}
-    assert look.subscribers == {Registration("/b", "/topic", "")}
-    assert look.servers == {Registration("/a", "/serve", "rosrpc://a:2")}
-    assert look.types == {"/topic": "std_msgs/String"}
-    assert look.presence == {}
-    assert looker.look() is look
+def test_a_complete_state(master, reader):
+    state = reader.read()
+    assert (state.network, state.run) == ("run", "run#42")
+    assert state.publishers == {Registration("/a", "/topic", "http://a:1/")}
+    assert state.subscribers == {Registration("/b", "/topic", "")}
+    assert state.servers == {Registration("/a", "/serve", "rosrpc://a:2")}
+    assert state.types == {"/topic": "std_msgs/String"}
+    assert state.presence == {}
+    assert reader.read() is state
     master.presence = [1, "", {"midspan": {"pid": 1}, "odd": 3}]
-    assert looker.look().presence == {"midspan": {"pid": 1}}
+    assert reader.read().presence == {"midspan": {"pid": 1}}
 
 
-def test_a_master_without_a_run_id(master, looker):
+def test_a_master_without_a_run_id(master, reader):
     master.run_id = [-1, "not set", 0]
-    assert looker.look().network == "http://master:11311/#42"
+    assert reader.read().network == "http://master:11311/#42"
 
 
-def test_a_node_that_registers_during_a_read(master, looker):
+def test_a_node_that_registers_during_a_read(master, reader):
     def arrive() -> None:
         master.nodes["/late"] = "http://late:1/"
         master.publishers = [["/topic", ["/a", "/late"]]]
 
     master.at_end = arrive
-    looker.look()
-    assert Registration("/late", "/topic", "http://late:1/") in looker.look().publishers
+    reader.read()
+    assert Registration("/late", "/topic", "http://late:1/") in reader.read().publishers
 
 
-def test_a_node_that_moved(master, looker):
-    looker.look()
+def test_a_node_that_moved(master, reader):
+    reader.read()
     master.nodes["/a"] = "http://a:2/"
-    assert looker.look().publishers == {Registration("/a", "/topic", "http://a:2/")}
+    assert reader.read().publishers == {Registration("/a", "/topic", "http://a:2/")}
 
 
-def test_a_services_address_is_looked_up_once(master, looker):
-    first = looker.look()
+def test_a_services_address_is_looked_up_once(master, reader):
+    first = reader.read()
     master.services["/more"] = ("/b", "rosrpc://b:3")
-    assert looker.look().servers == {*first.servers, Registration("/b", "/more", "rosrpc://b:3")}
+    assert reader.read().servers == {*first.servers, Registration("/b", "/more", "rosrpc://b:3")}
     assert master.lookups == ["/serve", "/more"]
     del master.services["/more"]
-    assert looker.look().servers == first.servers
+    assert reader.read().servers == first.servers
     master.services["/more"] = ("/b", "rosrpc://b:4")
-    assert Registration("/b", "/more", "rosrpc://b:4") in looker.look().servers, (
+    assert Registration("/b", "/more", "rosrpc://b:4") in reader.read().servers, (
         "a returning service may have another address"
     )
 
 
-def test_a_doubted_service_is_looked_up_again(master, looker):
-    first = looker.look()
-    looker.doubt("/serve")
-    assert looker.look() is first, "its address is unchanged"
+def test_a_doubted_service_is_looked_up_again(master, reader):
+    first = reader.read()
+    reader.doubt("/serve")
+    assert reader.read() is first, "its address is unchanged"
     master.services["/serve"] = ("/a", "rosrpc://a:7")
-    assert looker.look() is first, "a new address is not visible in a master's state"
-    looker.doubt("/serve")
-    assert looker.look().servers == {Registration("/a", "/serve", "rosrpc://a:7")}
+    assert reader.read() is first, "a new address is not visible in a master's state"
+    reader.doubt("/serve")
+    assert reader.read().servers == {Registration("/a", "/serve", "rosrpc://a:7")}
 
 
-def test_a_service_that_unregisters_during_a_read(master, looker):
+def test_a_service_that_unregisters_during_a_read(master, reader):
     master.services["/gone"] = ("/c", 5)
-    assert Registration("/c", "/gone", "") in looker.look().servers
+    assert Registration("/c", "/gone", "") in reader.read().servers
 
 
 @pytest.mark.parametrize(("topics", "least", "most"), [(1, 0.5, 0.5), (1500, 0.51, 1.99), (5000, 2.0, 2.0)])
-def test_a_master_with_a_large_state_is_read_less_often(master, looker, topics, least, most):
+def test_a_master_with_a_large_state_is_read_less_often(master, reader, topics, least, most):
     master.publishers = [[f"/a_topic_of_many/{number}", ["/a"]] for number in range(topics)]
-    looker.look()
-    assert least <= looker.pause(0.5) <= most
-    assert looker.pause(5.0) == 5.0
+    reader.read()
+    assert least <= reader.pause(0.5) <= most
+    assert reader.pause(5.0) == 5.0
 
 
 def test_an_unreachable_master_is_retried_at_the_normal_rate(master):
     master.publishers = [[f"/a_topic_of_many/{number}", ["/a"]] for number in range(5000)]
     with node(**master.methods()) as uri:
         client = XmlRpcClient(uri, 5.0)
-        looker = MasterReader(client, "/me")
-        looker.look()
+        reader = MasterReader(client, "/me")
+        reader.read()
     with contextlib.closing(client), pytest.raises(Ros1Error):
-        looker.look()
-    assert looker.pause(0.5) == 0.5
+        reader.read()
+    assert reader.pause(0.5) == 0.5

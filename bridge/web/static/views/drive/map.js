@@ -196,7 +196,7 @@ export class MapBlock {
   }
 
   /** Center the window on a place. */
-  look(x, y) {
+  center(x, y) {
     this.follow(false);
     this.moved = this.placed = true;
     Object.assign(this.view, { x, y, scale: Math.max(this.view.scale, 40) });

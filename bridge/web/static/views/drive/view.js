@@ -12,7 +12,7 @@ import { ask } from "../../lib/say.js";
 import { teleop } from "./teleop.js";
 import { isBusy, mood, stateWords } from "../../lib/words.js";
 
-/** Builds the view; `look` takes `x,y` to show on the map. */
+/** Builds the view; `navigate` takes `x,y` to show on the map. */
 export default function driveView(root, socket) {
   const heading = () => map.values.robot?.pose?.theta ?? 0;
   const tools = {
@@ -73,9 +73,9 @@ export default function driveView(root, socket) {
         socket.watch("patrol", doing.takePatrol)];
       map.show();
     },
-    look(rest) {
-      const look = rest.split(",").map(Number);
-      if (rest && look.length === 2 && look.every(Number.isFinite)) map.look(...look);
+    navigate(rest) {
+      const target = rest.split(",").map(Number);
+      if (rest && target.length === 2 && target.every(Number.isFinite)) map.center(...target);
     },
     hide() {
       for (const end of ends) end();

@@ -72,15 +72,15 @@ function locationTable(socket, current) {
 
 function actions(socket, current, { name }) {
   const go = button("Go", () => goToPlace(socket, name), { "aria-label": `Go to ${name}` });
-  const look = el("a", { class: "button", text: "Show", "aria-label": `Show ${name} on the map` });
+  const show = el("a", { class: "button", text: "Show", "aria-label": `Show ${name} on the map` });
   const changing = changes(socket, "location", name);
   return {
-    element: el("div", { class: "buttons" }, go, look, ...changing.elements),
+    element: el("div", { class: "buttons" }, go, show, ...changing.elements),
     update(place) {
       const here = current() === undefined || place.map === current();
       mark(go, "disabled", socket.mayDrive && here ? null : "");
-      mark(look, "href", here ? `#drive/${place.x},${place.y}` : null);
-      mark(look, "aria-disabled", here ? null : "true");
+      mark(show, "href", here ? `#drive/${place.x},${place.y}` : null);
+      mark(show, "aria-disabled", here ? null : "true");
       changing.update();
     },
   };
@@ -96,15 +96,15 @@ function changes(socket, kind, name) {
 }
 
 function shapeActions(socket, current, { of, name }) {
-  const look = el("a", { class: "button", text: "Show", "aria-label": `Show ${name} on the map` });
+  const show = el("a", { class: "button", text: "Show", "aria-label": `Show ${name} on the map` });
   const changing = changes(socket, of === "areas" ? "area" : "path", name);
   return {
-    element: el("div", { class: "buttons" }, look, ...changing.elements),
+    element: el("div", { class: "buttons" }, show, ...changing.elements),
     update({ map, points }) {
       const here = (current() === undefined || map === current()) && points.length > 0;
       const middle = [0, 1].map((axis) => points.reduce((sum, point) => sum + point[axis], 0) / points.length);
-      mark(look, "href", here ? `#drive/${middle.map((part) => part.toFixed(2))}` : null);
-      mark(look, "aria-disabled", here ? null : "true");
+      mark(show, "href", here ? `#drive/${middle.map((part) => part.toFixed(2))}` : null);
+      mark(show, "aria-disabled", here ? null : "true");
       changing.update();
     },
   };

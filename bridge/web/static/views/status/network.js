@@ -3,7 +3,7 @@
 import { el, mark, svg } from "../../lib/dom.js";
 
 const [WIDEST, HIGH, GAP, ROW] = [168, 48, 14, 92]; // pixels of a box, and between boxes
-const LETTER = 7.4; // pixels of one, about
+const LETTER = 7.4; // approximate width of a letter, pixels
 const GOOD = new Set(["running", "ready", "up", "ok"]);
 
 function short(text, wide) {

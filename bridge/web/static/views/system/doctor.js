@@ -11,20 +11,20 @@ export function doctorPart(socket) {
   const sum = el("span", { class: "count", role: "status" });
   const lists = el("div", { class: "findings" });
   const empty = el("p", { class: "empty", text: "The doctor checks the configuration, the daemon, all sides, the network and this machine. It changes nothing, and takes a few seconds." });
-  const look = button("Run checks", examine, { class: "primary" });
+  const run = button("Run checks", examine, { class: "primary" });
   const element = el("section", { class: "block", "aria-labelledby": "doctor-title" },
-    el("div", { class: "heading" }, el("h2", { text: "Doctor", id: "doctor-title" }), sum, look), empty, lists);
+    el("div", { class: "heading" }, el("h2", { text: "Doctor", id: "doctor-title" }), sum, run), empty, lists);
 
   async function examine() {
-    look.disabled = true;
+    run.disabled = true;
     write(sum, "Running checks …");
     try {
       fill(await socket.call("doctor"));
     } catch (error) {
       write(sum, error.message);
     } finally {
-      look.disabled = false;
-      look.textContent = "Run again";
+      run.disabled = false;
+      run.textContent = "Run again";
     }
   }
 

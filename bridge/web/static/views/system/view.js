@@ -7,7 +7,7 @@ import { logPart } from "./log.js";
 
 const PARTS = { log: ["Log", logPart], doctor: ["Doctor", doctorPart], config: ["Configuration", configPart] };
 
-/** Builds the view; `look` takes the name of a part. */
+/** Builds the view; `navigate` takes the name of a part. */
 export default function systemView(root, socket) {
   const made = {}; // name -> {element, show(), hide()}
   const links = Object.entries(PARTS).map(([name, [words]]) => el("a", { href: `#system/${name}`, text: words }));
@@ -21,8 +21,8 @@ export default function systemView(root, socket) {
   }
 
   return {
-    show() {}, // `look` follows
-    look(rest) {
+    show() {}, // `navigate` follows
+    navigate(rest) {
       const wanted = Object.hasOwn(PARTS, rest) ? rest : "log";
       if (wanted === shown) return;
       leave();

@@ -14,7 +14,7 @@ import { at, pathWords, Tree } from "./tree.js";
 const MOST_CURVES = 6;
 const MOST_TOPICS = 500;
 
-/** Builds the view; `look` takes the name of a topic, "services" or "service:" and the name of a service. */
+/** Builds the view; `navigate` takes the name of a topic, "services" or "service:" and the name of a service. */
 export default function topicsView(root, socket) {
   const topic = topicBlock(socket, (name) => topics.typesOf(name)[0]);
   const service = serviceBlock(socket);
@@ -26,7 +26,7 @@ export default function topicsView(root, socket) {
   let list = null;
   return {
     show() {},
-    look(name) {
+    navigate(name) {
       const isService = name === "services" || name.startsWith("service:");
       const wanted = isService ? services : topics;
       if (list !== wanted) {
