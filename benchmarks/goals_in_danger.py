@@ -2,8 +2,8 @@
 
 Real actionlib and rclpy programs on both ends, through the whole daemon, in both directions; each danger several times
 (default 10). A goal is good if its client receives exactly one end, and no other subscriber on its side receives two.
-If the client itself is killed, the other subscribers must receive the end. Printed are the number of good goals, their
-final states, and the seconds from the kill to the end; the rows contain the numbers.
+If the client itself is killed, the other subscribers must receive the end. The results are the number of good goals,
+their final states, and the seconds from the kill to the end; the rows contain the numbers.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A subscriber that reads one message per second from a fast stream: its cost for the daemon, and delays of others.
 
 On each side a program's callback takes a second for each message of a large stream from another side. A second program
-on the same side reads the same stream, and a small one, without such a pause. Printed are the daemon's peak memory, and
-the second program's lost messages and latency, with the slow program and (the peer's column) before it started.
+on the same side reads the same stream, and a small one, without such a pause. The results are the daemon's peak memory,
+and the second program's lost messages and latency, with the slow program and (the peer's column) before it started.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ def test_several_jumps_are_reported_each(watched: Clocks, caplog: pytest.LogCapt
 
 @pytest.mark.parametrize("slewed", [500e-6, -500e-6, 0.0833, -0.0833, 0.1005, -0.1005])
 @pytest.mark.parametrize("period", [S // 5, 3 * S, 600 * S])
-def test_slewing_is_no_jump(watched: Clocks, slewed: float, period: int) -> None:
+def test_slewing_is_not_a_jump(watched: Clocks, slewed: float, period: int) -> None:
     for _ in range(2000):
         watched.advance(period, slewed)
         assert watched.system.check() == 0
@@ -91,7 +91,7 @@ def test_a_suspended_machine_and_a_busy_one_are_no_jumps(watched: Clocks) -> Non
     assert watched.jumps == 1
 
 
-def test_a_jump_that_nobody_was_there_for_is_not_reported() -> None:
+def test_a_jump_before_the_first_observer_is_not_reported() -> None:
     clocks = Clocks()
     clocks.wall -= 3600 * S
     clocks.system.on_jump(clocks.count)

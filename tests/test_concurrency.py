@@ -88,7 +88,7 @@ def test_a_bounded_queue_takes_what_is_offered_only_where_there_is_room() -> Non
     assert not queue.offer(5, 1)
 
 
-def test_jobs_are_done_a_few_at_a_time_and_tell_their_end() -> None:
+def test_few_jobs_run_at_a_time_and_each_reports_its_end() -> None:
     pool, gate, begun = WorkerPool(2, "pool"), threading.Event(), threading.Semaphore(0)
 
     def held(number: int) -> int:

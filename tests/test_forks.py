@@ -47,7 +47,7 @@ def test_arguments_exit_code_and_output(start: Start) -> None:
     assert set(program.output().splitlines()) == {"one two", "bad"}
 
 
-def test_what_is_raised_is_told(start: Start) -> None:
+def test_exceptions_are_reported(start: Start) -> None:
     program = start("import no_such_module_anywhere")
     assert program.popen.wait(20) == 1
     assert "No module named 'no_such_module_anywhere'" in program.output()

@@ -57,7 +57,7 @@ class PublishedChannel(ABC):
         self.reason = ""  # why nothing is published, "" if it is
 
     @abstractmethod
-    def send(self, message: ClientMessage) -> None:  # nothing is published
+    def send(self, message: ClientMessage) -> None:
         """Publish a message; raises `NotPublishedError`."""
 
     def close(self) -> None:  # noqa: B027 - most have nothing to release
@@ -72,7 +72,7 @@ class RefusedChannel(PublishedChannel):
         self.reason, self.waits = reason, waits
 
     @override
-    def send(self, message: ClientMessage) -> None:  # nothing is published
+    def send(self, message: ClientMessage) -> None:
         """Count the message as dropped."""
         self.counters.dropped("unknown" if self.waits else "held")
 
@@ -139,7 +139,7 @@ class ClientTopic(PublishedChannel):
             raise NotPublishedError(str(err)) from None
 
     @override
-    def send(self, message: ClientMessage) -> None:  # nothing is published
+    def send(self, message: ClientMessage) -> None:
         """Check the message, and publish it unchanged."""
         try:
             cdr = self._coder.cdr(message.data)
@@ -164,7 +164,7 @@ class ClientVelocity(PublishedChannel):
         self._refusal = ""
 
     @override
-    def send(self, message: ClientMessage) -> None:  # nothing is published
+    def send(self, message: ClientMessage) -> None:
         """Drive at the message's velocity for a moment."""
         try:
             twist = self._coder.fields(self._coder.cdr(message.data))

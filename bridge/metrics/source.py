@@ -43,10 +43,10 @@ class Snapshot:
 
     Attributes:
         name: the daemon's name.
-            documents: of the workers and modules that answered.
-            daemon: the daemon's own document; None if it does not answer.
-            hub: whether the hub could be queried.
-            seconds: duration of the query.
+        documents: of the workers and modules that answered.
+        daemon: the daemon's own document; None if it does not answer.
+        hub: whether the hub could be queried.
+        seconds: duration of the query.
     """
 
     name: str

@@ -57,7 +57,7 @@ class RecordSection(Section):
 
     enabled: bool = setting(False, "Whether it runs.")
     topics: tuple[TopicGlob, ...] = setting(
-        ("/**",), "Topics, by name or glob as in rules; also those that the rules keep at home, where named in full."
+        ("/**",), "Topics, by name or glob as in rules; topics that the rules do not bridge must be named in full."
     )
     exclude: tuple[Expression, ...] = setting(
         (), "Regular expressions: topics in whose name one is found are left out."

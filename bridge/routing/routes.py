@@ -67,7 +67,7 @@ class EngineRoutes:
         return decisions
 
     def leave_network(self) -> None:
-        """Close the routes to the hub: their endpoints' network is unavailable, or was replaced by another."""
+        """Close the routes to the hub, because their network is unavailable or was replaced by another one."""
         self._services_to_hub.close(f"the {self._edge.side} network of the server is unavailable")
         self.topics_to_hub.close()
 

@@ -184,7 +184,7 @@ class LoopSearch:
         return [index for _, index in near[:_MOST_DIRECT]], self._chosen([candidate for _, candidate in far])
 
     def _chosen(self, far: list[Candidate]) -> list[Candidate]:
-        """Return the submap that is to be confirmed, or some of all by turns."""
+        """Return the candidates of the submap to confirm, or else some of all candidates in turn."""
         suspicion = self._suspicion
         if suspicion is not None:
             again = [candidate for candidate in far if candidate.submap == suspicion.closure.submap]

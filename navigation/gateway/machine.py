@@ -1,8 +1,8 @@
-"""The gateway's states, events and transitions, as tables; ARCHITECTURE.md draws them.
+"""The gateway's states, events and transitions, as tables; ARCHITECTURE.md shows them.
 
-Three machines hold the state of the gateway: of the planner (`PLANNER`), of the drive for one client
-(`DRIVE`), and of a stop or pause that has to be confirmed (`STOP`). An event that a state does not list leaves it as it
-is. `navigation.gateway.words` derives every answer to a client from these states.
+Three machines hold the state of the gateway: that of the planner (`PLANNER`), of the drive for one client (`DRIVE`),
+and of a stop or pause that has to be confirmed (`STOP`). An event that a state does not list changes nothing.
+`navigation.gateway.words` derives every answer to a client from these states.
 """
 
 from __future__ import annotations

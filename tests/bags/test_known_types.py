@@ -271,7 +271,7 @@ def test_rosbag_reads_types_that_nest_an_empty_type(tmp_path: Path) -> None:
     ]
 
 
-def test_an_empty_text_with_another_hash_is_no_definition(tmp_path: Path) -> None:
+def test_an_empty_text_with_another_hash_is_not_a_definition(tmp_path: Path) -> None:
     known = f"RIHS01_{ROS2.hash_rihs01(STRING).removeprefix('RIHS01_')}"
     for number, recorded in enumerate((known, "INVALID")):
         source = Recorded("/text", STRING, "", [CDR + b"\3\0\0\0hi\0"], {"topic_type_hash": recorded})

@@ -96,7 +96,7 @@ def test_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
     assert main(["config", "schema"]) == 130
 
 
-def test_closed_output_pipe_is_no_error() -> None:
+def test_closed_output_pipe_is_not_an_error() -> None:
     done = subprocess.run(
         ["sh", "-c", f"{shlex.quote(sys.executable)} -m bridge.cli.main config schema | head -n 1"],
         capture_output=True,

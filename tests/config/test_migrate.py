@@ -137,7 +137,7 @@ def test_a_format_to_come_is_refused_in_one_line() -> None:
         "ros2: {localhost_only: &it true, build: *it}\n",
     ],
 )
-def test_what_an_anchor_holds_is_left_and_said(old: str) -> None:
+def test_the_content_of_an_anchor_is_left_unchanged_and_reported(old: str) -> None:
     migration = migrate(old, FILE)
     assert migration.text == f"version: 1\n{old}"
     assert [problem.key for problem in migration.left] == ["ros2.build"]
@@ -176,7 +176,7 @@ def test_a_listener_without_certificates_and_beside_a_door() -> None:
 
 
 @pytest.mark.parametrize("text", ["- a\n", "text\n", "a: [\n", "a: 1\na: 2\n"])
-def test_what_is_no_configuration_is_refused(text: str) -> None:
+def test_a_file_that_is_not_a_configuration_is_refused(text: str) -> None:
     with pytest.raises(ConfigError):
         migrate(text, FILE)
 

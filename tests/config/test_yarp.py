@@ -54,7 +54,7 @@ def test_what_is_taken() -> None:
     assert (second.form, second.brings) == ("natural", False)
 
 
-def test_what_was_said_is_told_from_defaults_after_a_way_through_json() -> None:
+def test_set_keys_are_distinguished_from_defaults_after_a_json_round_trip() -> None:
     assert not Config.model_validate_json(Config().model_dump_json(by_alias=True)).yarp.configured
     parsed = loads("yarp: {poll: 1}")
     assert Config.model_validate_json(parsed.model_dump_json(by_alias=True)).yarp.configured

@@ -63,7 +63,7 @@ def test_a_release_restarts_nothing_and_what_leads_elsewhere_does() -> None:
         assert other.reload(new)
 
 
-def test_what_a_peer_told_itself_outweighs_the_rules() -> None:
+def test_what_a_peer_disclosed_itself_overrides_the_rules() -> None:
     generations = YarpSection.model_validate({"peers": RULES}).generations()
     generations.introduced("/old/one")
     assert generations.of("/old/one").generation is Generation.YARP_4
@@ -73,6 +73,6 @@ def test_what_a_peer_told_itself_outweighs_the_rules() -> None:
 @pytest.mark.parametrize(
     "section", [{"release": "2.3"}, {"release": "new"}, {"peers": [{"port": "/a", "release": ""}]}]
 )
-def test_what_is_no_release_is_refused(section: dict[str, Any]) -> None:
+def test_an_invalid_release_is_refused(section: dict[str, Any]) -> None:
     with pytest.raises(ValidationError, match=r"is not a supported version of YARP: give one from 3\.6 on"):
         YarpSection.model_validate(section)

@@ -10,7 +10,7 @@ from tests.support.wait import until
 STRING = "std_msgs/String"
 
 
-def test_junk_on_the_hub_is_counted_and_the_route_goes_on(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_junk_on_the_hub_is_counted_and_the_route_continues(side: Side, bridge: Bridge, far: HubSide) -> None:
     peer = side.peer()
     subscription = peer.subscribe("/maybe_junk", STRING)
     out = far.advertise("/maybe_junk", STRING)

@@ -108,7 +108,7 @@ def test_transforms_that_are_not_latched_pass_beside_static_ones(side: Side, bri
     assert _frames(_late_tf(far, "/robot/tf")) == ["fixed"]
 
 
-def test_a_program_that_advertises_anew_without_latching_and_with(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_a_program_that_advertises_again_without_latching_and_with(side: Side, bridge: Bridge, far: HubSide) -> None:
     peer = side.peer()
     for latched, text in ((True, "kept"), (False, "heard"), (True, "retained again")):
         out = peer.advertise("/mode", STRING, latched=latched, depth=1)

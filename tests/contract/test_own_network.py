@@ -11,7 +11,7 @@ from tests.contract.ownside import Node, free_group
 from tests.support.wait import until
 
 
-def test_latched_heard_both_ways_comes_once() -> None:
+def test_a_latched_message_that_arrives_by_two_paths_is_delivered_once() -> None:
     """Received live and from the cache, in either order; an older message after a newer one is dropped."""
     group = free_group()
     received: list[str] = []

@@ -149,7 +149,7 @@ def test_only_a_running_worker_is_reported_as_running(daemon: Daemon) -> None:
 
 
 class _Slow:
-    """A worker whose process is killed in time, and exits shortly after the last check of its group."""
+    """A worker whose killed process exits only after the supervisor has last checked its process group."""
 
     name, pid, is_service, phase = "slow", 1, False, Phase.STOPPING
 

@@ -113,7 +113,7 @@ def test_a_listener_replaces_the_file_of_a_dead_one(tmp_path: Path) -> None:
     "content", ["", "rest", "[]", "{}", '["x", 1, 2]', "[1, 2]", "[99999999, 1, 2]", "\xff", "[0, 1, 2]"]
 )
 @pytest.mark.usefixtures("_transport")
-def test_a_file_without_an_address_is_no_listener(tmp_path: Path, content: str) -> None:
+def test_a_file_without_an_address_is_not_a_listener(tmp_path: Path, content: str) -> None:
     (tmp_path / "socket").write_text(content, encoding="latin-1")
     with pytest.raises(OSError, match=r"."):
         local_socket.connect(tmp_path / "socket", 1.0)

@@ -67,7 +67,7 @@ def test_native_nodes_of_the_hub() -> None:
     ]
 
 
-def test_midspan_itself_is_no_node_of_a_release() -> None:
+def test_midspan_itself_is_not_a_node_of_a_release() -> None:
     view = hub({**side(), "zid": "ab"}, endpoints=[native("midspan_console")])
     assert only(releases.check_releases(around(hub=view))).seen == "no ROS 2 node found"
 

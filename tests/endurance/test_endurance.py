@@ -85,7 +85,7 @@ def settled(deployment: Deployment, before: Census | None) -> Census:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_a_slow_subscriber_uses_bounded_memory_and_delays_no_other(deployment: Deployment, side: str) -> None:
+def test_a_slow_subscriber_uses_bounded_memory_and_does_not_delay_others(deployment: Deployment, side: str) -> None:
     """It reads one message per second of a 40 MB/s stream; one side at a time, because two cores carry only one."""
     (slow,) = slow_consumer.measure(deployment, [side], rate=40.0, seconds=4.0, alone=1.0)
     small, big = slow.beside[slow_consumer.SMALL], slow.beside[slow_consumer.BIG]

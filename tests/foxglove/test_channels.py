@@ -136,7 +136,7 @@ def test_the_second_type_of_a_topic_is_refused_and_reported(desk: Desk) -> None:
         assert "offered with the type std_msgs/msg/String" in refused[0]["reason"]
 
 
-def test_a_client_that_never_reads_delays_no_other_and_has_a_bounded_backlog(desk: Desk) -> None:
+def test_a_client_that_never_reads_does_not_delay_others_and_has_a_bounded_backlog(desk: Desk) -> None:
     publisher = desk.publisher("/blob", "std_msgs/String")
     with desk.app() as app, desk.app(max_queue=1, close_timeout=0.1) as deaf:
         app.subscribe("/blob")

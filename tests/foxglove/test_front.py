@@ -225,7 +225,7 @@ def test_the_number_of_clients_is_limited(desk: Desk, monkeypatch: pytest.Monkey
         app.until(lambda: app.texts, "there is room again")
 
 
-def test_a_client_that_reads_nothing_is_disconnected_and_delays_no_other(
+def test_a_client_that_reads_nothing_is_disconnected_and_does_not_delay_others(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(front, "STILL_SECONDS", 2.0)

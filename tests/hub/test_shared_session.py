@@ -255,7 +255,7 @@ PATIENT = {
 
 
 def test_stalled_reader_does_not_block_other_nodes(network: HubNetwork) -> None:
-    """It is sent by one node. Another one's samples, which that reader is to get too, reach others meanwhile."""
+    """Samples from another node, which the stalled reader must get too, reach the other readers meanwhile."""
     settings, read, ended = replace(network.settings("x"), shared_memory=False), threading.Event(), threading.Event()
     with (
         Hub.open(replace(settings, node="stands")) as stands,

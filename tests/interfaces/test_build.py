@@ -122,7 +122,7 @@ def test_a_cache_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         build(TINY, tmp_path / "file")
 
 
-def test_activate_tells_what_was_imported_before(built: Path) -> None:
+def test_activate_names_packages_that_were_imported_before(built: Path) -> None:
     code = f"""
 import sys
 from pathlib import Path

@@ -52,7 +52,7 @@ def test_a_package_of_services_or_actions(tmp_path: Path, kind: str) -> None:
     assert read_folders([package]) == read_folders([package / kind]) == {"my_srvs": {f"{kind}/Ask.{kind}": "uint8 a\n"}}
 
 
-def test_a_package_that_is_given_twice_is_named(tmp_path: Path) -> None:
+def test_a_package_given_by_two_folders_is_refused(tmp_path: Path) -> None:
     package = write(tmp_path / "my_msgs", "msg/One.msg")
     with pytest.raises(BuildError, match="my_msgs is given twice"):
         read_folders([package, package / "msg"])

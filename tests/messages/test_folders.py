@@ -166,7 +166,7 @@ def test_a_package_has_its_own_name_in_any_folder(tmp_path: Path, path: str) -> 
 
 
 @pytest.mark.parametrize("text", ["int32 a\n", "# words\r\nint32 a\r\n"])
-def test_a_byte_order_mark_is_no_part_of_a_definition(tmp_path: Path, text: str) -> None:
+def test_a_byte_order_mark_is_not_part_of_a_definition(tmp_path: Path, text: str) -> None:
     files = {"Outer": f"\ufeff{text}", "Ask": f"\ufeff---\n{text}", "Go": f"\ufeff---\n---\n{text}"}
     package_registry = registry(tmp_path, files)
     assert (

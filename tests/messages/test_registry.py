@@ -187,7 +187,7 @@ def test_ros1_goes_to_the_definition_that_others_use():
     assert registry.ros1_to_hub("my_msgs/Thing").target != registry.ros2("my_msgs/msg/Thing")
 
 
-def test_types_of_ros1_alone_are_derived():
+def test_types_that_exist_only_in_ros1_are_derived():
     registry = Registry()
     registry.learn_ros1(
         "old_pkg/my_thing",

@@ -266,25 +266,25 @@ def test_goals_abort_when_their_server_closes(two: Two, monkeypatch: pytest.Monk
     assert "left" in reason
 
 
-def test_a_cancellation_by_time_covers_goals_of_before_the_clock_was_set_back(two: Two) -> None:
+def test_cancel_by_time_includes_goals_accepted_before_the_clock_was_set_back(two: Two) -> None:
     now = [1_790_000_000_000_000_000]
     two.server.clock = RunClock(system=SystemClock(lambda: now[0], poll=0))
     served = Served(two)
     client = two.client.action_client("/lookup", LOOKUP)
-    until(lambda: client.ready, "there is a server")
+    until(lambda: client.ready, "the action is available")
     early, late = Sent(two, client, "wait"), None
-    until(lambda: early.goal.accepted, "it is accepted")
+    until(lambda: early.goal.accepted, "the early goal is accepted")
     now[0] -= 3_600_000_000_000
     until_ns = now[0] + 1_000_000_000
     now[0] += 2_000_000_000
     late = Sent(two, client, "wait")
-    until(lambda: late.goal.accepted, "it is accepted")
+    until(lambda: late.goal.accepted, "the late goal is accepted")
     cancel = two.client.client(CANCEL_GOAL, "action_msgs/srv/CancelGoal")
-    until(lambda: cancel.ready, "it can be asked")
+    until(lambda: cancel.ready, "the cancel_goal service is available")
     codes: list[Any] = []
     stamp = {"sec": until_ns // 10**9, "nanosec": 0}
     cancel.call({"goal_info": {"goal_id": {"uuid": [0] * 16}, "stamp": stamp}}, codes.append)
-    until(lambda: codes, "it is answered")
+    until(lambda: codes, "the request has a reply")
     wanted = {goal.id: goal.cancel_wanted for goal in served.goals}
     assert wanted == {early.goal.id: True, late.goal.id: False}
     two.on(two.server, lambda: [goal.canceled() for goal in served.goals])

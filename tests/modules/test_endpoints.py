@@ -64,7 +64,7 @@ def test_message_is_built_only_for_subscribers(node: ModuleNode, far: HubSide) -
         publisher.offer(lambda: make("you"))
         return far.wait(received, 1, 0.2)
 
-    assert until(arrived, "it is heard")[0] == {"data": "you"}
+    assert until(arrived, "the message arrives")[0] == {"data": "you"}
     assert set(created) == {"you"}
     assert publisher.counters.bytes > 0
 

@@ -185,7 +185,7 @@ def test_a_changed_yarp_release_applies_without_a_restart(place: Place) -> None:
     assert not place.worker.reload(place.config(echo(), yarp=another_network)), "the ports need a restart"
 
 
-def test_a_module_that_cannot_start_affects_no_other_and_is_started_again(place: Place) -> None:
+def test_a_module_that_cannot_start_does_not_affect_others_and_is_restarted(place: Place) -> None:
     subscription = place.far.subscribe("/said", STRING)
     bad = [
         {"name": "nowhere", "factory": "tests.modules.nowhere:Module"},

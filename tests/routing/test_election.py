@@ -200,7 +200,7 @@ def test_the_successor_takes_over_and_keeps(world: World, hubs: str, known_gone:
 
 
 @pytest.mark.parametrize("hubs", ["hh", "ij"])
-def test_one_worker_of_the_active_daemon_dies_alone(world: World, hubs: str) -> None:
+def test_only_one_worker_of_the_active_daemon_dies(world: World, hubs: str) -> None:
     workers = ring(world, hubs)
     world.until(lambda: world.reached() == pairs("XY"), 5)
     victim = next(w for w in workers if w.active and w.network == "X" and (hubs == "hh" or w.election.outcome.carried))
@@ -259,7 +259,7 @@ def test_other_sessions_of_its_own_network_are_not_carried(world: World) -> None
     assert not first.election.outcome.carried | second.election.outcome.carried
 
 
-def test_unheard_daemon_delays_activation_for_a_limited_time() -> None:
+def test_unreachable_daemon_delays_activation_for_a_limited_time() -> None:
     election, unheard = Election("a", "A"), Sighting("?", None, 10.0)
     for now, active in ((10.0, False), (10.0 + UNKNOWN - 0.1, False), (10.0 + UNKNOWN, True)):
         election.turn(now, int(now * NS), [unheard], HubView(), settled=True)

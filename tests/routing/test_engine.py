@@ -35,7 +35,7 @@ class SlowEdge(FakeEdge):
         return super().endpoints()
 
 
-def test_busy_loop_is_no_suspension(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_busy_loop_is_not_a_suspension(monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands that arrive during the creation of hundreds of routes would count as old, and be dropped."""
     beats, beat = list[None](), StallDetector.beat
     monkeypatch.setattr(StallDetector, "beat", lambda detector: beats.append(beat(detector)))

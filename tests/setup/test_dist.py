@@ -40,7 +40,7 @@ from tests.support.wait import until
 
 COMPILED, PURE, COMPAT = "midspan-*-cp311-abi3-manylinux*.whl", "midspan-*-none-any.whl", "yarp_compat-*-none-any.whl"
 INNER = ("packaging/debian/", "packaging/yarp_compat/")
-"""Files that build packages are in no distribution."""
+"""Folders with files for building packages, which no distribution contains."""
 
 MODULES = (kernels.SHARED, *kernels.C_MODULES, *kernels.KERNELS)
 
@@ -67,7 +67,7 @@ def test_each_module_is_in_one_distribution(tmp_path: Path) -> None:
     assert not list(midspan.rglob("*.so")), "no compiled files"
 
 
-def test_a_change_that_matches_not_exactly_one_place_is_rejected() -> None:
+def test_a_replacement_must_match_exactly_once() -> None:
     with pytest.raises(ValueError, match="2 times"):
         dist.replaced("a = 1\na = 1\n", "a = 1", "a = 2")
 
@@ -288,10 +288,10 @@ def test_midspan_runs_from_its_wheel(files: Sequence[Path], wheel: str, tmp_path
     assert "topic" in environment.run("midspan", "--help")
     share = environment.folder / "share" / "midspan"
     assert environment.run("midspan", "config", "check", share / "configs" / "default.yaml")
-    kernels_told = environment.run("midspan", "doctor", "--only", "kernels", code=0 if wheel == COMPILED else 1)
-    assert ("all kernels are compiled" in kernels_told) == (wheel == COMPILED)
-    assert ("not compiled" in kernels_told) == (wheel == PURE)
-    assert ("--no-binary midspan" in kernels_told) == (wheel == PURE)
+    findings = environment.run("midspan", "doctor", "--only", "kernels", code=0 if wheel == COMPILED else 1)
+    assert ("all kernels are compiled" in findings) == (wheel == COMPILED)
+    assert ("not compiled" in findings) == (wheel == PURE)
+    assert ("--no-binary midspan" in findings) == (wheel == PURE)
     environment.run("midspan", "install", "--root", environment.folder / "root")
     unit = (environment.folder / "root/etc/systemd/system/midspan.service").read_text(encoding="utf-8")
     assert str(environment.bin / "midspan") in unit

@@ -147,7 +147,7 @@ def test_apt_is_not_called_again_for_unavailable_packages(tmp_path: Path) -> Non
     assert not machine.called("apt-get")
 
 
-def test_a_system_without_rospy_is_told_once_and_gets_nothing_else_of_ros1(tmp_path: Path) -> None:
+def test_a_system_without_rospy_is_reported_once_and_gets_no_ros1_packages(tmp_path: Path) -> None:
     machine = Machine(tmp_path)
     ubuntu = {"NOT_INSTALLED": "g++ python3-rospy python3-std-msgs", "NOT_IN_ARCHIVE": "python3-rospy"}
     done = machine.setup(**ubuntu)

@@ -132,10 +132,10 @@ def test_lookups_wait_for_transforms_until_their_time_limit(served: Served) -> N
 
 
 def test_a_clock_that_is_set_back_ends_waiting_lookups(served: Served) -> None:
-    wait_for_waiting = served.lookup("map", "base", timeout=SECOND)
+    ends = served.lookup("map", "base", timeout=SECOND)
     served.wait_for_waiting()
     served.set_time(5 * S)
-    assert result(wait_for_waiting)["error"]["error"] == 1
+    assert result(ends)["error"]["error"] == 1
 
 
 def test_a_waiting_lookup_is_canceled(served: Served) -> None:

@@ -222,7 +222,7 @@ def test_each_command_is_logged_with_its_client(guarded: GuardedDesk, caplog: py
     assert DRIVE[0] not in caplog.text
 
 
-def test_a_wrong_token_blocks_no_other_client(
+def test_a_wrong_token_does_not_block_others_client(
     guarded: GuardedDesk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(access, "FIRST_WAIT", 30.0)
@@ -273,7 +273,7 @@ def guesser(monkeypatch: pytest.MonkeyPatch) -> Guesser:
     return Guesser(monkeypatch)
 
 
-def test_a_wrong_token_waits_longer_each_time_and_delays_no_other(guesser: Guesser) -> None:
+def test_a_wrong_token_waits_longer_each_time_and_does_not_delay_others(guesser: Guesser) -> None:
     for wait in (1, 2, 4, 8, 16, 32, 60, 60):
         assert guesser.wait("a", "old") == 0
         guesser.now += 0.01

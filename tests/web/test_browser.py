@@ -710,7 +710,7 @@ import("./lib/socket.js").then(({ Socket }) => {
 """
 
 
-def test_a_feed_that_ends_during_drawing_blocks_no_other(operator: Operator) -> None:
+def test_a_feed_that_ends_during_drawing_does_not_block_others(operator: Operator) -> None:
     """Like received transforms that make the page watch another pose."""
     address = operator.robot.address.replace("http", "ws", 1).rstrip("/") + "/socket"
     try:

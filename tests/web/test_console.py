@@ -518,7 +518,7 @@ def test_the_number_of_watched_feeds_is_limited(desk: Desk) -> None:
         assert "at most 64 feeds" in page.errors()[0]
 
 
-def test_an_unknown_feed_is_refused_and_affects_no_other(desk: Desk) -> None:
+def test_an_unknown_feed_is_refused_and_does_not_affect_others(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         page.watch("topics", "nothing:of this name")
         page.until(page.errors, "the feed is refused")

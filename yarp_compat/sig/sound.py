@@ -130,7 +130,10 @@ class Sound(Comparable, Portable):
     # parts
 
     def subSound(self, first: int | str, length: int | str) -> Self:
-        """Return ``length`` samples from ``first`` on, as in 4.0 (in 3.x to the second one), or between two markers."""
+        """Return ``length`` samples from ``first`` on, or the samples between two markers.
+
+        YARP 3.x takes the second argument as the end instead of the length.
+        """
         if isinstance(first, str) or isinstance(length, str):
             begin = self._place(first, 0)
             first, length = begin, self._place(length, self.getSamples() - 1) - begin + 1

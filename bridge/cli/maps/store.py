@@ -1,4 +1,4 @@
-"""A verb's access to the store over the hub: the copy of the configured daemon, else that of another."""
+"""A verb's access to the store over the hub: the copy of the configured daemon, or else another daemon's."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def open_stored(args: argparse.Namespace) -> Iterator[tuple[CliClient, StoreClie
 
 
 def store_of(client: CliClient) -> StoreClient:
-    """Find the store of the configured daemon, or of another; raises `CliError` with the reason if there is none."""
+    """Find the store of the configured daemon, or of another one; raises `CliError` with the reason if none exists."""
     try:
         return StoreClient(client.hub.keyspace(prefix(client.config.hub.domain)), client.config.name)
     except StoreError as err:

@@ -91,7 +91,7 @@ def _stop_itself(client: CliClient, types: Types, why: str) -> int:
         raise CliError(f"{why}\n{text}{unsure}")
     if unsure:
         raise CliError(f"{why}{unsure}")
-    print(f"the gateway is not there; {planner} itself was asked: {plural(cancel.found, 'goal')} canceled")
+    print(f"the gateway is not running; {planner} itself was asked: {plural(cancel.found, 'goal')} canceled")
     return 0
 
 

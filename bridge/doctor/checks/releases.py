@@ -1,4 +1,4 @@
-"""Which DDS and which ROS 2 release do the nodes have, and what do mixtures of them lose?"""
+"""Reports the DDS and the ROS 2 release of each node, and what does not work between different ones."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from bridge.status import Middleware
 from bridge.text import listed
 
 _CURE_HASHES = (
-    "nothing to do if their message packages have the same definitions as this machine's; others are to get another"
-    " name by a rule"
+    "nothing to do if their message packages have the same definitions as this machine's; otherwise rename their topics"
+    " by a rule"
 )
 _CURE_MEMORY = "nothing to do: messages between Fast DDS 2 and Fast DDS 3 use UDP, at a lower rate for large ones"
 

@@ -1,8 +1,9 @@
 """Shared memory: other users' Fast DDS, too little space, leftovers of dead processes.
 
 Fast DDS 2 creates segments ``fastrtps_<16 hex>`` and ports ``fastrtps_port<n>``, Fast DDS 3 ``fastdds_...``; neither
-uses the other's. Their users hold a lock (flock) on the file ``<name>_el``. zenoh 1.10 creates ``<number>.zenoh`` and
-locks the file itself. On Linux ``/proc/locks`` lists the locked files, also those of other users (verified for both).
+uses files of the other. Their users hold a lock (flock) on the file ``<name>_el``. zenoh 1.10 creates
+``<number>.zenoh`` and locks the file itself. On Linux ``/proc/locks`` lists the locked files, also those of other users
+(verified for both).
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ def check_users(context: CheckContext) -> Findings:
         return skip("ROS 2 over shared memory is not used here")
     mine = {_daemons_user(context)}
     living = [f for f in shared_files(context.shm, context.proc) if f.fast_dds and f.held]
-    used = {f.maker for f in living if f.uid in mine}  # nothing without a running worker: then any
+    used = {f.maker for f in living if f.uid in mine}  # empty without a running worker; then any maker counts
     others = {f.uid for f in living if not used or f.maker in used} - mine
     if not others:
         return ok("one user only")

@@ -78,7 +78,7 @@ def _map_services(context: CheckContext) -> list[Finding]:
 def _of_map_server(context: CheckContext, route: RefusedRoute) -> bool:
     """Whether a service is refused since a side's own map server has it, and a Map2DServer that takes maps from sides.
 
-    Then each answers on its own side, with the same map, and neither is to be renamed.
+    Then each answers on its own side, with the same map, and neither needs another name.
     """
     servers = [document for document in context.hub.documents if document.worker == "map2d_server"]
     takers = {server.zid for server in servers if (server.model_extra or {}).get("taken")}

@@ -55,7 +55,7 @@ class _Number:
     def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:  # noqa: ARG002
         values = _bottle(source)
         if len(values) != 1 or not isinstance(values[0], int | float):
-            raise ConversionError(f"the Bottle is to be one number: {to_text(values)[:80]}")
+            raise ConversionError(f"the Bottle must be one number: {to_text(values)[:80]}")
         value = values[0]
         if self._base == "bool":
             if value not in (0, 1):

@@ -214,7 +214,7 @@ def test_a_response_is_xml_whatever_its_texts_contain(text: str):
     assert decode_response(encode_responses([[text]], LIMITS)) == [[value[0]]]
 
 
-def test_the_rest_of_a_body_that_is_longer_than_announced_is_no_request(served: Served):
+def test_the_rest_of_a_body_that_is_longer_than_announced_is_not_a_request(served: Served):
     with served.connect() as sock, sock.makefile("rb") as responses:
         sock.sendall(b"POST / HTTP/1.1\r\nContent-Length: %d\r\n\r\n" % len(ADD) + ADD + b"<more/>\r\n\r\n")
         assert b"200" in responses.readline()
@@ -350,7 +350,7 @@ def test_many_large_half_requests_do_not_prevent_others(served: Served):
         assert b"<int>3</int>" in served.post(ADD)
 
 
-def test_a_method_that_blocks_delays_no_other(served: Served, proxy: xmlrpc.client.ServerProxy):
+def test_a_method_that_blocks_does_not_delay_others(served: Served, proxy: xmlrpc.client.ServerProxy):
     with ThreadPoolExecutor(1) as pool, xmlrpc.client.ServerProxy(served.uri) as other:
         waiting = pool.submit(other.wait)
         assert served.waiting.wait(20)
@@ -359,7 +359,7 @@ def test_a_method_that_blocks_delays_no_other(served: Served, proxy: xmlrpc.clie
         assert waiting.result(20) == 1
 
 
-def test_a_client_that_reads_nothing_delays_no_other(served: Served, proxy: xmlrpc.client.ServerProxy):
+def test_a_client_that_reads_nothing_does_not_delay_others(served: Served, proxy: xmlrpc.client.ServerProxy):
     body = xmlrpc.client.dumps(("x" * 90_000,), "echo").encode()
     request = b"POST / HTTP/1.1\r\nContent-Length: %d\r\n\r\n" % len(body) + body
     with served.connect() as sock:

@@ -104,7 +104,7 @@ def test_chosen_fields_and_an_empty_reply(place: Place, robot: Robot) -> None:
     assert cleared
 
 
-def test_slow_call_blocks_no_other_and_is_abandoned_when_its_client_leaves(place: Place, robot: Robot) -> None:
+def test_slow_call_does_not_block_others_and_is_abandoned_when_its_client_leaves(place: Place, robot: Robot) -> None:
     server = robot.node.server("/lamp", BOOL, robot.switch)
     place.bridge()
     slow = connect_client(place, "/midspan/lamp/rpc")

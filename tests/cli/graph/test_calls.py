@@ -230,6 +230,6 @@ def test_values_of_several_words_are_refused_with_a_cure_that_works(words: list[
     assert type_and_values(cured)[1] == " ".join(values)
 
 
-def test_a_word_before_the_values_that_is_no_type_is_refused() -> None:
+def test_a_word_before_the_values_that_is_not_a_type_is_refused() -> None:
     with pytest.raises(CliError, match="'SetBool' is not a type"):
         type_and_values(["SetBool", "{data: true}"])

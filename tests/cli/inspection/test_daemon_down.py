@@ -50,7 +50,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
 
 @pytest.fixture(scope="module")
 def dead(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[RobotDaemon, str]]:
-    """A daemon that was killed with SIGKILL while its router lives, and what is to be reported of it."""
+    """A daemon that was killed with SIGKILL while its router lives, and the expected report."""
     robot = RobotDaemon(tmp_path_factory.mktemp("dead"))
     robot.run()
     robot.until_phase("modules", "running")

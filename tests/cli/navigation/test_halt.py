@@ -84,7 +84,7 @@ def test_halt_stops_everything(midspan: Midspan, network: HubNetwork, robot: Rob
     done = midspan("halt", "--seconds", "1")
     assert done.code == 0, done
     assert done.out.splitlines() == [
-        "/cmd_vel: zero velocity, 1 listener on the hub",
+        "/cmd_vel: zero velocity, 1 subscriber on the hub",
         "base_control of robot1: stands still",
         "/lookup: 2 goals canceled",
     ]
@@ -310,7 +310,7 @@ def test_of_two_bases_with_one_name_the_one_that_moves_counts(
 
 
 @pytest.mark.parametrize("value", [None, {}, {"halted": False}, "halted"])
-def test_an_answer_that_does_not_confirm_the_halt_is_no_success(
+def test_an_answer_that_does_not_confirm_the_halt_is_not_a_success(
     midspan: Midspan, monkeypatch: pytest.MonkeyPatch, value: object
 ) -> None:
     def answers(_client: Client, verb: str, *_args: Any, **_more: Any) -> list[WorkerAnswer]:
@@ -330,7 +330,7 @@ def test_halt_over_a_slow_network(midspan: Midspan, network: HubNetwork, registr
         until(lambda: midspan("topic", "list").out.split() == ["/cmd_vel"], "the router knows it")
         slow.delay = 0.15
         done = midspan("halt", "--seconds", "0.5", "--router", f"tcp/127.0.0.1:{slow.port}")
-        assert (done.code, done.out) == (0, "/cmd_vel: zero velocity, 1 listener on the hub\n"), done
+        assert (done.code, done.out) == (0, "/cmd_vel: zero velocity, 1 subscriber on the hub\n"), done
         until(lambda: received, "zero is heard")
 
 

@@ -442,7 +442,7 @@ def test_stop_reaches_the_planner_without_a_gateway(network: HubNetwork, tmp_pat
         goal = planner.until(1)
         outcome = midspan("nav", "stop")
         assert (outcome.code, outcome.err) == (0, "")
-        assert "the gateway is not there; move_base itself was asked: 1 goal canceled" in outcome.out
+        assert "the gateway is not running; move_base itself was asked: 1 goal canceled" in outcome.out
         assert client_goal.end()[0] == "CANCELED"
         assert not goal.active
     finally:

@@ -197,7 +197,7 @@ def test_doctor_finds_a_key_that_does_not_fit(folder: Path) -> None:
     assert (result, seen.startswith(f"{folder / 'robot1.key'} cannot be used: ")) == (Result.FAIL, True)
 
 
-def test_doctor_tells_who_takes_no_commands(folder: Path) -> None:
+def test_doctor_names_machines_that_refuse_commands(folder: Path) -> None:
     def router(daemon: str, name: str, *, trusted: bool) -> dict[str, Any]:
         return {"daemon": daemon, "worker": "router", "machines": [{"name": name, "trusted": trusted}]}
 
@@ -217,7 +217,7 @@ def test_doctor_warns_before_the_end(folder: Path, days: int, expected: Result) 
     assert read_certificate(folder / "robot1.pem").until > datetime.now(UTC) + timedelta(days=days - 1)
 
 
-def test_an_expired_one_is_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_expired_certificate_is_reported(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Authority(folder).issue("robot1", days=-1, replace=True)
     assert looked_at(folder)[0][0] is Result.FAIL
     assert run(folder, "show") == 1

@@ -99,7 +99,7 @@ def test_servers_and_clients_are_on_the_graph(network: HubNetwork) -> None:
         until(lambda: not b.graph.servers() and not a.graph.clients(), "gone")
 
 
-def test_a_slow_call_delays_no_other(network: HubNetwork) -> None:
+def test_a_slow_call_does_not_delay_others(network: HubNetwork) -> None:
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         serving = Serving(a, answer=lambda request: None if request == b"slow" else b"quick")
         caller = client(b)

@@ -20,7 +20,7 @@ from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
 
-def test_stalled_reader_blocks_no_other(network: HubNetwork, tmp_path: Path) -> None:
+def test_stalled_reader_does_not_block_others(network: HubNetwork, tmp_path: Path) -> None:
     lane, count = str(tmp_path), 6000
     with Hub.open(network.settings("writer", lane=lane)) as writer, network.hub_peer("reader", lane=lane) as reader:
         publisher = advertise(writer, "/t")

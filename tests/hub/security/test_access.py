@@ -119,7 +119,7 @@ def test_command_rule_requires_a_type() -> None:
     assert [rule.index for rule in untyped(RoutingSection.model_validate({"rules": rules}))] == [0, 1]
 
 
-def test_without_tls_nobody_is_trusted_by_name() -> None:
+def test_without_tls_no_machine_is_trusted_by_name() -> None:
     door = OpenSection(listen=("tcp/0.0.0.0:7448",), insecure=True)
     rules = access_control(door, RoutingSection(), ["lo"])
     assert rules["subjects"] == [{"id": "here", "interfaces": ["lo"]}, {"id": "others"}]

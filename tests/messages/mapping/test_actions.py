@@ -272,7 +272,7 @@ def folders(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_an_action_of_ros1_alone_is_derived(folders: Path):
+def test_an_action_that_exists_only_in_ros1_is_derived(folders: Path):
     registry = Registry(folders=[folders])
     assert registry.ros1("my_acts/count_upActionGoal").definition.startswith("Header header\n")
     service = registry.service_ros1_to_hub("my_acts/action/count_up_SendGoal")
@@ -283,7 +283,7 @@ def test_an_action_of_ros1_alone_is_derived(folders: Path):
     assert files["action/CountUp.action"].startswith("int32 order\nbuiltin_interfaces/Time until\n---\nbool DONE=1\n")
 
 
-def test_an_action_known_from_headers_alone_is_derived(folders: Path):
+def test_an_action_known_only_from_headers_is_derived(folders: Path):
     """A connection header has the type that wraps a goal, with the goal nested in it."""
     topics = Registry(folders=[folders]).ros1_action("my_acts/count_up")
     registry = Registry()

@@ -167,7 +167,7 @@ def folders(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_service_of_ros1_alone_is_derived(folders: Path):
+def test_a_service_that_exists_only_in_ros1_is_derived(folders: Path):
     registry = Registry(folders=[folders])
     from_ros1 = registry.service_ros1_to_hub("my_srvs/ask_me")
     assert from_ros1.hub.name == "my_srvs/srv/AskMe"
@@ -183,7 +183,7 @@ def test_a_service_of_ros1_alone_is_derived(folders: Path):
     assert files["srv/AskMe.srv"].split("---\n")[1].startswith("uint8 YES=1\nbuiltin_interfaces/Time at")
 
 
-def test_a_service_of_ros2_alone_is_derived(tmp_path: Path):
+def test_a_service_that_exists_only_in_ros2_is_derived(tmp_path: Path):
     folder = tmp_path / "my_srvs" / "srv"
     folder.mkdir(parents=True)
     (folder / "Ask.srv").write_text("string<=5 question 'why'\n---\nbuiltin_interfaces/Time at\nint32[<=2] marks\n")

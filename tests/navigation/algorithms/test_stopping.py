@@ -125,7 +125,7 @@ class TestNotFinite:
                     module.ahead(np.zeros((1, 3)), 1, *pose, 0.0, 1.2, 0.3, 0.3, 0.4, np.empty(6))
 
     @pytest.mark.parametrize("place", [2, 3, 4, 5])
-    def test_a_size_or_an_acceleration_that_is_none_lets_nobody_go(self, module, place):
+    def test_an_invalid_size_or_acceleration_permits_no_motion(self, module, place):
         wall, has = np.array([(0.45, 0.0, 0.0)]), np.array((0.3, 0.0, 0.0))
         for odd in (math.nan, math.inf):
             numbers = [REACTION, BRAKING, TURNING, RADIUS, SLOW, FAST, TOP]

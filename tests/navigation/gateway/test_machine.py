@@ -95,7 +95,7 @@ SITUATIONS = [
 ]  # fmt: skip
 
 
-def test_no_report_says_that_the_robot_stands_while_its_base_moves() -> None:
+def test_no_report_claims_a_standing_robot_while_its_base_moves() -> None:
     """With a goal that may be executing, a moving base is always reported as moving."""
     checked = 0
     for now in SITUATIONS:
@@ -112,7 +112,7 @@ def test_no_report_says_that_the_robot_stands_while_its_base_moves() -> None:
     assert checked > 1000
 
 
-def test_a_goal_that_is_not_released_is_no_end() -> None:
+def test_a_goal_that_is_not_released_is_not_an_end() -> None:
     for now in SITUATIONS:
         if now.drive in (DriveState.PAUSING, DriveState.STOPPING, DriveState.LOST, DriveState.JUDGING):
             assert derive(now).state not in ENDED, now

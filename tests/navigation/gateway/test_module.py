@@ -244,7 +244,7 @@ def test_goals_of_the_planners_own_clients_are_reported_and_can_be_stopped(rig: 
     rig.state(State.IDLE)
 
 
-def test_a_planner_that_exits_with_a_goal_of_its_own_client_is_no_success(rig: Rig) -> None:
+def test_a_planner_that_exits_with_a_goal_of_its_own_client_is_not_a_success(rig: Rig) -> None:
     client_goal = ClientGoal(rig.client, pose(1.0))
     rig.planner.reach(rig.planner.until(1))
     assert client_goal.end()[0] == "SUCCEEDED"

@@ -167,7 +167,7 @@ def test_a_base_that_stood_before_the_request_does_not_confirm_the_stop(base: Ba
     base.until(StopState.CONFIRMED, 0.5)
 
 
-def test_a_standing_base_confirms_the_stop_alone_once_the_planner_is_late(base: Base) -> None:
+def test_a_standing_base_confirms_the_stop_if_the_planner_is_late(base: Base) -> None:
     base.order.ask("it was stopped")
     base.speed = 0.0
     base.run(OVERRIDE_SECONDS + STANDING_SECONDS - 2 * TICK)

@@ -139,7 +139,7 @@ class Asked(Record):
         self.abandoned += 1
 
     def wait(self, count: int = 1, seconds: float = 40.0, since: int = 0) -> list[tuple[bytes, Done]]:
-        """Return all requests so far, each with what replies to it; fails if ``count`` do not arrive in time."""
+        """Return all requests so far, each with the function that replies; fails if ``count`` do not arrive in time."""
         requests = super().wait(count, seconds, since)
         assert len(self.items) >= count, f"{len(self.items)} of {count} arrived"
         return requests

@@ -1,4 +1,4 @@
-"""What the tests of the lane share."""
+"""Helpers for tests of the lane."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from tests.support.wait import until
 
 
 def subscription(heard: Subscriber) -> LaneSubscription:
-    """A subscription that has a lane."""
+    """Return a subscriber's subscription, which has a lane."""
     assert isinstance(heard.subscription, LaneSubscription)
     return heard.subscription
 
 
 def goes_by(heard: Subscriber, way: str, why: str = "") -> None:
-    """Wait until all comes one way, and for a reason."""
+    """Wait until all messages use this transport, for a reason that contains ``why``."""
     chosen = subscription(heard)
 
     def so() -> bool:
@@ -31,7 +31,7 @@ def goes_by(heard: Subscriber, way: str, why: str = "") -> None:
 
 
 def whole(texts: list[str]) -> None:
-    """Numbers came without a gap, none twice, in order."""
+    """Check that the numbers are complete and in order, without duplicates."""
     numbers = [int(text) for text in texts]
     missing = sorted(set(range(numbers[0], numbers[-1] + 1)) - set(numbers))
     twice = sorted(number for number, count in Counter(numbers).items() if count > 1)

@@ -1,4 +1,4 @@
-"""Squares driven by a program of one side: its commands and odometry cross only that side."""
+"""Squares driven by a program on one side, whose commands and odometry pass through that side only."""
 
 from __future__ import annotations
 

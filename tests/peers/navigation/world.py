@@ -42,7 +42,7 @@ _TIMED = (
 )  # fmt: skip
 
 NOTICE = 0.6
-"""Seconds by which a report may lag when the base begins to move, for a goal that the planner has not listed yet."""
+"""Seconds for which a report may be outdated after the base starts to move for a goal that the planner lists later."""
 
 ENDED = frozenset((State.IDLE, State.PAUSED, State.ABORTED))
 

@@ -278,7 +278,7 @@ def test_one_worker_of_a_network_offers_a_service_and_another_takes_over(place: 
     until(lambda: len(place.far.graph.servers("/do")) == 1, "by exactly one worker")
 
 
-def test_a_planners_goal_is_cancelled_when_its_client_dies_but_no_other_action(place: Place) -> None:
+def test_only_planner_goals_are_canceled_when_their_client_dies(place: Place) -> None:
     """The gateway's process is killed: no other program knows the goal, so none could stop the robot."""
     hub = Hub.open(place.hubs.settings("gateway"))
     cancels = {action: _goal(place, hub, action) for action in ("/planner/nav2/navigate_to_pose", "/arm/move")}
@@ -288,7 +288,7 @@ def test_a_planners_goal_is_cancelled_when_its_client_dies_but_no_other_action(p
     assert request["goal_info"]["stamp"] == {"sec": 0, "nanosec": 0}
     until(
         lambda: place.row("/arm/move/_action/get_result")["abandoned"] == 1,
-        "the other result request is cancelled",
+        "the other result request is canceled",
     )
     assert cancels["/arm/move"].requests(1, 0) == []
 

@@ -72,7 +72,7 @@ def test_a_newer_value_replaces_a_waiting_one(calls: NodeCalls, node: FakeNode):
     ]  # fmt: skip
 
 
-def test_nodes_that_never_answer_delay_no_other_and_are_called_again(calls: NodeCalls, other: FakeNode):
+def test_nodes_that_never_answer_do_not_delay_others_and_are_called_again(calls: NodeCalls, other: FakeNode):
     silent = [FakeNode() for _ in range(20)]
     try:
         for node in silent:

@@ -131,7 +131,7 @@ def test_a_malformed_header_closes_the_connection(bench: Bench, data: bytes) -> 
     assert bench.greet(topic="/a") == {"topic": "/a"}
 
 
-def test_500_silent_clients_cost_no_thread_and_delay_nobody(bench: Bench) -> None:
+def test_500_silent_clients_cost_no_thread_and_delay_no_other_client(bench: Bench) -> None:
     before = threading.active_count()
     silent = [bench.connect(b"\x10\0\0\0half"[: n % 9]) for n in range(500)]
     until(lambda: len(bench.server._open) == 500, "all are connected")
@@ -195,7 +195,7 @@ def test_accepting_pauses_without_descriptors(bench: Bench, monkeypatch: pytest.
     assert len(attempts) >= 3
 
 
-def test_a_closed_server_accepts_nobody(bench: Bench) -> None:
+def test_a_closed_server_accepts_no_connection(bench: Bench) -> None:
     bench.server.close()
     bench.server.close()
     with pytest.raises(ConnectionRefusedError):

@@ -102,7 +102,7 @@ def test_a_process_without_fast_dds_does_not_count(table: Table, strangers: Call
     assert strangers(prefix(1))
 
 
-def test_a_process_with_another_major_version_of_fast_dds_is_no_stranger(
+def test_a_process_with_another_major_version_of_fast_dds_is_not_a_stranger(
     table: Table, strangers: Callable[..., bool]
 ) -> None:
     """Fast DDS 3 is not offered the shared memory of Fast DDS 2, so all of its messages cross by UDP."""
@@ -111,7 +111,7 @@ def test_a_process_with_another_major_version_of_fast_dds_is_no_stranger(
     assert strangers.watch.on_other_major() == 1  # type: ignore[attr-defined]
 
 
-def test_another_users_fast_dds_of_another_major_version_is_no_stranger(
+def test_another_users_fast_dds_of_another_major_version_is_not_a_stranger(
     table: Table, strangers: Callable[..., bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     table.add(4711)
