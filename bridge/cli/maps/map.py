@@ -1,4 +1,4 @@
-"""``midspan map``: list, use, show, import, export, delete and edit-flags of the maps in the store."""
+"""``midspan map``: list, use, show, import, export, delete and edit-flags of the maps in the store, and explore."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from rich.table import Table
 
 from bridge.cli.arguments import add_verb, add_verbs
-from bridge.cli.maps import files, flags, map3d, show
+from bridge.cli.maps import explore, files, flags, map3d, show
 from bridge.cli.maps.store import missing, open_stored
 from bridge.cli.output import CliError, print_json
 from bridge.stores.kinds import MAP, MAP3D
@@ -28,6 +28,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     show.register(verbs)
     files.register_map_files(verbs)
     flags.register(verbs)
+    explore.register(verbs)
     delete = add_verb(verbs, "delete", _delete, "delete a map", "Deletes a map from the store, on all machines.")
     delete.add_argument("name", help="the map's name")
     delete.add_argument("--3d", dest="three", action="store_true", help="the one in three dimensions")
