@@ -149,7 +149,7 @@ class Bag(ABC):
         """Yield the same as `messages`, in blocks."""
         return in_columns(self.messages(topics, start_ns, end_ns))
 
-    def skip_damage(self, told: Callable[[BagError], None]) -> None:  # noqa: B027 - a file of SQLite cannot
+    def skip_damage(self, on_damage: Callable[[BagError], None]) -> None:  # noqa: B027 - a file of SQLite cannot
         """Skip damaged data from now on, and report it, if the rest is readable without it."""
 
     @abstractmethod

@@ -85,7 +85,7 @@ class Copied:
 
 Convert = Callable[[bytes], bytes]
 
-Told = Callable[[int, int], None]
+OnProgress = Callable[[int, int], None]
 """Receives the progress: messages and bytes so far."""
 
 
@@ -95,7 +95,7 @@ def _quiet(_messages: int, _data: int) -> None:
 
 def convert(
     bag: Bag, target: Path, kind: Kind, registry: Registry, choice: BagSelection = BagSelection(),
-    compression: str = "", *, skip_unknown: bool = False, skip_bad: bool = False, told: Told = _quiet,
+    compression: str = "", *, skip_unknown: bool = False, skip_bad: bool = False, on_progress: OnProgress = _quiet,
 ) -> Copied:  # fmt: skip
     """Copy a bag into any format, by the bridge's conversions between ROS 1 and ROS 2.
 
@@ -133,13 +133,13 @@ def convert(
     with written_whole(target, kind) as making:
         usual = compression or COMPRESSIONS[kind][0]
         columns = _columns(bag, list(forms), choice)
-        _copy(bag, _writer(making, kind, usual), forms, columns, done, skip_bad=skip_bad, told=told)
+        _copy(bag, _writer(making, kind, usual), forms, columns, done, skip_bad=skip_bad, on_progress=on_progress)
     return done
 
 
 def cut(
     bag: Bag, target: Path, choice: BagSelection = BagSelection(), compression: str = "", *, mend: bool = False,
-    told: Told = _quiet,
+    on_progress: OnProgress = _quiet,
 ) -> Copied:  # fmt: skip
     """Copy a part of a bag into the same format, its messages and types as they are.
 
@@ -162,10 +162,10 @@ def cut(
         if isinstance(bag, McapBag):
             copier = McapCopy(making, compression or usual, bag)
             if not (mend or choice.names or choice.latched):
-                _copy_chunks(bag, copier, choice, compression or usual, done, told)
+                _copy_chunks(bag, copier, choice, compression or usual, done, on_progress)
                 return done
         writer = copier if isinstance(bag, McapBag) else _writer(making, bag.kind, compression or usual)
-        _copy(bag, writer, forms, _mended(columns, done.damage) if mend else columns, done, told=told)
+        _copy(bag, writer, forms, _mended(columns, done.damage) if mend else columns, done, on_progress=on_progress)
     done.damage[:] = {str(err): err for err in done.damage}.values()  # a chunk that was read twice is listed twice
     return done
 
@@ -181,7 +181,7 @@ def _check_sound(bag: Bag) -> None:
 
 
 def _copy_chunks(
-    bag: McapBag, copier: McapCopy, choice: BagSelection, compression: str, done: Copied, told: Told
+    bag: McapBag, copier: McapCopy, choice: BagSelection, compression: str, done: Copied, on_progress: OnProgress
 ) -> None:
     """Copy all channels, even those of other encodings; chunks within the times stay compressed."""
     start = 0 if choice.start_ns is None else choice.start_ns
@@ -203,7 +203,7 @@ def _copy_chunks(
                     copier.write(*block.lists())
                     done.messages += len(block.table)
                     done.data += int(block.table[:, 4].sum())
-            told(done.messages, done.data)
+            on_progress(done.messages, done.data)
         copier.finish()
     except BaseException:
         copier.abandon()
@@ -237,7 +237,7 @@ def _latched(bag: Bag, topics: list[BagTopic], start_ns: int) -> list[BagMessage
 
 def _copy(
     bag: Bag, writer: BagWriter, forms: dict[BagTopic, TopicForm], columns: Iterator[Columns], done: Copied,
-    *, skip_bad: bool = False, told: Told,
+    *, skip_bad: bool = False, on_progress: OnProgress,
 ) -> None:  # fmt: skip
     try:
         places = {topic: writer.add(topic, form) for topic, form in forms.items()}
@@ -254,7 +254,7 @@ def _copy(
                 for topic, count in Counter(some.topics).items():
                     if topic.name in done.undefined:
                         done.undefined[topic.name].messages += count
-            told(done.messages, done.data)
+            on_progress(done.messages, done.data)
         writer.finish()
     except BaseException:
         writer.abandon()

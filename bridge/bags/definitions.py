@@ -7,7 +7,7 @@ Facts about rosbags 0.11 (typesys/msg.py and store.py, highlevel/anyreader.py):
 
 - In ``ros2msg`` it reads each name without ``/msg/`` or ``/action/`` as a message, so a type of a service, such as
   ``my_robot/srv/Ask_Event``, can only be decoded from ``ros2idl``.
-- It completes a name of one word by the folder of the type that nests it, also by ``pkg/action``.
+- It prefixes a type name of one word with the folder of the type that contains it, even if that is ``pkg/action``.
 - It hashes ``char`` under a type id of its own, whereas rosidl hashes a ``.msg`` file's ``char`` as ``uint8``.
 - It refuses a whole ``.db3`` if the hash of one stored definition differs from the type's hash.
 
@@ -144,8 +144,8 @@ def _part_of_file(type_name: str, base: str, contents: tuple[str, ...], sections
 def without_char(schema: Schema) -> Schema:
     """Return the same types with ``uint8`` for ``char``, which ROS 2 serializes and hashes alike.
 
-    An author's text that names a type in three words is generated again, since ``.msg`` files have two; that of a part
-    of an action, since there a name of one word would be of ``pkg/action``.
+    Two kinds of original text are replaced by generated text: one that names a type in three words, since ``.msg``
+    files have two, and that of a part of an action, since rosbags would prefix a name of one word with ``pkg/action``.
     """
     types = {name: _plain(definition) for name, definition in schema.types.items()}
     return Schema(types[schema.name], types)

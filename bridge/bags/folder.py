@@ -124,13 +124,13 @@ class FilesBag(Bag):
             yield message._replace(topic=self._topic_of[message.topic])
 
     @override
-    def skip_damage(self, told: Callable[[BagError], None]) -> None:
+    def skip_damage(self, on_damage: Callable[[BagError], None]) -> None:
         """See `Bag.skip_damage`: if a file cannot skip its damage, the rest of it is left out."""
-        self._on_damage = told
+        self._on_damage = on_damage
         for err in self._broken:
-            told(err)
+            on_damage(err)
         for part in self._parts:
-            part.skip_damage(told)
+            part.skip_damage(on_damage)
 
     @override
     def close(self) -> None:

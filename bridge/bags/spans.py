@@ -111,9 +111,9 @@ class SpanBag(Bag):
             return Rows(b"", new_table(0)[:0])
 
     @override
-    def skip_damage(self, told: Callable[[BagError], None]) -> None:
+    def skip_damage(self, on_damage: Callable[[BagError], None]) -> None:
         """See `Bag.skip_damage`: a damaged piece is left out."""
-        self._on_damage = told
+        self._on_damage = on_damage
 
     @override
     def close(self) -> None:

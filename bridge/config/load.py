@@ -27,8 +27,9 @@ MADE_BY_US: frozenset[KeyPath] = frozenset({("state",), ("record", "folder")})
 def find(environ: Mapping[str, str] = os.environ) -> Path | None:
     """Return the file to use when the caller names none; None for all defaults.
 
-    It is the first that exists of ``$MIDSPAN_CONFIG`` (also if it does not exist), ``./midspan.yaml``,
-    ``$XDG_CONFIG_HOME/midspan/midspan.yaml`` (by default ``~/.config``), and ``/etc/midspan/midspan.yaml``.
+    It is ``$MIDSPAN_CONFIG`` if that is set, even if the file does not exist; otherwise the first existing file of
+    ``./midspan.yaml``, ``$XDG_CONFIG_HOME/midspan/midspan.yaml`` (by default ``~/.config``) and
+    ``/etc/midspan/midspan.yaml``.
     """
     named = environ.get("MIDSPAN_CONFIG")
     if named:

@@ -70,7 +70,7 @@ class LimitsSection(Section):
     message: int = setting(
         256,
         "Megabytes (1,048,576 bytes) of the largest message, on every side and both ways. Larger ones are refused and"
-        " counted as `large`; everything else flows on.",
+        " counted as `large`; all others are bridged.",
         ge=1,
         le=256,
     )
@@ -90,13 +90,13 @@ class LogSection(Section):
 class Config(Section):
     """Midspan's configuration."""
 
-    # not sent to workers: one of an earlier version uses the keys that it knows
+    # not sent to workers, so that a worker of an earlier release can use the keys that it knows
     version: int = setting(
-        FORMAT, "Format of this file; `midspan config migrate` brings an older one here.", ge=1, exclude=True
+        FORMAT, "Format of this file; `midspan config migrate` updates older files.", ge=1, exclude=True
     )
     name: Annotated[str, Field(pattern=DAEMON_NAME)] = Field(
         default_factory=lambda: re.sub(r"[^A-Za-z0-9_.-]", "-", socket.gethostname())[:63] or "midspan",
-        description="Name of this daemon; default the machine's at the first start, which the state folder keeps.",
+        description="Name of this daemon; by default the machine's at the first start, stored in the state folder.",
     )
     state: Path | None = setting(
         None, "State folder; default $STATE_DIRECTORY, $XDG_STATE_HOME/midspan or ~/.local/state/midspan."

@@ -69,7 +69,7 @@ def made_rules(section: NavigationSection) -> Iterator[MadeRule]:
 
 
 def _lifecycle_rules(of: str, planner: Planner) -> Iterator[MadeRule]:
-    """Yield the rules of a planner's lifecycle managers, and of the states of its nodes, which else are private."""
+    """Yield the rules of a planner's lifecycle managers, and of its nodes' states, which are private otherwise."""
     for manager in planner.managers:
         yield _rule(of, kind="service", topic=f"{manager}/*", from_=planner.side)
     if planner.lifecycle_nodes:

@@ -52,7 +52,7 @@ class RoomDrive:
     reached: bool
     off: float
     seconds: float
-    said: str
+    output: str
 
 
 @dataclass

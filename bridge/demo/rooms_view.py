@@ -99,4 +99,4 @@ class RoomsView:
 
 def _row(drive: RoomDrive) -> tuple[Text, ...]:
     mark = Text("ok", style="green") if drive.reached else Text("NO", style="bold red")
-    return mark, *map(Text, (drive.client, drive.room, f"{drive.seconds:.0f}", f"{drive.off:.2f} m", drive.said))
+    return mark, *map(Text, (drive.client, drive.room, f"{drive.seconds:.0f}", f"{drive.off:.2f} m", drive.output))

@@ -19,7 +19,7 @@ from typing import Any
 
 import foxglove
 
-from bridge.adapters.ros1.parameters.values import NOT_SET, ParameterType, ParameterValue, UnsayableError, to_ros2
+from bridge.adapters.ros1.parameters.values import NOT_SET, ParameterType, ParameterValue, UnrepresentableError, to_ros2
 from bridge.client.services import ServiceClient
 from bridge.foxglove.server import FoxgloveServer
 from bridge.foxglove.visitors import Visitors
@@ -167,7 +167,7 @@ class Parameters:
             node, name, before = self._find(full)
             try:
                 by_node.setdefault(node, {})[name] = value_of_kind(value, before)
-            except UnsayableError as err:
+            except UnrepresentableError as err:
                 self._warn(f"{full}: {err}")
         by_node.pop("", None)
         left = set(by_node)
@@ -238,7 +238,7 @@ class Parameters:
 
 
 def value_of_kind(value: Any, before: ParameterValue) -> ParameterValue:
-    """Convert a client's value to the parameter's type; raises `UnsayableError`."""
+    """Convert a client's value to the parameter's type; raises `UnrepresentableError`."""
     return to_ros2(xmlrpc.client.Binary(value) if isinstance(value, bytes) else value, before.kind)
 
 

@@ -34,21 +34,21 @@ class RingSection(Section):
     """Keep only the last minutes, and write them to a file on a trigger."""
 
     seconds: float = setting(0.0, "Seconds that are kept; 0: no ring, all is kept.", ge=0.0, le=86400.0)
-    size: int = setting(2048, "Megabytes of them at most.", ge=16, le=1 << 20)
+    size: int = setting(2048, "Maximum size of the ring, megabytes.", ge=16, le=1 << 20)
 
 
 class KeepSection(Section):
     """How much the folder holds; the oldest recordings make room for new ones."""
 
     size: int = setting(10_240, "Megabytes of all recordings in the folder; 0: no limit.", ge=0, le=1 << 30)
-    files: int = setting(0, "Recordings (files, or what a trigger wrote) at most; 0: no limit.", ge=0, le=100_000)
+    files: int = setting(0, "Most recordings (files, or folders of kept rings); 0: no limit.", ge=0, le=100_000)
 
 
 class TriggerSection(Section):
     """Triggers that write the ring to a file, in addition to `midspan record --daemon trigger`."""
 
     topics: tuple[TopicName, ...] = setting((), "A message on one of these topics.", max_length=64)
-    halt: bool = setting(True, "`midspan halt`, and the console's.")
+    halt: bool = setting(True, "`midspan halt`, and a halt in the console.")
     goals: bool = setting(True, "A goal of the gateway that failed.")
 
 
@@ -60,15 +60,15 @@ class RecordSection(Section):
         ("/**",), "Topics, by name or glob as in rules; topics that the rules do not bridge must be named in full."
     )
     exclude: tuple[Expression, ...] = setting(
-        (), "Regular expressions: topics in whose name one is found are left out."
+        (), "Regular expressions; topics whose names contain a match are left out."
     )
     sides: tuple[SideName, ...] = setting(
         (), "Record only topics of these sides, including those that do not cross; default: all topics on the hub."
     )
     folder: Path | None = setting(None, "Where files are written; default `recordings` in the state folder.")
-    compression: Literal["zstd", "lz4", "none"] = setting("zstd", "Of the file's chunks.")
+    compression: Literal["zstd", "lz4", "none"] = setting("zstd", "Compression of the file's chunks.")
     queue: int = setting(128, "Megabytes of messages that wait to be written at most.", ge=1, le=4096)
     split: SplitSection = subsection(SplitSection, "When it continues in another file.")
-    ring: RingSection = subsection(RingSection, "Whether only the last minutes are kept.")
+    ring: RingSection = subsection(RingSection, "Keep only the last minutes.")
     keep: KeepSection = subsection(KeepSection, "How much the folder holds.")
     trigger: TriggerSection = subsection(TriggerSection, "Triggers that write the ring.")

@@ -66,10 +66,10 @@ class WebSection(ServerSection):
         " [reverse proxies](console_proxy.md).",
     )
     tokens: dict[PersonName, TokenSection] = setting(
-        {}, 'Who gets in by a token, by name: `anna: {role: drive, sha256: "..."}`; with one, loopback has TLS, too.'
+        {}, 'Tokens by name: `anna: {role: drive, sha256: "..."}`; with one, connections on loopback use TLS as well.'
     )
     trusted: tuple[Annotated[str, Field(min_length=1, max_length=64)], ...] = setting(
-        (), "Who may drive by a certificate of the same authority, by the name in it; with any other one may watch."
+        (), "Names in certificates of the same authority whose owners may drive; owners of all others may watch."
     )
     laser: OptionalTopic = setting("/scan", 'Topic of the laser that the map shows; "": none.')
     layer: OptionalTopic = setting(

@@ -33,7 +33,7 @@ class TakenMap(Section):
     topic: TopicName = Field(description="The topic (`nav_msgs/msg/OccupancyGrid`) on the hub: `/map`.")
     name: str = Field(min_length=1, max_length=64, description="The map's name in the store.")
     use: bool = setting(True, "Whether each map that arrives becomes the current one.")
-    period: float = setting(2.0, "Seconds between two maps that are taken, at least.", ge=0.0, le=3600.0)
+    period: float = setting(2.0, "Minimum seconds between two imported maps.", ge=0.0, le=3600.0)
 
 
 class Map2DServerSection(ModuleSection):
@@ -51,7 +51,8 @@ class Map2DServerSection(ModuleSection):
     current: str = setting("", "The current map until a client chooses one.")
     frame: FrameName = setting("map", "The frame of all maps and markers.")
     take: tuple[TakenMap, ...] = setting(
-        (), "Maps of other servers and mappers for the store. The server does not publish `/map` that it takes."
+        (),
+        "Maps of other servers and mappers to import into the store. The server does not publish an imported `/map`.",
     )
     clicked_point: _PointName = setting(
         "", 'Points of `/clicked_point` become locations of the current map, with this name and a number; "": none do.'

@@ -168,7 +168,7 @@ def test_a_failed_write_leaves_nothing(registry: Registry, tmp_path: Path) -> No
     big = long_mcap(tmp_path / "big.mcap", 100, 5000)
     for name in ("b.bag", "b.mcap", "b.db3", "folder"):
         with pytest.raises(KeyboardInterrupt):
-            copied(big, tmp_path / name, registry, told=interrupt)
+            copied(big, tmp_path / name, registry, on_progress=interrupt)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "big.mcap", "there.bag"]
     assert (tmp_path / "there.bag").read_text() == "mine"
 

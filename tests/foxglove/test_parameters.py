@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.ros1.parameters.values import ParameterType, ParameterValue, UnsayableError
+from bridge.adapters.ros1.parameters.values import ParameterType, ParameterValue, UnrepresentableError
 from bridge.foxglove.parameters import value_of_kind
 from bridge.hub.endpoints.calls import Abandon, Done, nothing
 from bridge.messages.values import ServiceCodec
@@ -170,5 +170,5 @@ def test_values_are_converted_to_the_parameters_type(value: Any, kind: Parameter
 
 @pytest.mark.parametrize("value", [{"a": 1}, [1, "x"], None, 1 << 70])
 def test_values_without_a_ros_type_are_refused(value: Any) -> None:
-    with pytest.raises(UnsayableError):
+    with pytest.raises(UnrepresentableError):
         value_of_kind(value, ParameterValue(ParameterType.INTEGER, 1))

@@ -54,7 +54,7 @@ class World:
         return [Sighting("b", record.encode(), self.now)]
 
     def run(self, seconds: float) -> None:
-        """Turn by turn."""
+        """Run the watch for a time, in steps of 0.1 s."""
         for _ in range(round(seconds / 0.1)):
             self.now += 0.1
             self.watch.turn()
@@ -96,8 +96,8 @@ def test_lone_worker_keeps_its_routes_until_others_are_known(monkeypatch: pytest
     world.settled = False
     world.asked.clear()
     world.run(0.5)
-    assert len(world.asked) == 1, "it stood still once"
-    assert world.watch.lease.over, "nothing crosses before it is known who is there"
+    assert len(world.asked) == 1, "the watch was suspended once"
+    assert world.watch.lease.over, "nothing is bridged until the other workers are known"
     assert world.watch.outcome == replace(before, waiting=world.watch.outcome.waiting)
     assert world.watch.outcome.waiting
     world.settled = True

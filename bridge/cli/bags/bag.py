@@ -19,7 +19,7 @@ from bridge.text import clean, duration, make_console, plural, rate, size
 
 if TYPE_CHECKING:
     from bridge.bags.bag import Bag, BagTopic
-    from bridge.bags.copy import BagSelection, Copied, Told
+    from bridge.bags.copy import BagSelection, Copied, OnProgress
 
 _NS = 1_000_000_000
 _UNIX = 1e8
@@ -227,7 +227,7 @@ def _convert(args: argparse.Namespace) -> int:
         with _progress(bag) as on_progress:
             done = convert(
                 bag, args.out, kind, registry, choice, args.compression or "",
-                skip_unknown=args.skip_unknown, skip_bad=args.skip_bad, told=on_progress,
+                skip_unknown=args.skip_unknown, skip_bad=args.skip_bad, on_progress=on_progress,
             )  # fmt: skip
         if bag.trouble is not None:
             done.damage.append(bag.trouble)
@@ -255,7 +255,7 @@ def _cut_or_mend(args: argparse.Namespace, *, mend: bool) -> int:
         choice = BagSelection() if mend else _choice(args, bag)
         begun = time.monotonic()
         with _progress(bag) as on_progress:
-            done = cut(bag, args.out, choice, args.compression or "", mend=mend, told=on_progress)
+            done = cut(bag, args.out, choice, args.compression or "", mend=mend, on_progress=on_progress)
         if bag.trouble is not None and not mend:
             done.damage.append(bag.trouble)
     _report(args, done, time.monotonic() - begun)
@@ -263,7 +263,7 @@ def _cut_or_mend(args: argparse.Namespace, *, mend: bool) -> int:
 
 
 @contextmanager
-def _progress(bag: Bag) -> Iterator[Told]:
+def _progress(bag: Bag) -> Iterator[OnProgress]:
     """Show a progress bar on standard error, if that is a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn

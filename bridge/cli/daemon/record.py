@@ -256,14 +256,15 @@ def _follow(recording: Recording, duration: float | None, ended: threading.Event
             return
 
 
-def _print(told: dict[str, Any]) -> None:
-    for topic in told["topics"]:
+def _print(summary: dict[str, Any]) -> None:
+    for topic in summary["topics"]:
         dropped = sum(topic["dropped"].values())
         drops = f", {dropped} dropped" if dropped else ""
         print(f"{clean(topic['topic'])} ({clean(topic['type'])}): {topic['messages']} messages{drops}")
-    drops = ", ".join(f"{count} {clean(reason)}" for reason, count in told["dropped"].items())
+    drops = ", ".join(f"{count} {clean(reason)}" for reason, count in summary["dropped"].items())
     print(
-        f"{told['file']}: {told['messages']} messages, {size(told['bytes'])}" + (f"; dropped: {drops}" if drops else "")
+        f"{summary['file']}: {summary['messages']} messages, {size(summary['bytes'])}"
+        + (f"; dropped: {drops}" if drops else "")
     )
-    if told["error"]:
-        print(f"it ended early: {clean(told['error'])}", file=sys.stderr)
+    if summary["error"]:
+        print(f"it ended early: {clean(summary['error'])}", file=sys.stderr)

@@ -152,7 +152,7 @@ def _waypoints(client: CliClient, types: Types) -> list[dict[str, Any]]:
     return Navigation(client, types).path(gateway_status(client).other(GatewayKeys).planner)
 
 
-def _draw(client: CliClient, told: dict[str, Any], way: list[dict[str, Any]], args: argparse.Namespace) -> int:
+def _draw(client: CliClient, status: dict[str, Any], path: list[dict[str, Any]], args: argparse.Namespace) -> int:
     """Draw the map, given the newest ``NavigationStatus`` and the path as ``PoseStamped``."""
     # the other verbs of the navigation need no maps
     from bridge.cli.maps.location import robot_pose
@@ -162,7 +162,7 @@ def _draw(client: CliClient, told: dict[str, Any], way: list[dict[str, Any]], ar
     navigation = client.config.navigation
     grid = named_map(store_of(client), None)
     places: dict[str, Map2DLocation] = {}
-    frame, x, y, theta = place_of(told["goal"])
+    frame, x, y, theta = place_of(status["goal"])
     if frame in (navigation.frame, grid.name):
         places["goal"] = Map2DLocation(grid.name, round(x, 2), round(y, 2), round(theta))
     try:
@@ -171,10 +171,10 @@ def _draw(client: CliClient, told: dict[str, Any], way: list[dict[str, Any]], ar
         print(f"# {err}", file=sys.stderr)
     else:
         places["robot"] = Map2DLocation(grid.name, round(x, 2), round(y, 2), round(theta))
-    line = [(x, y) for _, x, y, _ in map(place_of, way)]
+    line = [(x, y) for _, x, y, _ in map(place_of, path)]
     if line and "robot" in places:
         line.insert(0, (places["robot"].x, places["robot"].y))
     draw(grid, places, {}, args, path=line)
     if args.png is None:
-        print(clean(state_text(told)))
+        print(clean(state_text(status)))
     return 0

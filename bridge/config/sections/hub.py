@@ -68,7 +68,7 @@ class HubSection(Section):
     )
     zenoh: dict[str, Any] | Path | None = setting(
         None,
-        "zenoh configuration of the workers' sessions, inline or a JSON5 or YAML file, laid over the defaults: mode"
+        "zenoh configuration of the workers' sessions, inline or a JSON5 or YAML file, merged into the defaults: mode"
         " (peer, client), connect, listen, transport/link/tls, access_control.",
     )
     router_zenoh: dict[str, Any] | Path | None = setting(None, "The same for the daemon's router.")

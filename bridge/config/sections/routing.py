@@ -31,7 +31,7 @@ class ParameterRule(Section):
     ros1: _Key = Field(description="Namespace on ROS 1's parameter server, or one parameter: `/move_base`.")
     node: _Node = Field(description="The ROS 2 node's full name: `/controller_server`.")
     owner: Literal["ros1", "ros2"] = Field(
-        description="Who has them. ros2: the node runs, and Midspan copies its parameters to ROS 1. ros1: they are on"
+        description="Their owner. ros2: the node runs, and Midspan copies its parameters to ROS 1. ros1: they are on"
         " ROS 1's parameter server, and Midspan serves them to ROS 2 under that node name."
     )
     prefix: _Prefix = setting("", "Prefix on the node: `FollowPath`; the whole name if `ros1` is one parameter.")
@@ -108,7 +108,7 @@ class Rule(Section):
     )
     from_: SideName | None = Field(default=None, alias="from", description="Only what comes from this side.")
     to: SideName | None = setting(
-        None, "Apply only from the hub to this side; by default a rule applies from its side to the hub."
+        None, "Apply only from the hub to this side; by default a rule applies from a side to the hub."
     )
     deny: bool = setting(False, "It does not cross; this wins over every other rule.")
     rename: str | None = setting(
@@ -122,9 +122,7 @@ class Rule(Section):
     )
     depth: int | None = setting(None, "Length of the route's queue, and history depth.", ge=1, le=100000)
     timeout: float | None = setting(None, "Seconds after which a command is too old (default 0.5).", gt=0, le=60)
-    stamped: bool | None = setting(
-        None, "Velocities cross as `TwistStamped` (true) or as `Twist` (false), whichever of the two they were."
-    )
+    stamped: bool | None = setting(None, "Convert velocities to `TwistStamped` (true) or to `Twist` (false).")
     qos: QosOverride = subsection(QosOverride, "QoS forced on the bridge's endpoints.")
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
@@ -184,7 +182,8 @@ class RoutingSection(Section):
         "allow", "What happens to names that no rule matches. With `deny`, the rules are the allow list."
     )
     private: bool = setting(
-        True, "Keep back what is private to a side: rosout, parameter events, each node's own services and the like."
+        True,
+        "Do not bridge what is private: rosout, parameter events, each node's own services and the like.",
     )
     rules: tuple[Rule, ...] = setting((), "The rules; see below.")
     parameters: tuple[ParameterRule, ...] = setting((), "Parameters that ROS 1 and ROS 2 share; none without a rule.")

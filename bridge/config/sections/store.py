@@ -25,7 +25,10 @@ class StoreSection(Section):
     )
     keys: int = setting(10_000, "Maximum number of values in the store.", ge=1, le=100_000)
     megabytes: int = setting(1024, "Megabytes (1,048,576 bytes) of all values together.", ge=1, le=1 << 20)
-    deleted: int = setting(10_000, "Deleted names that it remembers, the latest ones.", ge=0, le=100_000)
+    deleted: int = setting(10_000, "Deleted names that the store remembers, at most.", ge=0, le=100_000)
     deleted_days: float = setting(
-        30.0, "Days for which it does. A machine away for longer brings deleted values back.", gt=0, le=3650
+        30.0,
+        "Days for which it remembers them. Machines away for longer bring deleted values back.",
+        gt=0,
+        le=3650,
     )

@@ -70,7 +70,7 @@ class TopicPort(Section):
     port: PortName | None = setting(None, "A port of a YARP program to connect, for example `/laser:o`.")
     type: _MessageType | None = setting(None, "The message type as in ROS 2; a port that sends messages needs it.")
     direction: Literal["in", "out", "both"] = setting(
-        "both", "`in`: from YARP, `out`: to YARP. With `port`, one of them: whether it sends or takes messages."
+        "both", "`in`: from YARP, `out`: to YARP. With `port`, one of them: whether it sends or receives messages."
     )
     as_: Literal["bottle", "natural", "fields"] | None = Field(
         default=None,
@@ -202,9 +202,9 @@ class YarpSection(SideSection):
         default="bottle", alias="as", description="Content of ports without a matching rule in `topics`."
     )
     output: _Scheme = setting("/midspan{topic}:o", "Name of the port that sends a topic's messages to YARP programs.")
-    input: _Scheme = setting("/midspan{topic}:i", "Name of the port that takes a topic's messages from YARP programs.")
+    input: _Scheme = setting("/midspan{topic}:i", "Name of the port that receives a topic's messages from YARP.")
     rpc: _Scheme = setting("/midspan{topic}/rpc", "Name of the RPC port that serves a service to YARP programs.")
-    poll: float = setting(0.5, "Seconds between looks at the name server.", ge=0.05, le=10)
+    poll: float = setting(0.5, "Seconds between polls of the name server.", ge=0.05, le=10)
     topics: tuple[TopicPort, ...] = setting((), "What ports carry, and which ports are topics.")
     services: tuple[ServicePort, ...] = setting((), "What RPC ports carry, and which RPC ports are services.")
 

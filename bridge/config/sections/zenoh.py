@@ -20,7 +20,7 @@ _USUALLY_LATCHED = ("/tf_static", "/map", "/map_metadata", "/robot_description")
 class DialectKey(Section):
     """A key of a dialect whose publishers announce nothing."""
 
-    key: str | None = setting(None, "`json` alone: the zenoh key, for example `robot/pose`.")
+    key: str | None = setting(None, "Only for `json`: the zenoh key, for example `robot/pose`.")
     topic: str | None = setting(None, "The topic, for example `/pose`; with `json` by default the key after a slash.")
     type: _Type = Field(
         description="The message type, spelled as in ROS 2: `geometry_msgs/msg/Pose`; with `json` also a service's:"
@@ -28,10 +28,10 @@ class DialectKey(Section):
     )
     direction: Literal["in", "out", "both"] = setting(
         "both",
-        "`json` alone: whether the programs on the key publish (`in`), listen (`out`), or both. For a service: whether"
-        " they serve it (`in`) or call it (`out`).",
+        "Only for `json`: whether the programs on the key publish (`in`), subscribe (`out`), or both. For a service:"
+        " whether they serve it (`in`) or call it (`out`).",
     )
-    latched: bool = setting(False, "`json` alone: keep the last message from the key for late joiners.")
+    latched: bool = setting(False, "Only for `json`: keep the last message from the key for late joiners.")
 
     @property
     def hub_topic(self) -> str:

@@ -58,7 +58,7 @@ MAX_ERROR = 4096
 """Maximum size of an error text, in bytes."""
 
 _CLOSED = "the call of {name} was ended: its client was closed"
-_REFUSED = "; or a door between the machines refuses this call (hub.open.trusted)"
+_REFUSED = "; or an external listener between the machines refuses this call (hub.open.trusted)"
 _AT_ONCE = 0.2
 """Seconds within which zenoh ends a query that no server received; a longer one did reach a server."""
 

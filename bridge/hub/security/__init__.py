@@ -1,1 +1,1 @@
-"""Other machines: the door that they come in by, their certificates, and what they may do."""
+"""Other machines: the external listener that they connect to, their certificates, and what they may do."""

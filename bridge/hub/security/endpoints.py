@@ -34,10 +34,10 @@ TEST_SECONDS = 10.0
 """Time between two tests of one endpoint."""
 
 REFUSAL_SECONDS = 15.0
-"""A listener counts as refusing for this time after its last refusal; zenoh's doors connect again at least each 4 s."""
+"""A listener counts as refusing for this time after its last refusal; zenoh retries a connection at least every 4 s."""
 
 _ADDRESS_SECONDS = 3.0
-"""Time that the refused machine's address may take to be found before the refusal is reported without it."""
+"""How long to search for the refused machine's address before the refusal is reported without it."""
 
 _PASSES = 2
 """Successful tests without a link before the endpoint counts as one that opens no session: zenoh may be connecting."""
@@ -50,7 +50,7 @@ _MOST_CAUSES, _MOST_CALLERS, _MOST_LOGGED = 8, 5, 1000
 
 
 class ZenohLink(Protocol):
-    """What is used of a `zenoh.Link`."""
+    """The part of `zenoh.Link` that is used here."""
 
     @property
     def dst(self) -> str:
@@ -58,7 +58,7 @@ class ZenohLink(Protocol):
 
     @property
     def auth_identifier(self) -> str | None:
-        """Name in the other's certificate."""
+        """Name in the other machine's certificate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ class _Endpoint:
 
     @property
     def has_tls(self) -> bool:
-        """Whether it shows and asks for certificates."""
+        """Whether both ends must present certificates."""
         return self.place is not None and self.place.protocol in ("tls", "quic")
 
     def set(self, reason: Reason, machine: str = "") -> bool:
@@ -250,7 +250,7 @@ class _Listen(_Endpoint):
         self._enter([own_trouble] if own_trouble else [reason for entry in due if (reason := entry.reason())])
 
     def _log_refusals(self, refusals: _Refusals) -> None:
-        """Log a cause once, and again for each further machine that it is found for."""
+        """Log a cause once, and again for each further machine that is refused for it."""
         key, reason = f"{refusals.error} {sorted(refusals.callers)[1:]}", refusals.reason()
         if reason is not None and key not in self._logged:
             if len(self._logged) >= _MOST_LOGGED:
@@ -299,7 +299,7 @@ class EndpointMonitor:
 
     Args:
         session: the `zenoh.Session`, asked for its links.
-        identity: what TLS connects with.
+        identity: the certificate and key for TLS connections.
         zenoh_log: zenoh's log, None if this process does not capture it.
         own_trouble: returns why no machine accepts this machine's certificate, "" if they do.
     """

@@ -59,7 +59,7 @@ def test_a_machine_calls(machines: Machines, name: str, commands: bool, monkeypa
             assert was_called is commands
             refused = (
                 f"the server of {service} left before it answered;"
-                " or a door between the machines refuses this call (hub.open.trusted)"
+                " or an external listener between the machines refuses this call (hub.open.trusted)"
             )
             assert result == (b"yes" if commands else refused)
 

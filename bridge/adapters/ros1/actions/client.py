@@ -109,7 +109,7 @@ class ActionlibClient:
         if goal is None or goal.refused:
             done(wire.result_response(GoalState.UNKNOWN, self._empty))
         elif goal.result is not None:
-            goal.told = True
+            goal.result_delivered = True
             done(wire.result_response(goal.state, goal.result, goal.reason))
         else:
             goal.waiting.append(done)
@@ -218,9 +218,9 @@ class ActionlibClient:
     def result(self, status: GoalStatus, body: bytes) -> None:
         """End a goal with its result."""
         goal = self._goal(status)
-        if goal is None or goal.whole or goal.told or goal.refused:
+        if goal is None or goal.whole or goal.result_delivered or goal.refused:
             return
-        if goal.result is not None:  # it was given up, but no client has received that
+        if goal.result is not None:  # the goal was already ended as lost, but no client has received that result
             self._goals.forget(goal)
             goal.result = None
             self._goals.add(goal)
@@ -347,7 +347,7 @@ class ActionlibClient:
         goal.state, goal.result = state, result
         self._goals.end(goal, self._clock())
         self._changed = True
-        goal.told = goal.told or bool(goal.waiting)
+        goal.result_delivered = goal.result_delivered or bool(goal.waiting)
         for done in goal.waiting:
             done(wire.result_response(state, result, goal.reason))
         goal.waiting.clear()

@@ -34,7 +34,7 @@ class TrackedGoal:
         lost: its state is no longer reported, and UNKNOWN on ROS 2; it may still be executing.
         result: its bytes, None until the goal has ended and the result has arrived or is given up.
         text: the reason for its final state, from the server or from this bridge.
-        told: a client has received the result.
+        result_delivered: a client has received the result.
         whole: the result came from the server.
     """
 
@@ -52,7 +52,7 @@ class TrackedGoal:
     lost: bool = False
     result: bytes | None = None
     text: str = ""
-    told: bool = False
+    result_delivered: bool = False
     whole: bool = False
 
     @property

@@ -13,7 +13,7 @@ from bridge.adapters.ros1.parameters.values import (
     ParameterNames,
     ParameterType,
     ParameterValue,
-    UnsayableError,
+    UnrepresentableError,
     flatten,
     to_ros1,
     to_ros2,
@@ -185,7 +185,7 @@ class MirroredNode:
                 continue
             try:
                 to_ros1(value)
-            except UnsayableError as err:
+            except UnrepresentableError as err:
                 self._problems[key] = str(err)
             else:
                 shown[path] = value
@@ -213,7 +213,7 @@ class MirroredNode:
         """Return a value of ROS 1 in the type of the node's parameter, None if ROS 2 has no such value."""
         try:
             return to_ros2(value, kind)
-        except UnsayableError as err:
+        except UnrepresentableError as err:
             self._reject(key, f"the value set in ROS 1 is not set on {self.rule.node}: {err}")
             return None
 

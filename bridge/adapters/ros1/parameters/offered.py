@@ -13,7 +13,7 @@ from bridge.adapters.ros1.parameters.values import (
     ParameterNames,
     ParameterType,
     ParameterValue,
-    UnsayableError,
+    UnrepresentableError,
     flatten,
     to_ros1,
     to_ros2,
@@ -92,7 +92,7 @@ class OfferedNode:
                 if names.takes(path) and names.ros2(path):
                     try:
                         yield names.ros2(path), to_ros2(value)
-                    except UnsayableError as err:
+                    except UnrepresentableError as err:
                         self.troubles[names.ros1(path)] = str(err)
 
     def _read(self) -> dict[str, ParameterValue]:
@@ -180,7 +180,7 @@ class OfferedNode:
                 return _no(f"{names.ros1(path)} is a namespace in ROS 1")
             try:
                 wanted[names.ros1(path)] = None if value.kind is ParameterType.NOT_SET else to_ros1(value)
-            except UnsayableError as err:
+            except UnrepresentableError as err:
                 return _no(f"{name}: {err}")
         refused = self._store.write(wanted)
         return _no(f"ROS 1's master rejects {', '.join(refused)}") if refused else {"successful": True, "reason": ""}

@@ -44,7 +44,7 @@ class ParameterType(IntEnum):
     STRING_ARRAY = 9
 
 
-class UnsayableError(Exception):
+class UnrepresentableError(Exception):
     """A value that the other network's parameters cannot represent; the text has the reason."""
 
 
@@ -96,22 +96,22 @@ def _field(kind: ParameterType) -> str:
 
 
 def to_ros1(value: ParameterValue) -> Any:
-    """Convert a value for ROS 1's parameter server; raises `UnsayableError`."""
+    """Convert a value for ROS 1's parameter server; raises `UnrepresentableError`."""
     content = value.content
     if value.kind is ParameterType.NOT_SET:
-        raise UnsayableError("it has no value")
+        raise UnrepresentableError("it has no value")
     if value.kind is ParameterType.BYTE_ARRAY:
         return xmlrpc.client.Binary(content)
     for item in content if isinstance(content, list) else [content]:
         if isinstance(item, int) and item not in _INT32:
-            raise UnsayableError(f"ROS 1 has no integer as large as {item}")
+            raise UnrepresentableError(f"ROS 1 has no integer as large as {item}")
         if isinstance(item, str) and _NO_XML.search(item):
-            raise UnsayableError("its text has characters that ROS 1's XML cannot carry")
+            raise UnrepresentableError("its text has characters that ROS 1's XML cannot carry")
     return content
 
 
 def to_ros2(value: Any, like: ParameterType = ParameterType.NOT_SET) -> ParameterValue:
-    """Convert a value of ROS 1's parameter server for a ROS 2 node; raises `UnsayableError`.
+    """Convert a value of ROS 1's parameter server for a ROS 2 node; raises `UnrepresentableError`.
 
     ``like`` is the type of the node's parameter: a whole number becomes a double, and a whole double an integer, since
     `rosparam set` does not distinguish them. An empty list fits any type.
@@ -139,7 +139,7 @@ def _scalar(value: Any) -> ParameterValue:
             return ParameterValue(ParameterType.DOUBLE, value)
         case str():
             return ParameterValue(ParameterType.STRING, value)
-    raise UnsayableError(f"ROS 2 has no parameters like {type(value).__name__} {str(value)[:60]}")
+    raise UnrepresentableError(f"ROS 2 has no parameters like {type(value).__name__} {str(value)[:60]}")
 
 
 def _list(values: list[Any], like: ParameterType) -> ParameterValue:
@@ -151,7 +151,7 @@ def _list(values: list[Any], like: ParameterType) -> ParameterValue:
     ):
         return ParameterValue(ParameterType.DOUBLE_ARRAY, [float(item) for item in values])
     if len(kinds) > 1:
-        raise UnsayableError(f"ROS 2 has no lists of {' and '.join(sorted(kind.name.lower() for kind in kinds))}")
+        raise UnrepresentableError(f"ROS 2 has no lists of {' and '.join(sorted(kind.name.lower() for kind in kinds))}")
     return ParameterValue(ParameterType(kinds.pop() + ParameterType.BOOL_ARRAY - ParameterType.BOOL), list(values))
 
 

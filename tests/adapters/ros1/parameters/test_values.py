@@ -12,7 +12,7 @@ from bridge.adapters.ros1.parameters.values import (
     ParameterNames,
     ParameterType,
     ParameterValue,
-    UnsayableError,
+    UnrepresentableError,
     flatten,
     to_ros1,
     to_ros2,
@@ -64,7 +64,7 @@ def test_numbers_are_converted_to_the_nodes_type(ros1: Any, like: ParameterType,
 
 def test_values_that_the_other_network_lacks_are_rejected():
     for ros1 in ({"a": 1}, [[1], [2]], [1, "a"], [True, 1], None, xmlrpc.client.DateTime(), 2**63):
-        with pytest.raises(UnsayableError):
+        with pytest.raises(UnrepresentableError):
             to_ros2(ros1)
     for ros2 in (
         ParameterValue(ParameterType.INTEGER, 2**31),
@@ -72,7 +72,7 @@ def test_values_that_the_other_network_lacks_are_rejected():
         ParameterValue(ParameterType.STRING_ARRAY, ["\r"]),
         NOT_SET,
     ):
-        with pytest.raises(UnsayableError):
+        with pytest.raises(UnrepresentableError):
             to_ros1(ros2)
 
 
