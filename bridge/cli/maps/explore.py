@@ -23,7 +23,6 @@ from bridge.client.navigation import PATIENCE, STATUS, STATUS_TOPIC, pose_goal
 from bridge.client.transforms import TransformListener
 from bridge.client.types import Types
 from bridge.config.sections.navigation import ACTION
-from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.wire.qos import LATCHED
 from bridge.messages.actions import GoalState
 from bridge.text import clean
@@ -108,7 +107,9 @@ class _Floor:
 
     def __enter__(self) -> Self:
         self._hash = self._types.hash_of(GRID)
-        self._end = self._client.hub.subscription(self._topic, GRID, self._hash, LATCHED, self._on_map)
+        self._end = self._client.hub.subscription(
+            self._topic, GRID, self._hash, LATCHED, lambda sample: self._on_map(sample.data())
+        )
         self._frames.open()
         return self
 
@@ -121,8 +122,7 @@ class _Floor:
         """The number of maps that have arrived."""
         return self._count
 
-    def _on_map(self, sample: HubSample) -> None:
-        data = sample.data()
+    def _on_map(self, data: bytes) -> None:
         with self._arrived:
             self._data, self._count = data, self._count + 1
             self._arrived.notify_all()
