@@ -1,8 +1,8 @@
 """Recording images at 200 MB/s and 5,000 small messages per second: losses, cost, and delay of other subscribers.
 
-One sender, one listener to the same topics, and in turns: `midspan record`, a bare zenoh subscriber that writes the
-same bytes with the library `mcap` on another thread, and no recorder. All are separate processes on one hub, with the
-hub's own session configuration. Rows:
+One process sends, and another one subscribes to the same topics. Three cases take turns: `midspan record`, a bare zenoh
+subscriber that writes the same bytes with the library `mcap` on another thread, and no recorder. All are separate
+processes on one hub, with the hub's own session configuration. Rows:
 
 - messages lost: numbered by the sender and not in the file;
 - processor time of the recorder's process over the bare subscriber's, per sent gigabyte (the aim: 1.3);

@@ -5,7 +5,7 @@ Their rounds take turns. Each figure is the median over the rounds: of a round's
 time per message, from the first byte until the other process has received the last.
 
 The choice of cores matters more than the code: on one core a bare round trip took 13 microseconds, on two cores of the
-same virtual machine 56, because each end sleeps until the other core wakes it. By itself the system places either pair
+same virtual machine 56, because each end sleeps until the other core wakes it. The system may place each pair
 of processes in either way, so both placements are measured.
 """
 
@@ -76,7 +76,7 @@ def _serve_port() -> None:
 
 
 def _serve_bare() -> None:
-    """Run a socket that replies to a number of bytes with a number of bytes, as often as each input line demands."""
+    """Run a socket that exchanges bytes as each input line says: size of a request, repetitions, size of a reply."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         print(server.getsockname()[1], flush=True)
         sock, _ = server.accept()

@@ -34,12 +34,12 @@ _ROOM = 0.05
 """Additional clearance of the planner, meters, which RobotGoto needs."""
 
 _DRIVE_EVERY, _PLAN_EVERY, _LOOK_EVERY = 2, 10, 2
-"""Ticks between steps of RobotGoto and of RobotPathPlanner, and scans between two that the planner uses."""
+"""Ticks between steps of RobotGoto and of RobotPathPlanner; the planner uses every n-th scan."""
 
 
 _POINTS, _LAYER = "/camera/depth/points", "/mapper3d/layer"
 MAPPING = Mapper3DSection(resolution=0.04, farthest=2.5, layer=LayerSection(height=1.3))
-"""Voxel size of which a step of 10 cm spans more than two, and range up to which the camera's noise is below one."""
+"""Voxel size, less than half of a 10 cm step; and the range up to which the camera's noise is less than a voxel."""
 
 
 class Ours:

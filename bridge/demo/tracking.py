@@ -66,7 +66,7 @@ class RobotTracker:
         return Map2DLocation(self.grid.name, x, y, degrees)
 
     def refresh(self, progress: DemoProgress) -> None:
-        """Store the robot's location, and note progress."""
+        """Store the robot's location, and report progress."""
         at, localized = self._location(), self._localized.wait(0.0)
         progress.note("the gateway", self.state)
         progress.note("the localizer", localized["data"] if localized is not None else "")
@@ -82,7 +82,7 @@ class RobotTracker:
 
     @property
     def left(self) -> list[Place]:
-        """The rest of the path from the robot on; empty without a goal."""
+        """The remaining path, from the robot on; empty without a goal."""
         message, at = self._path.wait(0.0), self._location()
         if message is None or at is None or not message["poses"]:
             return []

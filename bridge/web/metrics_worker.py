@@ -67,7 +67,7 @@ class MetricsWorker(Worker):
 
     @override
     def reload(self, config: Config) -> bool:
-        """Return whether nothing changed: otherwise the worker restarts, which costs at most a scrape."""
+        """Return whether nothing changed; otherwise the worker restarts, which loses at most one scrape."""
         return config == self._config
 
     @override

@@ -36,12 +36,12 @@ def test_an_installed_package_cannot_be_extended() -> None:
         steps({"std_msgs": {"msg/Mine.msg": "string data"}})
 
 
-def test_a_part_of_one_of_our_own_is_the_whole() -> None:
+def test_a_part_of_a_built_in_package_is_built_as_the_whole_package() -> None:
     part = {"msg/ProjectedMapInfo.msg": bundled_files("map_msgs")["msg/ProjectedMapInfo.msg"]}
     assert steps({"map_msgs": part})["map_msgs"].prefix == steps({"map_msgs": {}})["map_msgs"].prefix
 
 
-def test_more_types_in_one_of_our_own_are_added() -> None:
+def test_additional_types_of_a_built_in_package_are_added() -> None:
     more = steps({"map_msgs": {"msg/Mine.msg": "ProjectedMapInfo info"}})["map_msgs"]
     assert {"msg/Mine.msg", "msg/ProjectedMap.msg"} <= {definition.path for definition in more.definitions}
 
@@ -53,7 +53,7 @@ KEYS: list[tuple[str, Packages]] = [
 
 
 @pytest.mark.parametrize("given", [given for _, given in KEYS], ids=[name for name, _ in KEYS])
-def test_the_key_stands_for_all_that_is_built_from(given: Packages) -> None:
+def test_the_cache_key_covers_all_inputs_of_the_build(given: Packages) -> None:
     base: Packages = {"a_msgs": {"msg/A.msg": "b_msgs/B b"}, "b_msgs": {"msg/B.msg": "int8 b"}}
     assert steps(base)["a_msgs"].prefix == steps(dict(reversed(base.items())))["a_msgs"].prefix
     assert steps(base)["a_msgs"].prefix != steps(given)["a_msgs"].prefix

@@ -110,7 +110,7 @@ class VocabEnum(IntEnum):
 class Choice(FieldCodec):
     """An enumeration: of vocabs, or of 32-bit numbers.
 
-    The first member of ``kind`` is the default; ``vocab``: numbers have the tag of a vocab, as for some types of YARP.
+    The first member of ``kind`` is the default. With ``vocab`` numbers have the tag of a vocab, as some YARP types do.
     """
 
     def __init__(self, kind: type[IntEnum], *, vocab: bool = False) -> None:
@@ -248,7 +248,7 @@ class Structure(Portable):
 
 
 class Generated(Structure):
-    """A structure whose C++ class is generated, so that its text is a Bottle's; others have their own format."""
+    """A structure whose C++ class is generated, so that its text is that of a Bottle; others have their own format."""
 
     def toString(self) -> str:
         """Return the fields as the text of a Bottle."""

@@ -28,7 +28,7 @@ _LIST, _OUT, _ADD, _DEL, _VER = (Vocab(name) for name in ("list", "out", "add", 
 def connect(
     naming: Naming, source: str, target: str, carrier: str = "", *, timeout: float = text_client.TIMEOUT
 ) -> str:
-    """Connect two ports by ``carrier``, that in a name (``udp://r``), or that of the reading port's registration.
+    """Connect two ports by ``carrier``, else by the one in a name (``udp://r``) or in the reading port's registration.
 
     Return the writing port's reply. Raises `PortError` if a port is missing or does not reply within ``timeout``
     seconds per step, or if they cannot connect, and `NoNameServerError`.
@@ -168,7 +168,7 @@ class Connector:
                 thread.start()
 
     def close(self) -> None:
-        """Make no more connections; wait until attempts in progress have ended."""
+        """Stop making connections; wait until attempts in progress have ended."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
