@@ -1,4 +1,4 @@
-"""`scripts/flaky.py` with a `make` that fails now and then: what it runs, and what it tells."""
+"""`scripts/flaky.py` with a `make` that fails now and then: the commands that it runs, and its report."""
 
 from __future__ import annotations
 

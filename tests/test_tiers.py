@@ -23,12 +23,12 @@ def pytest_xdist_make_scheduler(config, log):
     return Scheduler(config, log)
 
 def pytest_runtest_call(item):
-    with Path("told").open("a") as told:
-        told.write(f"begin {item.name}\\n")
+    with Path("log").open("a") as log:
+        log.write(f"begin {item.name}\\n")
 
 def pytest_runtest_teardown(item):
-    with Path("told").open("a") as told:
-        told.write(f"end {item.name}\\n")
+    with Path("log").open("a") as log:
+        log.write(f"end {item.name}\\n")
 """
 
 MEETS = """
@@ -37,7 +37,7 @@ from pathlib import Path
 
 def test_{0}():
     end = time.monotonic() + 40
-    while "begin test_{1}\\n" not in Path("told").read_text():
+    while "begin test_{1}\\n" not in Path("log").read_text():
         assert time.monotonic() < end, "the other one does not run at the same time"
         time.sleep(0.01)
 
@@ -74,7 +74,7 @@ def test_what_is_alone_runs_last_and_has_a_core(tmp_path: Path, processes: str) 
     assert "13 passed" in run.stdout, run.stdout + run.stderr
     running: set[str] = set()
     begun = []
-    for event, name in (line.split() for line in (tmp_path / "told").read_text().splitlines()):
+    for event, name in (line.split() for line in (tmp_path / "log").read_text().splitlines()):
         (running.add if event == "begin" else running.discard)(name)
         begun += [name] * (event == "begin")
         assert len(running) <= TOGETHER or not any("alone" in name for name in running), running
@@ -134,7 +134,7 @@ def test_two_processes_start_with_long_tests_and_the_others_skip_them(tmp_path: 
     assert [name for node in ("gw0", "gw1", "gw4", "gw5") for name in given[node] if "long" in name] == []
 
 
-def test_alone_is_told_of_functions_and_of_whole_files(tmp_path: Path) -> None:
+def test_the_marker_alone_applies_to_functions_and_to_whole_files(tmp_path: Path) -> None:
     some, every, none = tmp_path / "some.py", tmp_path / "every.py", tmp_path / "none.py"
     some.write_text(ALONE.format("one") + "def test_two(): ...")
     every.write_text("pytestmark = [pytest.mark.alone]\n\ndef test_one(): ...\n\ndef test_two(): ...")

@@ -39,11 +39,11 @@ class HubLink:
 
     @property
     def trouble(self) -> str:
-        """Why there is no node, "" if there is one."""
+        """Why the node is missing, "" if it exists."""
         return self._error
 
     def join(self) -> Hub | None:
-        """Return the node; create it if there is none, None if that fails. Called repeatedly, by one thread."""
+        """Return the node, created if necessary; None if that fails. Called repeatedly, by one thread."""
         if self._hub is not None:
             return self._hub
         hub = self._config.hub

@@ -101,7 +101,7 @@ class StoreClient:
         return self.get(CURRENT, THE_MAP) or ""
 
     def use_map(self, name: str) -> None:
-        """Choose the current map; raises `StoreError` if there is no map of that name."""
+        """Choose the current map; raises `StoreError` if no map has that name."""
         names = self.names(MAP)
         if name not in names:
             raise StoreError(f"no map {name!r}; existing maps: {', '.join(names) or 'none'}")

@@ -274,7 +274,7 @@ def clock(at: float) -> dict[str, int]:
 
 def test_each_loop_publishes_all_static_transforms_once(player: Player, listener: Listener) -> None:
     program = player("--loop", "--rate", "5")
-    until(lambda: listener.texts().count("said 5") >= 3, "it is heard three times", 20)
+    until(lambda: listener.texts().count("said 5") >= 3, "the message arrives three times", 20)
     program.signal(signal.SIGTERM)
     ended(program)
     assert listener.texts()[:12] == [f"said {n}" for n in range(6)] * 2
@@ -337,4 +337,4 @@ def test_a_damaged_bag_is_played_up_to_the_damage_and_fails(
     played = json.loads(out.out)["messages"]
     assert 5 < played < 20
     assert "damaged.bag, byte" in out.err
-    until(lambda: len(listener.texts()) == played, "what stands before is heard", 5)
+    until(lambda: len(listener.texts()) == played, "the messages before the damage arrive", 5)

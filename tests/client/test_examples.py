@@ -34,7 +34,7 @@ REGISTRY = Registry()
 
 
 def example(package: ModuleType) -> str:
-    """Return the code in a package's docstring: what is indented below a line that ends in two colons."""
+    """Return the code in a package's docstring: the indented lines below a line that ends in two colons."""
     lines = (inspect.getdoc(package) or "").splitlines()
     start = next(number for number, line in enumerate(lines) if line.endswith("::")) + 1
     end = next((number for number, line in enumerate(lines) if number > start and line[:1].strip()), len(lines))
@@ -42,7 +42,7 @@ def example(package: ModuleType) -> str:
 
 
 def run(code: str) -> dict[str, Any]:
-    """Run an example in a module of its own; return its names."""
+    """Run an example in a new module; return its names."""
     names: dict[str, Any] = {"__name__": "example"}
     exec(compile(code, "example", "exec"), names)
     return names

@@ -138,10 +138,10 @@ def test_a_stalled_part_is_named_with_its_last_output_and_advice(daemon_status: 
         worker("ros1", Phase.UP, "3 routes"),
         worker("modules", Phase.UP, "waiting: robot_goto: no scan"),
     ]
-    text = refreshed("modules: a warning of its own")[0].stall_text("the robot")
+    text = refreshed("modules: a separate warning")[0].stall_text("the robot")
     assert "no progress for 60 s while waiting for the robot" in text
     assert "modules: running, waiting: robot_goto: no scan" in text
-    assert "a warning of its own" in text
+    assert "a separate warning" in text
     assert "ros1" not in text
     assert "free -m" in text
 

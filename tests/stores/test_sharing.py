@@ -90,7 +90,7 @@ def test_three_separated_replicas_converge_after_joining_again(
             "all start with the same content",
             SECONDS,
         )
-        for store in (second_store, third_store):  # two is alone, three on another router
+        for store in (second_store, third_store):  # the second is then on its own, the third joins another router
             store.disconnect()
         third_store.join(second.endpoint)
         first_store.store.put(LOCATION, "of one", KITCHEN)
@@ -165,7 +165,7 @@ def test_a_subscriber_of_all_puts_and_deletes_has_the_same_content(hub: QuickHub
         session.declare_subscriber("midspan/store/**", keep),
     ):
         all_joined(first_store, second_store)
-        for store, name in ((first_store, "a"), (second_store, "b")):  # again, until the way to the listener is known
+        for store, name in ((first_store, "a"), (second_store, "b")):  # again, until the route to the listener is known
             until(
                 lambda store=store, name=name: store.store.put(LOCATION, name, KITCHEN) or f"location/{name}" in held,
                 "it hears",

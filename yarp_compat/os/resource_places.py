@@ -98,7 +98,7 @@ class ResourceSearch:
         return next(self.paths(name, options, folder=folder), "")
 
     def paths(self, name: str, options: ResourceFinderOptions, *, folder: bool = False) -> Iterator[str]:
-        """Yield each existing path once, best first; only the first if the options say so."""
+        """Yield each existing path once, best first; only the first one if the options request it."""
         seen = set()
         for path in self._candidates(name, options, folder):
             if path not in seen and os.path.exists(path):  # noqa: PTH110 - a Path would normalize it

@@ -92,7 +92,7 @@ def explain(client: Client, topic: str) -> Explanation:
         if not ruled:
             missing = "".join(f"\n{note.text}." for note in silent)
             raise CliError(unknown("topic", topic, known_names(client, documents, everything)) + missing)
-        return Explanation(topic, (), (), [Note(f"nobody has the name {topic} now"), *planner, *ruled, *silent])
+        return Explanation(topic, (), (), [Note(f"no endpoint has the name {topic} now"), *planner, *ruled, *silent])
     paired = [(decision, _route(decision, documents)) for decision in decisions]
     names |= {d.topic for d in decisions}
     connections = _connections(connected, names)

@@ -157,7 +157,9 @@ def test_an_unused_name_is_explained_by_the_rules(
         "/lidar/3": "rule 4: a topic, service or action (sensor_msgs/msg/*) with this name crosses.",
     }.items():
         done = midspan("explain", name)
-        assert (done.code, f"nobody has the name {name} now" in done.out, reason in done.out) == (0, True, True), done
+        assert (done.code, f"no endpoint has the name {name} now" in done.out, reason in done.out) == (0, True, True), (
+            done
+        )
         planner = "the planner move_base is not there: no node serves its action /move_base on ROS 1" in done.out
         assert planner == ("move_base" in name), done
     assert midspan("explain", "/nobody").code == 1

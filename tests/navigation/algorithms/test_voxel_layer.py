@@ -45,7 +45,7 @@ class Room:
         return module.columns(voxels.blocks, voxels.values, CELL, base, robot, largest)
 
     def kinds(self, **settings: Any) -> np.ndarray:
-        """By x and y, of the room alone."""
+        """Return the room's cells only, by x and y."""
         layer = self.columns(**settings)
         assert layer.corner == (0.0, 0.0)
         return layer.kinds.T[:SIDE, :SIDE]
@@ -79,7 +79,7 @@ def test_a_bare_floor_is_free_and_unknown_beyond():
         (0.7, 0.75, OBSTACLE),  # a table's top: a laser at the ankles does not see it
         (1.15, 1.2, OBSTACLE),
         (1.3, 1.35, FLOOR),  # it fits under
-        (0.0, 0.05, FLOOR),  # less than voxels tell
+        (0.0, 0.05, FLOOR),  # less than the voxels resolve
         (0.0, 0.15, OBSTACLE),  # a step
         (0.0, 2.0, OBSTACLE),
     ],

@@ -28,7 +28,7 @@ where = device.viewILocalization2D()
 position = yarp.Map2DLocation()
 names = yarp.SVector()
 if not where.getCurrentPosition(position) or not places.getLocationsList(names):
-    print("the robot does not say where it is")
+    print("the robot reports no position")
     raise SystemExit
 print(f"at {position.x:.1f} {position.y:.1f} of {position.map_id}, knows {' '.join(sorted(names))}")
 if robot.gotoTargetByLocationName("nowhere"):
