@@ -64,9 +64,9 @@ class LatchedHubSubscription(HubSubscription):
         return self._with_history(context, key, super()._declare(context, key))
 
     @override
-    def _declare_more(self, key: str, convert: Convert) -> Callable[[], None]:
+    def _declare_more(self, context: EndpointContext, key: str, convert: Convert) -> Callable[[], None]:
         listener = self if convert is same else _OtherHistory(self, convert)
-        return self._with_history(self._context, key, super()._declare_more(key, convert), listener)
+        return self._with_history(context, key, super()._declare_more(context, key, convert), listener)
 
     def _with_history(
         self, context: EndpointContext, key: str, end: Callable[[], None], listener: HistoryListener | None = None

@@ -11,11 +11,11 @@ from threading import Lock
 import zenoh
 
 from bridge.hub.endpoints.publisher import NO_LANE, EndpointContext
-from bridge.hub.endpoints.variants import CONVERTED, Convert, ConvertedSample, Variants
+from bridge.hub.endpoints.subscribed_keys import SubscribedKeys
+from bridge.hub.endpoints.variants import CONVERTED, Convert, ConvertedSample
 from bridge.hub.errors import HubWireError
 from bridge.hub.graph import HubGraph
-from bridge.hub.wire.buffers import BUFFER_TYPES, CPU_BACKEND, group_key
-from bridge.hub.wire.keys import ANY_HASH, GID_SIZE, key_type, key_variant, unpack_attachment
+from bridge.hub.wire.keys import ANY_HASH, GID_SIZE, key_type, unpack_attachment
 from bridge.hub.zenoh_compat import keep_thread_state, subscribe, undeclare
 from bridge.messages.errors import ConversionError
 from bridge.messages.unchanged import same
@@ -281,18 +281,16 @@ class HubSubscription:
         self._graph, self._on_close = context.graph, context.closed
         self._callback = callback
         self._reader = SampleReader(topic, context.own, context.limit, on_refused)
-        self._type_name, self._type_hash = key_type(key)
-        self._reader.originals = self._type_hash == ANY_HASH
+        self._reader.originals = key_type(key)[1] == ANY_HASH
         self._lock = Lock()
         self.sources = PublisherStates(context.graph)
         self._losses = Losses()
         self._undeclare = self._declare(context, key)
-        self._key, self._context = key, context
-        self._more: dict[str, Callable[[], None]] = {}  # by type hash
-        self._withdraw: Callable[[], None] | None = None
-        self._token, self._end_group = token, self._join_group() if self._type_name in BUFFER_TYPES else None
-        context.variants.add(self, token, exact=exact)
-        self._announce()
+        self._keys = SubscribedKeys(
+            context, token, key, topic, partial(self._declare_more, context), partial(self._declare_group, context)
+        )
+        context.variants.add(self._keys, token, exact=exact)
+        self._keys.announce()
 
     def _declare(self, context: EndpointContext, key: str) -> Callable[[], None]:
         """Subscribe on zenoh; return a function that ends it.
@@ -301,9 +299,8 @@ class HubSubscription:
         """
         return partial(undeclare, subscribe(context.session, key, self._on_sample, context.reach))
 
-    def _join_group(self) -> Callable[[], None]:
+    def _declare_group(self, context: EndpointContext, key: str) -> Callable[[], None]:
         """Subscribe to the topic's CPU group on zenoh; return a function that ends it."""
-        context, key = self._context, group_key(self._key)
         return partial(undeclare, subscribe(context.session, key, self._on_grouped, context.reach))
 
     def _on_grouped(self, sample: zenoh.Sample) -> None:
@@ -315,18 +312,10 @@ class HubSubscription:
                 source.sparse = True
         self._on_sample(sample)
 
-    def _announce(self) -> None:
-        """Announce the subscription, in the CPU group if it is in it, instead of as before."""
-        if self._withdraw is not None:
-            # the old token goes first: releases before Lyrical do not distinguish the two
-            self._withdraw()
-        token = self._token if self._end_group is None else f"{self._token}/{CPU_BACKEND}"
-        self._withdraw = self._context.graph.announce(token)
-
-    def _declare_more(self, key: str, convert: Convert) -> Callable[[], None]:
+    def _declare_more(self, context: EndpointContext, key: str, convert: Convert) -> Callable[[], None]:
         """Subscribe to a further key on zenoh; return a function that ends it."""
         receive = self._on_sample if convert is same else partial(self._on_other, convert, self._on_sample)
-        return partial(undeclare, subscribe(self._context.session, key, receive, self._context.reach))
+        return partial(undeclare, subscribe(context.session, key, receive, context.reach))
 
     def _on_other(self, convert: Convert, receive: Callable[[ConvertedSample], None], sample: zenoh.Sample) -> None:
         """Convert a sample of another version of the type, and pass it on."""
@@ -341,37 +330,11 @@ class HubSubscription:
             return
         receive(converted)
 
-    def follow_variants(self, variants: Variants) -> None:
-        """Subscribe under the other hashes that publishers announce, and in the CPU group if one has buffers."""
-        if self._end_group is None and self._context.graph.has_buffers(self.topic, self._type_name):
-            self._end_group = self._join_group()
-            if self._withdraw is not None:
-                self._announce()
-            if self._reader.closed and self._withdraw is not None:
-                self._withdraw()
-                self._end_group()
-        for type_hash in variants.keys() - self._more.keys():
-            convert = self._context.variants.converter(self._type_name, type_hash, self._type_hash)
-            self._more[type_hash] = self._declare_more(key_variant(self._key, type_hash), convert)
-        for type_hash in self._more.keys() - (() if self._reader.closed else variants.keys()):
-            self._end_more(type_hash)
-
-    def _end_more(self, type_hash: str) -> None:
-        end = self._more.pop(type_hash, None)
-        if end is not None:
-            end()
-
     def close(self) -> None:
         """Stop receiving. Safe to call twice."""
         if self._reader.close():
-            self._context.variants.remove(self)
-            if self._withdraw is not None:
-                self._withdraw()
+            self._keys.close()
             self._undeclare()
-            if self._end_group is not None:
-                self._end_group()
-            for type_hash in tuple(self._more):
-                self._end_more(type_hash)
             self._on_close(self)
 
     def request_again(self, gid: bytes, zid: str, forget: Callable[[], None]) -> None:
