@@ -353,9 +353,8 @@ class Hub:
             lane = self._joined.lane
             if lane is None:
                 return self._keep(HubSubscription(self._context, token, key, topic, callback, refused, exact=exact))
-            kinds = type_name, type_hash
             return self._keep(
-                LaneSubscription(self._context, lane, token, key, topic, kinds, qos, callback, refused, exact=exact)
+                LaneSubscription(self._context, lane, token, key, topic, qos, callback, refused, exact=exact)
             )
 
     def server(self, name: str, type_name: str, type_hash: str, call: Call) -> HubServer:

@@ -30,7 +30,7 @@ from bridge.hub.graph import HubEndpoint
 from bridge.hub.lane.inlet import Inlet
 from bridge.hub.lane.lane import Lane
 from bridge.hub.lane.wire import BOUND
-from bridge.hub.wire.keys import ANY_HASH
+from bridge.hub.wire.keys import ANY_HASH, key_type
 from bridge.hub.wire.qos import History, Qos
 
 EARLY_SECONDS = 0.1
@@ -144,7 +144,6 @@ class LaneSubscription(HubSubscription):
         token: str,
         key: str,
         topic: str,
-        type_names: tuple[str, str],
         qos: Qos,
         callback: Callable[[HubSample], None],
         on_refused: Refused | None = None,
@@ -152,7 +151,7 @@ class LaneSubscription(HubSubscription):
         exact: bool = False,
     ) -> None:
         self.key = key
-        self._lane, self._type_names = lane, type_names
+        self._lane, self._type_names = lane, key_type(key)
         # the newest message of a topic of depth 1, such as velocity commands, never waits for a lane that is left
         self._patient = qos.history is not History.KEEP_LAST or qos.depth > 1
         self._delivery = Lock()
