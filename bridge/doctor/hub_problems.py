@@ -120,7 +120,7 @@ def absence(
         reason, cure = _of_module(f"put the folder of {other.factory.partition(':')[0]} on PYTHONPATH; if it is there")
     else:
         reason, cure = _of_program(other, documents)
-    return Note(f"the planner {planner} is not there: {reason}", cure)
+    return Note(f"the planner {planner} is not available: {reason}", cure)
 
 
 def _of_module(cure: str) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""Why a planner is not there."""
+"""Why a planner is not available."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.doctor.parts import around, document, hub, only
 
 MOVE_BASE = "/planner/move_base/navigate_to_pose"
 ROS1 = {"worker": "ros1", "side": "ros1", "state": "running", "refused": []}
-GATEWAY = {"worker": "gateway", "module": True, "state": "waiting", "text": "the planner p is not there"}
+GATEWAY = {"worker": "gateway", "module": True, "state": "waiting", "text": "the planner p is not available"}
 
 
 def server(action: str) -> HubEndpoint:
@@ -41,7 +41,7 @@ def server(action: str) -> HubEndpoint:
 def test_each_reason_has_its_cure(planner: str, documents: list[dict[str, Any]], why: str, cure: str) -> None:
     finding = absence(NavigationSection(planner=planner), planner, [], list(map(document, documents)))
     assert finding is not None
-    assert finding.text.startswith(f"the planner {planner} is not there: ")
+    assert finding.text.startswith(f"the planner {planner} is not available: ")
     assert why in finding.text
     assert cure in finding.cure
 
@@ -49,7 +49,7 @@ def test_each_reason_has_its_cure(planner: str, documents: list[dict[str, Any]],
 def test_planner_of_a_class_that_cannot_be_imported() -> None:
     finding = absence(NavigationSection.model_validate({"planner": "hall:Hall"}), "hall", [], [])
     assert finding is not None
-    assert finding.text == "the planner hall is not there: its module does not run"
+    assert finding.text == "the planner hall is not available: its module does not run"
     assert finding.cure.startswith("put the folder of hall on PYTHONPATH")
 
 
@@ -71,11 +71,11 @@ def test_doctor_reports_the_state_of_its_own_gateway() -> None:
     view = hub({**GATEWAY, "planner": "move_base"})
     mine = only(hub_checks.check_workers(around(config, hub=view)))
     assert (mine.result, "start" in mine.cure or "ros1-master" in mine.cure) == (Result.WARN, True)
-    assert "robot1/gateway waits: the planner move_base is not there: no worker of the ROS 1 side" in mine.seen
+    assert "robot1/gateway waits: the planner move_base is not available: no worker of the ROS 1 side" in mine.seen
     with_gateway = hub({**GATEWAY, "planner": "move_base"}, endpoints=[server(MOVE_BASE)])
     for other in (hub({**GATEWAY, "daemon": "robot2", "planner": "move_base"}), with_gateway):
         finding = only(hub_checks.check_workers(around(config, hub=other)))
-        assert (finding.seen.partition(" ")[2], finding.cure) == ("waits: the planner p is not there", "")
+        assert (finding.seen.partition(" ")[2], finding.cure) == ("waits: the planner p is not available", "")
 
 
 def test_module_reports_what_it_waits_for() -> None:

@@ -237,7 +237,7 @@ def test_a_robot_on_yarp(fresh: Begin) -> None:
 def test_move_base_and_a_robot_on_yarp(fresh: Begin) -> None:
     site = fresh(from_file("yarp_robot_move_base.yaml"))
     site.until_it_waits(
-        "gateway waits: the planner move_base is not there: no node serves its action /move_base on ROS 1 .start",
+        "gateway waits: the planner move_base is not available: no node serves its action /move_base on ROS 1 .start",
         "waiting for /baseControl/control:i, to connect it to",
     )
     site.robot()
@@ -250,7 +250,7 @@ def test_move_base_and_a_robot_on_yarp(fresh: Begin) -> None:
 def test_nav2(fresh: Begin) -> None:
     site = fresh(from_file("nav2.yaml"))
     site.until_it_waits(
-        "gateway waits: the planner nav2 is not there: no node serves its action /navigate_to_pose on ROS 2"
+        "gateway waits: the planner nav2 is not available: no node serves its action /navigate_to_pose on ROS 2"
     )
     site.ros2("ros2/nav2.py", "2.0", "5.0")
     site.until_all_is_well()

@@ -67,7 +67,9 @@ def _register_echo(verbs: Any) -> None:
         help="exit with code 1 after this time without a message; also limits the wait for the topic",
     )  # fmt: skip
     parser.add_argument("--full", action="store_true", help="write arrays and texts whole")
-    parser.add_argument("--json", action="store_true", help="a JSON object a line: topic, type, side, time_ns, message")
+    parser.add_argument(
+        "--json", action="store_true", help="one JSON object per line: topic, type, side, time_ns, message"
+    )
     parser.add_argument("--raw", action="store_true", help="print the bytes (CDR) in hex instead of the fields")
 
 
@@ -246,7 +248,7 @@ def _register_hz(subparsers: Any) -> None:
     parser.add_argument(
         "--duration", type=float, metavar="SECONDS", help="exit after this time; exit code 1 without a message"
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+    parser.add_argument("--json", action="store_true", help="one JSON object per line")
 
 
 def _hz(args: argparse.Namespace) -> int:

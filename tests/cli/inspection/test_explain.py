@@ -160,7 +160,7 @@ def test_an_unused_name_is_explained_by_the_rules(
         assert (done.code, f"no endpoint has the name {name} now" in done.out, reason in done.out) == (0, True, True), (
             done
         )
-        planner = "the planner move_base is not there: no node serves its action /move_base on ROS 1" in done.out
+        planner = "the planner move_base is not available: no node serves its action /move_base on ROS 1" in done.out
         assert planner == ("move_base" in name), done
     assert midspan("explain", "/nobody").code == 1
 

@@ -27,7 +27,7 @@ def workers(network: HubNetwork, closing: list[FakeWorker | EngineWorker]) -> No
     ros1 = status("ros1", routes=[route("/scan"), route("/odd\x1b[2J", error="bad\x07bell")], refused=[REFUSED])
     ros2 = status("ros2", state="waiting", network=None, routes=[route("/scan", "out", state="idle", age=None)])
     router = status("router", side="router", listen="tcp/127.0.0.1:1", sessions=3)
-    gateway = status("gateway", side=None, state="waiting", network=None, text="the planner is not there")
+    gateway = status("gateway", side=None, state="waiting", network=None, text="the planner is not available")
     documents = (ros1, ros2, router, gateway)
     closing.extend(FakeWorker(network, document["worker"], status=document) for document in documents)
 
@@ -45,7 +45,7 @@ def test_status_shows_each_worker_and_route(midspan: Midspan) -> None:
         "refused ROS 1 -> hub /odd (odd_msgs/Odd)",
     ):
         assert text in output
-    assert "gateway  waiting  the planner is not there" in output
+    assert "gateway  waiting  the planner is not available" in output
     for text in ("cure: get it", "hub -> ROS 2", "queue 3, bad 1", "9.8", "12", "idle", "up 3 min", "cpu 3 %", "52 MB"):
         assert text in output
     assert "bad?bell" in output

@@ -338,7 +338,7 @@ def test_halt_does_not_report_a_stop_that_is_uncertain(
     midspan: Midspan, network: HubNetwork, closing: list[Any], tmp_path: Path
 ) -> None:
     def halt(_params: object) -> object:
-        raise HubError("it may still be moving: the planner move_base is not there")
+        raise HubError("it may still be moving: the planner move_base is not available")
 
     file = config_file(tmp_path, network)
     file.write_text(json.dumps(yaml.safe_load(file.read_text()) | {"navigation": {"planner": "move_base"}}))
@@ -348,4 +348,4 @@ def test_halt_does_not_report_a_stop_that_is_uncertain(
     closing.append(FakeWorker(network, "gateway", halt=halt))
     done = midspan("halt", "--seconds", "0.2")
     assert done.code == 1
-    assert "gateway of robot1: it may still be moving: the planner move_base is not there" in done.out
+    assert "gateway of robot1: it may still be moving: the planner move_base is not available" in done.out

@@ -314,7 +314,7 @@ def test_status_reports_a_missing_planner(rig: Rig, midspan: Midspan) -> None:
     try:
         status = midspan("nav", "status")
         assert (
-            "planner  robot_path_planner\n         the planner robot_path_planner is not there: its module"
+            "planner  robot_path_planner\n         the planner robot_path_planner is not available: its module"
             in status.out
         )
         assert "cure: modules.robot_path_planner.enabled: true" in status.out
