@@ -1,0 +1,137 @@
+"""Solves sparse systems of 3 x 3 blocks, as pose graphs have them, with NumPy only.
+
+Nodes that are not joined are eliminated together, in one vectorized step: of a chain every other node, so that a chain
+of n nodes takes about log2(n) steps. The few nodes that remain are solved as a dense system. The order depends on the
+edges only, and serves all iterations.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+_DENSE = 60  # nodes that are solved as a dense system
+_MOST_NEIGHBORS = 40  # of a node that is eliminated
+_FEW_NEIGHBORS, _SPREAD = 3, 1.3  # a step eliminates nodes with few neighbors, or little more than the least number
+
+
+class _Step(NamedTuple):
+    """Nodes that are eliminated together; missing neighbors are the node after the last one, and the empty block.
+
+    Attributes:
+        nodes: (m,) their indices.
+        neighbors: (m, d) their neighbors.
+        blocks: (m, d) places of the blocks in a neighbor's row and the node's column.
+        pairs: (m, d, d) places of the blocks of each two neighbors.
+    """
+
+    nodes: Indices
+    neighbors: Indices
+    blocks: Indices
+    pairs: Indices
+
+
+class BlockElimination:
+    """The elimination of a symmetric, positive definite matrix: a block for each node and each direction of an edge.
+
+    Args:
+        count: the number of nodes.
+        first, second: the nodes of each edge; an edge with a node that is negative has no blocks.
+
+    Attributes:
+        places: (edges, 2) the places of each edge's blocks: row of the first node and column of the second one, and the
+            other way. The places of the nodes' own blocks are their indices, and the last place is empty.
+        size: the number of places.
+    """
+
+    def __init__(self, count: int, first: Indices, second: Indices) -> None:
+        self._count = count
+        self._places: dict[tuple[int, int], int] = {}
+        joined: list[set[int]] = [set() for _ in range(count)]
+        edges = list(zip(first.tolist(), second.tolist(), strict=True))
+        for a, b in edges:
+            if a >= 0 and b >= 0 and a != b:
+                joined[a].add(b)
+                joined[b].add(a)
+                self._place(a, b)
+                self._place(b, a)
+        steps, self._left = self._ordered(joined)
+        self.size = count + len(self._places) + 1
+        last = self.size - 1
+        self._steps = [self._step(nodes, last) for nodes in steps]
+        self.places = np.array([(self._at(a, b), self._at(b, a)) for a, b in edges], np.intp).reshape(-1, 2)
+        self.places[self.places < 0] = last
+        left = self._left
+        self._dense = np.array([[self._at(a, b) for b in left] for a in left], np.intp).reshape(len(left), len(left))
+        self._dense[self._dense < 0] = last
+
+    def solve(self, blocks: Floats, right: Floats) -> Floats:
+        """Return the solution for blocks (size, 3, 3) and a right side (count, 3); changes the blocks."""
+        blocks[-1] = 0.0
+        right = np.concatenate((right, np.zeros((1, 3))))
+        inverses, columns = [], []
+        for nodes, neighbors, places, pairs in self._steps:
+            inverse, column = np.linalg.inv(blocks[nodes]), blocks[places]
+            scaled = column @ inverse[:, None]
+            np.subtract.at(blocks, pairs, scaled[:, :, None] @ column.swapaxes(-1, -2)[:, None])
+            np.subtract.at(right, neighbors, np.einsum("mdij,mj->mdi", scaled, right[nodes]))
+            inverses.append(inverse)
+            columns.append(column)
+        result = np.zeros_like(right)
+        if self._left:
+            side = 3 * len(self._left)
+            dense = blocks[self._dense].swapaxes(1, 2).reshape(side, side)
+            result[self._left] = np.linalg.solve(dense, right[self._left].reshape(-1)).reshape(-1, 3)
+        for step, inverse, column in zip(reversed(self._steps), reversed(inverses), reversed(columns), strict=True):
+            known = np.einsum("mdij,mdi->mj", column, result[step.neighbors])
+            result[step.nodes] = np.einsum("mij,mj->mi", inverse, right[step.nodes] - known)
+        return result[:-1]
+
+    def _ordered(self, joined: list[set[int]]) -> tuple[list[list[tuple[int, list[int]]]], list[int]]:
+        """Return the nodes of each step with their neighbors, and the nodes that remain; adds the places it needs."""
+        left, steps = set(range(self._count)), []
+        while len(left) > _DENSE:
+            blocked: set[int] = set()
+            chosen: list[tuple[int, list[int]]] = []
+            ordered = sorted(left, key=lambda node: (len(joined[node]), node))
+            most = min(max(_FEW_NEIGHBORS, int(_SPREAD * len(joined[ordered[0]]))), _MOST_NEIGHBORS)
+            for node in ordered:
+                if len(joined[node]) > most:
+                    break
+                if node not in blocked:
+                    chosen.append((node, sorted(joined[node])))
+                    blocked |= joined[node]
+            if not chosen:
+                break
+            for node, neighbors in chosen:
+                left.discard(node)
+                for neighbor in neighbors:
+                    joined[neighbor].discard(node)
+                    joined[neighbor].update(other for other in neighbors if other != neighbor)
+                    for other in neighbors:
+                        self._place(neighbor, other)
+            steps.append(chosen)
+        return steps, sorted(left)
+
+    def _step(self, chosen: list[tuple[int, list[int]]], last: int) -> _Step:
+        most = max(len(neighbors) for _, neighbors in chosen)
+        all_neighbors = np.full((len(chosen), most), self._count, np.intp)
+        blocks, pairs = np.full((len(chosen), most), last, np.intp), np.full((len(chosen), most, most), last, np.intp)
+        for number, (node, neighbors) in enumerate(chosen):
+            count = len(neighbors)
+            all_neighbors[number, :count] = neighbors
+            blocks[number, :count] = [self._at(neighbor, node) for neighbor in neighbors]
+            pairs[number, :count, :count] = [[self._at(a, b) for b in neighbors] for a in neighbors]
+        return _Step(np.array([node for node, _ in chosen], np.intp), all_neighbors, blocks, pairs)
+
+    def _place(self, row: int, column: int) -> None:
+        if row != column:
+            self._places.setdefault((row, column), self._count + len(self._places))
+
+    def _at(self, row: int, column: int) -> int:
+        return row if row == column else self._places.get((row, column), -1)
