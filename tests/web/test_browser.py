@@ -287,7 +287,7 @@ def test_a_pause_keeps_distance_and_path(operator: Operator, watch: TestPage) ->
     watch.until(lambda: stands(watch), "the robot stands", 30)
     left = f"{driving['distance']:.1f} m"
     until(lambda: operator.texts(".doing .facts dd")[1] == left, "the panel shows the remaining distance")
-    assert operator.chrome.find_element(By.ID, "driving").text == "Paused"
+    until(lambda: operator.chrome.find_element(By.ID, "driving").text == "Paused", "the page shows the pause")
     assert len(watch.values["path"]["value"]["points"]) >= 4
     operator.chrome.refresh()
     until(lambda: operator.pixels("--path") > 100, "a page that is loaded during the pause draws the path")
