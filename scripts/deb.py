@@ -219,7 +219,7 @@ def pack(
         to: folder for the package.
         version: without the release's suffix; default: this checkout's.
         arch: Debian's name of the processor.
-        quick: whether to compress less.
+        quick: whether to skip compression.
     """
     full = f"{version or dist.version()}{release.suffix}"
     _write_packed(root / "usr/share/doc/midspan/changelog.gz", _changelog(full))
@@ -242,7 +242,7 @@ def pack(
     _write(control / "control", text)
     to.mkdir(parents=True, exist_ok=True)
     package = to / f"midspan_{full}_{arch}.deb"
-    command = ["dpkg-deb", "--root-owner-group", *(["-Zgzip", "-z1"] if quick else ["-Zxz"])]
+    command = ["dpkg-deb", "--root-owner-group", *(["-Znone"] if quick else ["-Zxz"])]
     dist.run([*command, "--build", str(root), str(package)], to)
     return package
 
