@@ -17,7 +17,7 @@ from bridge.modules.host import ModuleNode
 from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, OBJECT, PATH
 from bridge.stores.store import Store
 from navigation.maps.grid import data_of, info_of, message_of, to_cdr, to_grid, turned
-from navigation.maps.masks import keepout_mask, speed_mask
+from navigation.maps.masks import binary_mask, keepout_mask, speed_mask
 from navigation.messages import GRID, Message, pose_message
 from navigation.pose import Pose
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
@@ -48,10 +48,14 @@ def points(corners: Sequence[tuple[float, float]], z: float = 0.02) -> list[Mess
 
 KEEP_OUT, KEEP_OUT_INFO = "/keepout_filter_mask", "/keepout_costmap_filter_info"
 SPEED, SPEED_INFO = "/speed_filter_mask", "/speed_costmap_filter_info"
+BINARY, BINARY_INFO = "/binary_filter_mask", "/binary_costmap_filter_info"
 INFO = "nav2_msgs/msg/CostmapFilterInfo"
 
-_KEEP_OUT_FILTER = 0
-"""``CostmapFilterInfo.type`` of KeepoutFilter; 1 and 2 are SpeedFilter's, in percent and m/s."""
+_KEEP_OUT_FILTER, _BINARY_FILTER = 0, 3
+"""``CostmapFilterInfo.type`` of KeepoutFilter and BinaryFilter (nav2_costmap_2d, costmap_filters/filter_values.hpp).
+
+1 and 2 are SpeedFilter's, in percent and m/s.
+"""
 
 
 def masks_of(grid: MapGrid2D, store: Store, head: Head) -> dict[str, tuple[str, Message]]:
@@ -77,6 +81,8 @@ def masks_of(grid: MapGrid2D, store: Store, head: Head) -> dict[str, tuple[str, 
     return {
         KEEP_OUT: on_cells(mask),
         KEEP_OUT_INFO: info(_KEEP_OUT_FILTER, KEEP_OUT, 0.0, 1.0),
+        BINARY: on_cells(binary_mask(mask)),
+        BINARY_INFO: info(_BINARY_FILTER, BINARY, 0.0, 1.0),
         SPEED: on_cells(speed.values),
         SPEED_INFO: info(speed.type, SPEED, speed.base, speed.multiplier),
     }
@@ -251,7 +257,7 @@ class AllMaps:
 
 
 class Masks:
-    """Publishes the masks of keep-out areas and speed limits for the filters of Nav2's costmaps."""
+    """Publishes the masks of keep-out cells, areas and speed limits for the filters of Nav2's costmaps."""
 
     def __init__(self, node: ModuleNode, store: Store, head: Head) -> None:
         self._node, self._store, self._head = node, store, head

@@ -98,6 +98,11 @@ def keepout_mask(grid: MapGrid2D, areas: Iterable[Map2DArea] = ()) -> NDArray[np
     return mask
 
 
+def binary_mask(keepout: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Return the mask for Nav2's BinaryFilter from a keep-out mask: 100 in keep-out areas and cells, 0 elsewhere."""
+    return np.where(keepout == KEEP_OUT, np.int8(KEEP_OUT), np.int8(0))
+
+
 ABSOLUTE = 2  # CostmapFilterInfo's type for limits in m/s
 
 

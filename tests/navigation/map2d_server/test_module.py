@@ -117,6 +117,17 @@ def test_a_yarp_clients_map_is_served_with_all_six_flags(served: Served) -> None
     assert {**info(), "header": None} == {"header": None, "type": 0, "filter_mask_topic": "/keepout_filter_mask",
                                           "base": 0.0, "multiplier": 1.0}  # fmt: skip
     assert all_maps()["data"] == current()["data"]
+    binary, kind = served.latest("/binary_filter_mask", GRID), served.latest("/binary_costmap_filter_info", INFO)
+    until(lambda: binary() and kind(), "the binary mask is published", 20)
+    inside = np.asarray(binary()["data"], np.int8).reshape(12, 17)[::-1]
+    assert np.array_equal(inside == 100, grid.flags == MapFlag.KEEP_OUT)
+    assert set(np.unique(inside)) == {0, 100}
+    assert {**kind(), "header": None} == {
+        **info(),
+        "header": None,
+        "type": 3,
+        "filter_mask_topic": "/binary_filter_mask",
+    }
 
 
 def test_a_3d_map_is_published_with_its_type(served: Served) -> None:
