@@ -314,10 +314,12 @@ class GatewayKeys(Part):
     """The gateway's own keys that others use, with `Part.other`.
 
     Attributes:
+        navigation: the state that it publishes.
         inactive_nodes: the states of the planner's lifecycle nodes that are not active, by node.
     """
 
     planner: Text = ""
+    navigation: Text = ""
     pending: Text = ""
     goals: Int = 0
     goal: Any = None

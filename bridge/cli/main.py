@@ -56,6 +56,9 @@ VERBS: dict[str, Verb] = {
     "map": Verb("bridge.cli.maps.map:register", "list, show, import, export, edit and choose the stored maps"),
     "location": Verb("bridge.cli.maps.location:register", "list, add, remove and export the stored locations"),
     "goto": Verb("bridge.cli.navigation.goto:register", "drive to a place or a pose"),
+    "waypoints": Verb("bridge.cli.navigation.servers:register_waypoints", "follow waypoints with Nav2's server"),
+    "dock": Verb("bridge.cli.navigation.servers:register_dock", "dock the robot at a stored dock, or one of Nav2's"),
+    "undock": Verb("bridge.cli.navigation.servers:register_undock", "move the robot out of its dock"),
     "nav": Verb(
         "bridge.cli.navigation.nav:register", "status, stop, pause, resume, path and show for the planner in use"
     ),

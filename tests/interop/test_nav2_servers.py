@@ -59,30 +59,82 @@ def midspan(started: Nav2Rig, capsys: pytest.CaptureFixture[str]) -> Midspan:
 @pytest.fixture
 def rig(started: Nav2Rig, midspan: Midspan) -> Nav2Rig:
     """The rig with active nodes, and a base that stands."""
-    if started.inactive():
-        assert midspan("nav", "startup").code == 0
+    until(lambda: midspan("nav", "startup").code == 0, "the lifecycle manager is on the hub", SECONDS)
     started.until_inactive()
     return started
 
 
-def test_nodes_are_started_and_reported_without_a_drive(started: Nav2Rig, midspan: Midspan) -> None:
-    started.until_inactive(**dict.fromkeys(SERVERS, "unconfigured"))
+def test_nodes_are_started_and_reported_without_a_drive(rig: Nav2Rig, midspan: Midspan) -> None:
+    until(lambda: not rig.base.moves, "the base stands", SECONDS)
+    before = rig.goals(), rig.base.changes()
+    assert midspan("nav", "reset").out == f"{MANAGER}: all its nodes are unconfigured\n"
+    rig.until_inactive(**dict.fromkeys(SERVERS, "unconfigured"))
     status = midspan("nav", "status").out
     assert "bt_navigator (unconfigured)" in status
     assert "cure: midspan nav startup" in status
 
     startup = midspan("nav", "startup")
     assert (startup.code, startup.out) == (0, f"{MANAGER}: all its nodes are active\n"), startup
-    started.until_inactive()
+    rig.until_inactive()
     assert "not active" not in midspan("nav", "status").out
     assert "active already" in midspan("nav", "startup").out
 
     assert midspan("nav", "deactivate").code == 0
-    started.until_inactive(**dict.fromkeys(SERVERS, "inactive"))
+    rig.until_inactive(**dict.fromkeys(SERVERS, "inactive"))
     assert "cure: midspan nav activate" in midspan("nav", "status").out
     failed = midspan("nav", "deactivate")
     assert (failed.code, "deactivate failed" in failed.err) == (1, True), failed
     assert midspan("nav", "activate").code == 0
     assert midspan("nav", "reset").code == 0
-    started.until_inactive(**dict.fromkeys(SERVERS, "unconfigured"))
-    assert (started.goals(), started.base.changes()) == ([], []), "nothing drives by itself"
+    rig.until_inactive(**dict.fromkeys(SERVERS, "unconfigured"))
+    assert (rig.goals(), rig.base.changes()) == before, "nothing drives by itself"
+
+
+def add(midspan: Midspan, name: str, x: float, *options: str) -> None:
+    outcome = midspan("location", "add", name, str(x), "0", "90", "--map", "map", "--replace", *options)
+    assert outcome.code == 0, outcome
+
+
+def test_the_robot_docks_at_stored_docks_and_at_those_of_nav2(rig: Nav2Rig, midspan: Midspan) -> None:
+    add(midspan, "kitchen", 1.0)
+    assert "which dock? none is stored" in midspan("dock").err
+    assert "the location kitchen is not a dock" in midspan("dock", "kitchen").err
+    add(midspan, "charger", 5.0, "--dock", "contacts")
+    before = len(rig.goals("dock_robot")), len(rig.goals("undock_robot"))
+    docked = midspan("dock")
+    assert (docked.code, docked.out.splitlines()) == (0, ["to the dock charger", "approaching", "docked"]), docked
+    assert midspan("undock").out == "undocked\n"
+    assert midspan("dock", "home", "--type", "magnet", "--json").lines()[-1]["status"] == "succeeded"
+    gone = midspan("dock", "gone")
+    assert (gone.code, "aborted: the dock is not in the database" in gone.err) == (1, True), gone
+    stored, own, _ = rig.goals("dock_robot")[before[0] :]
+    assert stored == {"id": None, "type": "contacts", "x": 5.0, "frame": "map", "stages": True}
+    assert (own["id"], own["type"], rig.goals("undock_robot")[before[1] :]) == ("home", "magnet", [{"type": ""}])
+    until(lambda: not rig.base.moves, "the base stands", SECONDS)
+
+
+def test_waypoints_that_are_missed_are_named(rig: Nav2Rig, midspan: Midspan) -> None:
+    for name, x in (("a", 1.0), ("hole", -1.0), ("b", 2.0)):
+        add(midspan, name, x)
+    arrived = midspan("waypoints", "a", "b")
+    assert (arrived.code, arrived.out.splitlines()) == (0, ["to a (1 of 2)", "to b (2 of 2)", "arrived"]), arrived
+    missed = midspan("waypoints", "a", "hole", "b")
+    assert (missed.code, missed.err) == (1, "midspan: succeeded: not reached: hole\n"), missed
+    assert rig.goals("follow_waypoints")[-2:] == [{"x": [1.0, 2.0]}, {"x": [1.0, -1.0, 2.0]}]
+
+
+@pytest.mark.parametrize("words", [("dock", "far"), ("waypoints", "far")], ids=" ".join)
+def test_a_stop_ends_docking_and_waypoints(rig: Nav2Rig, midspan: Midspan, words: tuple[str, ...]) -> None:
+    add(midspan, "far", 950.0, "--dock")
+    program = rig.deployment.keep(rig.deployment.midspan(*words))
+    until(lambda: rig.base.moves, "the base moves", SECONDS)
+    refused = midspan("undock")
+    assert (refused.code, "the robot is not idle (moving: " in refused.err) == (1, True), refused
+    assert "nav2 has a goal: stop it first" in midspan("nav", "reset").err
+    stopped = midspan("nav", "stop")
+    assert stopped.code == 0, stopped
+    assert not rig.base.moves, "the stop was confirmed"
+    until(lambda: program.popen.poll() is not None, "the program has ended", SECONDS)
+    assert (program.popen.returncode, "midspan: canceled" in program.output()) == (1, True), program.output()
+    assert midspan("nav", "status").out.startswith("idle")
+    assert midspan("location", "remove", "far").code == 0

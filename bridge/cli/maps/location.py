@@ -21,6 +21,7 @@ from bridge.stores.store import Write
 from bridge.text import clean, make_console, plural
 from bridge.tf.errors import TransformError
 from bridge.tf.transform import angles_of
+from yarp_compat.dev.docks import Dock, dock_of
 from yarp_compat.dev.locations import Map2DLocation
 
 
@@ -77,7 +78,7 @@ def _list(args: argparse.Namespace) -> int:
             clean(row["name"]),
             clean(", ".join(row["maps"])),
             clean(_where(row["kind"], value)),
-            _behavior(row.get("behaviour")),
+            _behavior(row),
             clean(value.get("description", "")),
         )
     make_console().print(table)
@@ -104,6 +105,8 @@ def _rows(stored: StoreClient, only: str | None) -> list[dict[str, Any]]:
         for key, value in (locations if kind is kinds.LOCATION else stored.all(kind)).items():
             entry = dict(_JSON[name](value))
             row: dict[str, Any] = {"kind": name, "name": key, "maps": _maps(name, entry, locations), "value": entry}
+            if isinstance(value, Map2DLocation) and (dock := dock_of(value)) is not None:
+                row["dock"] = {"type": dock.type}
             if name == "area" and key in behaviours:
                 row["behaviour"] = dict(kinds.behaviour_json(behaviours[key]))
             rows.append(row)
@@ -130,7 +133,10 @@ def _where(kind: str, value: dict[str, Any]) -> str:
     return f"{value['from']} to {value['to']}, cost {value['cost']:g}"
 
 
-def _behavior(found: dict[str, Any] | None) -> str:
+def _behavior(row: dict[str, Any]) -> str:
+    if "dock" in row:
+        return clean(f"dock {row['dock']['type']}".strip())
+    found = row.get("behaviour")
     if found is None:
         return ""
     parts = [] if found["max_speed"] is None else [f"up to {found['max_speed']:g} m/s"]
@@ -159,6 +165,9 @@ def _register_add(verbs: Any) -> None:
     parser.add_argument("--here", action="store_true", help="the robot's pose: its base in the map's frame, from /tf")
     parser.add_argument("--map", metavar="NAME", help="its map (default: the one in use)")
     parser.add_argument("--description", default="", help="for people")
+    parser.add_argument(
+        "--dock", nargs="?", const="", metavar="TYPE", help="it is a dock, of this type, for 'midspan dock'"
+    )
     parser.add_argument("--replace", action="store_true", help="replace an existing location of this name")
     parser.add_argument("--map-frame", default="map", metavar="FRAME", help="the map's frame, for --here")
     parser.add_argument("--base-frame", default="base_link", metavar="FRAME", help="the robot's frame, for --here")
@@ -168,6 +177,12 @@ def _add(args: argparse.Namespace) -> int:
     check_name(args.name)
     if args.here is bool(args.pose) or len(args.pose) not in (0, 2, 3):
         raise CliError("give X Y [DEGREES], or --here")
+    description: str = args.description
+    if args.dock is not None:
+        try:
+            description = " ".join(filter(None, (description, Dock(args.dock).to_text())))
+        except ValueError as err:
+            raise CliError(str(err)) from None
     with open_stored(args) as (client, stored):
         map_name = args.map or stored.current_map()
         if not map_name:
@@ -175,7 +190,7 @@ def _add(args: argparse.Namespace) -> int:
         if not args.replace and args.name in stored.names(kinds.LOCATION):
             raise CliError(f"location {args.name!r} already exists; --replace replaces it")
         x, y, theta = robot_pose(client, args.map_frame, args.base_frame) if args.here else (*args.pose, 0.0)[:3]
-        place = Map2DLocation(map_name, x, y, theta, args.description)
+        place = Map2DLocation(map_name, x, y, theta, description)
         stored.write([Write(kinds.LOCATION, args.name, place)])
     print(f"{clean(args.name)}: {x:.3f}, {y:.3f} m, {theta:.1f} degrees on {clean(map_name)}")
     return 0

@@ -18,7 +18,7 @@ from bridge.cli.navigation.gateway import check_daemon, gateway_caller, no_answe
 from bridge.cli.output import CliError, print_json
 from bridge.client.errors import ClientError
 from bridge.client.feed import LatestMessage
-from bridge.client.goals import STATES, SUCCEEDED
+from bridge.client.goals import STATES, SUCCEEDED, GoalEnd
 from bridge.client.navigation import STATUS, STATUS_TOPIC, place_goal, place_text, pose_goal, state_text
 from bridge.client.types import Types
 from bridge.config.sections.navigation import ACTION, THROUGH_POSES
@@ -160,19 +160,34 @@ def _drive(sent: FollowedGoal, goal: dict[str, Any], progress: GoalProgress, tim
     except ClientError:
         progress.end()
         raise
+    if signaled not in _TERMINATED:
+        progress.refresh()
+        progress.end()
+    return report_end(end, signaled, "arrived", as_json=progress.as_json)
+
+
+def report_end(end: GoalEnd, signaled: int, done: str, trouble: str = "", *, as_json: bool) -> int:
+    """Print how a goal ended; return the exit code.
+
+    Args:
+        end: of the goal.
+        signaled: the exit code for the signal that canceled it, 0 without one.
+        done: the text for a goal that succeeded.
+        trouble: why it has not succeeded completely.
+        as_json: print one line of JSON instead.
+    """
     state, code = STATES.get(end.status, "unknown"), int(end.result.get("error_code", 0))
-    reason = reason_text(str(end.result.get("error_msg", "")), code)
+    reason = trouble or reason_text(str(end.result.get("error_msg", "")), code)
     if signaled in _TERMINATED:  # `FollowedGoal` has reported the end
         with contextlib.suppress(OSError):  # the terminal may be closed
-            if progress.as_json:
+            if as_json:
                 print_json({"status": state, "reason": reason, "code": code}, lines=True)
         return signaled
-    progress.refresh()
-    progress.end()
-    if progress.as_json:
+    succeeded = end.status == SUCCEEDED and not trouble
+    if as_json:
         print_json({"status": state, "reason": reason, "code": code}, lines=True)
-    elif end.status == SUCCEEDED:
-        print("arrived")
+    elif succeeded:
+        print(done)
     else:
         print(f"midspan: {state}" + (f": {clean(reason)}" if reason else ""), file=sys.stderr)
-    return signaled or (0 if end.status == SUCCEEDED else 1)
+    return signaled or (0 if succeeded else 1)

@@ -15,6 +15,7 @@ from bridge.client.types import Types
 from bridge.config.sections.navigation import KNOWN, NavigationSection, Planner
 from bridge.status import GatewayKeys
 from bridge.text import clean
+from navigation.status import State
 
 MANAGE, TRIGGER = "nav2_msgs/srv/ManageLifecycleNodes", "std_srvs/srv/Trigger"
 _STARTUP, _DEACTIVATE, _ACTIVATE, _RESET, _SHUTDOWN = "startup", "deactivate", "activate", "reset", "shutdown"
@@ -28,6 +29,7 @@ _DONE = {
     _RESET: "all its nodes are unconfigured",
     _SHUTDOWN: "all its nodes are shut down",
 }
+_MOVING = frozenset((State.PREPARING, State.MOVING, State.WAITING, State.PAUSED))
 _ANSWER_SECONDS = 60.0
 _ACTIVE_SECONDS = 5.0
 
@@ -77,7 +79,7 @@ def _planner(client: CliClient) -> Planner:
     else:
         gateway = document.other(GatewayKeys)
         name = gateway.planner or name
-        if gateway.goals or gateway.goals_of_others:
+        if gateway.goals or gateway.goals_of_others or gateway.navigation in _MOVING:
             raise CliError(f"{clean(name)} has a goal: stop it first ('midspan nav stop')")
     planner = section.others.get(name, KNOWN.get(name))
     if planner is None or not planner.managers:

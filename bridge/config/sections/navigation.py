@@ -36,9 +36,9 @@ HOLD, HOLD_TYPE = "/navigation/hold", "std_msgs/msg/Bool"
 
 NAV2_MOTION = (
     "follow_path", "spin", "backup", "drive_on_heading", "assisted_teleop", "navigate_through_poses",
-    "follow_waypoints", "dock_robot", "undock_robot",
+    "follow_waypoints", "follow_gps_waypoints", "follow_object", "dock_robot", "undock_robot",
 )  # fmt: skip
-"""Nav2's actions that move the base besides ``navigate_to_pose`` (Jazzy's default names)."""
+"""Nav2's actions that move the base besides ``navigate_to_pose`` (default names; follow_object since Lyrical)."""
 
 
 NAV2_NODES = (

@@ -29,6 +29,7 @@ from tests.peers.hub.network import HubNetwork
 from tests.stores.parts import Shared
 from tests.support.missing import OCTOMAP, needs
 from tests.yarp_compat.test_octree import a_tree
+from yarp_compat.dev.docks import Dock, dock_of
 from yarp_compat.dev.extras import AreaBehaviour, MapLink
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
@@ -95,16 +96,17 @@ def test_the_examples_work(midspan: Midspan, store: Store) -> None:
     assert grid is not None
     assert {MapFlag.KEEP_OUT, MapFlag.WALL, MapFlag.ENLARGED_OBSTACLE} <= set(map(MapFlag, np.unique(grid.flags)))
     assert store.current_map() == "house"
-    assert store.names(LOCATION) == ["dock"]
-    dock = store.get(LOCATION, "dock")
+    assert store.names(LOCATION) == ["charger"]
+    dock = store.get(LOCATION, "charger")
     assert dock is not None
+    assert dock_of(dock) == Dock()
     assert (dock.map_id, round(dock.x, 6), round(dock.y, 6), round(dock.theta, 6)) == ("house", 1.0, 0.5, 90.0)
     assert MapGrid2D.load("house.map") == grid
     with Image.open("house.png") as picture:
         assert picture.size == (16 * 40, 16 * 30)
-    assert set(Places.load("locations.ini").locations) == {"dock", "kitchen"}
+    assert set(Places.load("locations.ini").locations) == {"charger", "kitchen"}
     names = {feature["properties"]["name"] for feature in json.loads(Path("house.geojson").read_text())["features"]}
-    assert names == {"dock", "kitchen"}
+    assert names == {"charger", "kitchen"}
 
 
 @needs(OCTOMAP)

@@ -58,11 +58,11 @@ def test_navigation_is_not_started_after_a_failure_of_localization(midspan: Mids
     assert managers.commands == [(LOCALIZATION, 0)]
 
 
-@pytest.mark.parametrize(("key", "count"), [("goals", 1), ("goals_of_others", 2)])
+@pytest.mark.parametrize(("key", "value"), [("goals", 1), ("goals_of_others", 2), ("navigation", "moving")])
 def test_a_goal_has_to_be_stopped_first(
-    network: HubNetwork, midspan: Midspan, managers: Managers, closing: list[Any], key: str, count: int
+    network: HubNetwork, midspan: Midspan, managers: Managers, closing: list[Any], key: str, value: Any
 ) -> None:
-    closing.append(FakeWorker(network, "gateway", status=lambda _params: {"planner": "nav2", key: count}))
+    closing.append(FakeWorker(network, "gateway", status=lambda _params: {"planner": "nav2", key: value}))
     for verb in ("startup", "shutdown"):
         outcome = midspan("nav", verb)
         assert (outcome.code, "nav2 has a goal: stop it first ('midspan nav stop')" in outcome.err) == (1, True)
