@@ -28,7 +28,7 @@ from tests.peers.browser.page import TestPage
 from tests.support.wait import until
 from tests.web.conftest import Desk
 from tests.web.test_bounds import connect, is_closed
-from tests.web.test_console import Base, hold
+from tests.web.test_hold import Base, hold
 from tests.web.test_server import ask
 
 DRIVE, WATCH = new_token(), new_token()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import socket
 import threading
 import time
 from typing import Any
@@ -12,9 +11,6 @@ from typing import Any
 import pytest
 
 from bridge.config.sections.navigation import ACTION
-from bridge.hub.wire.qos import Qos
-from bridge.messages.json import to_json
-from bridge.messages.velocities import TWIST, TWIST_STAMPED
 from bridge.modules.action_server import Goal
 from bridge.web.verbs import verbs
 from bridge.web.verbs.hold import HOLD_SECONDS
@@ -23,6 +19,7 @@ from tests.peers.browser.page import TestPage
 from tests.peers.hub.node import HubNode
 from tests.support.wait import until
 from tests.web.conftest import Desk
+from tests.web.test_hold import Base
 
 TF = "tf2_msgs/TFMessage"
 
@@ -241,130 +238,6 @@ def test_topics_and_workers_are_listed(desk: Desk) -> None:
         assert status["machines"] == []
 
 
-class Base:
-    """Receives velocities of one type on the hub, each with its time of arrival."""
-
-    def __init__(self, desk: Desk, type_name: str = TWIST) -> None:
-        self.heard: list[tuple[float, float, float]] = []
-        registry = desk.far.registry
-        type_id = registry.ros2(type_name).type_id
-        self.subscription = desk.far.hub.subscription("/cmd_vel", type_name, type_id, Qos(depth=10), self._on_message)
-        self._registry, self._type_name = registry, type_name
-
-    def _on_message(self, sample: Any) -> None:
-        message = to_json(self._registry, self._type_name, sample.data())
-        twist = message.get("twist", message)
-        self.heard.append((time.monotonic(), twist["linear"]["x"], twist["angular"]["z"]))
-
-    def drives(self) -> bool:
-        return bool(self.heard) and self.heard[-1][1:] != (0.0, 0.0)
-
-    def stands(self) -> bool:
-        return bool(self.heard) and self.heard[-1][1:] == (0.0, 0.0)
-
-
-def hold(page: TestPage, base: Base, seconds: float = 0.0, x: float = 0.1) -> None:
-    """Hold until the base drives, and for ``seconds`` afterwards."""
-    end = time.monotonic() + 30
-    while not base.drives():
-        assert time.monotonic() < end, f"the base does not drive: {page.others}"
-        page.send(op="hold", x=x, y=0.0, turn=0.0)
-        page.read(0.05)
-    until_ = time.monotonic() + seconds
-    while time.monotonic() < until_:
-        page.send(op="hold", x=x, y=0.0, turn=0.0)
-        page.read(0.05)
-
-
-def test_a_hold_drives_while_it_is_repeated(desk: Desk) -> None:
-    base = Base(desk)
-    with TestPage(desk.port) as page:
-        hold(page, base, 0.6, x=5.0)
-        assert base.heard[-1][1] == 0.3, "limited by the configuration"
-        page.send(op="release")
-        until(base.stands, "the base stands after the release")
-        count = len(base.heard)
-        page.watch("topics")
-        page.value("topics")
-        page.until(lambda: page.counts["topics"] >= 1, "a while")
-        assert len(base.heard) == count, "one zero, then silence"
-
-
-def test_a_hold_drives_in_the_form_of_the_base(desk: Desk) -> None:
-    stamped = Base(desk, TWIST_STAMPED)
-    with TestPage(desk.port) as page:
-        hold(page, stamped)
-        plain = Base(desk)
-        stamped.subscription.close()
-        hold(page, plain)
-        page.send(op="release")
-        until(plain.stands, "the base stands after the release")
-
-
-@pytest.mark.parametrize("stamped", [True, False])
-def test_a_hold_drives_in_the_configured_form(desk: Desk, stamped: bool) -> None:
-    desk.open_with(navigation={"planner": "nav2", "stamped": stamped})
-    bases = {name: Base(desk, name) for name in (TWIST, TWIST_STAMPED)}
-    with TestPage(desk.port) as page:
-        hold(page, bases.pop(TWIST_STAMPED if stamped else TWIST))
-    assert [base.heard for base in bases.values()] == [[]]
-
-
-@pytest.mark.parametrize("how", ["silent", "cut", "closed"])
-def test_a_page_that_closes_stops_the_base(desk: Desk, how: str) -> None:
-    base = Base(desk)
-    with TestPage(desk.port) as page:
-        hold(page, base)
-        if how == "cut":
-            page.socket.socket.shutdown(socket.SHUT_RDWR)
-        elif how == "closed":
-            page.socket.close()
-        until(base.stands, "the base stands")
-
-
-def test_no_hold_without_a_velocity_topic(desk: Desk) -> None:
-    desk.open_with(navigation={"planner": "nav2", "velocity": ""})
-    with TestPage(desk.port) as page:
-        page.send(op="hold", x=0.1, y=0.0, turn=0.0)
-        page.until(page.errors, "it is refused")
-        assert page.errors() == ["no velocity topic is configured (navigation.velocity)"]
-        assert page.call("ping")["ok"]
-
-
-def test_one_page_drives_at_a_time(desk: Desk) -> None:
-    base = Base(desk)
-    with TestPage(desk.port) as first, TestPage(desk.port) as other:
-        hold(first, base)
-        stop = time.monotonic() + 30
-        while not other.errors():
-            assert time.monotonic() < stop
-            first.send(op="hold", x=0.1, y=0.0, turn=0.0)
-            first.read(0.02)
-            other.send(op="hold", x=-0.1, y=0.0, turn=0.0)
-            other.read(0.05)
-        assert "drives manually" in other.errors()[0]
-        assert all(x >= 0.0 for _, x, _ in base.heard)
-
-
-def test_no_hold_against_a_planner(desk: Desk) -> None:
-    base = Base(desk)
-    status = desk.far.advertise("/navigation/status", "midspan_msgs/NavigationStatus", latched=True)
-    desk.far.publish(status, {"state": "moving"})
-    with TestPage(desk.port) as page:
-        page.watch("driving")
-        page.value("driving", lambda value: value and value["state"] == "moving")
-        page.send(op="hold", x=0.1, y=0.0, turn=0.0)
-        page.until(page.errors, "it is refused")
-        assert page.errors() == ["nav2 drives; pause or stop it first"]
-        desk.far.publish(status, {"state": "idle"})
-        page.value("driving", lambda value: value and value["state"] == "idle")
-        hold(page, base)
-        desk.far.publish(status, {"state": "moving"})
-        page.value("driving", lambda value: value and value["state"] == "moving")
-        page.send(op="hold", x=0.1, y=0.0, turn=0.0)
-        until(base.stands, "a planner that starts ends the hold")
-
-
 @pytest.mark.parametrize(
     "text",
     ["", "{", "[]", "1", '"hold"', "{}", '{"op": "hold"}', '{"op": "hold", "x": NaN, "y": 0, "turn": 0}',
@@ -381,15 +254,6 @@ def test_invalid_messages_are_reported(desk: Desk, text: str) -> None:
         reply = page.call("explain", name="/x")
         assert reply["ok"], "the socket stays open"
     assert not base.drives()
-
-
-@pytest.mark.parametrize(("x", "shown"), [("1e300", "1e+300"), ("1e999", "inf"), ('"1"', "'1'")])
-def test_a_hold_out_of_range_is_refused_with_its_limits(desk: Desk, x: str, shown: str) -> None:
-    with TestPage(desk.port) as page:
-        page.socket.send(f'{{"op": "hold", "x": {x}, "y": 0, "turn": 0}}')
-        page.until(page.errors, "it is refused")
-        limits = "must be a number between -1,000,000,000 and 1,000,000,000"
-        assert page.errors() == [f"hold: x {limits}, not {shown}"]
 
 
 def test_a_page_that_sends_only_invalid_messages_is_closed(desk: Desk) -> None:
@@ -450,23 +314,6 @@ def test_set_pose_publishes_the_initial_pose(desk: Desk, topic: str) -> None:
         assert message["header"]["frame_id"] == "map"
         assert message["pose"]["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 0.0}
         assert message["pose"]["pose"]["orientation"]["z"] == pytest.approx(1.0)
-
-
-def test_a_stop_goes_to_the_gateway_and_ends_a_hold(desk: Desk) -> None:
-    stops = desk.far.serve("/navigation/stop", "std_srvs/Trigger", reply={"success": True, "message": "stands"})
-    base = Base(desk)
-    with TestPage(desk.port) as page:
-        hold(page, base)
-        reply: dict[str, Any] = {}
-
-        def stopped() -> bool:
-            reply.update(page.call("stop"))
-            return bool(reply["ok"])
-
-        until(stopped, "the gateway receives the call")
-        assert reply["value"] == "stands"
-        until(base.stands, "the hold has ended")
-    assert stops is not None
 
 
 def test_a_goal_without_a_reply_is_canceled(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
