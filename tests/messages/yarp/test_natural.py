@@ -377,7 +377,7 @@ def test_texts_and_numbers() -> None:
     assert back("std_msgs/msg/Float64", binary.encode([2], Profile.YARP3), None) == {"data": 2.0}
     assert back("std_msgs/msg/Bool", binary.encode([1], Profile.YARP3), None) == {"data": True}
     assert values(out("std_msgs/msg/Bool", {"data": True})) == [True]
-    with pytest.raises(ConversionError, match="to be one number"):
+    with pytest.raises(ConversionError, match="must be one number"):
         back("std_msgs/msg/Int32", binary.encode(["five"], Profile.YARP4))
     with pytest.raises(ConversionError):
         back("std_msgs/msg/Int8", binary.encode([300], Profile.YARP4))
