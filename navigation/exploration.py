@@ -28,6 +28,10 @@ _MOST_GROUPS = 200
 _MOST_SIZE = 5.0  # meters; larger frontiers do not count more
 
 
+class NoRoomError(ValueError):
+    """The robot is outside the map, or in a cell that is too narrow for it."""
+
+
 class FrontierGoal(NamedTuple):
     """A goal in view of a frontier.
 
@@ -64,11 +68,10 @@ class Exploration:
         """Return the next goal on the present map; None if no frontier is left that can be reached.
 
         A meter of frontier is worth a meter of path. Frontiers that the robot does not fit through do not count.
+        Raises `NoRoomError` if paths cannot begin at the robot's pose.
         """
         ground = Ground(grid, self.radius, self.clearance)
         start = self._start(ground, robot)
-        if start is None:
-            return None
         resolution = ground.grid.resolution
         least = max(1, math.ceil(2.0 * self.radius / resolution))
         free = (ground.grid.flags == MapFlag.FREE) & ~ground.solid
@@ -103,17 +106,21 @@ class Exploration:
     def _worth(size: float) -> float:
         return min(size, _MOST_SIZE)
 
-    def _start(self, ground: Ground, robot: Pose) -> Cell | None:
+    def _start(self, ground: Ground, robot: Pose) -> Cell:
         """Return the robot's cell, or the nearest one in which it fits, at most its radius away."""
         cell = ground.cell(robot.x, robot.y)
-        if cell is None or ground.fits(cell):
+        if cell is None:
+            raise NoRoomError(f"the robot is outside the map, at {robot.x:.2f}, {robot.y:.2f} m")
+        if ground.fits(cell):
             return cell
         reach = math.ceil(self.radius / ground.grid.resolution)
         cells = _window(ground.weights, cell, reach)
-        return cell if not len(cells) else _cell(cells[np.abs(cells - cell).max(axis=1).argmin()])
+        if not len(cells):
+            raise NoRoomError(f"the robot, at {robot.x:.2f}, {robot.y:.2f} m, is {ground.reason(cell)}")
+        return _cell(cells[np.abs(cells - cell).max(axis=1).argmin()])
 
     def _goal(self, ground: Ground, free: NDArray[np.bool_], start: Cell, group: Cells) -> FrontierGoal | None:
-        """Return a goal in view of a frontier; None if there is no path to one."""
+        """Return a goal in view of a frontier; None without a path to one."""
         resolution = ground.grid.resolution
         middle = _cell(group[np.square(group - group.mean(axis=0)).sum(axis=1).argmin()])
         x, y = ground.places(np.array([middle], np.int32))[0]

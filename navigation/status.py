@@ -38,6 +38,11 @@ class State(StrEnum):
 _ENDED = frozenset((State.IDLE, State.REACHED, State.ABORTED, State.FAILING, State.ERROR))
 
 
+def has_ended(state: str) -> bool:
+    """Return whether no goal is active in a published state; False for a missing or unknown one."""
+    return state in _ENDED
+
+
 class Fault(IntEnum):
     """Why a goal was not reached: ``error_code`` of ``nav2_msgs/action/NavigateToPose``, with Midspan's own numbers.
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,6 +48,26 @@ class Midspan:
         code = main([*args, "--config", str(self.config)])
         captured = self._capsys.readouterr()
         return Outcome(code, captured.out, captured.err)
+
+
+@contextlib.contextmanager
+def alongside(script: Callable[[], object]) -> Iterator[None]:
+    """Run a script, such as a planner's part, while a command runs in the test's thread; its errors fail the test."""
+    failed: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            script()
+        except BaseException as err:
+            failed.append(err)
+
+    running = threading.Thread(target=run)
+    running.start()
+    try:
+        yield
+    finally:
+        running.join()
+    assert not failed, failed
 
 
 @pytest.fixture(scope="session")

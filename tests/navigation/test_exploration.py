@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from benchmarks.closedloop.robot import Robot
 from benchmarks.closedloop.stack import Ours
 from benchmarks.closedloop.worlds import World
 from navigation.algorithms.submaps import Scan
-from navigation.exploration import MOST_FAILURES, Exploration, FrontierGoal
+from navigation.exploration import MOST_FAILURES, Exploration, FrontierGoal, NoRoomError
 from navigation.mapper2d.drawn import DrawnMap
 from navigation.mapper2d.mapper import Mapper
 from navigation.mapper2d.section import Mapper2DSection
@@ -60,6 +61,12 @@ def test_a_frontier_without_a_path_is_left_out() -> None:
     grid = explored()
     paint(grid, (1.4, 0.0, 1.6, 5.0))
     assert Exploration(radius=0.25).choose(grid, ROBOT) is None
+
+
+@pytest.mark.parametrize(("x", "reason"), [(-3.0, "outside the map"), (4.0, "in an unknown part of the map")])
+def test_a_robot_that_paths_cannot_begin_at_has_not_explored_all(x: float, reason: str) -> None:
+    with pytest.raises(NoRoomError, match=reason):
+        Exploration(radius=0.25).choose(explored(), Pose(x, 2.5, 0.0))
 
 
 PLAN = Plan.model_validate({"name": "rooms", "floors": {"rooms": {

@@ -1,6 +1,6 @@
-"""The folders of YARP's resources, and the search for a file in them.
+"""YARP's resource folders, and the search for a file in them.
 
-The order of the search is that of YARP's ResourceFinder.cpp: the current directory, the main configuration file's
+The search order follows YARP's ResourceFinder.cpp: the current directory, the main configuration file's
 folder, the robot, the contexts, the user's folders, the administrator's, the installed ones, ``path.d``. As in YARP,
 the name is appended to the folder unchanged, also ``./map.txt`` and ``maps/``.
 """

@@ -27,7 +27,7 @@ from bridge.hub.wire.qos import LATCHED
 from bridge.messages.actions import GoalState
 from bridge.text import clean
 from bridge.tf.errors import TransformError
-from navigation.exploration import MOST_FAILURES, Exploration, FrontierGoal
+from navigation.exploration import MOST_FAILURES, Exploration, FrontierGoal, NoRoomError
 from navigation.frames import flat
 from navigation.mapper2d.section import Mapper2DSection
 from navigation.maps.grid import from_grid
@@ -159,7 +159,7 @@ class _Floor:
 
 
 class _Watch:
-    """Detects by the gateway's status that somebody has stopped the robot, also between two goals.
+    """Detects by the gateway's status that a client has stopped the robot, also between two goals.
 
     After the first goal has begun, the gateway is idle only if a goal was canceled, or the robot was stopped. Before,
     it may be idle, and only shows that it is stopping.
@@ -205,7 +205,7 @@ class _Explorer:
     def run(self) -> int:
         """Explore; returns the exit code."""
         self._until = time.monotonic() + self.args.seconds
-        self._reached, self._late, self._trouble = 0, "", ""
+        self._reached, self._late, self._trouble, self._trapped = 0, "", "", ""
         began = time.monotonic()
         try:
             ending, code = self._explore()
@@ -231,6 +231,8 @@ class _Explorer:
         """Return why the exploration ends before it is complete."""
         if self._late:
             return _Ending(LIMIT, self._late)
+        if self._trapped:
+            return _Ending(FAILING, f"no path can begin at the robot: {self._trapped}")
         if self.watch.why:
             return _Ending(STOPPED, self.watch.why)
         if self.exploration.failures >= MOST_FAILURES:
@@ -252,11 +254,16 @@ class _Explorer:
                 if time.monotonic() >= missing_until:
                     raise CliError(self.floor.missing())
             else:
-                goal = self.exploration.choose(grid, robot)
+                trouble, goal = "", None
+                try:
+                    goal = self.exploration.choose(grid, robot)
+                except NoRoomError as err:
+                    trouble = str(err)
                 if goal is not None:
                     return goal
                 settled_at = min(settled_at, time.monotonic() + _SETTLE_SECONDS)
                 if time.monotonic() >= settled_at:
+                    self._trapped = trouble
                     return None
             self._await(count, 1.0)
         return None

@@ -7,15 +7,16 @@ from typing import Any
 
 from bridge.cli.arguments import add_verb
 from bridge.cli.client import CliClient, open_client
+from bridge.cli.navigation.gateway import no_answer
 from bridge.cli.output import CliError
 from bridge.client.errors import ClientError
-from bridge.client.navigation import gateway_document
+from bridge.client.navigation import STATUS_TOPIC, gateway_document
 from bridge.client.services import ServiceCaller
 from bridge.client.types import Types
-from bridge.config.sections.navigation import KNOWN, NavigationSection, Planner
+from bridge.config.sections.navigation import NavigationSection, Planner
 from bridge.status import GatewayKeys
 from bridge.text import clean
-from navigation.status import State
+from navigation.status import State, has_ended
 
 MANAGE, TRIGGER = "nav2_msgs/srv/ManageLifecycleNodes", "std_srvs/srv/Trigger"
 _STARTUP, _DEACTIVATE, _ACTIVATE, _RESET, _SHUTDOWN = "startup", "deactivate", "activate", "reset", "shutdown"
@@ -29,7 +30,6 @@ _DONE = {
     _RESET: "all its nodes are unconfigured",
     _SHUTDOWN: "all its nodes are shut down",
 }
-_MOVING = frozenset((State.PREPARING, State.MOVING, State.WAITING, State.PAUSED))
 _ANSWER_SECONDS = 60.0
 _ACTIVE_SECONDS = 5.0
 
@@ -69,25 +69,31 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _planner(client: CliClient) -> Planner:
-    """Return the planner in use; raises `CliError` if it has no lifecycle managers, or it is driving."""
+    """Return the planner in use; raises `CliError` if it has no lifecycle managers, or is not known to be idle."""
     section: NavigationSection = client.config.navigation
-    name = section.planner or "nav2"
+    gateway: GatewayKeys | None = None
     try:
-        document = gateway_document(client)
+        gateway = gateway_document(client).other(GatewayKeys)
     except ClientError:
-        pass  # without a gateway, nothing of Midspan drives the robot
-    else:
-        gateway = document.other(GatewayKeys)
-        name = gateway.planner or name
-        if gateway.goals or gateway.goals_of_others or gateway.navigation in _MOVING:
-            raise CliError(f"{clean(name)} has a goal: stop it first ('midspan nav stop')")
-    planner = section.others.get(name, KNOWN.get(name))
+        if client.hub.graph.publishers(STATUS_TOPIC):
+            raise CliError(no_answer(client)) from None
+        # without a gateway, nothing of Midspan drives the robot
+    name = (gateway.planner if gateway is not None else "") or section.planner or "nav2"
+    planner = section.other(name)
     if planner is None or not planner.managers:
         raise CliError(
             f"{clean(name)} has no lifecycle managers: choose a planner such as nav2, or name them in"
             " 'lifecycle_managers' of its entry in navigation.planners"
         )
+    if gateway is not None and not _is_idle(gateway):
+        raise CliError(f"{clean(name)} has a goal, or the robot may be moving: stop it first ('midspan nav stop')")
     return planner
+
+
+def _is_idle(gateway: GatewayKeys) -> bool:
+    """Return whether no goal is active. A gateway is thinking while its planner is unavailable, as before a startup."""
+    ended = has_ended(gateway.navigation) or gateway.navigation == State.THINKING
+    return ended and not (gateway.goals or gateway.goals_of_others)
 
 
 def _missing(planner: Planner) -> str:

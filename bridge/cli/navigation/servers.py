@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import time
+import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -11,19 +11,18 @@ from bridge.cli.arguments import add_hub_arguments
 from bridge.cli.client import CliClient, open_client
 from bridge.cli.graph.goal import FollowedGoal, Interrupt
 from bridge.cli.maps.store import store_of
-from bridge.cli.navigation.gateway import check_daemon, gateway_caller, gateway_status, published_status
+from bridge.cli.navigation.gateway import check_daemon, gateway_caller, gateway_status, no_answer
 from bridge.cli.navigation.goto import report_end
 from bridge.cli.output import CliError, print_json
 from bridge.client.errors import ClientError
+from bridge.client.feed import LatestMessage
 from bridge.client.goals import SUCCEEDED
-from bridge.client.navigation import place_goal, state_text
+from bridge.client.navigation import PATIENCE, STATUS, STATUS_TOPIC, place_goal, state_text
 from bridge.client.types import Types
-from bridge.config.sections.navigation import KNOWN, Planner
 from bridge.status import GatewayKeys
-from bridge.stores.entry import StoreError
 from bridge.stores.kinds import LOCATION
 from bridge.text import clean
-from navigation.status import State
+from navigation.status import has_ended
 from yarp_compat.dev.docks import Dock, dock_of
 
 DOCK, UNDOCK, WAYPOINTS = "dock_robot", "undock_robot", "follow_waypoints"
@@ -35,7 +34,7 @@ TYPES = {
 _STAGING_SECONDS, _UNDOCKING_SECONDS = 1000.0, 30.0
 """Defaults of the actions."""
 
-_SETTLING_SECONDS, _POLL_SECONDS = 3.0, 0.2
+_SETTLING_SECONDS = 3.0
 """Time for which a goal waits until the robot is known to be idle."""
 
 _DOCKING = (
@@ -173,7 +172,7 @@ def _run(
 def _action(client: CliClient, name: str) -> str:
     """Return the planner's action of this name; raises `CliError` if a stop would not cancel it, or the robot moves."""
     planner_name = gateway_status(client).other(GatewayKeys).planner
-    planner: Planner | None = client.config.navigation.others.get(planner_name, KNOWN.get(planner_name))
+    planner = client.config.navigation.other(planner_name)
     motion = () if planner is None else planner.motion
     action = next((action for action in motion if action.endswith(f"/{name}")), "")
     if not action:
@@ -187,21 +186,26 @@ def _action(client: CliClient, name: str) -> str:
 
 def _wait_until_idle(client: CliClient) -> None:
     """Wait a moment for the end of the previous motion; raises `CliError` if the robot may be moving then."""
-    end, types = time.monotonic() + _SETTLING_SECONDS, Types(client)
-    while not State((status := published_status(client, types))["state"]).ended:
-        if time.monotonic() > end:
-            raise CliError(f"the robot is not idle ({clean(state_text(status))}): stop it first ('midspan nav stop')")
-        time.sleep(_POLL_SECONDS)
+    idle = threading.Event()
+
+    def update(status: dict[str, Any]) -> None:
+        (idle.set if has_ended(status["state"]) else idle.clear)()
+
+    status = LatestMessage(client, Types(client), STATUS_TOPIC, STATUS, update)
+    try:
+        first = status.wait(PATIENCE)
+        if first is None:
+            raise CliError(no_answer(client))
+        if not idle.wait(_SETTLING_SECONDS):
+            text = clean(state_text(status.wait(0.0) or first))
+            raise CliError(f"the robot is not idle ({text}): stop it first ('midspan nav stop')")
+    finally:
+        status.close()
 
 
 def _dock(client: CliClient, name: str | None) -> tuple[str, Dock | None]:
     """Return the dock's name, and its stored settings; None for one of the planner's own."""
-    try:
-        locations = store_of(client).all(LOCATION)
-    except (CliError, ClientError, StoreError):
-        if name is None:
-            raise
-        return name, None  # without a store, all names are the planner's
+    locations = store_of(client).all(LOCATION)
     docks = {key: dock for key, location in locations.items() if (dock := dock_of(location)) is not None}
     if name is None:
         if len(docks) != 1:

@@ -236,6 +236,10 @@ class NavigationSection(Section):
             planners.setdefault(self.planner, KNOWN[self.planner])
         return planners
 
+    def other(self, name: str) -> Planner | None:
+        """Return a planner of this deployment that is not part of Midspan, or one that Midspan knows; else None."""
+        return self.others.get(name, KNOWN.get(name))
+
     @property
     def choices(self) -> tuple[str, ...]:
         """The planners that clients can choose at run time."""

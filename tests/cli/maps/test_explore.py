@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ import pytest
 
 from bridge.cli.maps import explore
 from navigation.maps.grid import to_grid
-from tests.cli.conftest import Midspan, Outcome
+from tests.cli.conftest import Midspan, Outcome, alongside
 from tests.peers.navigation.floors import floor, paint
 from tests.peers.navigation.gateway import ClientGoal, Rig, pose
 from tests.support.wait import until
@@ -50,20 +49,9 @@ class Exploring:
 
     def run(self, script: Callable[[], object], *words: str) -> Outcome:
         """Explore while a script plays the planner and people."""
-        failed: list[BaseException] = []
-
-        def play() -> None:
-            try:
-                script()
-            except BaseException as err:
-                failed.append(err)
-
-        playing = threading.Thread(target=play)
-        playing.start()
-        outcome = self.midspan("map", "explore", "--topic", self.topic, "--radius", "0.25", "--seconds", "60", *words)
-        playing.join()
-        assert not failed, (failed, outcome)
-        return outcome
+        command = ("map", "explore", "--topic", self.topic, "--radius", "0.25", "--seconds", "60")
+        with alongside(script):
+            return self.midspan(*command, *words)
 
     def stop(self) -> None:
         assert self.rig.ask("stop")
@@ -111,6 +99,16 @@ def test_it_drives_to_frontiers_until_none_is_left(exploring: Exploring) -> None
     assert (end["status"], end["goals"], end["reached"]) == ("complete", 1, 1)
     assert end["area"] == pytest.approx(24.0, abs=2.0)
     assert len(planner.goals) == 1
+
+
+def test_a_robot_in_an_unknown_part_of_the_map_has_not_explored_all(exploring: Exploring) -> None:
+    grid = rooms(5.0)
+    paint(grid, (0.0, 0.0, 2.4, 5.0), MapFlag.UNKNOWN)
+    exploring.publish(grid)
+    outcome = exploring.run(lambda: None)
+    assert outcome.code == 1
+    assert outcome.out.startswith("failing: no path can begin at the robot: "), outcome
+    assert not exploring.rig.planner.goals
 
 
 def test_a_stop_during_a_goal_ends_it(exploring: Exploring) -> None:

@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 
 from bridge.cli.navigation.lifecycle import MANAGE
+from bridge.client.navigation import STATUS, STATUS_TOPIC
+from bridge.hub.wire.qos import LATCHED
 from bridge.modules.services import Answer
 from tests.cli.conftest import Midspan
 from tests.peers.daemon.workers import FakeWorker, config_file
@@ -58,15 +60,43 @@ def test_navigation_is_not_started_after_a_failure_of_localization(midspan: Mids
     assert managers.commands == [(LOCALIZATION, 0)]
 
 
-@pytest.mark.parametrize(("key", "value"), [("goals", 1), ("goals_of_others", 2), ("navigation", "moving")])
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("goals", 1),
+        ("goals_of_others", 2),
+        ("navigation", "moving"),
+        ("navigation", "preparing_before_move"),
+        ("navigation", ""),
+    ],
+)
 def test_a_goal_has_to_be_stopped_first(
     network: HubNetwork, midspan: Midspan, managers: Managers, closing: list[Any], key: str, value: Any
 ) -> None:
-    closing.append(FakeWorker(network, "gateway", status=lambda _params: {"planner": "nav2", key: value}))
+    closing.append(
+        FakeWorker(network, "gateway", status=lambda _params: {"planner": "nav2", "navigation": "idle", key: value})
+    )
     for verb in ("startup", "shutdown"):
         outcome = midspan("nav", verb)
-        assert (outcome.code, "nav2 has a goal: stop it first ('midspan nav stop')" in outcome.err) == (1, True)
+        assert (outcome.code, "may be moving: stop it first ('midspan nav stop')" in outcome.err) == (1, True), outcome
     assert managers.commands == []
+
+
+@pytest.mark.parametrize("state", ["idle", "thinking", "aborted"])
+def test_an_idle_or_unavailable_planner_is_commanded(
+    network: HubNetwork, midspan: Midspan, managers: Managers, closing: list[Any], state: str
+) -> None:
+    closing.append(FakeWorker(network, "gateway", status=lambda _params: {"planner": "nav2", "navigation": state}))
+    assert midspan("nav", "reset").code == 0
+    assert managers.commands == [(NAVIGATION, 3), (LOCALIZATION, 3)]
+
+
+def test_a_gateway_that_does_not_answer_is_not_taken_for_idle(
+    network: HubNetwork, midspan: Midspan, managers: Managers
+) -> None:
+    managers.on(lambda: managers.node.publisher(STATUS_TOPIC, STATUS, LATCHED))
+    outcome = midspan("nav", "reset")
+    assert (outcome.code, "gateway" in outcome.err, managers.commands) == (1, True, []), outcome
 
 
 def test_missing_managers_are_reported(network: HubNetwork, midspan: Midspan, closing: list[Any]) -> None:

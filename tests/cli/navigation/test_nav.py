@@ -32,7 +32,7 @@ from bridge.status import read_daemon_status
 from bridge.stores.kinds import AREA, LOCATION, MAP
 from navigation.nav2_errors import reason_text
 from navigation.status import State
-from tests.cli.conftest import Midspan, Outcome
+from tests.cli.conftest import Midspan, Outcome, alongside
 from tests.peers.daemon.workers import FakeWorker, config_file
 from tests.peers.hub.network import HubNetwork
 from tests.peers.hub.node import HubNode
@@ -72,20 +72,8 @@ def midspan(rig: Rig, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Mid
 
 def beside(midspan: Midspan, words: list[str], script: Callable[[], None]) -> Outcome:
     """Run ``goto`` while the planner's part is played."""
-    failed: list[BaseException] = []
-
-    def play() -> None:
-        try:
-            script()
-        except BaseException as err:
-            failed.append(err)
-
-    playing = threading.Thread(target=play)
-    playing.start()
-    outcome = midspan("goto", "--timeout", "40", *words)
-    playing.join()
-    assert not failed, (failed, outcome)
-    return outcome
+    with alongside(script):
+        return midspan("goto", "--timeout", "40", *words)
 
 
 def where(goal: Any) -> tuple[float, float, float]:

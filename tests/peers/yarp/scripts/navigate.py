@@ -6,7 +6,7 @@ import yarp
 
 yarp.Network.init()
 if not yarp.Network.checkNetwork():
-    print("there is no name server")
+    print("the name server does not answer")
     raise SystemExit
 
 options = yarp.Property()
