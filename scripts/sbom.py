@@ -25,7 +25,7 @@ DEFINITIONS = ("bridge/interfaces/definitions/README.md", "bridge/messages/defin
 """Tables of the message definitions in the wheel: packages, versions and sources."""
 
 _ROW = re.compile(r"^\|(?P<packages>[^|]*\|[^|]*\|).*?github\.com/(?P<source>[\w./-]+)", re.MULTILINE)
-_PACKAGE = re.compile(r"\b[a-z0-9_]+_(?:msgs|srvs|interfaces)\b")
+_PACKAGE = re.compile(r"\b[a-z0-9_]+_(?:msgs|srvs|interfaces|toolbox)\b")
 _VERSION = re.compile(r"\b\d+(?:\.\d+)+")
 Component = dict[str, Any]
 

@@ -131,6 +131,18 @@ def test_parts_of_the_console_import_only_lower_parts(part: str) -> None:
     assert not wrong
 
 
+def test_programs_beside_rospy_import_only_what_the_system_has() -> None:
+    """They run on the system's Python, where only the benchmarks and ``bridge`` of this project are on the path."""
+    wrong = {
+        f"{file.relative_to(ROOT)} imports {name}"
+        for file in (ROOT / "benchmarks").rglob("*.py")
+        if "rospy" in {name for name, _ in every_import(file)}
+        for name, _ in every_import(file)
+        if name.split(".")[0] in ("navigation", "sim", "yarp_compat", "typing_extensions")
+    }
+    assert not wrong
+
+
 SIDES = ("ros1", "ros2", "yarp", "zenoh")
 SHARED = {"environment", "names"}
 """Modules that other sides may import since they need no middleware: whether a side can run, and its names."""

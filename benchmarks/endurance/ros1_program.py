@@ -8,7 +8,6 @@ import rospy
 
 from benchmarks.endurance.program import Close, Heard, Program
 from benchmarks.latency.ros1_end import BUFFER, QUEUE, raw_class
-from yarp_compat.overriding import override
 
 
 class Ros1Publisher:
@@ -35,19 +34,16 @@ class Ros1Program(Program):
         super().__init__()
         rospy.init_node(f"program_{os.getpid()}", disable_signals=True, disable_rosout=True)
 
-    @override
     def publisher(self, topic: str, type_: str, *, latched: bool) -> Ros1Publisher:
         return Ros1Publisher(topic, type_, latched=latched)
 
-    @override
-    def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:
+    def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:  # noqa: ARG002
         subscriber = rospy.Subscriber(
             topic, rospy.AnyMsg, lambda message: heard(message._buff), buff_size=BUFFER, tcp_nodelay=True
         )
         unregister: Close = subscriber.unregister
         return unregister
 
-    @override
     def close(self) -> None:
         rospy.signal_shutdown("done")
 

@@ -10,7 +10,6 @@ from typing import Any
 import rospy
 
 from benchmarks.latency.end import End
-from yarp_compat.overriding import override
 
 QUEUE = 100
 BUFFER = 16 << 20
@@ -24,7 +23,6 @@ class Ros1End(End):
         super().__init__()
         rospy.init_node(f"end_{os.getpid()}", disable_signals=True, disable_rosout=True)
 
-    @override
     def publisher(self, topic: str, type_: str) -> tuple[Callable[[bytes], None], Callable[[], bool]]:
         raw = raw_class(type_)
         publisher = rospy.Publisher(topic, raw, queue_size=QUEUE, tcp_nodelay=True)
@@ -36,11 +34,9 @@ class Ros1End(End):
 
         return publish, lambda: publisher.get_num_connections() > 0
 
-    @override
-    def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:
+    def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:  # noqa: ARG002
         rospy.Subscriber(topic, rospy.AnyMsg, lambda message: heard(message._buff), buff_size=BUFFER, tcp_nodelay=True)
 
-    @override
     def close(self) -> None:
         rospy.signal_shutdown("done")
 

@@ -13,7 +13,6 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 from benchmarks.losses.program import MEGABYTE, Program
-from yarp_compat.overriding import override
 
 QUEUE = 100
 KINDS = {"stream": Vector3, "cmd_vel": Twist, "large": String}
@@ -27,7 +26,6 @@ class Ros1Program(Program):
         rospy.init_node(name, disable_signals=True, disable_rosout=True)
         self._publishers: dict[str, Any] = {}
 
-    @override
     def open(self) -> None:
         for kind, type_ in KINDS.items():
             topic = f"/{self.name}/{kind}"
@@ -35,7 +33,6 @@ class Ros1Program(Program):
         self._publishers["state"] = rospy.Publisher("/state", String, queue_size=QUEUE, latch=True)
         rospy.Subscriber("/state", String, lambda m: self.stated(m.data))
 
-    @override
     def publish(self, kind: str, sent: float, number: int) -> None:
         if kind == "stream":
             message: Any = Vector3(sent, number, 0.0)
@@ -49,11 +46,9 @@ class Ros1Program(Program):
                 self._publishers["clock"] = rospy.Publisher("/clock", Clock, queue_size=QUEUE)
         self._publishers[kind].publish(message)
 
-    @override
     def publish_state(self, line: str) -> None:
         self._publishers["state"].publish(String(line))
 
-    @override
     def listen(self, source: str) -> None:
         more = {"tcp_nodelay": True, "queue_size": QUEUE, "buff_size": 1 << 22}
         if source == "clock":
@@ -62,17 +57,14 @@ class Ros1Program(Program):
         for kind, type_ in KINDS.items():
             rospy.Subscriber(f"/{source}/{kind}", type_, self.hearer(source, kind), **more)
 
-    @override
     def late(self, take: Callable[[str], None]) -> Callable[[], None]:
         # only in programs without a subscription to it, which rospy would share
         subscriber = rospy.Subscriber("/state", String, lambda m: take(m.data))
         return lambda: subscriber.unregister()
 
-    @override
     def nodes(self) -> list[str]:
         return sorted({n for kind in rosgraph.Master(rospy.get_name()).getSystemState() for _, ns in kind for n in ns})
 
-    @override
     def close(self) -> None:
         rospy.signal_shutdown("done")
 

@@ -14,7 +14,6 @@ from nav_msgs.srv import GetMap, GetMapResponse
 from std_srvs.srv import SetBool, SetBoolResponse
 
 from benchmarks.roundtrips.end import MAP_SIDE, End
-from yarp_compat.overriding import override
 
 SECONDS = 30.0
 
@@ -28,7 +27,6 @@ class Ros1End(End):
         self._clients: dict[str, Any] = {}
         self._servers: list[Any] = []
 
-    @override
     def serve(self, prefix: str) -> None:
         grid = GetMapResponse()
         grid.map.info.width = grid.map.info.height = MAP_SIDE
@@ -42,7 +40,6 @@ class Ros1End(End):
             server.start()
             self._servers.append(server)
 
-    @override
     def wait_for(self, prefix: str) -> None:
         for name, kind in (("call", SetBool), ("map", GetMap)):
             rospy.wait_for_service(f"{prefix}/{name}", SECONDS)
@@ -52,13 +49,11 @@ class Ros1End(End):
             if not client.wait_for_server(rospy.Duration(SECONDS)):
                 raise RuntimeError("no server of " + prefix)
 
-    @override
     def call(self, prefix: str) -> int:
         began = time.perf_counter_ns()
         self._services[f"{prefix}/call"](True)
         return time.perf_counter_ns() - began
 
-    @override
     def get_map(self, prefix: str) -> int:
         began = time.perf_counter_ns()
         reply = self._services[f"{prefix}/map"]()
@@ -67,13 +62,11 @@ class Ros1End(End):
             raise RuntimeError("the map is incomplete")
         return took
 
-    @override
     def run_goal(self, prefix: str) -> int:
         began = time.perf_counter_ns()
         _Goal(self._clients[f"{prefix}/go"], began).wait(actionlib.CommState.DONE)
         return time.perf_counter_ns() - began
 
-    @override
     def cancel_goal(self, prefix: str) -> int:
         goal = _Goal(self._clients[f"{prefix}/hold"], 0)
         goal.wait(actionlib.CommState.ACTIVE)
@@ -83,7 +76,6 @@ class Ros1End(End):
         goal.wait(actionlib.CommState.DONE)
         return time.perf_counter_ns() - began
 
-    @override
     def close(self) -> None:
         rospy.signal_shutdown("done")
 
