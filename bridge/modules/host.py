@@ -13,6 +13,7 @@ from bridge.config.model import Config
 from bridge.hub.session import Hub, follow_clock
 from bridge.messages.registry import Registry
 from bridge.modules.action_server import KEPT_SECONDS, ActionServer, Brake, Cancel, Take
+from bridge.modules.background import Background
 from bridge.modules.endpoints import Endpoints
 from bridge.modules.loop import ClockTimer, EventLoop, Timer
 from bridge.modules.ports import Ports
@@ -20,8 +21,6 @@ from bridge.modules.shared import Shared, hub_settings
 from bridge.state_file import worker_folder
 from bridge.stores.entry import StoreError
 from bridge.stores.store import Store
-
-ACKNOWLEDGE_TOPIC = "/sim/acknowledge"
 
 
 class ModuleNode(Endpoints):
@@ -61,6 +60,7 @@ class Host:
         yarp: its YARP ports.
         clock: the time of its stamps.
         log: its logger.
+        background: runs its slow jobs.
     """
 
     def __init__(self, name: str, config: Config, registry: Registry, shared: Shared | None = None) -> None:
@@ -73,6 +73,8 @@ class Host:
         follow_clock(self.clock, hub)
         self.node = ModuleNode(hub, registry, self.loop, self.clock)
         self.yarp = Ports(config, name, None if shared is None else shared.findings)
+        # in a simulation the results must not depend on timing, and its steps wait for the module's thread
+        self.background = Background(self.loop, name, inline=self.clock.simulated)
         if self.clock.simulated:
             self._done = self.node.publisher(DONE_TOPIC, DONE_TYPE)
             self.clock.on_time(self._acknowledge, last=True)
@@ -111,17 +113,6 @@ class Host:
         """Discard what depends on time when the clock jumps (see `RunClock.on_jump`), on the module's thread."""
         self.clock.on_jump(lambda: self.loop.post(forget))
 
-    def acknowledge(self) -> None:
-        """Acknowledge each time of a simulation once all timers have run, for simulations in lock-step.
-
-        Called after the start of the module, so that its timers come first.
-        """
-        if self.clock.simulated:
-            out = self.node.publisher(ACKNOWLEDGE_TOPIC, "std_msgs/msg/Header", priority="state")
-            self.clock.on_time(
-                lambda now: self.loop.post(lambda: out.publish({"stamp": _stamp(now), "frame_id": self.name}))
-            )
-
     def answer(self, verb: str, handler: Callable[[dict[str, Any]], Any]) -> None:
         """Respond to a verb of the control plane under the module's name, on a thread of the hub."""
         self.node.hub.serve(verb, handler)
@@ -138,12 +129,8 @@ class Host:
     def close(self) -> None:
         """Close the node, the ports and the thread."""
         self.clock.close()
+        self.background.close()
         self.yarp.close()
         self.node.close()
         self.loop.close()
         self.node.hub.close()
-
-
-def _stamp(nanoseconds: int) -> dict[str, int]:
-    seconds, nanosec = divmod(nanoseconds, 1_000_000_000)
-    return {"sec": seconds, "nanosec": nanosec}

@@ -84,7 +84,6 @@ class Running:
             module = self._module = self._kind()
             host.loop.start()
             host.loop.work(lambda: module.start(host, self.section), _START_SECONDS)
-            host.acknowledge()
             host.answer("status", self._status)
             host.loop.every(1.0, host.tick)
         except (RuntimeError, HubError, MessageError, OSError, TimeoutError) as err:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navigation.algorithms.likelihood_field import LikelihoodField
-from navigation.algorithms.pose_graph import PoseGraph
+from navigation.algorithms.pose_graph import Edge, PoseGraph
 from navigation.algorithms.pose_search import PoseSearch, SearchWindow
 from navigation.algorithms.submaps import Submaps
 from navigation.algorithms.surfels import Match, Surface, Surfels
@@ -61,6 +61,18 @@ class Closure(NamedTuple):
     match: Match
     before: Pose
     correction: Pose
+
+
+class Closed(NamedTuple):
+    """The result of a search that closes loops.
+
+    Attributes:
+        edges: that the graph gets.
+        poses: of all its nodes when the search began; None if they do not move.
+    """
+
+    edges: list[Edge]
+    poses: list[Pose] | None
 
 
 class Candidate(NamedTuple):
@@ -122,11 +134,11 @@ class LoopSearch:
         scan: Surface,
         end: int,
         unsure: tuple[float, float] | None,
-    ) -> bool:
-        """Match a scan to older submaps, and optimize the graph; return whether poses changed.
+    ) -> Closed | None:
+        """Match a scan to older submaps, and optimize the graph; return None without an accepted closure.
 
         Args:
-            submaps: all of them.
+            submaps: a `Submaps.snapshot`, whose graph is changed.
             current: index of the one in which the laser has the pose.
             pose: the laser's, in the current submap.
             scan: in the laser's frame.
@@ -140,22 +152,21 @@ class LoopSearch:
         closures = [closure for index in direct if (closure := _matched(place, index, points)) is not None]
         trusted = [] if closures else self._searched(place, far, points)
         if not closures and not trusted:
-            return False
+            return None
         graph = submaps.graph
-        before, edges = list(graph.poses), len(graph.edges)
+        edges = len(graph.edges)
         for closure in (*closures, *trusted):
             information = np.linalg.inv(np.linalg.inv(closure.match.information + 1e-3 * np.eye(3)) * 4.0 + _FLOOR)
             graph.join(closure.submap, current, closure.match.pose, information, offset=pose, loop=True)
         if not trusted and graph.errors()[edges:].max() < _SMALL:
             self.closed += len(closures)
-            return False
+            return Closed(graph.edges[edges:], None)
         graph.optimize(12 if trusted else 4, trusting=4 if trusted else 0)
         if trusted and graph.errors()[edges:].max() > _WRONG:
-            graph.poses, self.refused = before, self.refused + 1
-            del graph.edges[edges:]
-            return False
+            self.refused += 1
+            return None
         self.closed += len(closures) + len(trusted)
-        return True
+        return Closed(graph.edges[edges:], graph.poses)
 
     def _candidates(
         self, place: Place, end: int, unsure: tuple[float, float] | None

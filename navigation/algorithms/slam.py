@@ -8,12 +8,14 @@ et al., "Real-Time Loop Closure in 2D LIDAR SLAM", ICRA 2016).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navigation.algorithms.loops import LoopSearch
+from navigation.algorithms.loops import Closed, LoopSearch
 from navigation.algorithms.submaps import Scan, Submaps, View
 from navigation.algorithms.surfels import Surface
 from navigation.pose import Pose
@@ -25,6 +27,20 @@ MOST_SUBMAPS = 800
 
 ANYWHERE = math.inf, math.pi
 """Meters and radians by which a pose may be wrong if it is unknown."""
+
+Search = Callable[[], "Closed | None"]
+RunSearch = Callable[[Callable[[], Search], "Callable[[Closed | None], object]"], object]
+"""Runs a search for loops: calls the first function just before, and the second one with the result of the search.
+
+Both are called on the thread that adds the scans, but the search may run on another one. If searches are slower than
+scans, some are left out.
+"""
+
+
+def at_once(prepare: Callable[[], Search], deliver: Callable[[Closed | None], object]) -> None:
+    """Run a search on the calling thread."""
+    deliver(prepare()())
+
 
 _ORIGIN = Pose(0.0, 0.0, 0.0)
 _MOVED, _TURNED = 0.03, math.radians(1.5)  # from the last matched scan
@@ -74,6 +90,7 @@ class Slam:
 
     Args:
         start: the laser's pose on the map at the first scan.
+        run: runs the searches for loops.
 
     Attributes:
         submaps: with their graph.
@@ -82,16 +99,19 @@ class Slam:
         unsure: meters and radians by which the pose may be wrong until the trajectory joins a loaded map; else None.
     """
 
-    def __init__(self, start: Pose = _ORIGIN) -> None:
+    def __init__(self, start: Pose = _ORIGIN, run: RunSearch = at_once) -> None:
         self.submaps, self.loops = Submaps(), LoopSearch()
         self.track: Track | None = None
         self.unsure: tuple[float, float] | None = None
         self._start, self._joined_from = start, 0
+        self._run, self._moved = run, False  # whether the map was moved since the search began
 
     @classmethod
-    def resumed(cls, submaps: Submaps, guess: Pose, unsure: tuple[float, float] = ANYWHERE) -> Slam:
+    def resumed(
+        cls, submaps: Submaps, guess: Pose, unsure: tuple[float, float] = ANYWHERE, run: RunSearch = at_once
+    ) -> Slam:
         """Continue a map from a pose of the laser that may be wrong by some meters and radians."""
-        slam = cls(guess)
+        slam = cls(guess, run)
         slam.submaps, slam.unsure, slam._joined_from = submaps, unsure, len(submaps.graph.poses)
         return slam
 
@@ -120,6 +140,7 @@ class Slam:
         first = self._joined_from if self.unsure is not None else 0
         poses[first:] = [change @ old for old in poses[first:]]
         self.unsure = self.unsure and unsure
+        self._moved = True
 
     def add(self, odometry: Pose, scan: Scan, *, mapping: bool = True) -> View | None:
         """Add a scan at the laser's pose in the odometry frame; return its view if it becomes part of the map.
@@ -182,8 +203,24 @@ class Slam:
         if track.since_loop < _LOOP_EVERY and self.unsure is None:
             return
         track.since_loop = 0.0
-        end = max(0, track.current - 1) if self.unsure is None else self._joined_from
-        if self.loops.search(self.submaps, track.current, track.pose, surface, end, self.unsure):
+        self._run(partial(self._search, track.current, track.pose, surface), self._adopt)
+
+    def _search(self, current: int, pose: Pose, surface: Surface) -> Search:
+        """Return a search for loops at the laser's pose in a submap, which may run on another thread."""
+        self._moved = False
+        end = max(0, current - 1) if self.unsure is None else self._joined_from
+        return partial(self.loops.search, self.submaps.snapshot(), current, pose, surface, end, self.unsure)
+
+    def _adopt(self, closed: Closed | None) -> None:
+        """Apply the result of a search; submaps that are newer than it move with the last one that it knew."""
+        if closed is None or self._moved:
+            return
+        graph, poses = self.submaps.graph, closed.poses
+        graph.edges += closed.edges
+        if poses is not None:
+            known = len(poses)
+            change = poses[-1] @ graph.poses[known - 1].inverse
+            graph.poses = [*poses, *(change @ pose for pose in graph.poses[known:])]
             self.unsure = None
 
     def _advance(self, track: Track) -> None:

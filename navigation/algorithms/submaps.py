@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
@@ -93,6 +94,18 @@ class Submaps:
         self.graph, self.views = PoseGraph(), list[View]()
         self.views_of: list[list[int]] = []
         self._surfels: OrderedDict[int, Surfels] = OrderedDict()
+        self._lock = Lock()  # of the surfels' cache
+
+    def snapshot(self) -> Submaps:
+        """Return the submaps with a copy of the graph, for another thread; views and surfels are shared.
+
+        That thread may use all submaps to which no views are added meanwhile.
+        """
+        copy = Submaps()
+        copy.graph.poses, copy.graph.edges = list(self.graph.poses), list(self.graph.edges)
+        copy.views, copy.views_of = self.views, self.views_of
+        copy._surfels, copy._lock = self._surfels, self._lock
+        return copy
 
     def begin(self, pose: Pose) -> int:
         """Add an empty submap at a pose on the map; return its index."""
@@ -115,14 +128,16 @@ class Submaps:
 
     def surfels(self, submap: int) -> Surfels:
         """Return a submap's surfels, computed from its views if they are no longer cached."""
-        cached = self._surfels.get(submap)
+        with self._lock:
+            cached = self._surfels.get(submap)
         if cached is None:
             cached = Surfels(_REACH)
             for index in self.views_of[submap]:
                 view = self.views[index]
                 cached.add(view.surface().moved(view.pose))
+        with self._lock:
             self._surfels[submap] = cached
-        self._surfels.move_to_end(submap)
-        while len(self._surfels) > _CACHED:
-            self._surfels.popitem(last=False)
+            self._surfels.move_to_end(submap)
+            while len(self._surfels) > _CACHED:
+                self._surfels.popitem(last=False)
         return cached

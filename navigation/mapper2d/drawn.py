@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from navigation.algorithms.slam import Slam
+from navigation.algorithms.slam import RunSearch, Slam, at_once
 from navigation.algorithms.submaps import Scan
 from navigation.mapper2d import graph_file
 from navigation.mapper2d.graph_file import SavedGraph
@@ -44,15 +44,20 @@ class DrawnMap:
 
     Attributes:
         mapper: draws the map.
+        run: runs the searches for loops.
         slam: the poses.
     """
 
     mapper: Mapper
-    slam: Slam = field(default_factory=Slam)
+    run: RunSearch = at_once
+    slam: Slam = field(init=False)
     _poses: list[Pose] = field(default_factory=list)  # of the submaps, as drawn
     _drawing: Drawing | None = None
     _scans: int = 0  # since the last drawing
     _drawn_ns: int = 0  # the time of the last scan that was drawn
+
+    def __post_init__(self) -> None:
+        self.slam = Slam(run=self.run)
 
     def scan(self, odometry: Pose, scan: Scan) -> bool:
         """Add a scan at the laser's pose in the odometry frame; return whether the map changed."""
@@ -110,7 +115,7 @@ class DrawnMap:
         """Start a new map at the present pose."""
         start = self.slam.pose
         self.mapper.clear()
-        self._reset(Slam(start))
+        self._reset(Slam(start, self.run))
 
     def locate(self, laser: Pose) -> None:
         """Set the laser's present pose: roughly on a loaded map, else exactly, and the map moves with it."""
@@ -126,7 +131,7 @@ class DrawnMap:
         """Continue a map with its graph, unless one is invalid; raises `OSError`, or `ValueError` with the reason."""
         saved = graph_file.read(path)
         self.mapper.load(grid)
-        self._reset(Slam.resumed(saved.submaps, Pose(0.0, 0.0, 0.0)))
+        self._reset(Slam.resumed(saved.submaps, Pose(0.0, 0.0, 0.0), run=self.run))
         x, y = self.mapper.painted[1]
         self.mapper.overlay(saved.paint, (saved.corner[0] - x, saved.corner[1] - y))
 

@@ -113,7 +113,7 @@ class MatchedPoses(PoseSource):
     def __init__(self, host: Host, section: Mapper2DSection, mapper: Mapper, poses: Poses) -> None:
         super().__init__(mapper, poses)
         self._host, self._section = host, section
-        self.drawn = DrawnMap(mapper)
+        self.drawn = DrawnMap(mapper, host.background.submit)
         self._mount = Pose(0.0, 0.0, 0.0)
         self._start: Pose | None = None
         self._localizer = ""  # the status of a localizer
@@ -207,7 +207,9 @@ class MatchedPoses(PoseSource):
     @property
     @override
     def trouble(self) -> str:
-        slam = self.drawn.slam
+        slam, failed = self.drawn.slam, self._host.background.trouble
+        if failed:
+            return f"the search for loops failed ({failed}): the map may be bent; see the log of Mapper2D"
         if self._tf is not None and self._localized:
             return (
                 "a localizer publishes the transform from map to odometry, on its own map: stop it, or set"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from navigation.algorithms.loops import searched
+from navigation.algorithms.loops import Closed, searched
 from navigation.algorithms.pose_graph import PoseGraph
-from navigation.algorithms.slam import Slam
+from navigation.algorithms.slam import Search, Slam
 from navigation.algorithms.surfels import Surfels
 from navigation.pose import Pose
 from tests.navigation.algorithms.scanned import Laser, Seen, corridor, drive
@@ -47,6 +48,64 @@ def test_the_map_is_right_despite_drifting_odometry(driven: list[Seen], mapped: 
     submaps = mapped.submaps
     middles = [min(off(submaps.on_map(view), seen.truth)[0] for seen in driven) for view in submaps.views]
     assert max(middles) < 0.06
+
+
+class Later:
+    """Runs searches when they are submitted, and delivers their results later, as a slow thread does."""
+
+    def __init__(self) -> None:
+        self.found: Closed | None = None
+        self._deliver: Callable[[Closed | None], object] | None = None
+
+    def run(self, prepare: Callable[[], Search], deliver: Callable[[Closed | None], object]) -> None:
+        if self._deliver is None:
+            self.found, self._deliver = prepare()(), deliver
+
+    def deliver(self) -> None:
+        """Deliver the result, if a search was submitted."""
+        found, self.found = self.found, None
+        action, self._deliver = self._deliver, None
+        if action is not None:
+            action(found)
+
+
+def test_the_map_is_right_if_loops_are_found_late() -> None:
+    driven, later = list(drive(Laser(corridor()), 42.0)), Later()
+    slam = Slam(driven[0].truth, later.run)
+    moved = 0.0
+    for seen in driven:
+        slam.add(seen.odometry, seen.scan)
+        before, found = list(slam.submaps.graph.poses), later.found
+        known = len(before) - 1 if found is None or found.poses is None else len(found.poses) - 1
+        if found is not None and found.poses is not None and known == len(before) - 1:
+            continue  # until a submap has begun that the search does not know
+        later.deliver()
+        poses = slam.submaps.graph.poses
+        moved = max(moved, before[known].distance(poses[known]))
+        # the newer submaps move with the last one that the search knew
+        assert poses[known].inverse @ poses[-1] == pytest.approx(before[known].inverse @ before[-1])
+    meters, degrees = off(slam.pose, driven[-1].truth)
+    assert moved > 0.005, "no search moved the submaps"
+    assert meters < 0.05
+    assert degrees < 0.7
+
+
+def test_a_search_that_began_before_the_map_was_moved_has_no_effect(driven: list[Seen]) -> None:
+    later = Later()
+    slam = Slam(driven[0].truth, later.run)
+    moved = Pose(5.0, 1.0, 0.5)
+    for seen in driven:
+        slam.add(seen.odometry, seen.scan)
+        if later.found is not None:
+            break
+        later.deliver()
+    assert later.found is not None
+    slam.move(moved, (0.0, 0.0))
+    poses, edges = list(slam.submaps.graph.poses), len(slam.submaps.graph.edges)
+    later.deliver()
+    assert slam.submaps.graph.poses == poses
+    assert len(slam.submaps.graph.edges) == edges
+    assert slam.pose == pytest.approx(moved)
 
 
 def test_a_scan_is_matched_to_a_millimeter(driven: list[Seen]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from navigation.algorithms.loops import LoopSearch
 from navigation.algorithms.submaps import Scan
 from navigation.mapper2d import graph_file
 from navigation.mapper2d.drawn import DrawnMap
@@ -162,6 +164,39 @@ def test_the_module_publishes_the_odometry_on_the_map(driven: list[Seen], tmp_pa
             return "a localizer publishes the transform" in place.worker.running("mapper2d").health().text
 
         until(contradicted, "another program's transform is reported", 20)
+
+
+def test_scans_are_mapped_while_loops_are_searched_and_a_failed_search_is_reported(
+    driven: list[Seen], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, free = threading.Event(), threading.Event()
+
+    def search(*_arguments: Any) -> None:
+        begun.set()
+        assert free.wait(60.0)
+        raise ValueError("no solution")
+
+    monkeypatch.setattr(LoopSearch, "search", search)
+    section = {"enabled": True, "farthest": 8.0, "laser": [0.0, 0.0, 0.0]}
+    with Place(tmp_path) as place:
+        place.worker.start(place.config(modules={"mapper2d": section}))
+        scans = place.far.advertise("/scan", "sensor_msgs/LaserScan")
+        frames = place.far.advertise("/tf", "tf2_msgs/TFMessage")
+        left = iter(driven)
+
+        def drive_on() -> None:
+            seen, now = next(left), time.time_ns()
+            stamp = {"sec": now // S, "nanosec": now % S}
+            place.far.publish(frames, {"transforms": [odometry(seen.odometry, stamp)]})
+            place.far.publish(scans, message(seen.scan, stamp))
+
+        until(lambda: begun.is_set() or drive_on(), "a search begins", 40, every=0.05)
+        views = place.answer("mapper2d")["views"]
+        until(lambda: drive_on() or place.answer("mapper2d")["views"] > views + 3, "scans are mapped", 40, every=0.05)
+        assert place.worker.running("mapper2d").health().state == "running"
+        free.set()
+        failed = "the search for loops failed (ValueError: no solution)"
+        until(lambda: failed in place.worker.running("mapper2d").health().text, "the error is reported", 40)
 
 
 def localized(stamp: dict[str, int]) -> dict[str, Any]:
