@@ -8,8 +8,6 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import zenoh
-
 from bridge.client.errors import ClientError
 from bridge.client.graph import absolute, all_topics, ask_decisions, unknown
 from bridge.client.session import Client
@@ -34,11 +32,11 @@ _TAP_QOS = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
 class Arrival(NamedTuple):
     """One received message.
 
-    ``payload`` is CDR with its encapsulation header, None where only arrivals count; ``source_time_ns`` is the source's
-    system time, if known; ``arrived`` is monotonic seconds.
+    ``sample`` is None if only arrivals count; ``source_time_ns`` is the source's system time, if known; ``arrived`` is
+    monotonic seconds.
     """
 
-    payload: zenoh.ZBytes | None
+    sample: HubSample | None
     size: int
     type_name: str
     type_hash: str
@@ -114,7 +112,7 @@ class TopicFeed:
 
     def on_sample(self, sample: HubSample, type_name: str, type_hash: str, side: str) -> None:
         """Queue a received message, on a thread of zenoh."""
-        kept = sample.payload if self._payloads else None
+        kept = sample if self._payloads else None
         time_ns = sample.source_time_ns or None
         arrival = Arrival(kept, len(sample.payload), type_name, type_hash, time_ns, time.monotonic(), side)
         with self._arrived:

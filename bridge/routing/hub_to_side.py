@@ -287,7 +287,7 @@ class HubToSideRoute(TopicRoute):
             self.counters.dropped("unknown")
             return
         try:
-            data, name = sample.payload.to_bytes(), sample.gid.hex()
+            data, name = sample.data(), sample.gid.hex()
             if self._static is not None and source.latched:
                 data, name = self._static.merge(data), _STATIC
             if self.conversion.convert is not None:

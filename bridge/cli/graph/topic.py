@@ -95,8 +95,8 @@ def _echo(args: argparse.Namespace) -> int:
 
 
 def _text(args: argparse.Namespace, topic: str, types: Types, arrival: Arrival) -> str:
-    assert arrival.payload is not None
-    cdr = arrival.payload.to_bytes()
+    assert arrival.sample is not None
+    cdr = arrival.sample.data()
     if args.raw and not args.json:
         return cdr.hex()
     document: dict[str, Any] = {

@@ -212,7 +212,7 @@ class LaneSubscription(HubSubscription):
         if len(payload) > reader.limit:
             reader.refuse("large", f"message of {len(payload)} bytes, the limit is {reader.limit}")
             return
-        message = HubSample(zenoh.ZBytes(payload), sequence, time_ns, gid, inlet.zid)
+        message = HubSample(payload, sequence, time_ns, gid, inlet.zid)
         with self._delivery:
             with self._lock:
                 source = self.sources.get(gid)

@@ -46,14 +46,14 @@ class HubSample:
     """One received message.
 
     Attributes:
-        payload: zenoh's bytes, not copied yet.
+        payload: zenoh's bytes, not copied yet; from a lane the bytes.
         gid: the publisher's 16-byte id.
         zid: its session, "" if it is unknown.
     """
 
     __slots__ = ("gid", "payload", "sequence", "source_time_ns", "zid")
 
-    def __init__(self, payload: zenoh.ZBytes, sequence: int, source_time_ns: int, gid: bytes, zid: str) -> None:
+    def __init__(self, payload: zenoh.ZBytes | bytes, sequence: int, source_time_ns: int, gid: bytes, zid: str) -> None:
         self.payload = payload
         self.sequence = sequence
         self.source_time_ns = source_time_ns
@@ -61,8 +61,9 @@ class HubSample:
         self.zid = zid
 
     def data(self) -> bytes:
-        """A copy of the payload: CDR with its encapsulation header."""
-        return self.payload.to_bytes()
+        """Return the payload: CDR with its encapsulation header."""
+        payload = self.payload
+        return payload if isinstance(payload, bytes) else payload.to_bytes()
 
 
 class PublisherState:
