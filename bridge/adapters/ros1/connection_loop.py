@@ -17,6 +17,7 @@ from functools import partial
 
 from typing_extensions import override
 
+from bridge.hub.lane.joining import Joining
 from yarp_compat.threaded_loop import ThreadedLoop
 
 _log = logging.getLogger(__name__)
@@ -153,6 +154,14 @@ class ConnectionLoop(ThreadedLoop):
             if self._sources.get(number) is source:
                 del self._sources[number]
                 self.unwatch(number)
+
+    @override
+    def step(self, seconds: float | None = None) -> None:
+        joining = Joining()
+        try:
+            super().step(seconds)
+        finally:
+            joining.end()
 
     @override
     def stop(self, seconds: float | None = _JOIN_SECONDS) -> None:

@@ -19,6 +19,7 @@ from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.participant import Participant
+from bridge.hub.lane.joining import Joining
 
 TAKES_PER_TURN = 32
 """Messages taken from one subscription before the loop serves the others."""
@@ -138,19 +139,23 @@ class EpollReadLoop(ReadLoop):
 
     @override
     def _serve_all(self, taker: rcl.Taker) -> None:
+        joining = Joining()
         while not self._stopping:
+            joining.flush()
             for descriptor, _ in self._epoll.poll():
                 if descriptor == self._wake:
                     os.eventfd_read(descriptor)
                     while self._leaving:
                         self._drop(self._leaving.popleft())
                 else:
-                    self._serve(descriptor, taker)
+                    self._serve(descriptor, taker, joining)
 
-    def _serve(self, descriptor: int, taker: rcl.Taker) -> None:
+    def _serve(self, descriptor: int, taker: rcl.Taker, joining: Joining) -> None:
         reader = self._readers.get(descriptor)
         if reader is None:
             return
+        if reader.kind != "subscription":
+            joining.flush()  # no message waits for a call
         try:
             count = os.eventfd_read(descriptor)
         except BlockingIOError:

@@ -11,7 +11,21 @@ from threading import Lock, Thread
 from typing import Protocol
 
 from bridge.hub.errors import HubWireError
-from bridge.hub.lane.wire import BODY, DATA, FENCE, HEAD, MARK, OFF, ON, PART, PIECE, ROOM, TOKEN
+from bridge.hub.lane.wire import (
+    BODY,
+    DATA,
+    FENCE,
+    HEAD,
+    MARK,
+    OFF,
+    ON,
+    PART,
+    PIECE,
+    ROOM,
+    SAMPLE,
+    SAMPLE_BODY,
+    TOKEN,
+)
 from bridge.hub.wire.keys import unpack_attachment
 from bridge.hub.zenoh_config import MAX_PAYLOAD
 
@@ -119,15 +133,11 @@ class Inlet:
         try:
             while record := receive(ROOM):
                 kind, number = HEAD.unpack_from(record)
-                key = numbers.get(number)
-                if key is None:
-                    continue
-                attached = record[HEAD.size : BODY]
                 if kind == DATA:
-                    self._hand(key, unpack_attachment(attached), record[BODY:])
-                else:
+                    self._messages(record)
+                elif (key := numbers.get(number)) is not None:
                     self.answered = True
-                    self._other(kind, key, attached, record)
+                    self._other(kind, key, record[HEAD.size : BODY], record)
         except (OSError, HubWireError) as err:
             _log.debug("the lane from %s ends: %s", self.zid, err)
         except Exception:
@@ -136,6 +146,19 @@ class Inlet:
             self.close()
             self._sock.close()
             self._lost(self)
+
+    def _messages(self, record: bytes) -> None:
+        """Hand over the messages of a record."""
+        end, whole, keys = 0, len(record), self._numbers
+        while end < whole:
+            begin = end + SAMPLE_BODY
+            _, number, size = SAMPLE.unpack_from(record, end)
+            attached, end = record[end + SAMPLE.size : begin], begin + size
+            if end > whole:
+                raise HubWireError(f"a record of {whole} bytes ends within a message")
+            key = keys.get(number)
+            if key is not None:
+                self._hand(key, unpack_attachment(attached), record[begin:end])
 
     def _hand(self, key: _Key, message: tuple[int, int, bytes], payload: bytes) -> None:
         for reader in key.readers:

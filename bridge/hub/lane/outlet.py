@@ -9,7 +9,8 @@ from collections import deque
 from collections.abc import Callable
 from threading import Lock
 
-from bridge.hub.lane.wire import BOUND, DATA, FENCE, HEAD, MARK, PART, PIECE, TOKEN
+from bridge.hub.lane.joining import MAX_JOINED, MAX_JOINED_BYTES, joins
+from bridge.hub.lane.wire import BOUND, DATA, FENCE, HEAD, MARK, PART, PIECE, SIZE, TOKEN
 from bridge.hub.wire.keys import pack_attachment
 
 _NO_MEMORY = (errno.ENOBUFS, errno.ENOMEM)
@@ -46,8 +47,12 @@ class Outlet:
         self._head = HEAD.pack(DATA, number)
 
     def send(self, attached: bytes, payload: bytes) -> None:
-        """Send or queue a message; never blocks."""
-        self.link.send(self, self._head, attached, payload)
+        """Send, join (`bridge.hub.lane.joining`) or queue a message; never blocks."""
+        self.link.send(self, attached, payload)
+
+    def record(self, attached: bytes, payload: bytes) -> bytes:
+        """Return a message as it is in a record."""
+        return b"".join((self._head, SIZE.pack(len(payload)), attached, payload))
 
     def mark(self, gid: bytes, sequence: int) -> None:
         """Send a mark: the publisher's messages after this number are sent here."""
@@ -75,24 +80,45 @@ class ReaderLink:
         self._lock = Lock()
         self._queued: dict[Outlet, None] = {}
         self._notes: deque[bytes] = deque()
+        self._joined: list[tuple[Outlet, bytes, bytes]] = []  # empty while anything is queued
         self._bytes = 0
         self._closed = False
 
-    def send(self, outlet: Outlet, head: bytes, attached: bytes, payload: bytes) -> None:
+    def send(self, outlet: Outlet, attached: bytes, payload: bytes) -> None:
         """See `Outlet.send`."""
+        size = len(payload)
         with self._lock:
             if self._closed:
                 return
-            if not self._queued and not self._notes and len(payload) <= BOUND:
-                if self._put(head + attached + payload):
-                    return
-                if self._closed:
-                    return
-            self._wait(outlet, LaneMessage(attached, payload))
+            if size <= MAX_JOINED_BYTES and not outlet.command and not self._queued and not self._notes and joins(self):
+                self._joined.append((outlet, attached, payload))
+                if len(self._joined) >= MAX_JOINED:
+                    self._send_joined()
+                return
+            if self._joined:
+                self._send_joined()
+            if not self._queued and not self._notes and size <= BOUND and self._put(outlet.record(attached, payload)):
+                return
+            if not self._closed:
+                self._wait(outlet, LaneMessage(attached, payload))
+
+    def send_joined(self) -> None:
+        """Send the messages that were joined until now."""
+        with self._lock:
+            if self._joined:
+                self._send_joined()
+
+    def _send_joined(self) -> None:
+        joined, self._joined = self._joined, []
+        if not self._put(b"".join([outlet.record(attached, payload) for outlet, attached, payload in joined])):
+            for outlet, attached, payload in () if self._closed else joined:
+                self._wait(outlet, LaneMessage(attached, payload))
 
     def note(self, record: bytes) -> None:
         """Send a record before all queued messages."""
         with self._lock:
+            if self._joined:
+                self._send_joined()
             if self._closed:
                 return
             if self._notes or not self._put(record):
@@ -102,6 +128,8 @@ class ReaderLink:
     def fence(self, outlet: Outlet, record: bytes) -> None:
         """See `Outlet.fence`."""
         with self._lock:
+            if self._joined:
+                self._send_joined()
             if self._closed:
                 return
             if outlet.queue or not self._put(record):
@@ -138,6 +166,7 @@ class ReaderLink:
             self._closed = True
             self._queued.clear()
             self._notes.clear()
+            self._joined.clear()
         with contextlib.suppress(OSError):
             self.sock.shutdown(socket.SHUT_RDWR)
 
@@ -161,7 +190,7 @@ class ReaderLink:
         if message.fence:
             sent = self._put(message.fence)
         elif len(message.payload) <= BOUND:
-            sent = self._put(HEAD.pack(DATA, outlet.number) + message.attached + message.payload)
+            sent = self._put(outlet.record(message.attached, message.payload))
         else:
             sent = self._send_parts(outlet, message)
         if sent:

@@ -1,10 +1,10 @@
 """Records on a lane, each a packet of a Unix SEQPACKET socket.
 
-A record begins with its kind and the number that the reader assigned to the key. In ``DATA`` the attachment of the
-zenoh sample and the payload follow. ``PART`` is a fragment of a message that is too large for one record: attachment,
-total size, offset of the fragment, the fragment. ``MARK``: the publisher of its attachment sends the messages after
-this number here. The reader requests a key with ``ON`` and its UTF-8, and releases it with ``OFF``; the writer returns
-a ``FENCE`` after everything that it sent before.
+A record begins with its kind and the number that the reader assigned to the key. A ``DATA`` record has one or several
+messages, each with kind, number, size of the payload, attachment of the zenoh sample, payload. ``PART`` is a fragment
+of a message that is too large for one record: attachment, total size, offset of the fragment, the fragment. ``MARK``:
+the publisher of its attachment sends the messages after this number here. The reader requests a key with ``ON`` and its
+UTF-8, and releases it with ``OFF``; the writer returns a ``FENCE`` after everything that it sent before.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import struct
 
 from bridge.hub.wire.keys import ATTACHMENT_SIZE
 
-VERSION = 1
+VERSION = 2
 """Part of a socket's name, so that workers of different versions do not connect."""
 
 BOUND = 64 * 1024
@@ -24,8 +24,15 @@ DATA, PART, MARK, FENCE, ON, OFF = range(1, 7)
 HEAD = struct.Struct("<BI")
 PIECE = struct.Struct("<II")
 TOKEN = struct.Struct("<Q")
+SIZE = struct.Struct("<I")
+SAMPLE = struct.Struct("<BII")
+"""What precedes the attachment of a message in a ``DATA`` record: a head, and the size of the payload."""
+
+SAMPLE_BODY = SAMPLE.size + ATTACHMENT_SIZE
+"""Offset of its payload."""
+
 BODY = HEAD.size + ATTACHMENT_SIZE
-"""Offset of the payload in a ``DATA`` record."""
+"""Offset of what follows the attachment in other records."""
 
 ROOM = BODY + PIECE.size + BOUND
 """Bytes of the largest record."""

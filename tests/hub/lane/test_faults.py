@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from bridge.hub.lane import folder
-from bridge.hub.lane.wire import DATA, HEAD, MARK, PART, PIECE
+from bridge.hub.lane.wire import DATA, HEAD, MARK, PART, PIECE, SAMPLE, VERSION
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment
 from tests.peers.hub.endpoints import STREAM, Subscriber, advertise, matched
@@ -104,7 +104,7 @@ def test_partial_message_is_not_delivered(network: HubNetwork, tmp_path: Path) -
             gid = publisher.gid
             sock.send(HEAD.pack(MARK, key) + pack_attachment(0, 0, gid))
             goes_by(subscriber, "lane")
-            sock.send(HEAD.pack(DATA, key) + pack_attachment(1, 1, gid) + b"whole")
+            sock.send(SAMPLE.pack(DATA, key, 5) + pack_attachment(1, 1, gid) + b"whole")
             sock.send(HEAD.pack(PART, key) + pack_attachment(2, 2, gid) + PIECE.pack(100_000, 0) + bytes(50_000))
             sock.shutdown(socket.SHUT_RDWR)
             sock.close()
@@ -169,7 +169,7 @@ def test_sockets_of_dead_processes_are_removed(network: HubNetwork, tmp_path: Pa
         peer.popen.wait()
     assert len(list(tmp_path.iterdir())) == 1
     with Hub.open(network.settings("next", lane=lane)) as hub:
-        assert [path.name for path in tmp_path.iterdir()] == [f"{hub.zid}.1"]
+        assert [path.name for path in tmp_path.iterdir()] == [f"{hub.zid}.{VERSION}"]
     assert not list(tmp_path.iterdir())
 
 

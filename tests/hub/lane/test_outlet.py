@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 
 import pytest
 
 from bridge.hub.lane import outlet as module
+from bridge.hub.lane.joining import MAX_JOINED, Joining
 from bridge.hub.lane.outlet import Outlet, ReaderLink
-from bridge.hub.lane.wire import BODY, BOUND, DATA, FENCE, HEAD, PART, PIECE, ROOM, TOKEN
+from bridge.hub.lane.wire import BODY, BOUND, DATA, FENCE, HEAD, PART, PIECE, ROOM, SAMPLE, SAMPLE_BODY, TOKEN
 from bridge.hub.wire.keys import pack_attachment, unpack_attachment
 
 GID = bytes(16)
@@ -40,17 +42,37 @@ class Pair:
             self.send(self.stream, number)
         return number
 
-    def read(self) -> list[tuple[int, int]]:
-        """Key and number of each message that is there."""
-        samples = []
+    def records(self) -> list[list[tuple[int, int]]]:
+        """Key and number of each message that is there, by record."""
+        records = []
         while True:
             try:
                 record = self.far.recv(ROOM)
             except BlockingIOError:
-                return samples
-            kind, key = HEAD.unpack_from(record)
-            if kind == DATA:
-                samples.append((key, unpack_attachment(record[HEAD.size : BODY])[0]))
+                return records
+            if not record:  # closed
+                return records
+            if record[0] == DATA:
+                records.append(list(messages(record)))
+
+    def read(self) -> list[tuple[int, int]]:
+        """Key and number of each message that is there."""
+        return [message for record in self.records() for message in record]
+
+
+def messages(record: bytes) -> Iterator[tuple[int, int]]:
+    at = 0
+    while at < len(record):
+        _, key, size = SAMPLE.unpack_from(record, at)
+        yield key, unpack_attachment(record[at + SAMPLE.size : at + SAMPLE_BODY])[0]
+        at += SAMPLE_BODY + size
+
+
+@pytest.fixture
+def joining() -> Iterator[Joining]:
+    joining = Joining()
+    yield joining
+    joining.end()
 
 
 @pytest.fixture
@@ -121,6 +143,66 @@ def test_small_messages_overtake_parts_of_a_large_one(pair: Pair) -> None:
         else:
             passed.append(key)
     assert passed == [2], "the command waited for the whole message"
+
+
+def test_messages_of_one_go_are_one_record(pair: Pair, joining: Joining) -> None:
+    other = Outlet(pair.link, 3, "0/other/t/h")
+    for number in range(1, MAX_JOINED // 2 + 1):
+        pair.send(pair.stream, number, 10)
+        pair.send(other, number, 0)
+    both = [(key, number) for number in range(1, MAX_JOINED // 2 + 1) for key in (1, 3)]
+    assert pair.records() == [both], "a full record does not wait"
+    pair.send(pair.stream, 5)
+    pair.send(pair.stream, 6)
+    assert pair.records() == []
+    joining.flush()
+    assert pair.records() == [[(1, 5), (1, 6)]]
+
+
+def test_joined_messages_are_not_overtaken(pair: Pair, joining: Joining) -> None:
+    def elsewhere(work: Callable[[], None]) -> None:
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+
+    pair.send(pair.stream, 1)
+    elsewhere(lambda: pair.send(pair.stream, 2))
+    assert pair.records() == [[(1, 1)], [(1, 2)]]
+    pair.send(pair.stream, 3)
+    pair.send(pair.command, 1)
+    assert pair.records() == [[(1, 3)], [(2, 1)]], "a command does not wait"
+    pair.send(pair.stream, 4)
+    pair.send(pair.stream, 5, BOUND)
+    assert pair.records() == [[(1, 4)], [(1, 5)]]
+    pair.send(pair.stream, 6)
+    pair.stream.fence(TOKEN.pack(7))
+    assert list(messages(pair.far.recv(ROOM))) == [(1, 6)]
+    assert HEAD.unpack_from(pair.far.recv(ROOM)) == (FENCE, 1)
+
+
+def test_joined_messages_for_a_full_reader_are_queued_and_bounded(pair: Pair, joining: Joining) -> None:
+    pair.stream.depth = 3
+    number = 0
+    while not pair.stream.queue:
+        number += 1
+        pair.send(pair.stream, number)
+        joining.flush()
+    for _ in range(2 * MAX_JOINED):
+        number += 1
+        pair.send(pair.stream, number)
+    joining.flush()
+    pair.read()
+    pair.link.flush()
+    assert pair.read() == [(1, number - 2), (1, number - 1), (1, number)]
+    assert pair.stream.dropped == 2 * MAX_JOINED - 2
+
+
+def test_joined_messages_of_a_closed_reader_are_dropped(pair: Pair, joining: Joining) -> None:
+    pair.send(pair.stream, 1)
+    pair.link.close()
+    joining.flush()
+    assert not pair.stream.queue
+    assert pair.records() == []
 
 
 def test_nothing_is_sent_to_a_closed_reader(pair: Pair) -> None:
