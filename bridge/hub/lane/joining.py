@@ -52,6 +52,6 @@ class Joining:
             self._links.popitem()[0].send_joined()
 
     def end(self) -> None:
-        """Send the joined messages, and join no more."""
+        """Send the joined messages, and stop joining."""
         _thread.links = None
         self.flush()

@@ -14,6 +14,7 @@ import pytest
 from bridge.adapters.ros1.connection_loop import ConnectionLoop, PolledConnection, receive_now
 from bridge.adapters.ros1.topics.connection import PublisherConnection
 from bridge.adapters.ros1_peers import DeadlineSocket
+from bridge.hub.lane.joining import joins
 from tests.support.wait import until
 
 
@@ -110,6 +111,21 @@ def test_one_thread_reads_all_connections(crowd: Crowd) -> None:
     assert crowd.threads == {"midspan-ros1-intake"}
     for number in range(50):
         assert [p for n, p in crowd.heard if n == number] == [bytes([number, turn]) for turn in range(20)]
+
+
+def test_messages_are_joined_until_the_loop_waits_again(crowd: Crowd) -> None:
+    sent = threading.Event()
+    joined: list[bool] = []
+
+    class Link:
+        def send_joined(self) -> None:
+            sent.set()
+
+    link = Link()
+    crowd.add(lambda _: joined.append(joins(link))).sendall(frame(b"x"))
+    assert sent.wait(20.0)
+    assert joined == [True]
+    assert not joins(link), "this thread joins none"
 
 
 def test_a_connection_with_a_large_message_gets_a_separate_thread(crowd: Crowd) -> None:

@@ -12,6 +12,7 @@ import pytest
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.loop import TAKES_PER_TURN
 from bridge.adapters.ros2.topics.subscription import ClassReader
+from bridge.hub.lane.joining import joins
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.routing.edge import Kind
@@ -71,6 +72,28 @@ def test_a_burst_longer_than_one_cycle_arrives_complete(edge: RunningEdge, peer:
     going.set()
     until(lambda: len(texts) >= count, "the whole burst")
     assert texts == [str(number) for number in range(count)]
+
+
+def test_messages_are_joined_until_the_loop_waits_again(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+    sent = threading.Event()
+    joined: list[bool] = []
+
+    class Link:
+        def send_joined(self) -> None:
+            sent.set()
+
+    link = Link()
+    edge.edge.subscribe("/joined", edge.type(STRING), Qos(), lambda _p, _s, _t: joined.append(joins(link)))
+    native = peer()
+    publisher = native.advertise("/joined", "std_msgs/String")
+
+    def received() -> bool:
+        native.publish(publisher, {"data": "x"})
+        return bool(joined)
+
+    until(received, "a message")
+    assert joined[0]
+    assert sent.wait(20.0)
 
 
 def test_an_exception_in_one_route_does_not_stop_the_others(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
