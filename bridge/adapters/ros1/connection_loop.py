@@ -14,6 +14,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
+from typing import ClassVar
 
 from typing_extensions import override
 
@@ -34,6 +35,9 @@ class PolledConnection(ABC):
     With ``listens`` its messages are read. Otherwise the loop calls it only so that it notices the end of the
     connection, and it may have the loop `pause` when the peer sends more than it is willing to buffer.
     """
+
+    joins: ClassVar[bool] = False
+    """Whether reading it takes so little time that earlier messages may wait for it (`bridge.hub.lane.joining`)."""
 
     def __init__(self, sock: socket.socket) -> None:
         self.listens, self.paused = True, False
@@ -110,6 +114,7 @@ class ConnectionLoop(ThreadedLoop):
     def __init__(self, name: str = "midspan-ros1-intake") -> None:
         super().__init__(name, self._abandon, _log)
         self._sources: dict[int, PolledConnection] = {}
+        self._joining: Joining | None = None
 
     def add(self, source: PolledConnection) -> bool:
         """Start to read a source; return False if it is closed or the loop is stopped. Raises `OSError`."""
@@ -157,11 +162,12 @@ class ConnectionLoop(ThreadedLoop):
 
     @override
     def step(self, seconds: float | None = None) -> None:
-        joining = Joining()
+        if self._joining is None:
+            self._joining = Joining()  # on this thread
         try:
             super().step(seconds)
         finally:
-            joining.end()
+            self._joining.flush()
 
     @override
     def stop(self, seconds: float | None = _JOIN_SECONDS) -> None:
@@ -174,6 +180,8 @@ class ConnectionLoop(ThreadedLoop):
             self.watch(number, partial(self._on_ready, source) if readable else None)
 
     def _on_ready(self, source: PolledConnection) -> None:
+        if self._joining is not None and not source.joins:
+            self._joining.flush()
         try:
             then = source.on_ready()
         except Exception:

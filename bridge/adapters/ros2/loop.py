@@ -35,6 +35,8 @@ class EndpointReader(ABC):
     """
 
     kind: ClassVar[str] = "subscription"
+    joins: bool = False
+    """Whether serving it takes so little time that earlier messages may wait for it (`bridge.hub.lane.joining`)."""
 
     def __init__(self, participant: Participant, handle: Any) -> None:
         self._participant, self.handle = participant, handle
@@ -154,8 +156,8 @@ class EpollReadLoop(ReadLoop):
         reader = self._readers.get(descriptor)
         if reader is None:
             return
-        if reader.kind != "subscription":
-            joining.flush()  # no message waits for a call
+        if not reader.joins:
+            joining.flush()
         try:
             count = os.eventfd_read(descriptor)
         except BlockingIOError:

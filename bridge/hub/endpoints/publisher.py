@@ -20,6 +20,7 @@ from bridge.hub.endpoints.variants import CONVERTED, Convert, KeyVariants, Varia
 from bridge.hub.errors import HubClosedError, HubError, zenoh_reason
 from bridge.hub.graph import HubGraph
 from bridge.hub.graph.tokens import gid_of
+from bridge.hub.lane.joining import flush_joined
 from bridge.hub.lane.lane import Lane
 from bridge.hub.lane.outlet import Outlet
 from bridge.hub.lane.writer import LaneWriter
@@ -165,6 +166,8 @@ class _PlainSink:
             # later messages use it too, so that none overtakes the large one
             self._large = self._declare(congestion_control=zenoh.CongestionControl.DROP, priority=BEHIND)
             self._put = self._large.put
+        if self._blocks:
+            flush_joined()
         self._put(payload, attachment=attached, source_info=next(self._infos))
 
     def matched(self) -> bool:

@@ -17,6 +17,7 @@ _SEND_BUFFER = 1 << 20
 """Maximum bytes in the kernel's buffer for a reader, which commands cannot overtake."""
 
 _BACKLOG = 64
+_UNREADY = ".new"
 
 
 def possible() -> bool:
@@ -32,8 +33,8 @@ def listen(folder: Path, zid: str) -> socket.socket:
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     sock = _socket()
     try:
-        with _short(folder, zid) as path:
-            unready = Path(f"{path}.new")  # renamed once it accepts readers: `clean` removes sockets that do not
+        with _short(folder, _name(zid)) as path:
+            unready = Path(f"{path}{_UNREADY}")  # renamed once it accepts readers: `clean` removes sockets that do not
             sock.bind(str(unready))
             unready.chmod(0o600)
             sock.listen(_BACKLOG)
@@ -48,9 +49,13 @@ def connect(folder: Path, zid: str) -> socket.socket:
     """Connect to a session; raises `OSError` if it has no lane, or belongs to another user."""
     if not zid.isalnum():  # untrusted: any participant can put it on the graph
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
+    return _connect(folder, _name(zid))
+
+
+def _connect(folder: Path, name: str) -> socket.socket:
     sock = _socket()
     try:
-        with _short(folder, zid) as path:
+        with _short(folder, name) as path:
             sock.setblocking(False)  # never wait for a process that does not accept
             sock.connect(path)
         check_peer(sock)
@@ -81,12 +86,13 @@ def remove(folder: Path, zid: str) -> None:
 
 
 def clean(folder: Path) -> None:
-    """Remove the sockets of sessions that died."""
+    """Remove the sockets of sessions that died, including those of other versions."""
     with contextlib.suppress(OSError):
         for path in folder.iterdir():
-            zid = path.name.rpartition(".")[0]
+            if path.suffix == _UNREADY:
+                continue
             try:
-                connect(folder, zid).close()
+                _connect(folder, path.name).close()
             except ConnectionRefusedError:
                 path.unlink(missing_ok=True)
             except OSError:
@@ -104,10 +110,10 @@ def _name(zid: str) -> str:
 
 
 @contextlib.contextmanager
-def _short(folder: Path, zid: str) -> Iterator[str]:
+def _short(folder: Path, name: str) -> Iterator[str]:
     """Yield a path that fits into a socket's address, even if the folder's path is too long."""
     number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        yield f"/proc/self/fd/{number}/{_name(zid)}"
+        yield f"/proc/self/fd/{number}/{name}"
     finally:
         os.close(number)

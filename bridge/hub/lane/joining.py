@@ -39,8 +39,15 @@ def joins(link: JoinedLink) -> bool:
     return True
 
 
+def flush_joined() -> None:
+    """Send what this thread has joined, before it may wait for something."""
+    links = _thread.links
+    while links:
+        links.popitem()[0].send_joined()
+
+
 class Joining:
-    """Joins the messages of the calling thread, which calls `flush` each time before it waits, until `end`."""
+    """Joins the messages of the thread that makes it, which calls `flush` each time before it waits, until `end`."""
 
     def __init__(self) -> None:
         self._links: dict[JoinedLink, None] = {}

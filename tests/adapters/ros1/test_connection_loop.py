@@ -128,6 +128,37 @@ def test_messages_are_joined_until_the_loop_waits_again(crowd: Crowd) -> None:
     assert not joins(link), "this thread joins none"
 
 
+def test_joined_messages_do_not_wait_for_a_service_call(crowd: Crowd) -> None:
+    sent: list[bool] = []
+    ended = threading.Event()
+
+    class Link:
+        def send_joined(self) -> None:
+            sent.append(True)
+
+    class Call(PolledConnection):
+        def on_ready(self) -> Callable[[], None] | None:
+            sent.append(False)
+            return self.abandon
+
+        def abandon(self) -> None:
+            self._sock.close()
+            ended.set()
+
+    ours, theirs = pair()
+    crowd.publishers.append(theirs)
+    theirs.sendall(b"x")
+
+    def deliver(_: bytes) -> None:
+        joins(link)
+        crowd.loop._on_ready(call)  # in the same step
+
+    link, call = Link(), Call(ours)
+    crowd.add(deliver).sendall(frame(b"x"))
+    assert ended.wait(20.0)
+    assert sent == [True, False]
+
+
 def test_a_connection_with_a_large_message_gets_a_separate_thread(crowd: Crowd) -> None:
     """An incomplete large message does not delay other connections."""
     large, small = crowd.add(), crowd.add()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections import Counter
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from bridge.adapters.ros2 import rcl
-from bridge.adapters.ros2.loop import TAKES_PER_TURN
+from bridge.adapters.ros2.loop import TAKES_PER_TURN, EndpointReader, EpollReadLoop
 from bridge.adapters.ros2.topics.subscription import ClassReader
 from bridge.hub.lane.joining import joins
 from bridge.hub.wire.qos import Qos
@@ -94,6 +95,44 @@ def test_messages_are_joined_until_the_loop_waits_again(edge: RunningEdge, peer:
     until(received, "a message")
     assert joined[0]
     assert sent.wait(20.0)
+
+
+def test_joined_messages_do_not_wait_for_large_messages_and_calls() -> None:
+    order: list[str] = []
+    served = threading.Event()
+
+    class Link:
+        def send_joined(self) -> None:
+            order.append("sent")
+
+    class Reader(EndpointReader):
+        descriptor: int | None = None
+
+        def __init__(self, *, small: bool) -> None:
+            self.joins = small
+
+        def wake(self, descriptor: int | None) -> None:
+            self.descriptor = descriptor
+
+        def drain(self, _taker: rcl.Taker, _limit: int) -> None:
+            if self.joins:
+                joins(link)
+            else:
+                order.append("served")
+                served.set()
+
+        def destroy(self) -> None:
+            pass
+
+    link, loop = Link(), EpollReadLoop()
+    for reader in (Reader(small=True), Reader(small=False)):
+        loop.add(reader)
+        assert reader.descriptor is not None
+        os.eventfd_write(reader.descriptor, 1)  # both are ready in the first turn
+    loop.start()
+    assert served.wait(20.0)
+    loop.stop()
+    assert order == ["sent", "served"]
 
 
 def test_an_exception_in_one_route_does_not_stop_the_others(edge: RunningEdge, peer: Callable[..., Peer]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
@@ -171,6 +172,34 @@ def test_sockets_of_dead_processes_are_removed(network: HubNetwork, tmp_path: Pa
     with Hub.open(network.settings("next", lane=lane)) as hub:
         assert [path.name for path in tmp_path.iterdir()] == [f"{hub.zid}.{VERSION}"]
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("writers", "readers"), [(VERSION - 1, VERSION), (VERSION, VERSION - 1)])
+def test_workers_whose_lanes_have_other_versions_use_zenoh(
+    network: HubNetwork, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writers: int, readers: int
+) -> None:
+    """During an upgrade a worker of the new release may start beside one of the old."""
+    lane = str(tmp_path)
+    monkeypatch.setattr(folder, "VERSION", writers)
+    with Hub.open(network.settings("writer", lane=lane)) as writer:
+        monkeypatch.setattr(folder, "VERSION", readers)
+        with Hub.open(network.settings("reader", lane=lane)) as reader:
+            subscriber, publisher = Subscriber(reader, "/t"), advertise(writer, "/t")
+            matched(publisher)
+            publisher.put(b"x")
+            subscriber.expect("x")
+            why = f"its lane has version {writers}, ours {readers}; zenoh is used instead"
+            goes_by(subscriber, "zenoh", f"writer: {why}")
+        monkeypatch.setattr(folder, "VERSION", writers)
+
+
+def test_sockets_of_other_versions_are_removed_once_dead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(folder, "VERSION", VERSION - 1)
+    folder.listen(tmp_path, "dead").close()
+    with contextlib.closing(folder.listen(tmp_path, "alive")):
+        monkeypatch.setattr(folder, "VERSION", VERSION)
+        folder.clean(tmp_path)
+        assert [path.name for path in tmp_path.iterdir()] == [f"alive.{VERSION - 1}"]
 
 
 def test_early_messages_arrive_once(network: HubNetwork, tmp_path: Path) -> None:

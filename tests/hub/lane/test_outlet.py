@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from bridge.hub.lane import outlet as module
-from bridge.hub.lane.joining import MAX_JOINED, Joining
+from bridge.hub.lane.joining import MAX_JOINED, MAX_JOINED_BYTES, Joining, flush_joined
 from bridge.hub.lane.outlet import Outlet, ReaderLink
 from bridge.hub.lane.wire import BODY, BOUND, DATA, FENCE, HEAD, PART, PIECE, ROOM, SAMPLE, SAMPLE_BODY, TOKEN
 from bridge.hub.wire.keys import pack_attachment, unpack_attachment
@@ -157,6 +157,17 @@ def test_messages_of_one_go_are_one_record(pair: Pair, joining: Joining) -> None
     assert pair.records() == []
     joining.flush()
     assert pair.records() == [[(1, 5), (1, 6)]]
+    pair.send(pair.stream, 7)
+    flush_joined()
+    assert pair.records() == [[(1, 7)]]
+
+
+def test_a_record_has_room_for_the_largest_joined_messages(pair: Pair, joining: Joining) -> None:
+    for number in range(MAX_JOINED):
+        pair.send(pair.stream, number, MAX_JOINED_BYTES)
+    assert pair.records() == [[(1, number) for number in range(MAX_JOINED)]]
+    pair.send(pair.stream, MAX_JOINED, MAX_JOINED_BYTES + 1)
+    assert pair.records() == [[(1, MAX_JOINED)]], "a larger one does not wait"
 
 
 def test_joined_messages_are_not_overtaken(pair: Pair, joining: Joining) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from bridge.hub.lane.inlet import Inlet
+from bridge.hub.lane.joining import Joining, joins
 from bridge.hub.lane.wire import BOUND
 from bridge.hub.session import Hub, HubSession
 from bridge.hub.wire.keys import topic_key
@@ -95,6 +96,22 @@ def test_other_subscribers_receive_lane_messages(network: HubNetwork, reader: Hu
         ours.put(b"x")
         for receiver in (subscriber, every, strange):
             receiver.expect("x")
+
+
+def test_joined_messages_do_not_wait_for_a_publisher_that_blocks(writer: Hub) -> None:
+    sent: list[bool] = []
+
+    class Link:
+        def send_joined(self) -> None:
+            sent.append(True)
+
+    joining, blocks = Joining(), advertise(writer, "/t", Qos(history=History.KEEP_ALL))
+    try:
+        assert joins(Link())
+        blocks.put(b"x")
+        assert sent
+    finally:
+        joining.end()
 
 
 def test_topic_with_growing_messages_returns_to_zenoh(reader: Hub, writer: Hub) -> None:

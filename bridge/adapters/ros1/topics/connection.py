@@ -38,7 +38,7 @@ class PublisherConnection(TopicConnection):
     ``dropped`` is the number of messages above the limit, which are not delivered.
     """
 
-    direction = "i"
+    direction, joins = "i", True
 
     def __init__(
         self, sock: DeadlineSocket, topic: str, uri: str, deliver: Callable[[bytes], None],

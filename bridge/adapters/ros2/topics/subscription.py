@@ -164,7 +164,7 @@ class ClassReader(EndpointReader):
     ) -> None:
         super().__init__(participant, handle)
         self._owner, self._class, self.topic = owner, reader_class, owner.topic
-        self._large = False
+        self._large, self.joins = False, True
         self._sequences: dict[str, int] = {}
         self._room = _SEQUENCES
 
@@ -178,6 +178,7 @@ class ClassReader(EndpointReader):
                 return
             payload, gid, source_ns, sequence = taken
             self._large = len(payload) >= rcl.LARGE
+            self.joins = not self._large
             source = owner.source(gid, self._class)
             if source is None:
                 continue
