@@ -1,4 +1,4 @@
-"""Nav2's lifecycle nodes, docking and waypoints from the command line, with real rclpy servers and a base."""
+"""Nav2's lifecycle nodes, docking, waypoints and patrols, with real rclpy servers and a base."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from typing import Any
 import pytest
 
 from tests.cli.conftest import Midspan
+from tests.peers.browser.page import TestPage
 from tests.peers.daemon.deployment import Deployment
 from tests.peers.navigation.mix_truth import PEERS, Base
 from tests.peers.ros2.network import ros2_environment, ros2_python
+from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
 
@@ -25,7 +27,9 @@ class Nav2Rig:
 
     def __init__(self, deployment: Deployment) -> None:
         self.deployment = deployment
-        deployment.start(navigation={"planner": "nav2"}, store={"enabled": True})
+        self.web = free_port()
+        web = {"enabled": True, "listen": f"127.0.0.1:{self.web}"}
+        deployment.start(navigation={"planner": "nav2"}, store={"enabled": True}, web=web)
         self.base = deployment.keep(Base.ros2())
         program = PEERS / "ros2" / "nav2_managed.py"
         self.nav2 = deployment.keep(Process([ros2_python(), program], ros2_environment()))
@@ -137,4 +141,26 @@ def test_a_stop_ends_docking_and_waypoints(rig: Nav2Rig, midspan: Midspan, words
     until(lambda: program.popen.poll() is not None, "the program has ended", SECONDS)
     assert (program.popen.returncode, "midspan: canceled" in program.output()) == (1, True), program.output()
     assert midspan("nav", "status").out.startswith("idle")
+    assert midspan("location", "remove", "far").code == 0
+
+
+def test_a_patrol_passes_its_places_without_stops_until_it_is_stopped(rig: Nav2Rig, midspan: Midspan) -> None:
+    for name, x in (("a", 1.0), ("b", 2.0), ("far", 950.0)):
+        add(midspan, name, x)
+    with TestPage(rig.web) as page:
+        page.watch("patrol", "driving")
+        page.value("driving", lambda value: value and value["state"] in ("idle", "goal_reached"))
+        before = len(rig.goals("navigate_through_poses"))
+        assert page.call("patrol", places=["a", "b"], wait=0)["ok"]
+        page.value("patrol", lambda value: (value["state"], value["round"], value["at"]) == ("drives", 2, 1))
+        assert rig.goals("navigate_through_poses")[before:] == [{"x": [1.0, 2.0] * 10}]
+        assert rig.base.moves
+        assert page.call("stop")["ok"]
+        assert not rig.base.moves, "the stop was confirmed"
+        assert "stopped" in page.value("patrol", lambda value: value["state"] == "ended")["why"]
+        assert page.call("patrol", places=["a", "far"], wait=0)["ok"]
+        page.value("patrol", lambda value: (value["round"], value["at"]) == (1, 1))
+        assert page.call("stop")["ok"]
+        assert not rig.base.moves
+        assert len(rig.goals("navigate_through_poses")) == before + 2
     assert midspan("location", "remove", "far").code == 0

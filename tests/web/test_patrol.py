@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from bridge.config.sections.navigation import ACTION
+from bridge.config.sections.navigation import ACTION, THROUGH_POSES
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.action_server import Goal
 from bridge.modules.services import Answer
 from bridge.web.verbs import patrol
-from navigation.messages import NAVIGATE
+from navigation.messages import NAVIGATE, THROUGH
 from navigation.status import NO_GOAL, STATUS, PlannerStatus, State, status_message
 from tests.peers.browser.page import TestPage
 from tests.peers.hub.node import HubNode
@@ -36,6 +36,7 @@ class FakeGateway(HubNode):
     def _open(self) -> None:
         self._status = self.node.publisher("/navigation/status", STATUS, LATCHED)
         self.node.action_server(ACTION, NAVIGATE, self._on_goal, self._cancel)
+        self.node.action_server(THROUGH_POSES, THROUGH, self._on_goal, self._cancel)
         self.node.server("/navigation/get_location", "midspan_msgs/srv/GetLocation", self._find)
         for name in ("pause", "resume", "stop"):
             self.node.server(f"/navigation/{name}", "std_srvs/srv/Trigger", getattr(self, f"_{name}"))
@@ -86,8 +87,23 @@ class FakeGateway(HubNode):
 
     def goal_x(self, count: int) -> float:
         """Wait for the goal of a number, and return its x."""
+        (x,) = self.goal_xs(count)
+        return x
+
+    def goal_xs(self, count: int) -> list[float]:
+        """Wait for the goal of a number, and return the x of its places."""
         until(lambda: len(self.goals) >= count, f"goal {count} is sent", 30)
-        return float(self.goals[count - 1].goal["pose"]["pose"]["position"]["x"])
+        goal = self.goals[count - 1].goal
+        return [float(place["pose"]["position"]["x"]) for place in goal.get("poses") or [goal["pose"]]]
+
+    def pass_places(self, left: int) -> None:
+        """Report that a number of the goal's places are left."""
+
+        def report() -> None:
+            assert self.now is not None
+            self.now.feedback({"number_of_poses_remaining": left})
+
+        self.on(report)
 
     def reach(self) -> None:
         def done() -> None:
@@ -122,6 +138,7 @@ def page(desk: Desk, gateway: FakeGateway) -> Iterator[TestPage]:
         page_.value("driving", lambda value: value and value["state"] == "idle")
         graph = desk.console.host.node.hub.graph
         page_.until(lambda: graph.servers(f"{ACTION}/_action/send_goal"), "the gateway is discovered")
+        page_.until(lambda: graph.servers(f"{THROUGH_POSES}/_action/get_result"), "its other action is discovered")
         page_.until(lambda: graph.servers("/navigation/stop"), "all its services are discovered")
         yield page_
     assert gateway.at_once <= 1
@@ -147,6 +164,47 @@ def test_a_patrol_drives_to_places_in_turn(page: TestPage, gateway: FakeGateway)
     assert patrol["places"] == ["a", "b", "a", "c"]
 
 
+def test_a_patrol_without_stops_sends_all_places_in_one_goal(page: TestPage, gateway: FakeGateway) -> None:
+    begin(page, "a", "b", "c", wait=0.0)
+    places = [1.0, 2.0, 3.0]
+    assert gateway.goal_xs(1) == places * 6
+    for left, at in ((18, (1, 0)), (17, (1, 1)), (14, (2, 1)), (2, (6, 1))):
+        gateway.pass_places(left)
+        page.value("patrol", lambda value, at=at: (value["round"], value["at"]) == at)
+    gateway.pass_places(0)  # as a planner before its first plan
+    gateway.reach()
+    patrol = state(page, "waits")
+    assert (patrol["round"], patrol["at"]) == (6, 2)
+    assert gateway.goal_xs(2) == places * 6
+    patrol = state(page, "drives")
+    assert (patrol["round"], patrol["at"], patrol["wait"]) == (7, 0, 0.0)
+
+
+def test_a_patrol_without_stops_continues_at_the_place_where_it_was_paused(
+    page: TestPage, gateway: FakeGateway
+) -> None:
+    begin(page, *("abc" * 4), wait=0.0)
+    assert gateway.goal_xs(1) == [1.0, 2.0, 3.0] * 4
+    gateway.reach()
+    state(page, "waits")
+    assert page.call("pause")["ok"]
+    state(page, "held")
+    assert page.call("resume")["ok"]
+    assert gateway.goal_xs(2) == [3.0, *[1.0, 2.0, 3.0] * 3, 1.0, 2.0]
+
+
+def test_the_end_of_a_patrol_without_stops_names_the_place(page: TestPage, gateway: FakeGateway) -> None:
+    begin(page, "a", "b", wait=0.0)
+    gateway.goal_xs(1)
+    gateway.pass_places(19)
+    page.value("patrol", lambda value: value["at"] == 1)
+    gateway.give_up("no path leads there")
+    assert state(page, "ended")["why"] == "driving to b: no path leads there"
+    begin(page, "a", "gone", wait=0.0)
+    assert state(page, "ended")["why"] == "unknown location or area 'gone'"
+    assert len(gateway.goals) == 1
+
+
 def test_a_patrol_continues_without_its_page(desk: Desk, page: TestPage, gateway: FakeGateway) -> None:
     with TestPage(desk.port) as other:
         begin(other, "a", "b")
@@ -157,10 +215,10 @@ def test_a_patrol_continues_without_its_page(desk: Desk, page: TestPage, gateway
 
 
 @pytest.mark.parametrize("how", ["console", "elsewhere"])
-@pytest.mark.parametrize("where", ["driving", "at a place"])
+@pytest.mark.parametrize("where", ["driving", "at a place", "between places"])
 def test_a_stop_ends_the_patrol(desk: Desk, page: TestPage, gateway: FakeGateway, how: str, where: str) -> None:
-    begin(page, "a", "b", wait=2.0)
-    gateway.goal_x(1)
+    begin(page, "a", "b", wait=0.0 if where == "between places" else 2.0)
+    gateway.goal_xs(1)
     page.value("driving", lambda value: value["state"] == "moving")
     if where == "at a place":
         gateway.reach()
@@ -175,10 +233,10 @@ def test_a_stop_ends_the_patrol(desk: Desk, page: TestPage, gateway: FakeGateway
     assert gateway.goal_x(2) == PLACES["c"], "the previous patrol has no effect"
 
 
-@pytest.mark.parametrize("where", ["driving", "at a place"])
+@pytest.mark.parametrize("where", ["driving", "at a place", "between places"])
 def test_another_clients_goal_ends_the_patrol(desk: Desk, page: TestPage, gateway: FakeGateway, where: str) -> None:
-    begin(page, "a", "b", wait=60.0)
-    gateway.goal_x(1)
+    begin(page, "a", "b", wait=0.0 if where == "between places" else 60.0)
+    gateway.goal_xs(1)
     page.value("driving", lambda value: value["state"] == "moving")
     if where == "at a place":
         gateway.reach()
@@ -187,7 +245,7 @@ def test_another_clients_goal_ends_the_patrol(desk: Desk, page: TestPage, gatewa
     try:
         client = other.on(lambda: other.node.action_client(ACTION, NAVIGATE))
         until(lambda: client.ready, "the gateway is discovered", 20)
-        gateway.at_once = -1 if where == "driving" else 0  # the gateway itself ends the previous goal
+        gateway.at_once = 0 if where == "at a place" else -1  # the gateway itself ends the previous goal
         other.on(lambda: client.send({"pose": pose(9.0)}, lambda *_: None))
         assert gateway.goal_x(2) == 9.0
         assert "sent a goal" in state(page, "ended")["why"]
@@ -207,10 +265,10 @@ def test_an_unreachable_place_ends_the_patrol(page: TestPage, gateway: FakeGatew
     assert state(page, "ended")["why"] == "unknown location or area 'gone'"
 
 
-@pytest.mark.parametrize("where", ["driving", "at a place"])
+@pytest.mark.parametrize("where", ["driving", "at a place", "between places"])
 def test_a_patrol_is_paused_and_resumed(page: TestPage, gateway: FakeGateway, where: str) -> None:
-    begin(page, "a", "b", wait=1.0)
-    gateway.goal_x(1)
+    begin(page, "a", "b", wait=0.0 if where == "between places" else 1.0)
+    gateway.goal_xs(1)
     page.value("driving", lambda value: value["state"] == "moving")
     if where == "at a place":
         gateway.reach()
@@ -219,9 +277,9 @@ def test_a_patrol_is_paused_and_resumed(page: TestPage, gateway: FakeGateway, wh
     state(page, "held")
     assert page.call("resume")["ok"]
     state(page, "drives")
-    if where == "driving":
+    if where != "at a place":
         gateway.reach()
-    gateway.goal_x(2)
+    gateway.goal_xs(2)
 
 
 def test_manual_driving_is_refused_during_a_patrol(page: TestPage, gateway: FakeGateway) -> None:
@@ -249,7 +307,8 @@ def test_a_missing_gateway_is_reported(desk: Desk, monkeypatch: pytest.MonkeyPat
         ({"places": ["a"]}, "places must be 2 to 50 names"),
         ({"places": ["a"] * 51}, "places must be 2 to 50 names"),
         ({"places": ["a", 1]}, "places must be a name"),
-        ({"places": ["a", "b"], "wait": 0}, "wait must be a number of seconds between 1 and 3,600, not 0"),
+        ({"places": ["a", "b"], "wait": 0.5}, "wait must be a number of seconds, 0 for no stop or between 1 and 3,600"),
+        ({"places": ["a", "b"], "wait": False}, "wait must be a number of seconds"),
         ({"places": ["a", "b"], "wait": 1e300}, "between 1 and 3,600, not 1e+300"),
         ({"places": ["a", "b"], "wait": "2"}, "wait must be a number of seconds"),
     ],

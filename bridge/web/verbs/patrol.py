@@ -1,7 +1,8 @@
 """A patrol: the robot drives to places in turn, repeatedly, until a client ends it. Used on the module's thread.
 
-It sends one goal at a time to the gateway's action, after the previous goal was reached. Anything else ends the patrol:
-a stop, another client's goal, a place that cannot be reached. The page that started it may be closed.
+It sends one goal at a time to the gateway's action, after the previous goal was reached. Without stops, a goal has the
+places of some rounds, and planners that can pass them do not stop. Anything else ends the patrol: a stop, a goal of
+another client, a place that cannot be reached. The page that started it may be closed.
 """
 
 from __future__ import annotations
@@ -12,18 +13,21 @@ from typing import Any, Protocol
 
 from bridge.client.actions import ActionClient, SentGoal
 from bridge.client.services import ServiceClient
-from bridge.config.sections.navigation import ACTION
+from bridge.config.sections.navigation import ACTION, THROUGH_POSES
 from bridge.hub.endpoints.calls import CallError
 from bridge.messages.actions import GoalState
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
 from bridge.web.verbs.verbs import PageVerb, VerbError, name_of, number_between
 from navigation.gateway.services import GET_LOCATION
-from navigation.messages import NAVIGATE
+from navigation.messages import NAVIGATE, THROUGH
 
 MOST_PLACES = 50
 SHORTEST, USUAL, LONGEST = 1.0, 2.0, 3600.0
-"""Seconds of the stop at a place: a pending stop command arrives before the next goal."""
+"""Seconds of the stop between two goals: a pending stop command arrives before the next goal."""
+
+MOST_PASSED = 20
+"""Places in a goal of several rounds: planners plan the path through all of them repeatedly."""
 
 ANSWER_SECONDS = 5.0
 _LOCATE = "/navigation/get_location"
@@ -37,8 +41,12 @@ def places_of(value: Any) -> list[str]:
     return [name_of(name) for name in value]
 
 
-wait_of = number_between(SHORTEST, LONGEST, " of seconds")
-"""Check the seconds at each place."""
+_seconds_of = number_between(SHORTEST, LONGEST, " of seconds, 0 for no stop or")
+
+
+def wait_of(value: Any) -> float:
+    """Check the seconds at each place; 0 for none."""
+    return 0.0 if type(value) in (int, float) and value == 0 else _seconds_of(value)
 
 
 class Gateway(Protocol):
@@ -67,10 +75,11 @@ class Patrol:
     def __init__(self, host: Host, gateway: Gateway, publish: Callable[[Mapping[str, Any]], None]) -> None:
         self._host, self._gateway, self._publish_state = host, gateway, publish
         self._locate: ServiceClient | None = None
-        self._goals: ActionClient | None = None
+        self._goals: dict[str, ActionClient] = {}  # by the type of goals
         self._places: Sequence[str] = ()
         self._wait = USUAL
-        self._at = self._round = 0
+        self._at = self._round = self._last = 0  # index of the next place, and of the goal's last one
+        self._poses: list[dict[str, Any]] = []  # of the next goal's places, as far as they are known
         self._step = 0  # increases with each step; callbacks of earlier steps are ignored
         self._active = self._held = self._seen = False
         self._goal: SentGoal | None = None
@@ -139,12 +148,17 @@ class Patrol:
         self._timer = self._host.loop.after(seconds, action)
 
     def _find(self) -> None:
-        """Request the pose of the next place."""
-        step = self._next_step()
-        self._locate = self._locate or self._host.node.client(_LOCATE, GET_LOCATION)
-        self._locate.call({"name": self._place}, partial(self._on_pose, step))
-        self._within(ANSWER_SECONDS, lambda: self.end(f"{_LOCATE} has not answered in {ANSWER_SECONDS:g} s"))
+        """Request the poses of the next goal's places."""
+        self._poses = []
+        self._find_next()
         self._publish("drives")
+
+    def _find_next(self) -> None:
+        step = self._next_step()
+        place = self._places[(self._at + len(self._poses)) % len(self._places)]
+        self._locate = self._locate or self._host.node.client(_LOCATE, GET_LOCATION)
+        self._locate.call({"name": place}, partial(self._on_pose, step))
+        self._within(ANSWER_SECONDS, lambda: self.end(f"{_LOCATE} has not answered in {ANSWER_SECONDS:g} s"))
 
     def _on_pose(self, step: int, reply: dict[str, Any] | CallError) -> None:
         if step != self._step:
@@ -154,11 +168,38 @@ class Patrol:
         elif not reply["success"]:
             self.end(str(reply["message"]))
         else:
-            step = self._next_step()
-            self._goals = self._goals or self._host.node.action_client(ACTION, NAVIGATE)
-            self._goal = self._goals.send({"pose": reply["pose"]}, self._ended)
-            self._newest = self._goal.id
-            self._within(ANSWER_SECONDS, self._accepted)
+            self._poses.append(reply["pose"])
+            if self._wait:
+                self._send(ACTION, NAVIGATE, {"pose": reply["pose"]}, 1)
+            elif len(self._poses) < len(self._places):
+                self._find_next()
+            else:
+                poses = self._poses * max(1, MOST_PASSED // len(self._poses))
+                self._send(THROUGH_POSES, THROUGH, {"poses": poses}, len(poses))
+
+    def _send(self, action: str, kind: str, goal: dict[str, Any], count: int) -> None:
+        """Send a goal with a number of places, of which the next one is the first."""
+        step = self._next_step()
+        if action not in self._goals:
+            self._goals[action] = self._host.node.action_client(action, kind)
+        self._last = self._at + count - 1
+        self._goal = self._goals[action].send(goal, self._ended, partial(self._on_feedback, step))
+        self._newest = self._goal.id
+        self._within(ANSWER_SECONDS, self._accepted)
+
+    def _on_feedback(self, step: int, feedback: dict[str, Any]) -> None:
+        left = int(feedback.get("number_of_poses_remaining", 0))
+        if step == self._step and 0 < left <= self._last + 1 - self._at:
+            self._pass_to(self._last + 1 - left)
+
+    def _pass_to(self, index: int) -> None:
+        """Drive to a later place of the goal; indices count on from the last place of a round."""
+        if index == self._at:
+            return
+        rounds, self._at = divmod(index, len(self._places))
+        self._last -= rounds * len(self._places)
+        self._round += rounds
+        self._publish("held" if self._held else "drives")
 
     def _accepted(self) -> None:
         if self._goal is not None and self._goal.accepted is None:
@@ -174,7 +215,8 @@ class Patrol:
             return
         self._next_step()
         self._held = False
-        self._within(self._wait, self._next_place)
+        self._pass_to(self._last)
+        self._within(self._wait or SHORTEST, self._next_place)
         self._publish("waits")
 
     def _next_place(self) -> None:

@@ -362,7 +362,7 @@ VERBS: dict[str, tuple[dict[str, Any], Any]] = {
     "goto_place": ({"name": Name}, str),
     "patrol": (
         {"places": Annotated[list[Name], Field(min_length=2, max_length=50)],
-         "wait": (Annotated[float, Field(ge=1.0, le=3600.0)], 2.0)},
+         "wait": (Literal[0] | Annotated[float, Field(ge=1.0, le=3600.0)], 2.0)},
         str,
     ),
     "stop": ({}, str),

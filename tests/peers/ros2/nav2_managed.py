@@ -5,6 +5,7 @@ simple_action_server.hpp, docking_server.cpp). The nodes are rclpy's real lifecy
 configuration on, and reject goals while their node is not active; shutdown and reset end them.
 
 - `NavigateToPose` is reached at once.
+- `NavigateThroughPoses`: each pose is reached after `DRIVE_SECONDS`; x from 900 on is never reached.
 - `DockRobot`: the dock ``home``, or a dock's pose with x below 900, is reached after `DRIVE_SECONDS`; the dock ``gone``
   fails with 901; any other goal drives until it is canceled. `UndockRobot` drives for `DRIVE_SECONDS`.
 - `FollowWaypoints`: each pose is reached after `DRIVE_SECONDS`; x below 0 is missed; x from 900 on is never reached.
@@ -24,7 +25,7 @@ from typing import Any
 
 import rclpy
 from geometry_msgs.msg import Twist
-from nav2_msgs.action import DockRobot, FollowWaypoints, NavigateToPose, UndockRobot
+from nav2_msgs.action import DockRobot, FollowWaypoints, NavigateThroughPoses, NavigateToPose, UndockRobot
 from nav2_msgs.msg import MissedWaypoint
 from nav2_msgs.srv import ManageLifecycleNodes
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -99,12 +100,27 @@ class Navigator(Server):
     """bt_navigator."""
 
     def actions(self) -> list[tuple[Any, str, Callable[[Any], Any]]]:
-        return [(NavigateToPose, "navigate_to_pose", self.navigate)]
+        return [
+            (NavigateToPose, "navigate_to_pose", self.navigate),
+            (NavigateThroughPoses, "navigate_through_poses", self.navigate_through),
+        ]
 
     def navigate(self, handle: Any) -> Any:
         show("navigate_to_pose", {})
         handle.succeed()
         return NavigateToPose.Result()
+
+    def navigate_through(self, handle: Any) -> Any:
+        poses = handle.request.poses
+        show("navigate_through_poses", {"x": [pose.pose.position.x for pose in poses]})
+        for index, pose in enumerate(poses):
+            left = len(poses) - index
+            handle.publish_feedback(NavigateThroughPoses.Feedback(number_of_poses_remaining=left))
+            if not self.drive(handle, DRIVE_SECONDS if pose.pose.position.x < FAR else 1e6):
+                handle.canceled()
+                return NavigateThroughPoses.Result()
+        handle.succeed()
+        return NavigateThroughPoses.Result()
 
 
 class Docking(Server):

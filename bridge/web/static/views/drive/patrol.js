@@ -4,7 +4,7 @@ import { button, el, mark, rows, write } from "../../lib/dom.js";
 import { ask } from "../../lib/say.js";
 
 const MOST = 50; // places, the console's limit
-const WAITS = [["1 s", 1], ["2 s", 2], ["10 s", 10], ["1 min", 60], ["10 min", 600]];
+const WAITS = [["no stop", 0], ["1 s", 1], ["2 s", 2], ["10 s", 10], ["1 min", 60], ["10 min", 600]];
 
 /** The patrol in "Send to"; `changed()` is called when picking starts or ends. */
 export function patrolBlock(socket, changed) {
@@ -14,8 +14,8 @@ export function patrolBlock(socket, changed) {
   const list = el("ol", { class: "turns", "aria-label": "Places of the patrol, in order" });
   const hint = el("p", { class: "empty", text: "Press the places in order." });
   const wait = el("select", { "aria-label": "Time at each place", title: "Time at each place" },
-    ...WAITS.map(([text, value]) => el("option", { value: String(value), text: `wait ${text}` })));
-  wait.value = "2";
+    ...WAITS.map(([text, value]) => el("option", { value: String(value), text: value ? `wait ${text}` : text })));
+  wait.value = "0";
   const start = button("Start patrol", begin, { class: "primary" });
   const picking = el("div", { class: "picking", id: "turns", hidden: true }, hint, list, el("div", { class: "buttons" }, wait, start));
   const element = el("div", { class: "patrol drives" }, el("div", { class: "buttons" }, opener, line), picking);
