@@ -138,10 +138,13 @@ class RunClock:
     Args:
         simulated: the time is that of ``/clock``, whose messages the hub or a side passes on.
         system: the clock of a run that is not simulated.
+
+    Attributes:
+        source: whether this process publishes ``/clock``, and so receives none.
     """
 
     def __init__(self, *, simulated: bool = False, system: SystemClock | None = None) -> None:
-        self.simulated = simulated
+        self.simulated, self.source = simulated, False
         self._system = system or SYSTEM_CLOCK
         self._now = 0
         self._lock = threading.Lock()
@@ -167,7 +170,7 @@ class RunClock:
 
     def trouble(self) -> str:
         """Return why a simulated time stands still, "" if it runs or the time is the system's."""
-        if not self.simulated or time.monotonic() - self._arrived <= SILENCE_SECONDS:
+        if not self.simulated or self.source or time.monotonic() - self._arrived <= SILENCE_SECONDS:
             return ""
         if self._running:
             return (

@@ -31,6 +31,7 @@ from sim.simulation import Simulation
 from sim.stamps import WallStamps
 
 _PICTURE = Qos(depth=2)  # large messages, of which only the newest count
+_ALL = Qos(depth=1000)  # every participant acknowledges each tick of a step
 _NEWEST = Qos(Reliability.BEST_EFFORT, depth=1)
 _BUNDLE = 5  # ticks without handling messages, at maximum speed
 
@@ -52,6 +53,7 @@ class Simulator(Module):
         names = names_of(section.names, self.simulation.robot)
         node = host.node
         self._outlets = Outlets(node, names, self.simulation, clock=not self._real)
+        host.clock.source = not self._real
         self._stamps = WallStamps() if self._real else None
         self._stepping = Stepping(host.loop, self._tick, paced=self._real)
         if section.drive == "velocity":
@@ -59,7 +61,7 @@ class Simulator(Module):
             node.subscription(names.velocity, "geometry_msgs/msg/TwistStamped", self._stamped_velocity, _NEWEST)
         else:
             node.subscription(names.wheels, "sensor_msgs/msg/JointState", self._wheels, _NEWEST)
-        node.subscription(DONE_TOPIC, DONE_TYPE, self._stepping.acknowledge)
+        node.subscription(DONE_TOPIC, DONE_TYPE, self._stepping.acknowledge, _ALL)
         for name, (kind, do) in ChangeServices(self.simulation).services().items():
             node.server(name, kind, answered(do))
         node.server("/sim/reset", "std_srvs/srv/Trigger", answered(self._reset))

@@ -117,6 +117,7 @@ class MatchedPoses(PoseSource):
         self._mount = Pose(0.0, 0.0, 0.0)
         self._start: Pose | None = None
         self._localizer = ""  # the status of a localizer
+        self._stamp_ns = 0  # of the last transform
         self._tf = host.node.publisher(TF, TF_TYPE, Qos(depth=100)) if section.publish_tf else None
         if self._tf is not None:
             host.node.subscription(STATUS, STRING, self._on_localizer, LATCHED)
@@ -195,6 +196,9 @@ class MatchedPoses(PoseSource):
             return
         section, half = self._section, 0.5 * correction.theta
         stamp = self._host.clock.now_ns() + round(section.tf_tolerance * 1e9)
+        if stamp == self._stamp_ns:
+            return  # a simulated time at which two beats are late
+        self._stamp_ns = stamp
         names = section.map_frame.lstrip("/"), section.odom_frame.lstrip("/")
         place, turned = (correction.x, correction.y, 0.0), (0.0, 0.0, math.sin(half), math.cos(half))
         self._tf.publish_cdr(write([Stamped(*names, stamp, place, turned)]))

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bridge import clock
 from bridge.config.model import Config
 from bridge.config.sections.yarp import TopicPort, YarpSection
 from sim import messages
@@ -32,9 +33,9 @@ class Place(HubRig):
         self.port = free_port()
         self.worker = self.keep(SimWorker())
 
-    def config(self, **sim: Any) -> Config:
+    def config(self, *, source: str = "system", **sim: Any) -> Config:
         yarp = {"address": f"127.0.0.1:{self.port}", "namespace": "/root", "ip": "127.0.0.1"}
-        return super().config(yarp=yarp, sim={"plan": "apartment", **sim})
+        return super().config(yarp=yarp, clock={"source": source}, sim={"plan": "apartment", **sim})
 
     def call(self, service: str, kind: str, **request: Any) -> dict[str, Any]:
         result = self.far.call(service, kind, **request).result()
@@ -61,7 +62,8 @@ def place(tmp_path: Path) -> Iterator[Place]:
         yield rig
 
 
-def test_steps_wait_for_the_acknowledgements_of_participants(place: Place) -> None:
+def test_steps_wait_for_the_acknowledgements_of_participants(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clock, "SILENCE_SECONDS", 0.0)
     far = place.far
     subscriptions = {
         topic: far.subscribe(topic, kind)
@@ -76,7 +78,7 @@ def test_steps_wait_for_the_acknowledgements_of_participants(place: Place) -> No
             "/bumper": "std_msgs/Bool",
         }.items()
     }
-    place.worker.start(place.config(speed="step", start=(3.0, 8.2, -90.0)))
+    place.worker.start(place.config(source="sim", speed="step", start=(3.0, 8.2, -90.0)))
     for topic in subscriptions:
         far.until_published(topic)
     velocity = far.advertise("/cmd_vel", "geometry_msgs/Twist")
@@ -110,6 +112,7 @@ def test_steps_wait_for_the_acknowledgements_of_participants(place: Place) -> No
     )
     assert waiting.result()["reply"]["success"]
     assert far.wait(subscriptions["/clock"], 1)[-1]["clock"]["sec"] >= 1
+    assert not place.answer("sim")["warnings"], "the source of the time misses none"
     assert place.named("fail", "encoders_silent")["success"]
     end = place.step(0.2)["stamp"]
     until(lambda: far.wait(subscriptions["/clock"], 1)[-1]["clock"] == end, "/clock has the step's end time")
