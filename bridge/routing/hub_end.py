@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum, auto
+from enum import Enum
 from functools import partial
 from threading import Lock
 
@@ -13,6 +13,7 @@ from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.routing.stall import AgeGate
+from bridge.state_machine import Machine, Table
 
 UNHEARD = 10.0
 """Seconds without a subscriber on the side after which a fast stream stays on the hub."""
@@ -70,7 +71,8 @@ class HubSources:
 class RouteSubscription:
     """A route's subscription on the hub, which may be closed and opened again; its counts continue.
 
-    Only the engine's loop opens and closes it; any thread may read.
+    It is paused while the side has no subscriber to a fast stream. Only the engine's loop opens and closes it; any
+    thread may read.
     """
 
     def __init__(self, subscribe: Callable[[Qos], HubSubscription]) -> None:
@@ -79,6 +81,7 @@ class RouteSubscription:
         self._durability: Durability | None = None
         self._lost_before = self._by_lane_before = 0
         self._departed: dict[bytes, None] = {}
+        self._demand = StreamDemand()
         self.since = 0.0
         """Time of the last opening (monotonic seconds)."""
 
@@ -86,6 +89,16 @@ class RouteSubscription:
     def open(self) -> bool:
         """Whether the route subscribes now."""
         return self._current is not None
+
+    @property
+    def paused(self) -> bool:
+        """Whether the stream stays on the hub, because the side has no subscriber."""
+        return self._demand.state is Demand.PAUSED
+
+    def follow_demand(self, messages: int, *, wanted: bool) -> None:
+        """Close the subscription if its stream pauses; ``messages`` have crossed, ``wanted``: the side subscribes."""
+        if self._demand.update(messages, wanted=wanted, subscribed=self.open) is Demand.PAUSED:
+            self.close()
 
     def request(self, qos: Qos) -> bool:
         """Subscribe with a QoS, unless a subscription of the same durability exists; return whether it is new."""
@@ -139,36 +152,48 @@ class RouteSubscription:
 
 
 class Demand(Enum):
-    """Whether the side has subscribers to a stream; ``PAUSED``: it has none, and the stream stays on the hub."""
+    """Whether the side has subscribers to a stream."""
 
-    WANTED = auto()
-    UNWANTED = auto()
-    PAUSED = auto()
+    WANTED = "it has subscribers"
+    UNWANTED = "it had none at the last check"
+    PAUSED = "it has none, and the stream stays on the hub"
 
 
-class StreamDemand:
+class DemandEvent(Enum):
+    """What changes `Demand`."""
+
+    SUBSCRIBED = "a check sees a subscriber on the side"
+    UNSUBSCRIBED = "a check sees none"
+    WASTED = "a fast stream had no subscriber for `UNHEARD` seconds"
+
+
+DEMAND: Table[Demand, DemandEvent] = {
+    Demand.WANTED: {DemandEvent.UNSUBSCRIBED: Demand.UNWANTED},
+    Demand.UNWANTED: {DemandEvent.SUBSCRIBED: Demand.WANTED, DemandEvent.WASTED: Demand.PAUSED},
+    Demand.PAUSED: {DemandEvent.SUBSCRIBED: Demand.WANTED},
+}
+
+
+class StreamDemand(Machine[Demand, DemandEvent]):
     """Decides when a stream stays on the hub: if it is fast, and the side has no subscriber for `UNHEARD` seconds.
 
-    Used only by the engine's loop; any thread may read ``state``. WANTED and UNWANTED lead to each other, UNWANTED to
-    PAUSED, and PAUSED to WANTED.
+    Used only by the engine's loop; any thread may read ``state``.
     """
 
     def __init__(self) -> None:
-        self.state = Demand.UNWANTED
-        self._since, self._messages_then = time.monotonic(), 0
+        super().__init__(DEMAND, Demand.UNWANTED)
+        self._counted_since, self._messages_then = time.monotonic(), 0
 
     def update(self, messages: int, *, wanted: bool, subscribed: bool) -> Demand:
         """Return the state at a check.
 
         ``messages`` have crossed so far; ``wanted``: the side has a subscriber; ``subscribed``: the route receives.
         """
-        seconds, count = time.monotonic() - self._since, messages - self._messages_then
+        seconds, count = time.monotonic() - self._counted_since, messages - self._messages_then
         if self.state is Demand.WANTED or seconds > UNHEARD:  # a subscriber of the last check may have left just now
-            self._since, self._messages_then = time.monotonic(), messages
+            self._counted_since, self._messages_then = time.monotonic(), messages
         if wanted:
-            self.state = Demand.WANTED
-        elif self.state is Demand.WANTED:
-            self.state = Demand.UNWANTED
-        elif subscribed and seconds > UNHEARD and count > QUICK * seconds:
-            self.state = Demand.PAUSED
+            self.on(DemandEvent.SUBSCRIBED)
+        elif not self.on(DemandEvent.UNSUBSCRIBED) and subscribed and seconds > UNHEARD and count > QUICK * seconds:
+            self.on(DemandEvent.WASTED)
         return self.state

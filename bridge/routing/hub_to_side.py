@@ -13,14 +13,15 @@ from bridge.hub.graph.tokens import Origin
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.errors import MessageError
 from bridge.messages.transcode.conversion import Conversion
-from bridge.routing.backlog import Backlog, Waiting
+from bridge.routing.backlog import Waiting
 from bridge.routing.decision import OWN_NETWORK, RouteDecision, RouteKey, hub_groups
 from bridge.routing.dispatcher import RouteQueue
 from bridge.routing.edge import EdgePublisher, Endpoint
 from bridge.routing.election import Outcome
 from bridge.routing.gates import ExitGate, may_carry, may_leave
-from bridge.routing.hub_end import Demand, HubSource, HubSources, RouteSubscription, StreamDemand
-from bridge.routing.limits import MAX_PENDING, QUEUE_BYTES, QUEUE_DEPTH, Priority, combined_qos, stream_depth
+from bridge.routing.held import HeldSamples
+from bridge.routing.hub_end import HubSource, HubSources, RouteSubscription
+from bridge.routing.limits import QUEUE_DEPTH, Priority, combined_qos, stream_depth
 from bridge.routing.rewrites import TF_TYPE, StaticTransforms, with_spread
 from bridge.routing.route import EngineContext, RouteSet, TopicRoute
 from bridge.routing.rules import RoutePolicy
@@ -37,17 +38,21 @@ class SidePublishers:
     """A route's publishers on the side: ``latched`` retains the last messages of each source, ``volatile`` none.
 
     Each is None until a source needs it. Only the engine's loop opens and closes them; any thread may publish.
+    ``static`` merges the latched transforms, which stay when their publishers leave; None for other topics.
     """
 
     def __init__(self, advertise: Callable[[Qos], EdgePublisher]) -> None:
         self._advertise = advertise
         self.latched: EdgePublisher | None = None
         self.volatile: EdgePublisher | None = None
+        self.static: StaticTransforms | None = None
 
-    def open_latched(self, depth: int) -> None:
-        """Open the publisher for latched sources, if it is not open."""
+    def open_latched(self, depth: int, *, transforms: bool = False) -> None:
+        """Open the publisher for latched sources, if it is not open; ``transforms``: it publishes static transforms."""
         if self.latched is None:
-            self.latched = self._open(Durability.TRANSIENT_LOCAL, depth)
+            if transforms and self.static is None:
+                self.static = StaticTransforms()
+            self.latched = self._open(Durability.TRANSIENT_LOCAL, 1 if self.static else depth)
 
     def open_volatile(self, depth: int) -> None:
         """Open the publisher for the other sources, if it is not open."""
@@ -59,8 +64,8 @@ class SidePublishers:
         return self._advertise(Qos(Reliability.RELIABLE, durability, depth=min(max(depth, 1), 1000)))
 
     def drop_source(self, gid: bytes) -> None:
-        """Drop the messages that are retained for a source."""
-        if self.latched is not None:
+        """Drop the messages that are retained for a source, except static transforms."""
+        if self.latched is not None and self.static is None:
             self.latched.drop_source(gid.hex())
 
     @property
@@ -88,7 +93,7 @@ class HubToSideRoute(TopicRoute):
     Attributes:
         origin: that of the topic's first publisher, None for a native program of the hub.
         queue: publishes or queues each message that arrives.
-        pending: messages that are held until their publisher is known.
+        held: messages that wait for the classification of their publishers, or for the lease.
     """
 
     direction = "out"
@@ -99,16 +104,13 @@ class HubToSideRoute(TopicRoute):
     ) -> None:  # fmt: skip
         super().__init__(key, (key.topic, side_topic), with_spread(conversion, key.topic), policy, context)
         self.origin = origin
-        self._lease = context.lease
         self._followed: tuple[Sequence[HubEndpoint], ...] = ()
         self._sources = HubSources()
         self._subscription = RouteSubscription(self._subscribe)
-        self._demand = StreamDemand()
         self._publishers = SidePublishers(self._advertise)
         admits = None if self._limit is None else self._admits
         self.queue = RouteQueue(context.small, context.bulk, self.handle, self.crowded_out, admits)
-        self.pending = Backlog[HubSample](MAX_PENDING, QUEUE_BYTES, self.crowded_out)
-        self._waiting_latched = Backlog[HubSample](QUEUE_DEPTH[Priority.STATE], QUEUE_BYTES, self.crowded_out)
+        self.held = HeldSamples(self.crowded_out)
 
     # -- the engine's loop ---------------------------------------------------------------------------------------------
 
@@ -135,11 +137,11 @@ class HubToSideRoute(TopicRoute):
         before = self._sources.allowed
         self._sources = self._sources.updated(allowed, refused, waiting, self.latches)
         for gid in before.keys() - self._sources.allowed.keys():
-            if before[gid].latched and self._static is None:
+            if before[gid].latched and not self.static:
                 self._publishers.drop_source(gid)
                 self._subscription.depart(gid)
         self._open_publishers(self._sources.allowed.values())
-        if allowed and self._demand.state is not Demand.PAUSED:
+        if allowed and not self._subscription.paused:
             self._receive_from(allowed)
         self._subscription.request_returned(self._sources.allowed, self.queue.publishing, self._remove_held)
 
@@ -149,9 +151,7 @@ class HubToSideRoute(TopicRoute):
         self._priority = self.queue.priority = self.priority_of(latched=bool(latched))
         self.queue.depth = self.policy.depth or QUEUE_DEPTH[self._priority]
         if latched:
-            if self._static is None and self._publishers.latched is None and self.hub_type == TF_TYPE:
-                self._static = StaticTransforms()
-            self._publishers.open_latched(1 if self._static else max(latched))
+            self._publishers.open_latched(max(latched), transforms=self.hub_type == TF_TYPE)
         if volatile and self._publishers.volatile is None:
             depth = max(stream_depth(self.conversion.source.definition), *volatile)
             self._publishers.open_volatile(1 if self._priority is Priority.COMMAND else depth)
@@ -164,10 +164,8 @@ class HubToSideRoute(TopicRoute):
         streams = self._priority is Priority.STREAM and self._publishers.latched is None
         volatile = self._publishers.volatile if streams else None
         wanted = volatile is None or volatile.has_subscribers
-        demand = self._demand.update(self.counters.messages, wanted=wanted, subscribed=self._subscription.open)
-        if demand is Demand.PAUSED:
-            self._subscription.close()
-        elif allowed and not self._subscription.open:
+        self._subscription.follow_demand(self.counters.messages, wanted=wanted)
+        if allowed and not self._subscription.open and not self._subscription.paused:
             self._receive_from(allowed)
 
     def _receive_from(self, publishers: Sequence[HubEndpoint]) -> None:
@@ -179,8 +177,7 @@ class HubToSideRoute(TopicRoute):
 
     def _remove_held(self, sources: Collection[bytes]) -> None:
         """Remove the held messages of publishers whose caches will deliver them; hold ``queue.publishing``."""
-        for backlog in (self.pending, self._waiting_latched):
-            backlog.pop_matching(lambda waiting: waiting.source in sources)
+        self.held.remove(sources)
         self.queue.remove(sources)
 
     def _subscribe(self, qos: Qos) -> HubSubscription:
@@ -195,20 +192,20 @@ class HubToSideRoute(TopicRoute):
         )
 
     def _release_latched(self) -> None:
-        if self._lease.over or not self._waiting_latched:
+        if self._lease.over or not self.held.latched:
             return
         sources = self._sources
         with self.queue.publishing:  # before the removal: a newer message must not overtake these
-            for waiting in self._waiting_latched.pop_matching(lambda w: w.source not in sources.waiting):
+            for waiting in self.held.latched.pop_matching(lambda w: w.source not in sources.waiting):
                 source = sources.allowed.get(waiting.message.gid)
                 if source is not None:
                     self._publish(waiting.message, source)
 
     def _retry_pending(self) -> None:
-        before = self.pending.overdue(PENDING_SECONDS)
-        if self.pending:
+        before = self.held.unknown.overdue(PENDING_SECONDS)
+        if self.held.unknown:
             with self.queue.publishing:  # before the removal: a newer message must not overtake these
-                for pending in self.pending.pop_matching(lambda _: True):
+                for pending in self.held.unknown.pop_matching(lambda _: True):
                     self._retry(pending, before)
 
     def _retry(self, pending: Waiting[HubSample], before: float) -> None:
@@ -219,9 +216,9 @@ class HubToSideRoute(TopicRoute):
                 self._publish(sample, source)
         elif endpoint is not None:
             if self.latches(endpoint.qos):
-                self._store(sample, endpoint)
+                self.held.add_latched(sample, endpoint)
         elif sample.gid not in sources.refused and pending.since >= before:
-            self.pending.put_back(pending)
+            self.held.unknown.put_back(pending)
         elif sample.gid not in sources.refused:
             self.counters.dropped("unknown")
 
@@ -245,51 +242,48 @@ class HubToSideRoute(TopicRoute):
         source = sources.allowed.get(sample.gid) or sources.of(sample)
         waiting = sources.waiting.get(sample.gid)
         latched = waiting is not None and self.latches(waiting.qos) if source is None else source.latched
-        if latched and self.pending.holds(sample.gid):
-            self.pending.add(sample.gid, sample, len(sample.payload))  # after the older ones
+        if latched and self.held.unknown.holds(sample.gid):
+            self.held.add_unknown(sample)
             self._context.wake()
-        elif latched and sample.gid in sources.allowed and self._waiting_latched.holds(sample.gid):
-            self._store(sample, sources.allowed[sample.gid].endpoint)  # after the older ones
+        elif latched and sample.gid in sources.allowed and self.held.latched.holds(sample.gid):
+            self.held.add_latched(sample, sources.allowed[sample.gid].endpoint)  # after the older ones
             if not self._lease.over:
                 self._context.wake()
         elif source is not None:
             self._publish(sample, source)
-            if latched and self._static is None and source.endpoint.gid not in self._sources.allowed:
+            if latched and source.endpoint.gid not in self._sources.allowed:
                 self._publishers.drop_source(sample.gid)
         elif waiting is not None:
             if latched:
-                self._store(sample, waiting)
+                self.held.add_latched(sample, waiting)
                 if self._sources is not sources:
                     self._context.wake()
         elif sample.gid not in sources.refused:
             if self._priority is Priority.COMMAND:  # never stored for later
                 self.counters.dropped("unknown")
             else:
-                self.pending.add(sample.gid, sample, len(sample.payload))
+                self.held.add_unknown(sample)
             self._context.wake()
-
-    def _store(self, sample: HubSample, endpoint: HubEndpoint) -> None:
-        depth = min(max(endpoint.qos.depth, 1), MAX_PENDING)
-        self._waiting_latched.keep(sample.gid, sample, len(sample.payload), depth)
 
     def _publish(self, sample: HubSample, source: HubSource) -> None:
         if self._lease.over:
             if source.latched:
-                self._store(sample, source.endpoint)
+                self.held.add_latched(sample, source.endpoint)
             else:
                 self.counters.dropped("standby")
             return
         if self._priority is Priority.COMMAND and self._stale(sample, source):
             self.counters.dropped("stale")
             return
-        publisher = self._publishers.latched if source.latched else self._publishers.volatile
+        publishers = self._publishers
+        publisher = publishers.latched if source.latched else publishers.volatile
         if publisher is None:
             self.counters.dropped("unknown")
             return
         try:
             data, name = sample.data(), sample.gid.hex()
-            if self._static is not None and source.latched:
-                data, name = self._static.merge(data), _STATIC
+            if source.latched and publishers.static is not None:
+                data, name = publishers.static.merge(data), _STATIC
             if self.conversion.convert is not None:
                 data = self.conversion.convert(data)
             if self.too_large(len(data)):
@@ -308,6 +302,11 @@ class HubToSideRoute(TopicRoute):
         timeout = self.policy.timeout
         return self._context.stall_detector.stood_still(timeout) or source.age.age(sample.source_time_ns) > timeout
 
+    @property
+    @override
+    def static(self) -> bool:
+        return self._publishers.static is not None
+
     @override
     def close(self, why: str = "") -> None:  # only pending calls need the reason
         self._subscription.close()
@@ -320,7 +319,7 @@ class HubToSideRoute(TopicRoute):
             self.counters.missed(*losses)
         self.counters.drops["slow"] = self._publishers.dropped
         status = self.describe(len(self._sources.allowed), *self._subscription.status())
-        paused = self._demand.state is Demand.PAUSED and status.state == "active"
+        paused = self._subscription.paused and status.state == "active"
         return status.model_copy(update={"state": "unheard"}) if paused else status
 
 

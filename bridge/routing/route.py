@@ -21,7 +21,6 @@ from bridge.routing.edge import Edge, Endpoint
 from bridge.routing.hold import Hold
 from bridge.routing.limits import Priority, RateLimit, default_priority, qos_text
 from bridge.routing.peer_watch import Lease
-from bridge.routing.rewrites import StaticTransforms
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.stall import StallDetector
 from bridge.routing.type_exchange import TypeExchange
@@ -145,7 +144,7 @@ class TopicRoute(Route):
         self._limit = RateLimit(policy.rate) if policy.rate and policy.priority != Priority.STATE.value else None
         self._priority = Priority.STREAM
         self._qos = Qos()
-        self._static: StaticTransforms | None = None
+        self._lease = context.lease
 
     def priority_of(self, *, latched: bool) -> Priority:
         """Return the priority class: from the rule, or else from type and latching."""
@@ -172,7 +171,7 @@ class TopicRoute(Route):
     @property
     def static(self) -> bool:
         """Whether the route carries merged static transforms, which stay when their publishers leave."""
-        return self._static is not None
+        raise NotImplementedError
 
     def describe(self, sources: int, way: tuple[str, str], by_lane: int) -> RouteStatus:
         """Return the route for the status document; ``way``: the transport on the hub, and the reason for zenoh."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -35,10 +35,27 @@ PENDING_SECONDS = 5.0
 """Seconds for which a message from an unknown publisher is held."""
 
 
+class StaticPublisher:
+    """The hub publisher of a route's static transforms, which publishes them merged. `put` is thread-safe."""
+
+    def __init__(self, publisher: HubPublisher) -> None:
+        self.publisher = publisher
+        self._transforms = StaticTransforms()
+        self._lock = threading.Lock()
+
+    def put(self, payload: bytes, source_time_ns: int | None = None) -> None:
+        """Merge a TFMessage (CDR), and publish all transforms; `ValueError` if it is invalid."""
+        with self._lock:
+            self.publisher.put(self._transforms.merge(payload), source_time_ns)
+
+
 @dataclass(slots=True)
 class _Source:
+    """A publisher of the side; ``put`` publishes on the hub, by ``publisher``."""
+
     endpoint: Endpoint
     publisher: HubPublisher
+    put: Callable[[bytes, int | None], None]
     latched: bool
     age: AgeGate
 
@@ -79,14 +96,13 @@ class SideToHubRoute(TopicRoute):
         self._tells_time = (hub_topic, self.hub_type) == (CLOCK_TOPIC, CLOCK_TYPE) and context.edge.clock.simulated
         self._sources: dict[str, _Source] = {}
         self._shared: HubPublisher | None = None
-        self._static_publisher: HubPublisher | None = None
-        self._static_lock = threading.Lock()
+        self._static: StaticPublisher | None = None
         self._by_lane_before = 0
         self._followed: Sequence[Endpoint] | None = None
         self.pending = Backlog[_Held](MAX_PENDING, QUEUE_BYTES, self.crowded_out)
         self._releasing = threading.Lock()
         self._subscription: EdgeSubscription | None = None
-        self._hold, self._lease = context.hold, context.lease
+        self._hold = context.hold
         depth = policy.depth or QUEUE_DEPTH[self._priority]
         name = f"midspan-in{self.side_topic}"
         self._large = BoundedQueue(name, depth, QUEUE_BYTES, self._carry_large, self.crowded_out)
@@ -116,20 +132,17 @@ class SideToHubRoute(TopicRoute):
         latched = self.latches(endpoint.qos)
         self._priority = self.priority_of(latched=latched or any(s.latched for s in self._sources.values()))
         if latched and self.hub_type == TF_TYPE:
-            publisher = self._for_static()
+            if self._static is None:
+                self._static = StaticPublisher(self._publisher(LATCHED))
+            publisher, put = self._static.publisher, self._static.put
         elif latched:
             publisher = self._publisher(endpoint.qos)
+            put = publisher.put
         else:
             if self._shared is None:
                 self._shared = self._publisher(endpoint.qos)
-            publisher = self._shared
-        self._sources[endpoint.id] = _Source(endpoint, publisher, latched, AgeGate())
-
-    def _for_static(self) -> HubPublisher:
-        if self._static_publisher is None:
-            self._static = StaticTransforms()
-            self._static_publisher = self._publisher(LATCHED)
-        return self._static_publisher
+            publisher, put = self._shared, self._shared.put
+        self._sources[endpoint.id] = _Source(endpoint, publisher, put, latched, AgeGate())
 
     def _publisher(self, qos: Qos) -> HubPublisher:
         qos = self.policy.override(qos)
@@ -143,7 +156,7 @@ class SideToHubRoute(TopicRoute):
     def _remove(self, source: str) -> None:
         known = self._sources.pop(source)
         self.pending.pop_matching(lambda waiting: waiting.source == source)
-        if known.publisher is self._static_publisher:
+        if self._static is not None and known.publisher is self._static.publisher:
             return
         if known.publisher is not self._shared:
             known.publisher.close()
@@ -250,11 +263,7 @@ class SideToHubRoute(TopicRoute):
             data = payload if convert is None else convert(payload)
             if self.too_large(len(data)):
                 return
-            if self._static is not None and known.latched:
-                with self._static_lock:
-                    known.publisher.put(self._static.merge(data), time_ns)
-            else:
-                known.publisher.put(data, time_ns)
+            known.put(data, time_ns)
         except (MessageError, HubError, ValueError) as err:
             self.bad(str(err))
             return
@@ -268,6 +277,11 @@ class SideToHubRoute(TopicRoute):
             time_ns is not None and known.age.age(time_ns) > timeout
         )
 
+    @property
+    @override
+    def static(self) -> bool:
+        return self._static is not None
+
     @override
     def close(self, why: str = "") -> None:  # only pending calls need the reason
         if self._subscription is not None:
@@ -276,10 +290,11 @@ class SideToHubRoute(TopicRoute):
         self._large.close()
         for source in list(self._sources):
             self._remove(source)
-        for publisher in (self._shared, self._static_publisher):
-            if publisher is not None:
-                publisher.close()
-        self._shared = self._static_publisher = None
+        if self._shared is not None:
+            self._shared.close()
+        if self._static is not None:
+            self._static.publisher.close()
+        self._shared = self._static = None
 
     @override
     def status(self) -> RouteStatus:

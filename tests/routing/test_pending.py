@@ -271,7 +271,7 @@ def test_messages_published_during_an_absence_cross_once_and_in_order(hub_route:
     for text, waiting in (("3", [endpoint]), ("4", [])):
         route.update([], [], waiting)
         publisher.put(line(text))
-        until(lambda: len(route.pending) + len(route._waiting_latched) == 1, "it is held")
+        until(lambda: len(route.held.unknown) + len(route.held.latched) == 1, "it is held")
         hub_route.received.clear()
         route.update([endpoint], [])
         hub_route.expect(str(int(text) - 1), text)
@@ -303,11 +303,11 @@ def test_held_message_crosses_once_though_a_new_subscription_receives_it_again(h
 
     def held() -> bool:
         latched.put(line("1"))
-        return bool(route._waiting_latched)
+        return bool(route.held.latched)
 
     until(held, "it is held")
     latched.put(line("2"))
-    until(lambda: len(route._waiting_latched) == 2, "both are held")
+    until(lambda: len(route.held.latched) == 2, "both are held")
     route.update([volatile, endpoint], [])
     until(
         lambda: len(hub_route.received) >= 2, "the held ones cross"

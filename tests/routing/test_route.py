@@ -239,8 +239,8 @@ def test_message_stored_while_its_publisher_becomes_allowed_is_published(monkeyp
     latched = LatchedRoute(monkeypatch)
     route, endpoints = latched.route, [latched.other, latched.publisher]
     route.update([latched.other], [], [latched.publisher])
-    keep = route._waiting_latched.keep
-    monkeypatch.setattr(route._waiting_latched, "keep", lambda *message: (route.update(endpoints, []), keep(*message)))
+    keep = route.held.latched.keep
+    monkeypatch.setattr(route.held.latched, "keep", lambda *message: (route.update(endpoints, []), keep(*message)))
     latched.receive("only")
     assert latched.wakes == 1, "a check is due"
     route.update(endpoints, [])
@@ -290,7 +290,7 @@ def test_paused_stream_is_subscribed_again_after_a_failure(monkeypatch: pytest.M
         route.handle(HubSample(zenoh.ZBytes(line("x")), number + 1, 1, GID, "z"))
     now[0] += 30.0
     route.update([publisher], [])
-    assert route._demand.state is hub_end.Demand.PAUSED
+    assert route._subscription.paused
     network.read_from(topic, STRING, Qos(), MadeBy.NATIVE, "/listener", lambda *_: None)
     with pytest.raises(OSError, match="no room"):
         route.update([publisher], [])
@@ -325,7 +325,7 @@ def test_commands_do_not_wait_for_their_source(topic: str, kept: int) -> None:
         to_side = HubToSideRoute(key, topic, None, conversion, policy, context)
         to_side.update([], [])
         to_side.handle(HubSample(zenoh.ZBytes(b"payload"), 1, 1, b"g" * 16, "nobody"))
-        assert (len(to_side.pending), to_side.counters.drops["unknown"]) == (kept, 1 - kept)
+        assert (len(to_side.held.unknown), to_side.counters.drops["unknown"]) == (kept, 1 - kept)
         to_side.close()
 
 
