@@ -24,7 +24,7 @@ if not __package__:  # run as a file
 from benchmarks.localizer import Tour, simulated
 from benchmarks.rows import Row, add_json_option, report
 from navigation.localization_server.localizer import Localizer
-from navigation.localization_server.section import LocaliserSection
+from navigation.localization_server.section import LocalizerSection
 from navigation.pose import Pose
 from navigation.robot_goto.driver import Driver
 from navigation.scan import scan_points
@@ -63,7 +63,7 @@ def measure(seconds: float) -> list[Row]:
     tour = Tour(simulated("apartment", 0), 0)
     simulation = tour.there
     # one update per scan, so that the update itself is measured
-    localizer = Localizer(tour.grid, LocaliserSection(update_min_d=1e-9, update_min_a=1e-9))
+    localizer = Localizer(tour.grid, LocalizerSection(update_min_d=1e-9, update_min_a=1e-9))
     localizer.initial(Pose(*simulation.base.pose()))
     driver = Driver()
     steps, scans, updates = Clock(), Clock(), Clock()

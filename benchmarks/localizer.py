@@ -27,7 +27,7 @@ from benchmarks.rows import Row, add_json_option, report
 from navigation.algorithms.astar import astar
 from navigation.algorithms.distance_transform import distance_transform
 from navigation.localization_server.localizer import Localizer
-from navigation.localization_server.section import LocaliserSection
+from navigation.localization_server.section import LocalizerSection
 from navigation.pose import Pose, wrapped
 from navigation.scan import scan_points
 from sim import export
@@ -151,7 +151,7 @@ def drive(tour: Tour, localizer: Localizer, seconds: float, costs: list[float]) 
 
 
 def held(
-    world: str, seed: int, minutes: float, settings: LocaliserSection
+    world: str, seed: int, minutes: float, settings: LocalizerSection
 ) -> tuple[np.ndarray, list[float], Localizer]:
     """Return the errors (n, 3: s, m, degrees) over a drive from the correct pose."""
     tour = Tour(simulated(world, seed), seed)
@@ -161,7 +161,7 @@ def held(
     return np.array(list(drive(tour, localizer, minutes * 60.0, costs))), costs, localizer
 
 
-def recovered(world: str, seed: int, settings: LocaliserSection) -> float:
+def recovered(world: str, seed: int, settings: LocalizerSection) -> float:
     """Return the seconds of driving from a start wrong by 3 m and 30 degrees until the limits hold for 30 s."""
     rng = np.random.default_rng(1000 + seed)
     tour = Tour(simulated(world, seed), seed)
@@ -181,7 +181,7 @@ def recovered(world: str, seed: int, settings: LocaliserSection) -> float:
     return math.inf
 
 
-def rows(minutes: float, seeds: int, starts: int, settings: LocaliserSection) -> Iterator[Row]:
+def rows(minutes: float, seeds: int, starts: int, settings: LocalizerSection) -> Iterator[Row]:
     """Yield all rows."""
     for world in WORLDS:
         if seeds:
@@ -193,7 +193,7 @@ def rows(minutes: float, seeds: int, starts: int, settings: LocaliserSection) ->
                 yield Row(f"{world}, {starts} wrong starts: recovered after, {share} %", value, RECOVERY, "s")
 
 
-def _held_rows(world: str, minutes: float, seeds: int, settings: LocaliserSection) -> Iterator[Row]:
+def _held_rows(world: str, minutes: float, seeds: int, settings: LocalizerSection) -> Iterator[Row]:
     runs = [held(world, seed, minutes, settings) for seed in range(seeds)]
     errors = np.concatenate([run[0] for run in runs])
     costs = np.concatenate([run[1] for run in runs]) * 1e3
@@ -213,7 +213,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3, help="drives in each world")
     parser.add_argument("--starts", type=int, default=10, help="wrong starts in each world")
     options = parser.parse_args()
-    report(list(rows(options.minutes, options.seeds, options.starts, LocaliserSection())), options.json)
+    report(list(rows(options.minutes, options.seeds, options.starts, LocalizerSection())), options.json)
 
 
 if __name__ == "__main__":

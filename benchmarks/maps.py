@@ -61,7 +61,7 @@ def files(grid: MapGrid2D, folder: Path) -> dict[str, Pair]:
     plain.mkdir()
     grid.save(folder / "office.map")
     colors, pairs = picture_of_flags(grid.flags), dict[str, Pair]()
-    greys = read(folder / "office_grid.pgm")
+    grays = read(folder / "office_grid.pgm")
     assert MapGrid2D.load(folder / "office.map") == grid
     pairs["load .map"] = (
         lambda: MapGrid2D.load(folder / "office.map"),
@@ -69,7 +69,7 @@ def files(grid: MapGrid2D, folder: Path) -> dict[str, Pair]:
     )
     pairs["save .map"] = (
         lambda: grid.save(folder / "office.map"),
-        lambda: [write(*image) for image in ((plain / "g.pgm", greys), (plain / "f.ppm", colors))],
+        lambda: [write(*image) for image in ((plain / "g.pgm", grays), (plain / "f.ppm", colors))],
     )
     for kind in ("pgm", "png", "bmp"):
         (folder / kind).mkdir()

@@ -135,7 +135,7 @@ class WorkerPool:
         self._closed = False
 
     def submit(self, job: Callable[[], Any]) -> Future[Any]:
-        """Run a job as soon as a thread is free; it is cancelled at once after `close`, or if no thread can start."""
+        """Run a job as soon as a thread is free; it is canceled at once after `close`, or if no thread can start."""
         future: Future[Any] = Future()
         with self._condition:
             if not self._closed:

@@ -101,7 +101,7 @@ class CurrentGoal:
         """Handle a client's cancellation of a goal; return whether it is this goal."""
         if goal is not self.goal:
             return False
-        self._loop.post(lambda: self._stop("cancelled") if goal is self.goal else None)
+        self._loop.post(lambda: self._stop("canceled") if goal is self.goal else None)
         return True
 
     def end(self, status: PlannerStatus) -> None:
@@ -181,7 +181,7 @@ class FarClients:
 
     def _near(self) -> set[str]:
         """Return the sessions with a direct link, and this session, which the nodes of all modules share."""
-        return self._hub.neighbours() | {self._hub.zid}
+        return self._hub.neighbors() | {self._hub.zid}
 
     def _see(self, far: _Far, goal: Goal, near: Collection[str]) -> None:
         session = self._hub.graph.zid_of(goal.client)

@@ -105,7 +105,7 @@ class RobotPorts:
             data = OdometryData(x, y, math.degrees(yaw), vx, vy, degrees, c * vx - s * vy, s * vx + c * vy, degrees)
             self._odometry.write(data, envelope)
         if self._odometer.has_readers:
-            self._odometer.write([estimate.travelled, math.degrees(estimate.turned)], envelope)
+            self._odometer.write([estimate.traveled, math.degrees(estimate.turned)], envelope)
         if self._velocity.has_readers:
             self._velocity.write([math.hypot(vx, vy), degrees], envelope)
 

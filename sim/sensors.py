@@ -58,7 +58,7 @@ class Estimate:
     time_ns: int  #: on the simulation's clock
     pose: BasePose  #: since the start, in the odometry frame
     twist: Twist  #: in the base's frame
-    travelled: float  #: meters
+    traveled: float  #: meters
     turned: float  #: radians, the sum of turns to both sides
 
 
@@ -80,8 +80,8 @@ class Odometry:
         c, s = math.cos(yaw + turned / 2), math.sin(yaw + turned / 2)
         pose = BasePose(x + c * dx - s * dy, y + s * dx + c * dy, math.remainder(yaw + turned, 2 * math.pi))
         vx, vy, turning = (float(v) for v in self._inverse @ encoders.velocities)
-        travelled, round_ = self.now.travelled + math.hypot(dx, dy), self.now.turned + abs(turned)
-        self.now = Estimate(encoders.time_ns, pose, Twist(vx, vy, turning), travelled, round_)
+        traveled, round_ = self.now.traveled + math.hypot(dx, dy), self.now.turned + abs(turned)
+        self.now = Estimate(encoders.time_ns, pose, Twist(vx, vy, turning), traveled, round_)
         return self.now
 
     def repeat(self, time_ns: int) -> None:

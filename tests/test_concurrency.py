@@ -172,7 +172,7 @@ def test_an_interrupted_job_leaves_the_executor_usable() -> None:
     assert done == ["left", "next"]
 
 
-def test_without_threads_a_job_is_cancelled_or_waits_for_a_running_one() -> None:
+def test_without_threads_a_job_is_canceled_or_waits_for_a_running_one() -> None:
     pool, gate, begun = WorkerPool(2, "pool"), threading.Event(), threading.Event()
     with contextlib.closing(pool):
         with no_threads("pool"):

@@ -20,14 +20,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from yarp_compat import catalogue
+from yarp_compat import catalog
 
 
 def __getattr__(name: str) -> Any:
-    value = catalogue.everything() if name == "__all__" else catalogue.find(name)
+    value = catalog.everything() if name == "__all__" else catalog.find(name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *catalogue.names()})
+    return sorted({*globals(), *catalog.names()})

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from yarp_compat import absences, catalogue
+from yarp_compat import absences, catalog
 from yarp_compat.dev.drivers import registry
 from yarp_compat.overriding import override
 from yarp_compat.script_names import ScriptError, read
@@ -69,7 +69,7 @@ def lacking(name: str) -> tuple[str, str]:
     """
     owner, _, method = name.partition(".")
     try:
-        named = catalogue.find(owner)
+        named = catalog.find(owner)
     except AttributeError as error:
         return owner, re.sub(r"^.*? has no '\w+'[:,] ", "", str(error))
     if not method or not isinstance(named, type) or hasattr(named, method) or method in _fields(named):

@@ -68,7 +68,7 @@ class SelectorLoop:
         self._select: Callable[[float | None], list[tuple[selectors.SelectorKey, int]]] = self._selector.select
         self._calls: deque[Callback] = deque()
         self._timers: list[Timer] = []
-        self._cancelled = 0
+        self._canceled = 0
         self._order = itertools.count()
         self._wake_in, self._wake_out = socket.socketpair()
         self._wake_in.setblocking(False)
@@ -134,11 +134,11 @@ class SelectorLoop:
         if timer.callback is None:
             return
         timer.callback = None
-        self._cancelled += 1
-        if self._cancelled > len(self._timers) // 2 + 16:
+        self._canceled += 1
+        if self._canceled > len(self._timers) // 2 + 16:
             self._timers = [pending for pending in self._timers if pending.callback is not None]
             heapq.heapify(self._timers)
-            self._cancelled = 0
+            self._canceled = 0
 
     def call_soon(self, callback: Callback) -> None:
         """Call back in the next step, in the order of these calls."""
@@ -187,7 +187,7 @@ class SelectorLoop:
             timer = heapq.heappop(self._timers)
             callback, timer.callback = timer.callback, None
             if callback is None:
-                self._cancelled -= 1
+                self._canceled -= 1
             else:
                 self._run(callback)
 

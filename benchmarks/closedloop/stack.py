@@ -12,7 +12,7 @@ from bridge.config.sections.obstacles import ObstacleSection
 from navigation.constraints import Constraints
 from navigation.localization_server.estimate import LocalizationStatus
 from navigation.localization_server.localizer import Localizer
-from navigation.localization_server.section import LocaliserSection
+from navigation.localization_server.section import LocalizerSection
 from navigation.mapper3d.depth import Camera
 from navigation.mapper3d.layer import grid_of
 from navigation.mapper3d.section import LayerSection, Mapper3DSection
@@ -82,7 +82,7 @@ class Ours:
         self._pictured, self._layered = -1, -math.inf
         self.localizer: Localizer | None = None
         if localized:
-            self.localizer = Localizer(world.map, LocaliserSection(holonomic=holonomic), seed)
+            self.localizer = Localizer(world.map, LocalizerSection(holonomic=holonomic), seed)
             self.localizer.odometry(robot.odometry)
             self.localizer.initial(start or robot.truth)
         self._ticks = self._scans = 0

@@ -66,7 +66,7 @@ class Halted:
 
     @property
     def failed(self) -> list[GoalCancellation]:
-        """The actions whose goals could not be cancelled."""
+        """The actions whose goals could not be canceled."""
         return [cancel for cancel in self.cancels if cancel.error]
 
 
@@ -75,8 +75,8 @@ def halt(client: Client, types: Types, seconds: float = DEFAULT_SECONDS) -> Halt
     bases = _Bases(client)
     stopped = stop(client, types, actions(client), seconds)
     bases.join()
-    cancelled = [cancel.name for cancel in stopped.cancels]
-    trouble = unreached(client.config.navigation, bases.answers, cancelled)
+    canceled = [cancel.name for cancel in stopped.cancels]
+    trouble = unreached(client.config.navigation, bases.answers, canceled)
     texts = filter(None, (trouble, bases.trouble, stopped.trouble))
     return Halted(stopped.topics, stopped.cancels, bases.answers, "; ".join(texts), stopped.published)
 
@@ -111,10 +111,10 @@ def stop(client: Client, types: Types, names: Iterable[str], seconds: float) -> 
     return result
 
 
-def unreached(section: NavigationSection, asked: Iterable[str], cancelled: Collection[str]) -> str:
+def unreached(section: NavigationSection, asked: Iterable[str], canceled: Collection[str]) -> str:
     """Why the configured planner may drive on: neither it nor the gateway is on the hub; else ""."""
     planner = section.planner
-    if not planner or section.at(planner) in cancelled or any(worker.split()[0] == "gateway" for worker in asked):
+    if not planner or section.at(planner) in canceled or any(worker.split()[0] == "gateway" for worker in asked):
         return ""
     return (
         f"neither the gateway nor the planner {planner} is on the hub now, so none could be asked to stop: the robot"

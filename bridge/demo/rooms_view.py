@@ -56,7 +56,7 @@ class RoomsView:
         texts = course.texts()
         line = f"{self._time(now)}  {doing}  |  {texts['where']}  {texts['left']}  {texts['state']}"
         if self._live is not None:
-            self._live.update(Group(*course.picture(self._width(), coloured=True), Text(line)), refresh=True)
+            self._live.update(Group(*course.picture(self._width(), colored=True), Text(line)), refresh=True)
         else:
             self._console.print(Text(line))
 
@@ -75,7 +75,7 @@ class RoomsView:
 
     def show(self, result: RoomsResult, course: RobotTracker) -> None:
         """Print the map and the drives."""
-        for line in course.picture(self._width(), coloured=self._console.is_terminal):
+        for line in course.picture(self._width(), colored=self._console.is_terminal):
             self._console.print(line)
         table = Table(title="Drives", title_justify="left")
         for column in ("", "client", "room", "seconds", "distance", "last output of the client"):

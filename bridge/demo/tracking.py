@@ -91,9 +91,9 @@ class RobotTracker:
         passed = min(range(len(parts)), key=lambda part: _distance_to_line(robot, *parts[part]), default=-1)
         return [robot, *line[passed + 1 :]]
 
-    def picture(self, width: int, *, coloured: bool) -> list[Text]:
+    def picture(self, width: int, *, colored: bool) -> list[Text]:
         """Return the map's lines for the terminal: the robot, its path, the rooms."""
-        return drawing.lines(self.grid, self._marked(), {}, width, coloured=coloured, path=self.left)
+        return drawing.lines(self.grid, self._marked(), {}, width, colored=colored, path=self.left)
 
     def png(self, file: Path) -> None:
         """Write the map with the driven path; raises `OSError`."""

@@ -17,7 +17,7 @@ from yarp_compat.dev.locations import Map2DArea, Map2DLocation
 from yarp_compat.dev.mapflag import GRAYS, picture_of_flags
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
-LOCATION_COLOUR, AREA_COLOUR, PATH_COLOUR = (0, 110, 0), (0, 90, 200), (200, 0, 120)
+LOCATION_COLOR, AREA_COLOR, PATH_COLOR = (0, 110, 0), (0, 90, 200), (200, 0, 120)
 
 _WANTED = 1200
 """Pixels of the longer side of a small map's picture."""
@@ -36,27 +36,27 @@ def draw(
     """
     scale = scale or max(1, min(16, _WANTED // max(grid.width(), grid.height())))
     size = grid.width() * scale, grid.height() * scale
-    image = Image.fromarray(colours(grid)).resize(size, Image.Resampling.NEAREST)
+    image = Image.fromarray(colors(grid)).resize(size, Image.Resampling.NEAREST)
     pen = ImageDraw.Draw(image)
     font = ImageFont.load_default(_FONT)
     for name, area in areas.items():
         corners = [_pixel(grid, point.x, point.y, scale) for point in area.points]
         if len(corners) > 1:
-            pen.line([*corners, corners[0]], fill=AREA_COLOUR, width=2)
+            pen.line([*corners, corners[0]], fill=AREA_COLOR, width=2)
             x, y = (sum(part) / len(corners) for part in zip(*corners, strict=True))
-            pen.text((x, y), name, fill=AREA_COLOUR, font=font, anchor="mm")
+            pen.text((x, y), name, fill=AREA_COLOR, font=font, anchor="mm")
     if len(path) > 1:
-        pen.line([_pixel(grid, x, y, scale) for x, y in path], fill=PATH_COLOUR, width=3, joint="curve")
+        pen.line([_pixel(grid, x, y, scale) for x, y in path], fill=PATH_COLOR, width=3, joint="curve")
     for name, place in locations.items():
         x, y = _pixel(grid, place.x, place.y, scale)
         dx, dy = heading(grid, place)
-        pen.ellipse((x - 4, y - 4, x + 4, y + 4), outline=LOCATION_COLOUR, width=2)
-        pen.line((x, y, x + _ARROW * dx, y + _ARROW * dy), fill=LOCATION_COLOUR, width=2)
-        pen.text((x + 7, y + 7), name, fill=LOCATION_COLOUR, font=font)
+        pen.ellipse((x - 4, y - 4, x + 4, y + 4), outline=LOCATION_COLOR, width=2)
+        pen.line((x, y, x + _ARROW * dx, y + _ARROW * dy), fill=LOCATION_COLOR, width=2)
+        pen.text((x + 7, y + 7), name, fill=LOCATION_COLOR, font=font)
     return image
 
 
-def colours(grid: MapGrid2D) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+def colors(grid: MapGrid2D) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
     """Return the color of each cell, (height, width, 3): of its flag, or a gray for the occupancy of a free cell."""
     picture = picture_of_flags(grid.flags)
     doubtful = (grid.flags == MapFlag.FREE) & (grid.occupancy > 0)
@@ -102,16 +102,16 @@ _MARKS = "abcdefghijklmnopqrstuvwxyz"
 
 def lines(
     grid: MapGrid2D, locations: Mapping[str, Map2DLocation], areas: Mapping[str, Map2DArea], width: int, *,
-    coloured: bool, path: Sequence[tuple[float, float]] = (),
+    colored: bool, path: Sequence[tuple[float, float]] = (),
 ) -> list[Text]:  # fmt: skip
     """Return the map as lines of ``width`` columns, with a legend of the marks.
 
-    With ``coloured``, it is drawn in half blocks, else with a letter for each flag; ``path`` is positions in meters.
+    With ``colored``, it is drawn in half blocks, else with a letter for each flag; ``path`` is positions in meters.
     """
     step = max(1, math.ceil(grid.width() / width))
     shown = _reduced(grid, step)
-    chosen: NDArray[np.uint8] = colours(grid).reshape(grid.width() * grid.height(), 3)[shown]
-    marks = _area_marks(grid, areas, step) | _line_marks(grid, path, step, "o", PATH_COLOUR)
+    chosen: NDArray[np.uint8] = colors(grid).reshape(grid.width() * grid.height(), 3)[shown]
+    marks = _area_marks(grid, areas, step) | _line_marks(grid, path, step, "o", PATH_COLOR)
     marks |= _location_marks(grid, locations, step)
     rows = []
     for row in range(0, shown.shape[0], 2):
@@ -119,14 +119,14 @@ def lines(
         for column in range(shown.shape[1]):
             mark = marks.get((row // 2, column))
             flags = [grid.flags.reshape(-1)[shown[at, column]] for at in range(row, min(row + 2, shown.shape[0]))]
-            if coloured:
+            if colored:
                 dots = [chosen[at, column] for at in range(row, min(row + 2, shown.shape[0]))]
                 line.append_text(_dots(dots, mark))
             else:
                 flag = max((MapFlag(int(value)) for value in flags), key=_RANK.__getitem__)
                 line.append(mark[0] if mark else _LETTERS[flag])
-        rows.append(line if coloured else Text(line.plain.rstrip()))
-    return [*rows, *_legend(grid, locations, areas, coloured=coloured)]
+        rows.append(line if colored else Text(line.plain.rstrip()))
+    return [*rows, *_legend(grid, locations, areas, colored=colored)]
 
 
 def _reduced(grid: MapGrid2D, step: int) -> NDArray[np.intp]:
@@ -150,8 +150,8 @@ def _dots(dots: list[NDArray[np.uint8]], mark: tuple[str, tuple[int, int, int]] 
     return Text("▀", Style(color=_rgb(upper), bgcolor=_rgb(lower) if len(dots) > 1 else None))
 
 
-def _rgb(colour: object) -> str:
-    red, green, blue = (int(part) for part in colour)  # type: ignore[attr-defined]
+def _rgb(color: object) -> str:
+    red, green, blue = (int(part) for part in color)  # type: ignore[attr-defined]
     return f"rgb({red},{green},{blue})"
 
 
@@ -165,8 +165,8 @@ def _location_marks(grid: MapGrid2D, locations: Mapping[str, Map2DLocation], ste
         right, down = heading(grid, place)
         arrow = _ARROWS[round(math.atan2(-down, right) / (math.pi / 4)) % 8]
         at = (int(row // 2), int(column))
-        marks[at] = (arrow, LOCATION_COLOUR)
-        marks[at[0], at[1] + 1] = (_MARKS[number % len(_MARKS)], LOCATION_COLOUR)
+        marks[at] = (arrow, LOCATION_COLOR)
+        marks[at[0], at[1] + 1] = (_MARKS[number % len(_MARKS)], LOCATION_COLOR)
     return marks
 
 
@@ -174,12 +174,12 @@ def _area_marks(grid: MapGrid2D, areas: Mapping[str, Map2DArea], step: int) -> M
     marks: Marks = {}
     for area in areas.values():
         corners = [(point.x, point.y) for point in area.points]
-        marks |= _line_marks(grid, [*corners, *corners[:1]], step, "·", AREA_COLOUR)
+        marks |= _line_marks(grid, [*corners, *corners[:1]], step, "·", AREA_COLOR)
     return marks
 
 
 def _line_marks(
-    grid: MapGrid2D, points: Sequence[tuple[float, float]], step: int, sign: str, colour: tuple[int, int, int]
+    grid: MapGrid2D, points: Sequence[tuple[float, float]], step: int, sign: str, color: tuple[int, int, int]
 ) -> Marks:
     marks: Marks = {}
     size = np.array([grid.width(), grid.height()]) / step
@@ -189,16 +189,16 @@ def _line_marks(
         count = int(min(2 * np.abs(end - start).max() + 2, 4 * size.sum()))
         for column, row in start + np.linspace(0, 1, count)[:, None] * (end - start):
             if 0 <= column < size[0] and 0 <= row < size[1]:
-                marks[int(row // 2), int(column)] = (sign, colour)
+                marks[int(row // 2), int(column)] = (sign, color)
     return marks
 
 
 def _legend(
-    grid: MapGrid2D, locations: Mapping[str, Map2DLocation], areas: Mapping[str, Map2DArea], *, coloured: bool
+    grid: MapGrid2D, locations: Mapping[str, Map2DLocation], areas: Mapping[str, Map2DArea], *, colored: bool
 ) -> list[Text]:
     present = [flag for flag in MapFlag if (grid.flags == flag).any()]
     names = [flag.name.lower().replace("_", " ") for flag in present]
-    entries = [] if coloured else [Text(", ".join(f"'{_LETTERS[f]}' {w}" for f, w in zip(present, names, strict=True)))]
+    entries = [] if colored else [Text(", ".join(f"'{_LETTERS[f]}' {w}" for f, w in zip(present, names, strict=True)))]
     for number, (name, place) in enumerate(locations.items()):
         mark = _MARKS[number % len(_MARKS)]
         entries.append(Text(f"{mark} {clean(name)}: {place.x:g}, {place.y:g} m, {place.theta:g} degrees"))

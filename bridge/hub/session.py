@@ -298,7 +298,7 @@ class Hub:
         info = self._session.info
         return bool(info.routers_zid() or info.peers_zid())
 
-    def neighbours(self) -> set[str]:
+    def neighbors(self) -> set[str]:
         """Return the sessions with a direct link to this session; they belong to programs of this machine."""
         self._check_open()
         return {str(zid) for zid in self._session.info.peers_zid()}

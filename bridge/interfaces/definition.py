@@ -158,7 +158,7 @@ class _Reader:
             raise self._fault(number, f"'{content}' is neither 'type name' nor 'TYPE NAME=value'")
         name, value, is_constant = _split(value_text)
         self._check_name(number, name, is_constant=is_constant)
-        spelt = self._check_type(number, field_type, is_constant=is_constant)
+        spelled = self._check_type(number, field_type, is_constant=is_constant)
         if value and re.split(r"[<[]", field_type)[0] in ("string", "wstring"):
             try:
                 value = string_value(value, is_array="[" in field_type)
@@ -168,8 +168,8 @@ class _Reader:
             raise self._fault(number, "the value has a backslash, or a character that is not plain ASCII")
         if is_constant:
             # rosidl's parser merges equal constants of two parts unless their comments differ
-            return f"{spelt} {name}={value}  # part {self._part}"
-        return f"{spelt} {name} {value}" if value else f"{spelt} {name}"
+            return f"{spelled} {name}={value}  # part {self._part}"
+        return f"{spelled} {name} {value}" if value else f"{spelled} {name}"
 
     def _check_name(self, number: int, name: str, *, is_constant: bool) -> None:
         if is_constant and not _CONSTANT.fullmatch(name):

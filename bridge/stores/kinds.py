@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bridge.stores.entry import StoreError, json_object
-from yarp_compat.dev.extras import AreaBehaviour, MapLink
+from yarp_compat.dev.extras import AreaBehavior, MapLink
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.mapgrid import MAX_CELLS, MapFlag, MapGrid2D, too_large
 from yarp_compat.octomap import Octomap
@@ -87,19 +87,19 @@ def _json_object(found: Json) -> Map2DObject:
     return Map2DObject(_text(found, "map"), x, y, z, roll, pitch, yaw, _text(found, "description"))
 
 
-def behaviour_json(behaviour: AreaBehaviour) -> Json:
+def behavior_json(behavior: AreaBehavior) -> Json:
     """Return ``{"max_speed", "on_obstacle", "keep_out"}``; the speed in m/s, null without a limit."""
-    return {key: getattr(behaviour, key) for key in ("max_speed", "on_obstacle", "keep_out")}
+    return {key: getattr(behavior, key) for key in ("max_speed", "on_obstacle", "keep_out")}
 
 
-def _json_behaviour(found: Json) -> AreaBehaviour:
+def _json_behavior(found: Json) -> AreaBehavior:
     speed = found.get("max_speed")
     limit = None if speed is None else _finite(speed, "max_speed")
     keep_out = found.get("keep_out", False)
     if not isinstance(keep_out, bool):
         raise StoreError(f"keep_out must be true or false, not {keep_out!r:.60}")
     try:
-        return AreaBehaviour(max_speed=limit, on_obstacle=_text(found, "on_obstacle"), keep_out=keep_out)
+        return AreaBehavior(max_speed=limit, on_obstacle=_text(found, "on_obstacle"), keep_out=keep_out)
     except ValueError as err:
         raise StoreError(str(err)) from None
 
@@ -329,11 +329,11 @@ AREA = _json_kind("area", area_json, _json_area)
 PATH = _json_kind("path", path_json, _json_path)
 OBJECT = _json_kind("object", object_json, _json_object)
 LINK = _json_kind("link", link_json, _json_link)
-BEHAVIOUR = _json_kind("behaviour", behaviour_json, _json_behaviour)
+BEHAVIOR = _json_kind("behaviour", behavior_json, _json_behavior)
 """The rules of an area for robots, under the area's name."""
 CURRENT: ValueKind[str] = _json_kind("current", lambda name: {"map": name}, lambda found: _text(found, "map"))
 """The current one of a kind: under ``map``, the name of the current map."""
 
 KINDS: dict[str, ValueKind[Any]] = {
-    kind.name: kind for kind in (MAP, MAP3D, LOCATION, AREA, BEHAVIOUR, PATH, OBJECT, LINK, CURRENT)
+    kind.name: kind for kind in (MAP, MAP3D, LOCATION, AREA, BEHAVIOR, PATH, OBJECT, LINK, CURRENT)
 }

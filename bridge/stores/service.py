@@ -18,7 +18,7 @@ from bridge.hub.session import Hub
 from bridge.state_file import worker_folder
 from bridge.status import ModuleStatus
 from bridge.stores.entry import StoreError, check_name
-from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LINK, LOCATION, MAP, MAP3D, OBJECT, PATH, Map3D, read_map3d
+from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, LINK, LOCATION, MAP, MAP3D, OBJECT, PATH, Map3D, read_map3d
 from bridge.stores.replica import Body, Key, Replica, StoreLimits
 from bridge.stores.sharing import StoreSync
 from bridge.stores.store import THE_MAP, Store, Write
@@ -78,7 +78,7 @@ def places_writes(places: Places, extras: Extras) -> list[Write[Any]]:
         (OBJECT, places.objects),
         (AREA, places.areas),
         (PATH, places.paths),
-        (BEHAVIOUR, extras.behaviours),
+        (BEHAVIOR, extras.behaviors),
         (LINK, extras.links),
     ]
     return [Write(kind, name, value) for kind, values in by_kind for name, value in values.items()]

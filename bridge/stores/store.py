@@ -10,16 +10,16 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
 from bridge.stores.entry import StoreError, check_name
-from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, OBJECT, PATH, ValueKind
+from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, LOCATION, MAP, OBJECT, PATH, ValueKind
 from bridge.stores.replica import Body, Change, Key, OnChange, Replica
-from yarp_compat.dev.extras import AreaBehaviour
+from yarp_compat.dev.extras import AreaBehavior
 
 __all__ = ["Change", "Store", "Write"]
 
 T = TypeVar("T")
 
 THE_MAP = "map"
-_COMPANIONS: dict[str, ValueKind[Any]] = {AREA.name: BEHAVIOUR}  # deleted and renamed with a key of the first kind
+_COMPANIONS: dict[str, ValueKind[Any]] = {AREA.name: BEHAVIOR}  # deleted and renamed with a key of the first kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,14 +132,14 @@ class Store:
             changes[kind.name, name] = None if write_.value is None else kind.encode(name, write_.value)
         write_all(self.replica, changes)
 
-    def behaviour(self, area: str) -> AreaBehaviour:
+    def behavior(self, area: str) -> AreaBehavior:
         """Return an area's rules for robots: as stored, else from its description, else the defaults."""
-        stored = self.get(BEHAVIOUR, area)
+        stored = self.get(BEHAVIOR, area)
         described = self.get(AREA, area) if stored is None else None
         if described is None:
-            return stored or AreaBehaviour()
+            return stored or AreaBehavior()
         try:
-            return AreaBehaviour.from_text(described.description) or AreaBehaviour()
+            return AreaBehavior.from_text(described.description) or AreaBehavior()
         except ValueError as err:
             raise StoreError(f"area {area!r}: {err}") from None
 

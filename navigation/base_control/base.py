@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from navigation.base_control.commands import NO_CHOICE, STILL, Arbiter, CommandInput, FullControl
-from navigation.base_control.kinematics import Array, Travelled, WheelOdometry, kinematics
+from navigation.base_control.kinematics import Array, Traveled, WheelOdometry, kinematics
 from navigation.base_control.limits import FILTERS, Limiter, smoothed
 from navigation.base_control.section import BaseControlSection
 from navigation.base_control.settings import limits
@@ -50,18 +50,18 @@ class DrivenBase:
         self.limiter.step(STILL if self.idle else self.choice.velocity, seconds)
         return self.limiter.wheels()
 
-    def measured(self, angles: Sequence[float], now: float, rates: Sequence[float] | None = None) -> Travelled:
+    def measured(self, angles: Sequence[float], now: float, rates: Sequence[float] | None = None) -> Traveled:
         """Add an encoder reading, and return the pose with a smoothed velocity.
 
         ``angles`` are in rad, read at the time ``now`` in seconds; ``rates`` are in rad/s, None if the encoders do not
         measure them. Raises `ValueError` unless there is one finite angle for each wheel.
         """
-        travelled = self.odometry.update(angles, now, rates)
+        traveled = self.odometry.update(angles, now, rates)
         seconds = 0.0 if self._measured is None else now - self._measured
         self._measured = now
         if seconds > 0.0:
-            self._smoothed = smoothed(self._smoothed, travelled.velocity, self.motors_filter, seconds)
-        return travelled if self._smoothed is travelled.velocity else replace(travelled, velocity=self._smoothed)
+            self._smoothed = smoothed(self._smoothed, traveled.velocity, self.motors_filter, seconds)
+        return traveled if self._smoothed is traveled.velocity else replace(traveled, velocity=self._smoothed)
 
     def due(self, velocities: Array) -> bool:
         """Return whether to send the result of `step` to the wheels: always while they turn, else at intervals."""

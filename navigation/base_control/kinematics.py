@@ -81,7 +81,7 @@ _SMALL_TURN = 1e-9
 
 
 @dataclass(frozen=True)
-class Travelled:
+class Traveled:
     """The pose, velocity and distances of a base's odometry."""
 
     x: float = 0.0  #: meters
@@ -115,9 +115,9 @@ class WheelOdometry:
         self._total = [0.0] * self._wheels  # across wraps and restarts of the encoders
         self._rates = WheelRates(self._wheels)
         self._time = 0.0
-        self.now = Travelled()
+        self.now = Traveled()
 
-    def update(self, angles: Sequence[float], time: float, rates: Sequence[float] | None = None) -> Travelled:
+    def update(self, angles: Sequence[float], time: float, rates: Sequence[float] | None = None) -> Traveled:
         """Add a reading: the wheels' angles (rad) at a time in seconds, and their velocities (rad/s) if measured.
 
         The first reading is the reference for the next one. A reading that is not newer changes nothing.
@@ -144,7 +144,7 @@ class WheelOdometry:
 
     def reset(self) -> None:
         """Continue from a pose and distances of zero."""
-        self.now = Travelled()
+        self.now = Traveled()
 
     def restart(self) -> None:
         """Treat the next reading as the first reading, because the clock was set; keep the pose."""
@@ -152,7 +152,7 @@ class WheelOdometry:
         self._rates.clear()
 
 
-def _moved(before: Travelled, step: Velocity, velocity: Velocity) -> Travelled:
+def _moved(before: Traveled, step: Velocity, velocity: Velocity) -> Traveled:
     """Add a motion in the base's frame, in meters, meters and radians."""
     sin_share, cos_share = 1.0, step.turn / 2.0
     if abs(step.turn) > _SMALL_TURN:
@@ -161,7 +161,7 @@ def _moved(before: Travelled, step: Velocity, velocity: Velocity) -> Travelled:
     along = step.x * sin_share - step.y * cos_share
     aside = step.x * cos_share + step.y * sin_share
     cos, sin = math.cos(before.theta), math.sin(before.theta)
-    return Travelled(
+    return Traveled(
         before.x + cos * along - sin * aside,
         before.y + sin * along + cos * aside,
         before.theta + step.turn,

@@ -112,13 +112,13 @@ class BaseControl(Module):
         velocities = message["velocity"].tolist()
         rates = [velocities[place] for place in self._places if place is not None and place < len(velocities)]
         try:
-            travelled = self.base.measured(angles, at.seconds, rates if len(velocities) == len(positions) else None)
+            traveled = self.base.measured(angles, at.seconds, rates if len(velocities) == len(positions) else None)
         except ValueError as err:
             self._trouble = str(err)
             return
         self._trouble = ""
         seconds, nanoseconds = divmod(at.stamp_ns, 1_000_000_000)
-        self._publisher.publish(travelled, {"sec": seconds, "nanosec": nanoseconds})
+        self._publisher.publish(traveled, {"sec": seconds, "nanosec": nanoseconds})
 
     def _restart(self) -> None:
         """Discard all times, after the clock jumped back."""

@@ -15,7 +15,7 @@ from bridge.modules.host import Host
 from bridge.routing.stall import AgeGate, StallDetector
 from navigation.base_control.base import DrivenBase
 from navigation.base_control.commands import CommandError, CommandInput, FullControl, Velocity, of_bottle, of_degrees
-from navigation.base_control.kinematics import Travelled
+from navigation.base_control.kinematics import Traveled
 from navigation.base_control.section import BaseControlSection, BaseInput, JoySection
 from yarp_compat.dev.basecontrol import (
     INavigation2DVelocityActionsMsgs,
@@ -230,31 +230,31 @@ class OdometryPublisher:
         self._vector = host.yarp.output(f"{section.prefix}/odometry_vector:o")
         self._stamp = Stamp()
 
-    def publish(self, travelled: Travelled, stamp: dict[str, int]) -> None:
+    def publish(self, traveled: Traveled, stamp: dict[str, int]) -> None:
         """Publish the base's pose and velocity, with the stamp of its encoders."""
-        theta = math.remainder(travelled.theta, 2.0 * math.pi)
+        theta = math.remainder(traveled.theta, 2.0 * math.pi)
         rotation = 0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0)
-        place = stamp["sec"], stamp["nanosec"], travelled.x, travelled.y, 0.0, *rotation
-        speed = travelled.velocity
+        place = stamp["sec"], stamp["nanosec"], traveled.x, traveled.y, 0.0, *rotation
+        speed = traveled.velocity
         self._odom.offer(lambda: self._odometry.fill(*place, speed.x, speed.y, 0.0, 0.0, 0.0, speed.turn))
         if self._tf is not None:
             self._tf.offer(lambda: self._moved.fill(*place))
-        self._write(travelled, theta, stamp)
+        self._write(traveled, theta, stamp)
 
-    def _write(self, travelled: Travelled, theta: float, stamp: dict[str, int]) -> None:
+    def _write(self, traveled: Traveled, theta: float, stamp: dict[str, int]) -> None:
         ports = [*self._poses, *self._odometers, *self._velocities, self._vector]
         if not any(port.has_readers for port in ports):
             return
         self._stamp.update(stamp["sec"] + stamp["nanosec"] / 1e9)
         envelope = self._stamp.to_text()
-        vx, vy = travelled.world_velocity
-        turn = math.degrees(travelled.velocity.turn)
+        vx, vy = traveled.world_velocity
+        turn = math.degrees(traveled.velocity.turn)
         data = OdometryData(
-            travelled.x,
-            travelled.y,
+            traveled.x,
+            traveled.y,
             math.degrees(theta),
-            travelled.velocity.x,
-            travelled.velocity.y,
+            traveled.velocity.x,
+            traveled.velocity.y,
             turn,
             vx,
             vy,
@@ -263,7 +263,7 @@ class OdometryPublisher:
         for port in self._poses:
             port.write(data, envelope)
         for port in self._odometers:
-            port.write([travelled.distance, math.degrees(travelled.angle)], envelope)
+            port.write([traveled.distance, math.degrees(traveled.angle)], envelope)
         for port in self._velocities:
-            port.write([travelled.velocity.speed, turn], envelope)
-        self._vector.write(Vector([travelled.x, travelled.y, math.degrees(theta)]), envelope)
+            port.write([traveled.velocity.speed, turn], envelope)
+        self._vector.write(Vector([traveled.x, traveled.y, math.degrees(theta)]), envelope)

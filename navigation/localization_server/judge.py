@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from navigation.localization_server.estimate import LocalizationStatus
-from navigation.localization_server.section import LocaliserSection
+from navigation.localization_server.section import LocalizerSection
 from navigation.pose import Pose
 
 _MEMORY = 0.7  # weight of the previous quality in the next one
@@ -25,7 +25,7 @@ WIDEST = 0.5  # meters: the largest spread of the particles (standard deviation)
 class Judge:
     """Derives the status from the fit of each scan."""
 
-    def __init__(self, settings: LocaliserSection) -> None:
+    def __init__(self, settings: LocalizerSection) -> None:
         self._settings = settings
         self.quality = 0.0  # smoothed share of the scan that the map explains, less the share that contradicts it
         self.status, self.reason = LocalizationStatus.NOT_YET, "no start pose"

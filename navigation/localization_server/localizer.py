@@ -17,7 +17,7 @@ from navigation.algorithms.likelihood_field import LikelihoodField
 from navigation.algorithms.pose_search import PoseSearch, SearchWindow
 from navigation.localization_server.estimate import LocalizationStatus, PoseEstimate, Track
 from navigation.localization_server.judge import Judge
-from navigation.localization_server.section import LocaliserSection
+from navigation.localization_server.section import LocalizerSection
 from navigation.pose import Pose
 from navigation.scan import thinned
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
@@ -54,8 +54,8 @@ class Localizer:
         seed: of the random numbers; the same seed and data give the same poses.
     """
 
-    def __init__(self, grid: MapGrid2D, settings: LocaliserSection | None = None, seed: int = 0) -> None:
-        self.settings = settings or LocaliserSection()
+    def __init__(self, grid: MapGrid2D, settings: LocalizerSection | None = None, seed: int = 0) -> None:
+        self.settings = settings or LocalizerSection()
         flags = grid.flags[::-1]
         walls = flags == MapFlag.WALL
         free = ~walls & (flags != MapFlag.UNKNOWN)

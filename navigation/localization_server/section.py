@@ -22,7 +22,7 @@ _Deviation = Annotated[float, Field(gt=0.0, lt=1000.0)]
 Spread = tuple[_Deviation, _Deviation]  # standard deviations: meters, degrees
 
 
-class LocaliserSection(Section):
+class LocalizerSection(Section):
     """Midspan's own localizer: a particle filter on the map's walls."""
 
     particles: int = setting(1000, "Number of particles, each a possible pose.", ge=50, le=20_000)
@@ -50,7 +50,7 @@ class LocaliserSection(Section):
     )
 
     @model_validator(mode="after")
-    def _good_is_better_than_poor(self) -> LocaliserSection:
+    def _good_is_better_than_poor(self) -> LocalizerSection:
         if self.poor >= self.good:
             raise ValueError(f"'poor' ({self.poor:g}) must be less than 'good' ({self.good:g})")
         return self
@@ -115,4 +115,4 @@ class LocalizationServerSection(ModuleSection):
         " `localization2D_nws_yarp`.",
     )
     pose_port: PortName = setting("/localizationServer/pose:i", "For `port`: a `Map2DLocation`, or x, y and degrees.")
-    localiser: LocaliserSection = subsection(LocaliserSection, "Settings of the source `own`.")
+    localiser: LocalizerSection = subsection(LocalizerSection, "Settings of the source `own`.")

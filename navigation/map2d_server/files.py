@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bridge.stores.kinds import AREA, BEHAVIOUR, LINK, LOCATION, MAP, OBJECT, PATH, ValueKind
+from bridge.stores.kinds import AREA, BEHAVIOR, LINK, LOCATION, MAP, OBJECT, PATH, ValueKind
 from bridge.stores.store import Store, Write
 from yarp_compat.dev.extras import Extras, extras_file
 from yarp_compat.dev.mapgrid import MapGrid2D
@@ -121,8 +121,8 @@ class MapFiles:
             getattr(places, attribute).update(self._store.all(kind))
         path = self._folder.new(file, _LIST)
         places.save(path)
-        extras = Extras(self._store.all(BEHAVIOUR), self._store.all(LINK))
-        if extras.behaviours or extras.links or extras_file(path).exists():
+        extras = Extras(self._store.all(BEHAVIOR), self._store.all(LINK))
+        if extras.behaviors or extras.links or extras_file(path).exists():
             extras.save(extras_file(path))
 
     def load_places(self, file: str) -> None:
@@ -144,7 +144,7 @@ class MapFiles:
         places, extras_path = Places.load(path, jail), extras_file(path)
         extras = Extras.load(extras_path, jail) if extras_path.exists() else Extras()
         by_kind: dict[ValueKind[Any], dict[str, Any]] = {kind: getattr(places, name) for name, kind in _PLACES.items()}
-        by_kind |= {BEHAVIOUR: extras.behaviours, LINK: extras.links}
+        by_kind |= {BEHAVIOR: extras.behaviors, LINK: extras.links}
         self._store.write(
             [Write(kind, name, value) for kind, values in by_kind.items() for name, value in values.items()]
         )

@@ -17,7 +17,7 @@ from bridge.hub.graph.owners import owner
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.stores.entry import StoreError
-from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, MAP3D, OBJECT, PATH
+from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, LOCATION, MAP, MAP3D, OBJECT, PATH
 from bridge.stores.store import Change
 from bridge.worker import Health
 from navigation.map2d_server.files import MapFiles, MapsFolder
@@ -29,7 +29,7 @@ from navigation.map2d_server.services import MapAnswers, MapCommands, MapService
 
 _log = logging.getLogger(__name__)
 
-_SHOWN = (MAP, MAP3D, CURRENT, LOCATION, OBJECT, AREA, PATH, BEHAVIOUR)
+_SHOWN = (MAP, MAP3D, CURRENT, LOCATION, OBJECT, AREA, PATH, BEHAVIOR)
 
 
 class Map2DServer(Module):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.endpoints import ModulePublisher
 from bridge.modules.host import ModuleNode
-from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, OBJECT, PATH
+from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, LOCATION, MAP, OBJECT, PATH
 from bridge.stores.store import Store
 from navigation.maps.grid import data_of, info_of, message_of, to_cdr, to_grid, turned
 from navigation.maps.masks import binary_mask, keepout_mask, speed_mask
@@ -61,9 +61,9 @@ _KEEP_OUT_FILTER, _BINARY_FILTER = 0, 3
 def masks_of(grid: MapGrid2D, store: Store, head: Head) -> dict[str, tuple[str, Message]]:
     """Return the type and message of each mask by topic. The grid is the current map, aligned to yaw 0."""
     on_map = {name: area for name, area in store.all(AREA).items() if area.map_id == grid.name and area.points}
-    areas = [(area, store.behaviour(name)) for name, area in on_map.items()]
-    mask = keepout_mask(grid, [area for area, behaviour in areas if behaviour.keep_out])
-    limits = [(area, behaviour.max_speed) for area, behaviour in areas if behaviour.max_speed is not None]
+    areas = [(area, store.behavior(name)) for name, area in on_map.items()]
+    mask = keepout_mask(grid, [area for area, behavior in areas if behavior.keep_out])
+    limits = [(area, behavior.max_speed) for area, behavior in areas if behavior.max_speed is not None]
     speed = speed_mask(grid, limits)
 
     def on_cells(values: NDArray[np.int8]) -> tuple[str, Message]:
@@ -94,7 +94,7 @@ MARKERS_TYPE = "visualization_msgs/msg/MarkerArray"
 _ARROW, _CUBE, _LINES, _TEXT = 0, 1, 4, 9
 _DELETE_ALL = 3
 _TEXT_HEIGHT = 0.2
-_GREEN, _BLUE, _ORANGE, _GREY = (
+_GREEN, _BLUE, _ORANGE, _GRAY = (
     color(0.1, 0.7, 0.2),
     color(0.1, 0.4, 0.9),
     color(1.0, 0.6, 0.0),
@@ -147,7 +147,7 @@ class _Markers:
     def add_path(self, name: str, path: Map2DPath, map_name: str) -> None:
         points = [(point.x, point.y) for point in path.waypoints if point.map_id == map_name]
         if len(points) > 1:
-            self._line("path", name, points, _GREY)
+            self._line("path", name, points, _GRAY)
             self._text("path", name, *points[0])
 
     def _line(self, kind: str, name: str, corners: list[tuple[float, float]], color: Message) -> None:
@@ -265,7 +265,7 @@ class Masks:
 
     def update(self, current: CurrentMap, changed: Keys, *, map_changed: bool) -> None:
         """Publish the masks of the current map if the map or an area has changed."""
-        if not (map_changed or any(kind in (AREA.name, BEHAVIOUR.name) for kind, _ in changed)):
+        if not (map_changed or any(kind in (AREA.name, BEHAVIOR.name) for kind, _ in changed)):
             return
         messages = {} if current.grid is None else masks_of(current.grid, self._store, self._head)
         for topic in self._ends.keys() - messages.keys():

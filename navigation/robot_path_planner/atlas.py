@@ -143,7 +143,7 @@ class StoreAtlas(Atlas):
         zones = []
         for name, area in self._store.all(AREA).items():
             try:
-                zones.append(Zone(area, self._store.behaviour(name)))
+                zones.append(Zone(area, self._store.behavior(name)))
             except StoreError as err:
                 _log.warning("%s", err)
         return zones

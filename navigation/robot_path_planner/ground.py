@@ -15,7 +15,7 @@ from navigation.algorithms.occupancy import MOST, OccupancyMap
 from navigation.maps.grid import turned
 from navigation.maps.masks import cells_of
 from navigation.pose import Pose
-from yarp_compat.dev.extras import AreaBehaviour
+from yarp_compat.dev.extras import AreaBehavior
 from yarp_compat.dev.locations import Map2DArea
 from yarp_compat.dev.mapflag import MapFlag, lookup
 from yarp_compat.dev.mapgrid import MapGrid2D
@@ -31,7 +31,7 @@ _MOST = 250
 
 _SOLID = np.zeros(256, np.uint8)
 _SOLID[[MapFlag.WALL, MapFlag.TEMPORARY_OBSTACLE, MapFlag.UNKNOWN]] = 1
-_NOTHING = AreaBehaviour()
+_NOTHING = AreaBehavior()
 
 _BESIDE = 1.5  # meters, see `Ground.beside`
 
@@ -41,7 +41,7 @@ class Zone:
     """An area and the behavior that it requires of robots."""
 
     area: Map2DArea
-    behaviour: AreaBehaviour
+    behavior: AreaBehavior
 
 
 class Ground:
@@ -60,14 +60,14 @@ class Ground:
         self.kept = flags == MapFlag.KEEP_OUT  # keep-out cells
         on_map = [zone for zone in zones if zone.area.map_id == grid.name]
         for zone in on_map:
-            if zone.behaviour.keep_out:
+            if zone.behavior.keep_out:
                 part, inside = cells_of(grid, zone.area.points)
                 self.kept[part] |= inside
         # meters from a cell's center to the nearest border of a solid or keep-out cell, else infinite
         self.room = (distance_transform(self.solid | self.kept) - 0.5) * np.float32(grid.resolution)
         self.weights = self._weighed(clearance)  # cost of entering a cell; 0 if the robot does not fit
         self.open = (self.room > radius / 2).astype(np.uint8)  # 1 where a robot may be while it avoids an obstacle
-        self.labels, self.behaviours = _labelled(grid, on_map)  # the index of each cell's behavior
+        self.labels, self.behaviors = _labeled(grid, on_map)  # the index of each cell's behavior
         # close to keep-out cells, which a laser does not show: a local navigator must not go around obstacles here
         self.beside = distance_transform(self.kept) < _BESIDE / grid.resolution
 
@@ -117,29 +117,29 @@ class Ground:
         return np.minimum(cost, _MOST).astype(np.uint8)
 
 
-def _labelled(grid: MapGrid2D, zones: Sequence[Zone]) -> tuple[NDArray[np.uint16], list[AreaBehaviour]]:
+def _labeled(grid: MapGrid2D, zones: Sequence[Zone]) -> tuple[NDArray[np.uint16], list[AreaBehavior]]:
     """Return the index of each cell's behavior, and the behaviors; 0 is none."""
     labels = np.zeros(grid.flags.shape, np.uint16)
-    behaviours = [_NOTHING]
+    behaviors = [_NOTHING]
     for zone in zones:
-        if zone.behaviour.max_speed is None and not zone.behaviour.on_obstacle:
+        if zone.behavior.max_speed is None and not zone.behavior.on_obstacle:
             continue
         part, inside = cells_of(grid, zone.area.points)
         part_labels = labels[part]
         for label in np.unique(part_labels[inside]):
-            both = combined(behaviours[label], zone.behaviour)
-            if both not in behaviours:
-                behaviours.append(both)
-            part_labels[inside & (part_labels == label)] = behaviours.index(both)
-    return labels, behaviours
+            both = combined(behaviors[label], zone.behavior)
+            if both not in behaviors:
+                behaviors.append(both)
+            part_labels[inside & (part_labels == label)] = behaviors.index(both)
+    return labels, behaviors
 
 
-def combined(one: AreaBehaviour, other: AreaBehaviour) -> AreaBehaviour:
+def combined(one: AreaBehavior, other: AreaBehavior) -> AreaBehavior:
     """Return the behavior where two areas overlap: the lower speed, and waiting rather than going around."""
     speeds = [speed for speed in (one.max_speed, other.max_speed) if speed is not None]
     requests = {one.on_obstacle, other.on_obstacle}
     on_obstacle = "wait" if "wait" in requests else "around" if "around" in requests else ""
-    return AreaBehaviour(min(speeds, default=None), on_obstacle)
+    return AreaBehavior(min(speeds, default=None), on_obstacle)
 
 
 SURE = 1.2  # log odds from which a cell is an obstacle: two more scans hit it than passed through it

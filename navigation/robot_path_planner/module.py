@@ -16,7 +16,7 @@ from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import Qos
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
-from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, MAP
+from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, MAP
 from bridge.worker import Health
 from navigation.constraints import Constraints
 from navigation.frames import LATE, FramesError, RobotFrames
@@ -102,7 +102,7 @@ class RobotPathPlanner(PlannerModule):
         self._laser = ObstacleScans(self.planner, self._frames)
         self._topics = PathPlannerTopics(host, section.frame, section.prefix)
         # links and their locations are read for every plan
-        self._map = MapInUse(host, section.map, self._use, MAP, CURRENT, AREA, BEHAVIOUR)
+        self._map = MapInUse(host, section.map, self._use, MAP, CURRENT, AREA, BEHAVIOR)
         self._executor = SerialExecutor("midspan-brake")
         self._closing = [self._map.close, self._executor.close]
         self._local = self._navigator()

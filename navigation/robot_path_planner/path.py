@@ -19,7 +19,7 @@ from navigation.robot_path_planner.atlas import Leg
 from navigation.robot_path_planner.ground import Cell, Ground
 from navigation.robot_path_planner.section import RobotPathPlannerSection
 from navigation.status import Fault, PlanError
-from yarp_compat.dev.extras import AreaBehaviour
+from yarp_compat.dev.extras import AreaBehavior
 
 Places = NDArray[np.float64]  # (n, 2) x and y, meters
 
@@ -241,17 +241,17 @@ def _waypoints(
     through = replace(wanted, heading=False, through=True, tolerance_lin=None, tolerance_ang=None)
     for begin, end in pairwise(places):
         theta = math.atan2(end[1] - begin[1], end[0] - begin[0])
-        for (x, y), behaviour, beside in _parts(ground, begin, end):
-            constraints = _merged(to_waypoint, through, behaviour, beside=beside)
-            waypoints.append(Waypoint(Pose(float(x), float(y), theta), constraints, behaviour.on_obstacle == "wait"))
-    constraints = _merged(Constraints(**settings.goal.model_dump()), wanted, behaviour, beside=beside)
+        for (x, y), behavior, beside in _parts(ground, begin, end):
+            constraints = _merged(to_waypoint, through, behavior, beside=beside)
+            waypoints.append(Waypoint(Pose(float(x), float(y), theta), constraints, behavior.on_obstacle == "wait"))
+    constraints = _merged(Constraints(**settings.goal.model_dump()), wanted, behavior, beside=beside)
     if not math.isfinite(goal.theta):
         goal, constraints = goal._replace(theta=theta), replace(constraints, heading=False)
-    waypoints[-1] = Waypoint(goal, constraints, behaviour.on_obstacle == "wait")
+    waypoints[-1] = Waypoint(goal, constraints, behavior.on_obstacle == "wait")
     return tuple(waypoints)
 
 
-def _parts(ground: Ground, begin: Places, far_end: Places) -> list[tuple[Places, AreaBehaviour, bool]]:
+def _parts(ground: Ground, begin: Places, far_end: Places) -> list[tuple[Places, AreaBehavior, bool]]:
     """Split a line by areas: each part's end, its behavior, and whether it is close to a keep-out area."""
     along = sampled(np.stack((begin, far_end)), ground.grid.resolution / 2)
     columns, rows = ground.grid.cells_at(along).T
@@ -260,10 +260,10 @@ def _parts(ground: Ground, begin: Places, far_end: Places) -> list[tuple[Places,
     labels, beside = ground.labels[at], ground.beside[at]
     changes = (labels[1:] != labels[:-1]) | (beside[1:] != beside[:-1])
     ends = [*np.flatnonzero(changes), len(along) - 1]
-    return [(along[end], ground.behaviours[labels[end]], bool(beside[end])) for end in ends]
+    return [(along[end], ground.behaviors[labels[end]], bool(beside[end])) for end in ends]
 
 
-def _merged(defaults: Constraints, wanted: Constraints, behaviour: AreaBehaviour, *, beside: bool) -> Constraints:
+def _merged(defaults: Constraints, wanted: Constraints, behavior: AreaBehavior, *, beside: bool) -> Constraints:
     """Return the settings, overridden by the goal's constraints, and limited by areas and keep-out cells nearby."""
     given = {
         name: value
@@ -271,12 +271,12 @@ def _merged(defaults: Constraints, wanted: Constraints, behaviour: AreaBehaviour
         if value not in (None, "") and name not in ("heading", "through", "map")
     }
     merged = replace(defaults, **given, heading=defaults.heading and wanted.heading, through=defaults.through)
-    speeds = [speed for speed in (merged.max_lin_speed, behaviour.max_speed) if speed is not None]
+    speeds = [speed for speed in (merged.max_lin_speed, behavior.max_speed) if speed is not None]
     most = min(speeds, default=None)
     least = merged.min_lin_speed
     if most is not None and least is not None:
         least = min(least, most)
-    on_obstacle = "wait" if beside else behaviour.on_obstacle or merged.on_obstacle
+    on_obstacle = "wait" if beside else behavior.on_obstacle or merged.on_obstacle
     return replace(merged, max_lin_speed=most, min_lin_speed=least, on_obstacle=on_obstacle)
 
 

@@ -138,7 +138,7 @@ class PathPlanner:
         self._paused_until = -math.inf
         self.status = PlannerStatus(State.THINKING, self.task.replan_reason)
 
-    def cancel(self, reason: str = "cancelled") -> None:
+    def cancel(self, reason: str = "canceled") -> None:
         """Drop the goal; the next step stops the robot. This clears the status of the previous goal."""
         if self.task is not None:
             self.task = None

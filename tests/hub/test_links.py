@@ -37,15 +37,13 @@ def cut(port: int) -> None:
 
 def test_single_lost_link_is_restored(hubs: QuickHub) -> None:
     with Hub.open(hubs.settings("one")) as first, Hub.open(hubs.settings("two", "two")) as second:
-        until(lambda: second.zid in first.neighbours() and first.zid in second.neighbours(), "they are linked")
+        until(lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "they are linked")
         received: list[bytes] = []
         hubs.serve_conflicting_list(5)  # a liar is not believed
         second.serve("say", lambda params: received.append(params["word"]))
         cut(int(hubs.endpoint.rpartition(":")[2]))
-        until(
-            lambda: second.zid not in first.neighbours() or first.mesh.mended + second.mesh.mended, "the link is lost"
-        )
-        until(lambda: second.zid in first.neighbours() and first.zid in second.neighbours(), "they are linked again")
+        until(lambda: second.zid not in first.neighbors() or first.mesh.mended + second.mesh.mended, "the link is lost")
+        until(lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "they are linked again")
         until(lambda: first.mesh.mended + second.mesh.mended, "one of them reports it")
         until(lambda: first.ask("say", {"word": "again"}, worker="two") and received, "messages arrive")
 
@@ -55,14 +53,14 @@ def test_missing_link_is_established(hubs: QuickHub, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.3)
     monkeypatch.setattr(links.Mesh, "_on_event", lambda *_: None)
     with Hub.open(hubs.settings("one")) as first, Hub.open(hubs.settings("two", "two")) as second:
-        until(lambda: second.zid in first.neighbours() and first.zid in second.neighbours(), "they are linked")
+        until(lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "they are linked")
         cut(int(hubs.endpoint.rpartition(":")[2]))
         until(
-            lambda: second.zid not in first.neighbours() or first.mesh.mended + second.mesh.mended,
+            lambda: second.zid not in first.neighbors() or first.mesh.mended + second.mesh.mended,
             "they are not linked",
         )
         until(lambda: first.mesh.mended + second.mesh.mended, "one of them has mended it")
-        until(lambda: second.zid in first.neighbours() and first.zid in second.neighbours(), "they are linked again")
+        until(lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "they are linked again")
 
 
 def test_links_are_compared_during_the_search_for_a_closed_session(
@@ -72,7 +70,7 @@ def test_links_are_compared_during_the_search_for_a_closed_session(
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
     with Hub.open(hubs.settings("one")) as first:
         with Hub.open(hubs.settings("two", "two")) as second:
-            until(lambda: second.zid in first.neighbours(), "they are linked")
+            until(lambda: second.zid in first.neighbors(), "they are linked")
             left = second.zid
         until(lambda: left in first.mesh.lost, "it is looked for")
         hubs.list_also("abcd")
@@ -94,7 +92,7 @@ def test_search_for_an_unreachable_session_ends(hubs: QuickHub, monkeypatch: pyt
 
 def test_router_without_a_response_is_queried_again(hubs: QuickHub) -> None:
     with Hub.open(hubs.settings("one")) as first, Hub.open(hubs.settings("two", "two")) as second:
-        until(lambda: second.zid in first.neighbours() and first.zid in second.neighbours(), "they are linked")
+        until(lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "they are linked")
         hubs.unanswered = 4
         cut(int(hubs.endpoint.rpartition(":")[2]))
         until(lambda: first.mesh.mended + second.mesh.mended, "the link is there again")
@@ -105,8 +103,8 @@ def test_search_for_a_closed_session_ends(hubs: QuickHub, monkeypatch: pytest.Mo
     monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 1.0)
     with Hub.open(hubs.settings("one")) as first:
         with Hub.open(hubs.settings("two", "two")) as second:
-            until(lambda: second.zid in first.neighbours(), "they are linked")
-        until(lambda: second.zid not in first.neighbours(), "the link's end is known")
+            until(lambda: second.zid in first.neighbors(), "they are linked")
+        until(lambda: second.zid not in first.neighbors(), "the link's end is known")
         until(lambda: not first.mesh.lost, "the search has ended")
         assert not first.mesh.mended
 

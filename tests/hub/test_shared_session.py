@@ -110,7 +110,7 @@ def test_late_joiners_receive_latched_messages_of_the_others(qos: Qos, session: 
 
 
 def test_history_and_live_messages_arrive_without_gaps_or_duplicates(one: Hub, two: Hub) -> None:
-    """A node joins while its neighbour goes on, on another thread."""
+    """A node joins while its neighbor goes on, on another thread."""
     deep = replace(LATCHED, depth=200)
     publisher = advertise(one, "/map", deep, *(str(n) for n in range(100)))
     joiners = []
@@ -176,9 +176,9 @@ def test_a_node_does_not_call_itself(one: Hub, two: Hub) -> None:
     caller = one.client("/do", SERVICE, SERVICE_HASH)
     assert not caller.ready
     assert call(caller)[0].wait(0) == "no server of /do is on the hub"
-    Serving(two, answer=lambda _: b"the neighbour's")
-    until(lambda: caller.ready, "the neighbour serves it")
-    assert call(caller)[0].wait() == b"the neighbour's"
+    Serving(two, answer=lambda _: b"the neighbor's")
+    until(lambda: caller.ready, "the neighbor serves it")
+    assert call(caller)[0].wait() == b"the neighbor's"
     assert mine.held == []
 
 

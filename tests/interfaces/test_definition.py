@@ -50,7 +50,7 @@ def test_a_package_without_definitions_is_refused() -> None:
         read_package("my_msgs", {})
 
 
-def test_names_are_spelt_in_full_and_comments_dropped() -> None:
+def test_names_are_spelled_in_full_and_comments_dropped() -> None:
     text = "# hi\n  Other[<=2]   others # mine\nstd_msgs/msg/Header header\nstring<=4 s 'x'\nint8 A=1\n"
     (definition,) = read_package("my_msgs", {"msg/A.msg": text})
     assert definition.bare.splitlines() == [

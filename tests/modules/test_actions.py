@@ -146,7 +146,7 @@ def test_goals_end_as_their_server_decides(two: Two) -> None:
     goal = served.goals[-1]
     hub = two.server.hub
     until(lambda: hub.graph.zid_of(goal.client) == two.client.hub.zid, "the graph lists the goal's client")
-    until(lambda: two.client.hub.zid in hub.neighbours(), "the client's session is known to be on this machine")
+    until(lambda: two.client.hub.zid in hub.neighbors(), "the client's session is known to be on this machine")
     two.on(two.server, goal.execute)
     until(lambda: (two.on(two.server, lambda: goal.feedback({})), late.feedback)[1], "the client receives feedback")
     assert not late.ends
@@ -190,7 +190,7 @@ def test_one_goal_or_all_are_canceled(two: Two) -> None:
 CANCEL_GOAL = "/lookup/_action/cancel_goal"
 
 
-def until_cancelling(two: Two, client: ActionClient) -> None:
+def until_canceling(two: Two, client: ActionClient) -> None:
     """Wait until goals can be sent and canceled."""
     cancel = two.client.client(CANCEL_GOAL, "action_msgs/srv/CancelGoal")
     until(lambda: client.ready and cancel.ready, "the action is available")
@@ -215,7 +215,7 @@ def test_a_cancel_request_that_fails_is_repeated_until_the_server_responds(
 ) -> None:
     served = Served(two)
     client = two.client.action_client("/lookup", LOOKUP)
-    until_cancelling(two, client)
+    until_canceling(two, client)
     sent = Sent(two, client, "wait")
     ended = lambda: served.goals[0].status is GoalState.CANCELED  # noqa: E731
     requested = record_cancel_requests(monkeypatch, lambda count: count < 3 or ended())
@@ -237,7 +237,7 @@ def test_a_request_to_cancel_all_goals_is_repeated_until_a_goal_is_sent(
 ) -> None:
     served = Served(two)
     client = two.client.action_client("/lookup", LOOKUP)
-    until_cancelling(two, client)
+    until_canceling(two, client)
     monkeypatch.setattr("bridge.client.actions.CANCEL_ALL_SECONDS", 60.0)
     requested = record_cancel_requests(monkeypatch, lambda count: count != 3)
     sent = Sent(two, client, "wait")

@@ -23,7 +23,7 @@ class World:
         self.goals = [self.goal]
         self.unreachable: list[Any] = []
         hub = SimpleNamespace(
-            zid="own", neighbours=lambda: self.near, graph=SimpleNamespace(zid_of=lambda gid: self.seen.get(gid, ""))
+            zid="own", neighbors=lambda: self.near, graph=SimpleNamespace(zid_of=lambda gid: self.seen.get(gid, ""))
         )
         timers: list[Any] = []
         loop = SimpleNamespace(every=lambda _seconds, check: timers.append(check))

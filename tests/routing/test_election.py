@@ -65,7 +65,7 @@ class World:
         self.workers.append(worker)
         return worker
 
-    def neighbours(self, worker: Worker) -> list[Worker]:
+    def neighbors(self, worker: Worker) -> list[Worker]:
         return [w for w in self.workers if w.network == worker.network and w is not worker]
 
     def same_hub(self, a: Worker, b: Worker) -> bool:
@@ -91,7 +91,7 @@ class World:
         )
         worker.election.sent(record)
         worker.record = record.encode()
-        for other in self.neighbours(worker):
+        for other in self.neighbors(worker):
             self._on_the_way.append((self.now + other.delay, other.name, worker.name, worker.record))
 
     def step(self) -> None:

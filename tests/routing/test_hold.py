@@ -101,7 +101,7 @@ def test_velocities_enter_the_hub_only_while_no_gateway_holds_them(hubs: QuickHu
         received.clear()
         assert drop() == before + 1
         assert not received
-        gateway.hub.close()  # a gateway that is gone wants nothing; its goals are cancelled
+        gateway.hub.close()  # a gateway that is gone wants nothing; its goals are canceled
         until(lambda: not hold.held, "it is free again")
         until(lambda: drop() and received, "it crosses again")
     finally:

@@ -73,8 +73,8 @@ def test_wheels_do_not_collide_with_a_wall_alongside() -> None:
 def square(sim: Simulation, side: float) -> None:
     """Drive a square by odometry."""
     for _ in range(4):
-        begun = sim.estimate.travelled
-        while (left := side - (sim.estimate.travelled - begun)) > 0.002:
+        begun = sim.estimate.traveled
+        while (left := side - (sim.estimate.traveled - begun)) > 0.002:
             sim.command(Twist(min(0.3, math.sqrt(0.5 * left)), 0.0, 0.0))
             sim.run(0.05)
         begun = sim.estimate.turned
@@ -88,7 +88,7 @@ def test_odometry_is_accurate_to_one_percent() -> None:
     sim = simulation(start=(-0.5, -0.5, 0.0))
     square(sim, 1.0)
     truth, believed = sim.base.pose(), sim.estimate
-    assert believed.travelled > 4.0
+    assert believed.traveled > 4.0
     assert math.hypot(truth.x + 0.5 - believed.pose.x, truth.y + 0.5 - believed.pose.y) < 0.01
     assert abs(math.remainder(truth.yaw - believed.pose.yaw, 2 * math.pi)) < 0.01
 
@@ -248,5 +248,5 @@ def test_a_reset_restores_the_start() -> None:
     drive(sim, 2, 0.3)
     sim.begin()
     assert np.allclose(sim.base.pose(), BasePose(0.5, 0.5, math.pi / 2))
-    assert sim.estimate.travelled == 0.0
+    assert sim.estimate.traveled == 0.0
     assert sim.time_ns == 2_000_000_000

@@ -9,11 +9,11 @@ import pytest
 
 from bridge.config.sections.store import StoreSection
 from bridge.stores.entry import OLDEST
-from bridge.stores.kinds import AREA, BEHAVIOUR, LINK, LOCATION, MAP
+from bridge.stores.kinds import AREA, BEHAVIOR, LINK, LOCATION, MAP
 from bridge.stores.service import import_at_start
 from tests.stores.conftest import Make
 from tests.stores.test_store import KITCHEN, grid
-from yarp_compat.dev.extras import AreaBehaviour, Extras, MapLink, extras_file
+from yarp_compat.dev.extras import AreaBehavior, Extras, MapLink, extras_file
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
 from yarp_compat.dev.places import Places, save_maps
 from yarp_compat.sig.vec2d import Vec2D
@@ -26,7 +26,7 @@ def section(tmp_path: Path) -> StoreSection:
     area = Map2DArea("m1", [Vec2D(0.0, 0.0), Vec2D(1.0, 0.0), Vec2D(1.0, 1.0)])
     file = tmp_path / "locations.ini"
     Places({"kitchen": KITCHEN, "hall": Map2DLocation("m2", 1.0)}, {}, {"zone": area}).save(file)
-    Extras({"zone": AreaBehaviour(max_speed=0.3)}, {"lift": MapLink("kitchen", "hall", 5.0)}).save(extras_file(file))
+    Extras({"zone": AreaBehavior(max_speed=0.3)}, {"lift": MapLink("kitchen", "hall", 5.0)}).save(extras_file(file))
     return StoreSection(maps=tmp_path / "maps_collection.ini", locations=file)
 
 
@@ -37,7 +37,7 @@ def test_files_are_imported_once(make: Make, section: StoreSection) -> None:
     assert store.get(MAP, "m2") == grid("m2")
     assert store.current_map() == "m1"
     assert store.get(LOCATION, "kitchen") == KITCHEN
-    assert store.all(BEHAVIOUR) == {"zone": AreaBehaviour(max_speed=0.3)}
+    assert store.all(BEHAVIOR) == {"zone": AreaBehavior(max_speed=0.3)}
     assert store.all(LINK) == {"lift": MapLink("kitchen", "hall", 5.0)}
     store.delete(MAP, "m2")
     store.delete(LOCATION, "hall")

@@ -19,7 +19,7 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.version import WIRE
 from bridge.stores.client import StoreClient
 from bridge.stores.entry import StoreError
-from bridge.stores.kinds import AREA, BEHAVIOUR, LOCATION, MAP, PATH
+from bridge.stores.kinds import AREA, BEHAVIOR, LOCATION, MAP, PATH
 from bridge.stores.replica import StoreLimits
 from bridge.stores.store import Write
 from bridge.stores.wire import prefix
@@ -27,7 +27,7 @@ from tests.peers.hub.quick import QuickHub
 from tests.stores.parts import Shared
 from tests.stores.test_store import KITCHEN, grid
 from tests.support.wait import until
-from yarp_compat.dev.extras import AreaBehaviour
+from yarp_compat.dev.extras import AreaBehavior
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DPath
 from yarp_compat.sig.vec2d import Vec2D
 
@@ -246,9 +246,9 @@ def test_a_client_reads_its_own_writes(hub: QuickHub, tmp_path: Path) -> None:
             client.write([Write(LOCATION, "a b", None), Write(LOCATION, "never", None)])
             assert client.names(LOCATION) == []
             assert client.get(LOCATION, "a b") is None
-            second_store.store.put(BEHAVIOUR, "hall", AreaBehaviour(keep_out=True))
+            second_store.store.put(BEHAVIOR, "hall", AreaBehavior(keep_out=True))
             client.write([Write(AREA, "hall", None)])
-            assert second_store.store.names(BEHAVIOUR) == []
+            assert second_store.store.names(BEHAVIOR) == []
             for bad, reason in (
                 (Write(LOCATION, "a/b", KITCHEN), "the name 'a/b' has /"),
                 (Write(LOCATION, "a", Map2DLocation("m1", float("inf"))), "cannot be represented in JSON"),
@@ -292,7 +292,7 @@ def test_a_client_renames_a_map_with_its_places(hub: QuickHub, tmp_path: Path) -
         path = Map2DPath([KITCHEN, elsewhere])
         store.write([
             Write(MAP, "m1", grid()), Write(LOCATION, "kitchen", KITCHEN), Write(LOCATION, "far", elsewhere),
-            Write(AREA, "hall", Map2DArea("m1", corners)), Write(BEHAVIOUR, "hall", AreaBehaviour(keep_out=True)),
+            Write(AREA, "hall", Map2DArea("m1", corners)), Write(BEHAVIOR, "hall", AreaBehavior(keep_out=True)),
             Write(PATH, "way", path),
         ])  # fmt: skip
         store.use_map("m1")
@@ -302,7 +302,7 @@ def test_a_client_renames_a_map_with_its_places(hub: QuickHub, tmp_path: Path) -
         moved_kitchen = replace(KITCHEN, map_id="house")
         assert store.all(LOCATION) == {"kitchen": moved_kitchen, "far": elsewhere}
         assert store.all(AREA) == {"big hall": Map2DArea("house", corners)}
-        assert store.all(BEHAVIOUR) == {"big hall": AreaBehaviour(keep_out=True)}
+        assert store.all(BEHAVIOR) == {"big hall": AreaBehavior(keep_out=True)}
         assert store.get(PATH, "way") == Map2DPath([moved_kitchen, elsewhere])
         for old, new, reason in (("none", "x", "no location 'none'"), ("far", "kitchen", "exists already")):
             with pytest.raises(StoreError, match=reason):

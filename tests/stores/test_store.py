@@ -14,7 +14,7 @@ import pytest
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import (
     AREA,
-    BEHAVIOUR,
+    BEHAVIOR,
     CURRENT,
     KINDS,
     LINK,
@@ -30,7 +30,7 @@ from bridge.stores.store import Store, Write
 from bridge.stores.table import EntryTable
 from tests.stores.conftest import Make
 from tests.support.wait import until
-from yarp_compat.dev.extras import AreaBehaviour, MapLink
+from yarp_compat.dev.extras import AreaBehavior, MapLink
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.octomap import Octomap
@@ -57,8 +57,8 @@ VALUES: list[tuple[ValueKind[Any], Any]] = [
     (MAP3D, PointCloud.of(np.ones((2, 3), LAYOUTS[PointType.XYZ_I]))),
     (LOCATION, KITCHEN),
     (AREA, Map2DArea("m1", CORNERS, "hall")),
-    (BEHAVIOUR, AreaBehaviour(max_speed=0.2, on_obstacle="wait")),
-    (BEHAVIOUR, AreaBehaviour(keep_out=True)),
+    (BEHAVIOR, AreaBehavior(max_speed=0.2, on_obstacle="wait")),
+    (BEHAVIOR, AreaBehavior(keep_out=True)),
     (PATH, Map2DPath([KITCHEN, Map2DLocation("m1", 3.0, 4.0, -45.0)], "round")),
     (OBJECT, Map2DObject("m1", 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, "cup")),
     (LINK, MapLink("lift_0", "lift_1", 12.0)),
@@ -97,8 +97,8 @@ def test_names_are_listed_by_kind(store: Store) -> None:
 
 def test_a_failed_rename_changes_nothing(store: Store) -> None:
     area = Map2DArea("m1", CORNERS)
-    behaviour = AreaBehaviour(max_speed=0.5)
-    store.write([Write(AREA, "a", area), Write(BEHAVIOUR, "a", behaviour), Write(AREA, "b", area)])
+    behavior = AreaBehavior(max_speed=0.5)
+    store.write([Write(AREA, "a", area), Write(BEHAVIOR, "a", behavior), Write(AREA, "b", area)])
     with pytest.raises(StoreError, match="area 'b' exists already"):
         store.rename(AREA, "a", "b")
     with pytest.raises(StoreError, match="no area 'c'"):
@@ -108,19 +108,19 @@ def test_a_failed_rename_changes_nothing(store: Store) -> None:
     assert store.names(AREA) == ["a", "b"]
     store.rename(AREA, "a", "c")
     assert store.names(AREA) == ["b", "c"]
-    assert store.all(BEHAVIOUR) == {"c": behaviour}
+    assert store.all(BEHAVIOR) == {"c": behavior}
     store.delete(AREA, "c")
-    assert store.all(BEHAVIOUR) == {}
+    assert store.all(BEHAVIOR) == {}
 
 
-def test_an_areas_behaviour_is_stored_separately_or_in_its_description(store: Store) -> None:
+def test_an_areas_behavior_is_stored_separately_or_in_its_description(store: Store) -> None:
     store.put(AREA, "a", Map2DArea("m1", CORNERS, "ramp, max_speed=0.2 on_obstacle=wait"))
-    assert store.behaviour("a") == AreaBehaviour(max_speed=0.2, on_obstacle="wait")
-    store.put(BEHAVIOUR, "a", AreaBehaviour(keep_out=True))
-    assert store.behaviour("a") == AreaBehaviour(keep_out=True)
+    assert store.behavior("a") == AreaBehavior(max_speed=0.2, on_obstacle="wait")
+    store.put(BEHAVIOR, "a", AreaBehavior(keep_out=True))
+    assert store.behavior("a") == AreaBehavior(keep_out=True)
     store.put(AREA, "a", Map2DArea("m1", CORNERS, "stored again by a YARP client"))
-    assert store.behaviour("a") == AreaBehaviour(keep_out=True)
-    assert store.behaviour("nowhere") == AreaBehaviour()
+    assert store.behavior("a") == AreaBehavior(keep_out=True)
+    assert store.behavior("nowhere") == AreaBehavior()
 
 
 def test_the_current_map_must_exist(store: Store) -> None:
@@ -185,9 +185,9 @@ HEAD = {"midspan": "map", "version": 1, "width": 30, "height": 20, "resolution":
         (AREA, b'{"points": {}}'),
         (AREA, b'{"points": [' + b"[0,0]," * 10_000 + b"[0,0]]}"),
         (PATH, b'{"waypoints": [1]}'),
-        (BEHAVIOUR, b'{"max_speed": 0}'),
-        (BEHAVIOUR, b'{"keep_out": "yes"}'),
-        (BEHAVIOUR, b'{"on_obstacle": "jump"}'),
+        (BEHAVIOR, b'{"max_speed": 0}'),
+        (BEHAVIOR, b'{"keep_out": "yes"}'),
+        (BEHAVIOR, b'{"on_obstacle": "jump"}'),
         (LINK, b'{"from": "a", "to": "a"}'),
         (LINK, b'{"from": "a", "to": "b", "cost": -1}'),
         (CURRENT, b'{"map": null}'),

@@ -36,8 +36,8 @@ SPOTS = (FREE, (7.5, 4.8), (3.0, 7.4))
 NEAR = 0.4
 PIXELS = """
 const canvas = document.querySelector("canvas");
-const [colour] = getComputedStyle(document.documentElement).getPropertyValue(arguments[0]).match(/[0-9a-f]{6}/);
-const [r, g, b] = [0, 2, 4].map((at) => parseInt(colour.slice(at, at + 2), 16));
+const [color] = getComputedStyle(document.documentElement).getPropertyValue(arguments[0]).match(/[0-9a-f]{6}/);
+const [r, g, b] = [0, 2, 4].map((at) => parseInt(color.slice(at, at + 2), 16));
 const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
 let count = 0;
 for (let i = 0; i < data.length; i += 4) count += data[i] === r && data[i + 1] === g && data[i + 2] === b;
@@ -126,9 +126,9 @@ class Operator:
         until(lambda: canvas.is_displayed() and canvas.size["width"] > 100, "the map is shown")
         return canvas
 
-    def pixels(self, colour: str) -> int:
+    def pixels(self, color: str) -> int:
         """Return the number of pixels of the map in a color of the style."""
-        count: int = self.chrome.execute_script(PIXELS, colour)
+        count: int = self.chrome.execute_script(PIXELS, color)
         return count
 
     def middle(self) -> list[int]:
@@ -426,8 +426,8 @@ def test_an_area_is_drawn_with_the_keyboard(operator: Operator, watch: TestPage)
 def test_a_map_is_exported_and_imported(operator: Operator, watch: TestPage, tmp_path: Path) -> None:
     watch.watch("maps")
     name = watch.value("maps")["current"]
-    behaviour = {"behavior": "allow", "downloadPath": str(tmp_path)}
-    operator.chrome.execute_cdp_cmd("Page.setDownloadBehavior", behaviour)
+    behavior = {"behavior": "allow", "downloadPath": str(tmp_path)}
+    operator.chrome.execute_cdp_cmd("Page.setDownloadBehavior", behavior)
     operator.open("places")
     operator.button(f"Export the map {name}").click()
     packed = tmp_path / f"{name}.zip"

@@ -331,7 +331,7 @@ def test_a_goal_without_a_reply_is_canceled(desk: Desk, monkeypatch: pytest.Monk
             until(is_sent, "the gateway receives the goal")
             assert "the gateway did not accept or reject the goal within 0.5 s" in reply["error"]
         gateway.may_answer.set()
-        assert gateway.cancelled.wait(30)
+        assert gateway.canceled.wait(30)
     finally:
         gateway.may_answer.set()
         gateway.close()
@@ -342,7 +342,7 @@ class LateGateway(HubNode):
 
     def __init__(self, settings: Any) -> None:
         super().__init__(settings)
-        self.asked, self.may_answer, self.cancelled = threading.Event(), threading.Event(), threading.Event()
+        self.asked, self.may_answer, self.canceled = threading.Event(), threading.Event(), threading.Event()
         self.on(lambda: self.node.action_server(ACTION, NAVIGATE, self._on_message, self._cancel))
 
     def _on_message(self, goal: Goal) -> bool:
@@ -352,7 +352,7 @@ class LateGateway(HubNode):
         return True
 
     def _cancel(self, goal: Goal) -> bool:
-        self.cancelled.set()
+        self.canceled.set()
         self.loop.post(lambda: goal.canceled({}))
         return True
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, PATH
+from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, LOCATION, MAP, PATH
 from bridge.stores.store import Store, Write
 from tests.peers.browser.page import TestPage
 from tests.web.conftest import Desk
-from yarp_compat.dev.extras import AreaBehaviour
+from yarp_compat.dev.extras import AreaBehavior
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.sig.vec2d import Vec2D
@@ -63,18 +63,18 @@ def test_all_kinds_are_renamed_and_deleted(page: TestPage, store: Store) -> None
     desk, path = Map2DLocation("house", 1.0), Map2DPath([Map2DLocation("house", 1.0)])
     store.write([
         Write(LOCATION, "desk", desk), Write(AREA, "hall", HALL), Write(PATH, "way", path),
-        Write(BEHAVIOUR, "hall", AreaBehaviour(keep_out=True)),
+        Write(BEHAVIOR, "hall", AreaBehavior(keep_out=True)),
     ])  # fmt: skip
     assert page.call("rename_place", name="desk", to="my desk")["ok"]
     assert page.call("rename_place", name="hall", to="lobby", kind="area")["ok"]
     assert page.call("rename_place", name="way", to="round", kind="path")["ok"]
     places = page.value("places", lambda value: "round" in value["paths"])
     assert [list(places[kind]) for kind in ("locations", "areas", "paths")] == [["my desk"], ["lobby"], ["round"]]
-    assert store.get(BEHAVIOUR, "lobby") == AreaBehaviour(keep_out=True)
+    assert store.get(BEHAVIOR, "lobby") == AreaBehavior(keep_out=True)
     for kind, name in (("location", "my desk"), ("area", "lobby"), ("path", "round")):
         assert page.call("delete_place", name=name, kind=kind)["ok"]
     page.value("places", lambda value: value == {"locations": {}, "areas": {}, "paths": {}})
-    assert store.names(BEHAVIOUR) == []
+    assert store.names(BEHAVIOR) == []
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from yarp_compat.ports.naming import LocalNaming, PortError
 from yarp_compat.pythonic import Client, Reader, Server, Writer
 from yarp_compat.wire import binary
 from yarp_compat.wire.profile import Profile
-from yarp_compat.wire.reply import recognise
+from yarp_compat.wire.reply import recognize
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def test_replies_are_in_the_dialect_of_the_client(naming: LocalNaming) -> None:
                 client.core.connections.outputs[0].profile = profile
                 answer = client.core.request(binary.encode([3.0], profile))
                 assert binary.decode(answer, profile) == [1.5]
-                assert recognise(answer) is profile
+                assert recognize(answer) is profile
 
 
 def test_a_reader_may_reply(naming: LocalNaming) -> None:

@@ -69,7 +69,7 @@ OUTPUTS = {
         again True 1
         missing False
         property True
-        colour red
+        color red
         admin True "/tools/two"
         gone False False
     """,

@@ -153,21 +153,21 @@ def test_timers_end_the_wait_of_a_step_and_its_limit_ends_it_before_a_timer(loop
     assert runs == ["soon"]
 
 
-def test_cancelled_timers_do_not_run_and_are_not_kept(loop: SelectorLoop) -> None:
+def test_canceled_timers_do_not_run_and_are_not_kept(loop: SelectorLoop) -> None:
     runs = list[str]()
     last = loop.call_later(0.0, lambda: runs.append("last"))
-    cancelled = [loop.call_later(0.0, lambda: runs.append("cancelled")) for _ in range(1000)]
-    for timer in cancelled:
+    canceled = [loop.call_later(0.0, lambda: runs.append("canceled")) for _ in range(1000)]
+    for timer in canceled:
         loop.cancel(timer)
         loop.cancel(timer)
     assert len(loop._timers) < 40
     loop.step(0.0)
     assert runs == ["last"]
     loop.cancel(last)
-    assert loop._cancelled == 0
+    assert loop._canceled == 0
 
 
-def test_a_timer_cancelled_by_an_earlier_one_of_the_same_step_does_not_run(loop: SelectorLoop) -> None:
+def test_a_timer_canceled_by_an_earlier_one_of_the_same_step_does_not_run(loop: SelectorLoop) -> None:
     runs = list[str]()
     loop.call_later(0.0, lambda: loop.cancel(second))
     second = loop.call_later(0.0, lambda: runs.append("second"))

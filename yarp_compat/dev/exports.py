@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from yarp_compat.dev.extras import AreaBehaviour, MapLink
+from yarp_compat.dev.extras import AreaBehavior, MapLink
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapfile import decimal
 from yarp_compat.dev.places import Places
@@ -19,7 +19,7 @@ from yarp_compat.dev.places import Places
 
 def to_geojson(
     places: Places,
-    behaviours: Mapping[str, AreaBehaviour] | None = None,
+    behaviors: Mapping[str, AreaBehavior] | None = None,
     links: Mapping[str, MapLink] | None = None,
     map_name: str = "",
 ) -> str:
@@ -29,7 +29,7 @@ def to_geojson(
     """
     features = [
         feature
-        for feature in (*_points(places), *_areas(places, behaviours or {}), *_lines(places, links or {}))
+        for feature in (*_points(places), *_areas(places, behaviors or {}), *_lines(places, links or {}))
         if map_name in ("", feature["properties"]["map"])
     ]
     return json.dumps({"type": "FeatureCollection", "features": features}, indent=1, ensure_ascii=False) + "\n"
@@ -76,12 +76,12 @@ def _points(places: Places) -> Iterable[dict[str, Any]]:
         )  # fmt: skip
 
 
-def _areas(places: Places, behaviours: Mapping[str, AreaBehaviour]) -> Iterable[dict[str, Any]]:
+def _areas(places: Places, behaviors: Mapping[str, AreaBehavior]) -> Iterable[dict[str, Any]]:
     for name, area in sorted(places.areas.items()):
         corners = [[point.x, point.y] for point in area.points]
         turns = sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(corners, [*corners[1:], *corners[:1]], strict=True))
         ring = corners if turns >= 0 else corners[::-1]  # RFC 7946: an outer ring goes counterclockwise
-        rules = behaviours.get(name, AreaBehaviour())
+        rules = behaviors.get(name, AreaBehavior())
         yield _feature(
             "area", name, area.map_id, "Polygon", [[*ring, *ring[:1]]] if ring else [],
             description=area.description, max_speed=rules.max_speed, on_obstacle=rules.on_obstacle,

@@ -24,7 +24,7 @@ _SECTIONS = ("Behaviours:", "Links:")
 class Extras(TextFile):
     """The content of such a file: behaviors by the names of their areas, links by their own names."""
 
-    behaviours: dict[str, AreaBehaviour] = field(default_factory=dict)
+    behaviors: dict[str, AreaBehavior] = field(default_factory=dict)
     links: dict[str, MapLink] = field(default_factory=dict)
 
     @classmethod
@@ -47,7 +47,7 @@ class Extras(TextFile):
     @override
     def to_text(self) -> str:
         lines = ["Version:", "1", "Behaviours:"]
-        lines += [f"{value_text(name)} {rules.to_text()}" for name, rules in sorted(self.behaviours.items())]
+        lines += [f"{value_text(name)} {rules.to_text()}" for name, rules in sorted(self.behaviors.items())]
         lines.append("Links:")
         for name, link in sorted(self.links.items()):
             lines.append(" ".join([*map(value_text, (name, link.first, link.second)), decimal(link.cost)]))
@@ -56,15 +56,15 @@ class Extras(TextFile):
     def _add_line(self, section: str, line: str) -> None:
         elements = from_text(line)
         name = str(elements[0])
-        if name in (self.links if section == "Links:" else self.behaviours):
+        if name in (self.links if section == "Links:" else self.behaviors):
             raise ValueError(f"{name!r} is defined twice")
         if section == "Links:":
             _, first, second, cost = elements
             self.links[name] = MapLink(str(first), str(second), float(cost))
         elif section == "Behaviours:":
             # without the name, which may contain a setting's name
-            rules = AreaBehaviour.from_text(" ".join(map(str, elements[1:])))
-            self.behaviours[name] = rules or AreaBehaviour()
+            rules = AreaBehavior.from_text(" ".join(map(str, elements[1:])))
+            self.behaviors[name] = rules or AreaBehavior()
         else:
             raise ValueError("the line precedes the sections Behaviours: and Links:")
 
@@ -80,7 +80,7 @@ _TRUTH = {None: True, "1": True, "true": True, "yes": True, "0": False, "false":
 
 
 @dataclass(frozen=True)
-class AreaBehaviour:
+class AreaBehavior:
     """The rules of an area."""
 
     # meters per second, above 0; None if the area sets no limit. Closed areas have `keep_out`, as a limit of 0 means
@@ -97,7 +97,7 @@ class AreaBehaviour:
             raise ValueError(f"on_obstacle must be wait or around, not {self.on_obstacle!r}")
 
     @classmethod
-    def from_text(cls, text: str) -> AreaBehaviour | None:
+    def from_text(cls, text: str) -> AreaBehavior | None:
         """Parse the rules in a description; None if it has none. Raises `ValueError` for invalid ones."""
         settings: dict[str, str | None] = {}
         for setting in _SETTING.finditer(text):

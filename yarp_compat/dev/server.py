@@ -128,7 +128,7 @@ class Server:
         """Decide the generation of the reply from the request and the connection."""
         generations = self.generations
         if dialect is not generations.of(peer, profile, link).generation.profile:
-            generations.recognised(peer, dialect, link)
+            generations.recognized(peer, dialect, link)
         if generations.of(peer, profile, link).generation.profile is Profile.YARP3:
             if call.since is not None:
                 generations.called(peer, call.name, call.since, link)

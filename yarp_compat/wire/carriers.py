@@ -81,7 +81,7 @@ def parse(text: str) -> tuple[Carrier, str]:
     return carrier, qualifiers
 
 
-def recognise(opening: bytes | bytearray | memoryview) -> Carrier:
+def recognize(opening: bytes | bytearray | memoryview) -> Carrier:
     """Return the carrier of the first 8 bytes; raises `CarrierError` if unsupported, `WireError` for other bytes."""
     first = bytes(opening[:8])
     value = framed(first)
@@ -151,7 +151,7 @@ def parse_opening(data: bytes | bytearray) -> Opening | None:
     """
     if len(data) < 8:
         return None
-    carrier = recognise(data)
+    carrier = recognize(data)
     if carrier is HTTP or carrier is NAME_SER:
         return Opening(carrier, "web" if carrier is HTTP else "anon", "", 0)
     return _text_opening(carrier, data) if carrier.text else _binary_opening(carrier, data)

@@ -221,7 +221,7 @@ class Generations:
         else:
             self._remember(link, GenerationDecision(peer, Generation.YARP_4, f"{request}, as clients of 4.0 do"))
 
-    def recognised(self, peer: str, profile: Profile, link: PeerAddress = _NOWHERE) -> None:
+    def recognized(self, peer: str, profile: Profile, link: PeerAddress = _NOWHERE) -> None:
         """Record that the client writes bytes that only this profile has; they override even an introduction.
 
         (Clients of custom services may introduce themselves in 3.12 too.)

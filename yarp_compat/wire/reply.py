@@ -85,7 +85,7 @@ def plain_end(data: Buffer, profile: Profile | None) -> int:
     return 8 + count * size if size and count >= 0 else 0
 
 
-def recognise(data: Buffer) -> Profile | None:
+def recognize(data: Buffer) -> Profile | None:
     """Return the only profile that fits all bytes of a Bottle; None if both do. Raises `WireError` if none does."""
     fits: list[Profile] = []
     wrong: WireError | None = None

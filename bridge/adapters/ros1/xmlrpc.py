@@ -243,7 +243,7 @@ class XmlRpcServer:
             self._serve(connection, body)
         else:
             call = self._pool.submit(lambda: self._serve(connection, body))
-            call.add_done_callback(lambda future: self._on_cancelled(connection) if future.cancelled() else None)
+            call.add_done_callback(lambda future: self._on_canceled(connection) if future.cancelled() else None)
 
     def _reject(self, connection: _Connection, status: http.HTTPStatus) -> None:
         connection.persistent = False
@@ -251,7 +251,7 @@ class XmlRpcServer:
         line = f"HTTP/1.1 {status.value} {status.phrase}\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
         self._respond(connection, line.encode())
 
-    def _on_cancelled(self, connection: _Connection) -> None:
+    def _on_canceled(self, connection: _Connection) -> None:
         """Close a connection whose call no thread makes, on any thread."""
         self._loop.call_soon(lambda: self._close(connection) if connection in self._connections else None)
 

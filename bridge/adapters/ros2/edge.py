@@ -14,12 +14,12 @@ from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.environment import domain
-from bridge.adapters.ros2.graph import middlewares, neighbours, spdp, vendors
+from bridge.adapters.ros2.graph import middlewares, neighbors, spdp, vendors
 from bridge.adapters.ros2.graph.announcements import Announcements
 from bridge.adapters.ros2.graph.graph import GraphSnapshot, Ros2Graph, is_hidden
 from bridge.adapters.ros2.graph.heartbeats import Heartbeats
 from bridge.adapters.ros2.graph.interfaces import InterfaceWatch
-from bridge.adapters.ros2.graph.neighbours import ProcessWatch
+from bridge.adapters.ros2.graph.neighbors import ProcessWatch
 from bridge.adapters.ros2.graph.origins import Origins, new_prefix, participant_number
 from bridge.adapters.ros2.graph.presence import TYPE, PresenceTopic
 from bridge.adapters.ros2.loop import EpollReadLoop, WaitSetReadLoop
@@ -81,7 +81,7 @@ class Ros2Edge(SideEdge):
         self._lock = threading.Lock()
         self._ends: set[Ros2Subscription | Ros2Publisher | Ros2Caller | Ros2Server] = set()
         self._prefix = b""
-        self._neighbours: neighbours.MemoryNeighbours | None = None
+        self._neighbors: neighbors.MemoryNeighbors | None = None
         self._interfaces: InterfaceWatch | None = None
         self._context: Ros2Context | None = None
         self._origins: Origins | None = None
@@ -92,16 +92,14 @@ class Ros2Edge(SideEdge):
     def start(self, listener: EdgeListener) -> None:
         """Join the DDS network, which is always available; takes about half a second."""
         self._listener = listener
-        removed = neighbours.clean()
+        removed = neighbors.clean()
         if removed:
             _log.info("removed %d shared-memory segments of dead ROS 2 processes", removed)
         profile, number = use_profile(self._config, self._state), domain(self._config, os.environ)
         self._prefix, later = profile.prefix, DelayedCalls("midspan-ros2-later")
         if profile.segment and self._config.ros2.transport == "auto" and self._config.ros2.profile is None:
             major = current().fast_dds_major
-            self._neighbours = neighbours.MemoryNeighbours(
-                self._prefix, major, number, self._leave_shared_memory, later
-            )
+            self._neighbors = neighbors.MemoryNeighbors(self._prefix, major, number, self._leave_shared_memory, later)
         if not self._localhost_only:
             self._interfaces = InterfaceWatch(self._use_new_addresses, later)
         participant = Participant(self._config.ros2.node, number)
@@ -155,14 +153,14 @@ class Ros2Edge(SideEdge):
         """Remove the shared-memory ports of dead predecessors, except those with this participant's number."""
         numbers = {participant_number(prefix) for prefix in past} - {participant_number(self._prefix)}
         of_domain = domain(self._config, os.environ)
-        neighbours.clean_ports(port for number in numbers for port in spdp.unicast_ports(of_domain, number))
+        neighbors.clean_ports(port for number in numbers for port in spdp.unicast_ports(of_domain, number))
 
     def _changed(self, snapshot: GraphSnapshot) -> None:
         context = self._context
         if context is not None:
             context.heartbeats.follow(snapshot.endpoints)
-        if self._neighbours is not None:
-            self._neighbours.follow(snapshot.participants)
+        if self._neighbors is not None:
+            self._neighbors.follow(snapshot.participants)
         with self._lock:
             ends = list(self._ends)
         for end in ends:
@@ -195,7 +193,7 @@ class Ros2Edge(SideEdge):
         return presence is not None and presence.settled(since)
 
     def _leave_shared_memory(self) -> None:
-        neighbours.prefer_udp(self._state / "ros2")
+        neighbors.prefer_udp(self._state / "ros2")
         if self._listener is not None:
             self._listener.edge_failed(
                 "shared memory cannot reach ROS 2 nodes of another user or container: restarting with UDP only"
@@ -208,7 +206,7 @@ class Ros2Edge(SideEdge):
             return
         context.graph.stop()
         presence, self._presence = self._presence, None
-        watch, self._neighbours = self._neighbours, None
+        watch, self._neighbors = self._neighbors, None
         announcements, self._announcements = self._announcements, None
         for part in (presence, watch, announcements):
             if part is not None:
@@ -375,7 +373,7 @@ class Ros2Edge(SideEdge):
 
     def _over_udp(self) -> list[str]:
         """Return a warning if participants on this machine have another major version of Fast DDS."""
-        watch = self._neighbours
+        watch = self._neighbors
         count = 0 if watch is None else watch.on_other_major()
         if not count:
             return []

@@ -28,7 +28,7 @@ from xml.etree import ElementTree as ET
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.environment import STATIC_PEERS, SWITCHES, UNSET
-from bridge.adapters.ros2.graph import neighbours
+from bridge.adapters.ros2.graph import neighbors
 from bridge.adapters.ros2.graph.origins import new_prefix, participant_number, stored_prefixes
 from bridge.adapters.ros2.graph.spdp import MULTICAST, PARTICIPANTS
 from bridge.adapters.ros2.releases import current
@@ -192,14 +192,14 @@ def _segment(config: Config, state: Path) -> int:
     if transport == "udp":
         return 0
     major = current().fast_dds_major
-    if transport == "auto" and (neighbours.has_other_users(major) or neighbours.prefers_udp(state / "ros2")):
+    if transport == "auto" and (neighbors.has_other_users(major) or neighbors.prefers_udp(state / "ros2")):
         return 0
-    size = neighbours.segment_size()
+    size = neighbors.segment_size()
     if not size and config.ros2.profile is None:
         _log.warning(
             "Fast DDS uses only UDP: %s has no room for its shared memory (%d MB); make room there, then restart this"
             " worker",
             FOLDER,
-            8 * neighbours.SMALLEST_SEGMENT // 1_000_000,
+            8 * neighbors.SMALLEST_SEGMENT // 1_000_000,
         )
     return size

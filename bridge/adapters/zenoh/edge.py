@@ -16,7 +16,7 @@ import zenoh
 from typing_extensions import override
 
 from bridge.adapters.side_edge import SideEdge
-from bridge.adapters.zenoh.neighbours import KeyNeighbours, new_zid, remember
+from bridge.adapters.zenoh.neighbors import KeyNeighbors, new_zid, remember
 from bridge.adapters.zenoh.topics import Announcement, KeyContext
 from bridge.concurrency import DelayedCalls, SerialExecutor
 from bridge.config.model import Config
@@ -75,7 +75,7 @@ class KeyEdge(SideEdge):
         self._lock = threading.Lock()
         self._endpoints: set[OwnEndpoint] = set()
         self._context: KeyContext | None = None
-        self._presence: KeyNeighbours | None = None
+        self._presence: KeyNeighbors | None = None
         self._linked_since: float | None = None
         self._stopping = threading.Event()
         self._ticker = threading.Thread(target=self._tick_on, name=f"midspan-{self.side}-tick", daemon=True)
@@ -136,7 +136,7 @@ class KeyEdge(SideEdge):
         self._context = KeyContext(session, limit, executor, ends, delays, small, bulk, self._unregister)
         past = remember(str(session.zid()), self._file)
         changed = self._listener.graph_changed, self._listener.presence_changed
-        self._presence = KeyNeighbours(session, self.side, self._scope, past, *changed)
+        self._presence = KeyNeighbors(session, self.side, self._scope, past, *changed)
         self.opened(session)
         self.away = ""
 
@@ -177,8 +177,8 @@ class KeyEdge(SideEdge):
             if self._stopping.is_set() or (not self._open_client() and self._stopping.wait(RETRY_SECONDS)):
                 return
         while not self._stopping.wait(TICK):
-            context, neighbours = self._context, self._presence
-            if context is None or neighbours is None:
+            context, neighbors = self._context, self._presence
+            if context is None or neighbors is None:
                 return
             try:
                 info = context.session.info
@@ -187,7 +187,7 @@ class KeyEdge(SideEdge):
                     self._linked_since = time.monotonic() if linked else None
                     self._graph_changed()
                 now = time.monotonic()
-                neighbours.tick(now)
+                neighbors.tick(now)
                 self.tick(now)
             except Exception:
                 _log.exception("%s: periodic work failed", self.side)
@@ -208,16 +208,16 @@ class KeyEdge(SideEdge):
     @override
     def is_own_network(self, origin: Origin) -> bool:
         """Return whether the origin's session is this session or another session on this network."""
-        neighbours = self._presence
-        return origin.side == self.side and (neighbours is None or neighbours.is_own(origin.network))
+        neighbors = self._presence
+        return origin.side == self.side and (neighbors is None or neighbors.is_own(origin.network))
 
     @override
     def settled(self, since: float) -> bool:
         """Return whether the network's routers and peers have replied with all tokens that existed at ``since``."""
-        linked, neighbours = self._linked_since, self._presence
-        if linked is None or neighbours is None or time.monotonic() - linked < LINK_SECONDS:
+        linked, neighbors = self._linked_since, self._presence
+        if linked is None or neighbors is None or time.monotonic() - linked < LINK_SECONDS:
             return False
-        return neighbours.settled(since)
+        return neighbors.settled(since)
 
     def register(self, endpoint: AnyEndpoint, prepare: Callable[[], None] = nothing) -> AnyEndpoint:
         """Prepare and announce an endpoint that closes with the edge; returns it."""

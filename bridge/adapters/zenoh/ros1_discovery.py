@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import zenoh
 
-from bridge.adapters.zenoh.neighbours import is_marked, sender
+from bridge.adapters.zenoh.neighbors import is_marked, sender
 from bridge.hub.errors import HubWireError
 from bridge.hub.zenoh_compat import source_infos, subscribe, undeclare
 from bridge.messages.definitions.names import is_ros1_name

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import zenoh
 
 from bridge.adapters.zenoh import ros2dds_tokens as tokens
-from bridge.adapters.zenoh.neighbours import is_marked, sender
+from bridge.adapters.zenoh.neighbors import is_marked, sender
 from bridge.adapters.zenoh.ros2dds_tokens import (
     ACTION_PARTS,
     Token,

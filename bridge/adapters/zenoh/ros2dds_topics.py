@@ -14,7 +14,7 @@ from collections.abc import Callable
 import zenoh
 from typing_extensions import override
 
-from bridge.adapters.zenoh.neighbours import sender, time_ns
+from bridge.adapters.zenoh.neighbors import sender, time_ns
 from bridge.adapters.zenoh.topics import Announcement, KeyContext, KeySubscription, PlainSink, SourceOf, priority
 from bridge.concurrency import DelayedCalls
 from bridge.hub.endpoints.latched import LatchedHistory, LatchedPublisher, is_newer

@@ -12,7 +12,7 @@ from typing import Any
 import zenoh
 
 from bridge.adapters.latched_cache import LatchedCache
-from bridge.adapters.zenoh.neighbours import is_marked, sender, time_ns
+from bridge.adapters.zenoh.neighbors import is_marked, sender, time_ns
 from bridge.concurrency import DelayedCalls, SerialExecutor
 from bridge.hub.endpoints.calls import nothing
 from bridge.hub.wire.qos import Qos

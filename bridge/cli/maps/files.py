@@ -10,7 +10,7 @@ from typing import Any
 from bridge.cli.arguments import add_verb
 from bridge.cli.maps.store import named_map, open_stored
 from bridge.cli.output import CliError
-from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LINK, LOCATION, MAP, MAP3D, OBJECT, PATH
+from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, LINK, LOCATION, MAP, MAP3D, OBJECT, PATH
 from bridge.stores.service import FORMS_3D, read_files
 from bridge.stores.store import THE_MAP, Write
 from bridge.text import clean
@@ -103,7 +103,7 @@ def register_location_export(verbs: Any) -> None:
     """Add the verb's parser."""
     parser = add_verb(
         verbs, "export", _export_locations, "write locations, areas, paths and objects to a file",
-        "Writes .ini for YARP's map storage (all maps; behaviours and links go into a file beside it), .geojson, or"
+        "Writes .ini for YARP's map storage (all maps; behaviors and links go into a file beside it), .geojson, or"
         " .yaml: the locations as waypoints for Nav2.",
         example="midspan location export house.geojson --map house",
     )  # fmt: skip
@@ -117,14 +117,14 @@ def _export_locations(args: argparse.Namespace) -> int:
         raise CliError(f"{args.file}: use the ending .ini (YARP, all maps), .geojson or .yaml (waypoints for Nav2)")
     with open_stored(args) as (_, stored):
         places = Places(stored.all(LOCATION), stored.all(OBJECT), stored.all(AREA), stored.all(PATH))
-        extras = Extras(stored.all(BEHAVIOUR), stored.all(LINK))
+        extras = Extras(stored.all(BEHAVIOR), stored.all(LINK))
         map_name = args.map or (stored.current_map() if form in (".yaml", ".yml") else "")
     try:
         if form == ".ini":
             places.save(args.file)
             extras.save(extras_file(args.file))
         elif form == ".geojson":
-            write(args.file, to_geojson(places, extras.behaviours, extras.links, map_name))
+            write(args.file, to_geojson(places, extras.behaviors, extras.links, map_name))
         else:
             chosen = {
                 name: location for name, location in places.locations.items() if map_name in ("", location.map_id)

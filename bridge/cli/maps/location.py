@@ -98,7 +98,7 @@ def _remove(args: argparse.Namespace) -> int:
 def _rows(stored: StoreClient, only: str | None) -> list[dict[str, Any]]:
     rows = []
     locations = stored.all(kinds.LOCATION) if only in (None, "location", "link") else {}
-    behaviours = stored.all(kinds.BEHAVIOUR) if only in (None, "area") else {}
+    behaviors = stored.all(kinds.BEHAVIOR) if only in (None, "area") else {}
     for name, kind in KINDS.items():
         if only not in (None, name):
             continue
@@ -107,8 +107,8 @@ def _rows(stored: StoreClient, only: str | None) -> list[dict[str, Any]]:
             row: dict[str, Any] = {"kind": name, "name": key, "maps": _maps(name, entry, locations), "value": entry}
             if isinstance(value, Map2DLocation) and (dock := dock_of(value)) is not None:
                 row["dock"] = {"type": dock.type}
-            if name == "area" and key in behaviours:
-                row["behaviour"] = dict(kinds.behaviour_json(behaviours[key]))
+            if name == "area" and key in behaviors:
+                row["behaviour"] = dict(kinds.behavior_json(behaviors[key]))
             rows.append(row)
     return rows
 

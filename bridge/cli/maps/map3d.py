@@ -98,7 +98,7 @@ def export(args: argparse.Namespace) -> int:
     form = args.file.suffix.lower()
     try:
         if form in (".pcd", ".ply"):
-            cloud = value if isinstance(value, PointCloud) else _centres(value)
+            cloud = value if isinstance(value, PointCloud) else _centers(value)
             data = write_pcd(cloud) if form == ".pcd" else write_ply(cloud)
         else:
             octomap = _voxels(value, args.resolution) if isinstance(value, PointCloud) else value
@@ -123,7 +123,7 @@ def named_map3d(stored: StoreClient, name: str | None) -> tuple[str, Map3D]:
     return name, value
 
 
-def _centres(octomap: Octomap) -> PointCloud:
+def _centers(octomap: Octomap) -> PointCloud:
     voxels = octomap.voxels()
     points = np.zeros(int(voxels.occupied.sum()), LAYOUTS[PointType.XYZ])
     for axis, name in enumerate("xyz"):

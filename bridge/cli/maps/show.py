@@ -85,5 +85,5 @@ def draw(
 
     console = make_console()
     width = args.width or (console.width if console.is_terminal else _PLAIN_WIDTH)
-    for line in drawing.lines(grid, locations, areas, width, coloured=console.is_terminal, path=path):
+    for line in drawing.lines(grid, locations, areas, width, colored=console.is_terminal, path=path):
         console.print(line, soft_wrap=True)

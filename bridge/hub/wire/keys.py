@@ -5,7 +5,7 @@ is one chunk of the key, so that its slashes become ``%`` (rmw_zenoh, docs/desig
 rmw_zenoh writes ``TypeHashNotSupported`` in tokens and keys (rmw_zenoh_cpp 0.1.9, rmw_publisher_data.cpp).
 
 The attachment has 33 bytes since Jazzy's 0.2.4: the sequence number and the source time (int64, little endian), then
-the GID as zenoh's serialisation writes an array: its length (16) in one byte, and the bytes (rmw_zenoh_cpp,
+the GID as zenoh's serialization writes an array: its length (16) in one byte, and the bytes (rmw_zenoh_cpp,
 attachment_helpers.cpp).
 """
 

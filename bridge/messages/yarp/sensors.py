@@ -55,7 +55,7 @@ class _Scan:
 
 
 _UINT32, _FLOAT32 = 6, 7
-_COLOURS = ("rgba", "rgb")
+_COLORS = ("rgba", "rgb")
 _NUMBERS = {name for layout in LAYOUTS.values() for name in layout.names or ()}
 _CHOICE = (
     (PointType.XYZ_NORMAL_RGBA, {"x", "y", "z", "normal_x", "color"}),
@@ -116,13 +116,13 @@ def _points(message: Mapping[str, Any]) -> np.ndarray:
     names: list[str] = []
     formats: list[str] = []
     offsets: list[int] = []
-    for field in sorted(message["fields"], key=lambda field: field["name"] not in _COLOURS):
+    for field in sorted(message["fields"], key=lambda field: field["name"] not in _COLORS):
         name, offset = field["name"], field["offset"]
-        colour = name in _COLOURS and FORMATS.get(field["datatype"]) in ("u4", "i4", "f4")
-        if name in names or (colour and "b" in names) or not (colour or name in _NUMBERS):
+        color = name in _COLORS and FORMATS.get(field["datatype"]) in ("u4", "i4", "f4")
+        if name in names or (color and "b" in names) or not (color or name in _NUMBERS):
             continue
         letters = number_format(message, field)
-        if not colour:
+        if not color:
             names.append(name)
             formats.append(letters)
             offsets.append(offset)

@@ -58,15 +58,15 @@ PALETTES = {
 CLEAR = {"occupancy": _UNKNOWN_CELL, "flags": 0}
 """The cell value that is transparent, per kind of image."""
 
-_GREYS = np.full(256, _UNKNOWN_CELL, np.uint8)
-_GREYS[:_LEVELS] = np.arange(_LEVELS)
+_GRAYS = np.full(256, _UNKNOWN_CELL, np.uint8)
+_GRAYS[:_LEVELS] = np.arange(_LEVELS)
 _TINT_OF = np.zeros(256, np.uint8)
 _TINT_OF[list(_TINTS)] = np.arange(1, len(_TINTS) + 1)
 
 
 def occupancy_picture(grid: MapGrid2D) -> Cells:
     """Return the color of each cell (height, width): 0 free to 100 occupied, 101 unknown."""
-    cells = _GREYS[np.asarray(grid.occupancy, np.uint8)]
+    cells = _GRAYS[np.asarray(grid.occupancy, np.uint8)]
     cells[grid.flags == MapFlag.WALL] = _LEVELS - 1
     cells[grid.flags == MapFlag.UNKNOWN] = _UNKNOWN_CELL
     return cells
@@ -123,9 +123,9 @@ def _png(cells: Cells, palette: Palette) -> bytes:
     return out.getvalue()
 
 
-def _recolored(png: bytes, colours: bytes) -> bytes:
+def _recolored(png: bytes, colors: bytes) -> bytes:
     """Replace the palette of a PNG (ISO/IEC 15948: chunk PLTE), so that nothing is compressed again."""
     at = png.index(b"PLTE")
     (length,) = struct.unpack(">I", png[at - 4 : at])
-    chunk = b"PLTE" + colours[:length].ljust(length, b"\0")
+    chunk = b"PLTE" + colors[:length].ljust(length, b"\0")
     return png[:at] + chunk + struct.pack(">I", zlib.crc32(chunk)) + png[at + 8 + length :]

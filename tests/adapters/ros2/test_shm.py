@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.adapters.ros2.graph import neighbours
+from bridge.adapters.ros2.graph import neighbors
 
 HELD, DEAD, FRESH = "fastrtps_" + "a" * 16, "fastrtps_" + "b" * 16, "fastrtps_" + "c" * 16
 DEAD_3 = "fastdds_" + "b" * 16
@@ -32,7 +32,7 @@ def test_only_segments_of_dead_processes_are_removed(folder: Path) -> None:
     with (folder / f"{HELD}_el").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         before = set(folder.iterdir())
-        assert neighbours.clean(folder) == 2
+        assert neighbors.clean(folder) == 2
         removed = {path.name for path in before - set(folder.iterdir())}
         assert removed == {DEAD, f"{DEAD}_el", DEAD_3, f"{DEAD_3}_el"}
 
@@ -45,23 +45,23 @@ def test_ports_of_dead_predecessors_are_removed_unless_in_use(folder: Path, name
     before = set(folder.iterdir())
     with (folder / f"{name}_port7415_el").open() as used:
         fcntl.flock(used, fcntl.LOCK_SH)
-        neighbours.clean_ports([7413, 7415, 7417], folder)
+        neighbors.clean_ports([7413, 7415, 7417], folder)
         removed = {path.name for path in before - set(folder.iterdir())}
     assert removed == {f"{name}_port7413", f"{name}_port7413_el", f"sem.{name}_port7413_mutex"}
-    neighbours.clean_ports([7415], folder)
+    neighbors.clean_ports([7415], folder)
     assert not list(folder.glob("*7415*"))
 
 
 def test_other_users_count_only_while_they_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: mine + 1)
-    assert not neighbours.has_other_users(2, folder)
+    assert not neighbors.has_other_users(2, folder)
     with (folder / f"{HELD}_el").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        assert neighbours.has_other_users(2, folder)
-        assert not neighbours.has_other_users(3, folder), "Fast DDS 3 does not use the files of Fast DDS 2"
+        assert neighbors.has_other_users(2, folder)
+        assert not neighbors.has_other_users(3, folder), "Fast DDS 3 does not use the files of Fast DDS 2"
         monkeypatch.setattr(os, "getuid", lambda: mine)
-        assert not neighbours.has_other_users(2, folder)
+        assert not neighbors.has_other_users(2, folder)
 
 
 @pytest.mark.parametrize(("free_mb", "segment_mb"), [(100_000, 32), (512, 32), (256, 32), (64, 8), (63, 0), (0, 0)])
@@ -72,10 +72,10 @@ def test_the_segment_is_an_eighth_of_the_free_space(
     values = [*tuple(real)[:11]]
     values[1], values[4] = 4096, free_mb * 256
     monkeypatch.setattr(os, "statvfs", lambda _path: os.statvfs_result(values))
-    assert neighbours.segment_size() == segment_mb << 20
+    assert neighbors.segment_size() == segment_mb << 20
 
 
 def test_a_missing_folder_has_no_space(tmp_path: Path) -> None:
-    assert neighbours.segment_size(tmp_path / "none") == 0
-    assert neighbours.clean(tmp_path / "none") == 0
-    assert not neighbours.has_other_users(2, tmp_path / "none")
+    assert neighbors.segment_size(tmp_path / "none") == 0
+    assert neighbors.clean(tmp_path / "none") == 0
+    assert not neighbors.has_other_users(2, tmp_path / "none")

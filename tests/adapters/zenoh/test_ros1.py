@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from bridge.adapters.zenoh.neighbours import new_zid
+from bridge.adapters.zenoh.neighbors import new_zid
 from bridge.adapters.zenoh.ros1 import SETTLE, Ros1KeysEdge
 from bridge.adapters.zenoh.ros1_discovery import Aloha, AnnouncedTopic, data_key, discovery_key, parse
 from bridge.hub.errors import HubWireError

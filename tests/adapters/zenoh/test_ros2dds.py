@@ -9,7 +9,7 @@ import pytest
 import zenoh
 from zenoh import ext
 
-from bridge.adapters.zenoh.neighbours import is_marked, new_zid
+from bridge.adapters.zenoh.neighbors import is_marked, new_zid
 from bridge.adapters.zenoh.ros2dds_tokens import Token, action_key, parse, token_key
 from bridge.hub.errors import HubWireError
 from bridge.hub.wire.qos import Durability, History, Qos, Reliability

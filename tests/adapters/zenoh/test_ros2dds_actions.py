@@ -58,7 +58,7 @@ def test_from_the_hub_to_a_server_behind_a_bridge(place: Place) -> None:
     assert not [t for t in bridge.all_tokens() if "_action" in t]
 
 
-def test_a_goal_is_cancelled_at_a_server_behind_a_bridge(place: Place) -> None:
+def test_a_goal_is_canceled_at_a_server_behind_a_bridge(place: Place) -> None:
     bridge = place.ros2dds()
     server = ActionServer(bridge, "/lookup")
     place.bridge({"dialect": "ros2dds"})
@@ -112,8 +112,8 @@ def test_from_a_client_behind_a_bridge_to_a_server_of_the_hub(place: Place) -> N
     until(lambda: (place.on_node(lambda: goal.feedback({})), client.feedback)[1], "feedback", every=0.1)
     assert client.feedback[0]["goal_id"] == ID["goal_id"]
     result = client.ask("get_result", ID)
-    cancelled = answered("cancel_goal", {"goal_info": ID})
-    assert [info["goal_id"] for info in cancelled["goals_canceling"]] == [ID["goal_id"]]
+    canceled = answered("cancel_goal", {"goal_info": ID})
+    assert [info["goal_id"] for info in canceled["goals_canceling"]] == [ID["goal_id"]]
     assert not result.ended.wait(0.2)
     place.on_node(lambda: goal.canceled({"transform": {"child_frame_id": "half way"}}))
     reply = result.result()["reply"]

@@ -17,9 +17,9 @@ from PIL import Image
 
 from bridge.cli.maps import location
 from bridge.display import drawing
-from bridge.display.drawing import AREA_COLOUR, draw
+from bridge.display.drawing import AREA_COLOR, draw
 from bridge.messages.registry import Registry
-from bridge.stores.kinds import AREA, BEHAVIOUR, LINK, LOCATION, MAP, MAP3D, PATH
+from bridge.stores.kinds import AREA, BEHAVIOR, LINK, LOCATION, MAP, MAP3D, PATH
 from bridge.stores.store import Store
 from bridge.tf.stamped import TF, TF_TYPE, Stamped, write
 from tests.cli.conftest import Midspan
@@ -30,7 +30,7 @@ from tests.stores.parts import Shared
 from tests.support.missing import OCTOMAP, needs
 from tests.yarp_compat.test_octree import a_tree
 from yarp_compat.dev.docks import Dock, dock_of
-from yarp_compat.dev.extras import AreaBehaviour, MapLink
+from yarp_compat.dev.extras import AreaBehavior, MapLink
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.dev.places import Places
@@ -175,7 +175,7 @@ def test_all_kinds_are_listed_and_removed(midspan: Midspan, store: Store) -> Non
     store.put(LOCATION, "a", Map2DLocation("house", 1.0, 2.0, 45.0))
     store.put(LOCATION, "b", Map2DLocation("attic", 1.0, 2.0, 45.0))
     store.put(AREA, "zone", AREA_EXAMPLE)
-    store.put(BEHAVIOUR, "zone", AreaBehaviour(max_speed=0.2, on_obstacle="wait", keep_out=True))
+    store.put(BEHAVIOR, "zone", AreaBehavior(max_speed=0.2, on_obstacle="wait", keep_out=True))
     store.put(PATH, "round", Map2DPath([Map2DLocation("house"), Map2DLocation("attic")]))
     store.put(LINK, "lift", MapLink("a", "b", 12.0))
     rows = midspan("location", "list", "--json").json()
@@ -196,7 +196,7 @@ def test_all_kinds_are_listed_and_removed(midspan: Midspan, store: Store) -> Non
         "lift",
     ]
     assert midspan("location", "remove", "zone", "--kind", "area").code == 0
-    assert (store.names(AREA), store.names(BEHAVIOUR)) == ([], [])
+    assert (store.names(AREA), store.names(BEHAVIOR)) == ([], [])
     done = midspan("location", "remove", "aa")
     assert (done.code, done.err) == (1, "midspan: no location 'aa' is stored; those that are: a\n")
 
@@ -284,7 +284,7 @@ def test_the_picture_shows_flags_locations_and_areas(theta: float) -> None:
     assert image.size == (400, 300)
     assert image.getpixel((2, 2)) == (0, 0, 0)
     assert image.getpixel((55, 55)) == (255, 0, 0)
-    assert image.getpixel((300, 205)) == AREA_COLOUR
+    assert image.getpixel((300, 205)) == AREA_COLOR
     assert image.getpixel((205 + 30, 155 + 30)) == (254, 254, 254)
     pixels = np.asarray(image)[150:165, 200:215]
     assert (pixels == (0, 110, 0)).all(axis=2).any()
@@ -295,7 +295,7 @@ def test_the_terminal_shows_thin_walls_and_marks() -> None:
     grid.flags[14:16, :] = MapFlag.WALL
     areas = {"zone": Map2DArea("house", [Vec2D(1.0, 0.4), Vec2D(2.0, 0.4), Vec2D(2.0, 1.2)])}
     locations = {"a": Map2DLocation("house", 1.05, 2.55, 0.0), "b\x1b[2J": Map2DLocation("house", 99.0, 99.0, 0.0)}
-    plain = [line.plain for line in drawing.lines(grid, locations, areas, 20, coloured=False)]
+    plain = [line.plain for line in drawing.lines(grid, locations, areas, 20, colored=False)]
     assert plain[0] == "#" * 20
     assert plain[3] == "#" * 20
     assert plain[1].strip("# ") == "→a"
@@ -306,6 +306,6 @@ def test_the_terminal_shows_thin_walls_and_marks() -> None:
         "b b?[2J: 99, 99 m, 0 degrees",
         "· zone: area of 3 corners",
     ]
-    coloured = drawing.lines(grid, locations, areas, 20, coloured=True)
-    assert coloured[0].plain == "▀" * 20
-    assert "rgb(0,0,0)" in str(coloured[0].spans[0].style)
+    colored = drawing.lines(grid, locations, areas, 20, colored=True)
+    assert colored[0].plain == "▀" * 20
+    assert "rgb(0,0,0)" in str(colored[0].spans[0].style)

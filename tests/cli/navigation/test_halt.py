@@ -89,7 +89,7 @@ def test_halt_stops_everything(midspan: Midspan, network: HubNetwork, robot: Rob
         "/lookup: 2 goals canceled",
     ]
     assert halt_requests == [{}]
-    until(lambda: [goal.status for goal in robot.sent] == [GoalState.CANCELED] * 2, "both goals were cancelled")
+    until(lambda: [goal.status for goal in robot.sent] == [GoalState.CANCELED] * 2, "both goals were canceled")
     assert len(robot.heard) > 3
     assert all(message["linear"]["x"] == message["angular"]["z"] == 0.0 for message in robot.heard)
 
@@ -205,7 +205,7 @@ def test_nonsense_on_the_hub_keeps_nothing_from_stopping(
     assert "base_control of robot1: stands still" in done.out
     assert f"/a: zero could not be published as {TWIST} (type hash 'nonsense' is not" in done.err
     assert [line for line in done.err.splitlines() if "a b" in line or "*" in line] == []
-    until(lambda: [goal.status for goal in robot.sent] == [GoalState.CANCELED] * 2, "both goals were cancelled")
+    until(lambda: [goal.status for goal in robot.sent] == [GoalState.CANCELED] * 2, "both goals were canceled")
     assert robot.heard
     assert [to_json(registry, TWIST, data)["linear"]["x"] for data in received] == [0.0] * len(received) != []
     for token in declared:

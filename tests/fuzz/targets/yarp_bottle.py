@@ -32,13 +32,13 @@ def _bottles() -> list[bytes]:
 def _binary() -> Subject:
     """A whole Bottle of either profile; accepted ones are written, read as equal, and printed."""
     from yarp_compat.wire.binary import decode, decode_arrays, encode
-    from yarp_compat.wire.reply import recognise
+    from yarp_compat.wire.reply import recognize
     from yarp_compat.wire.text import to_text
 
     def parse(data: bytes) -> None:
         values = decode(data)
-        recognised = recognise(data)
-        profile = recognised or Profile.YARP3
+        recognized = recognize(data)
+        profile = recognized or Profile.YARP3
         values = decode(data, profile)
         wire = encode(values, profile)
         assert encode(decode(wire, profile), profile) == wire

@@ -155,7 +155,7 @@ def test_two_machines_join_by_their_routers():
         publisher.put(b"x")
         stream.expect("x")
         assert stream.samples[0].zid == a.zid
-        assert b.neighbours() == set(), "all goes by the router"
+        assert b.neighbors() == set(), "all goes by the router"
         first_network.stop_router()
         until(lambda: not b.graph.publishers(), "the other machine is gone")
         first_network.start_router()

@@ -240,7 +240,7 @@ def test_move_base_is_known_where_ros1_is_not_installed(registry: Registry):
     assert service.hub == registry.service_hub_to_ros1("nav2_msgs/action/NavigateToPose_SendGoal").hub
 
 
-def test_cancelling_and_status_are_those_of_action_msgs(registry: Registry):
+def test_canceling_and_status_are_those_of_action_msgs(registry: Registry):
     cancel = registry.service_hub_to_ros1("action_msgs/srv/CancelGoal")
     assert (cancel.side.name, cancel.hub.name) == ("action_msgs/srv/CancelGoal",) * 2
     assert registry.service_ros1_to_hub("action_msgs/srv/CancelGoal").side == cancel.side

@@ -95,9 +95,9 @@ def test_filters_are_set(base: DrivenBase, commands: BaseCommands) -> None:
 def test_odometry_is_reset_and_its_velocity_smoothed(base: DrivenBase, commands: BaseCommands) -> None:
     base.motors_filter = 1
     base.measured([0.0, 0.0], 1.0)
-    travelled = base.measured([0.02, 0.02], 1.02)
-    assert 0.0 < travelled.velocity.x < 0.16416
-    assert travelled.x == pytest.approx(0.02 * 0.16416)
+    traveled = base.measured([0.02, 0.02], 1.02)
+    assert 0.0 < traveled.velocity.x < 0.16416
+    assert traveled.x == pytest.approx(0.02 * 0.16416)
     assert commands.answer(["reset_odometry"]) == ["Odometry reset done."]
     assert base.odometry.now.x == 0.0
 

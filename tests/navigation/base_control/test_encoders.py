@@ -11,7 +11,7 @@ import pytest
 
 from navigation.base_control.base import DrivenBase
 from navigation.base_control.encoders import PATIENCE, WINDOW, ReadingTimes
-from navigation.base_control.kinematics import Travelled, WheelOdometry, kinematics
+from navigation.base_control.kinematics import Traveled, WheelOdometry, kinematics
 from navigation.base_control.section import BaseControlSection
 from navigation.base_control.settings import resolved
 
@@ -67,7 +67,7 @@ STREAMS = {
 }
 
 
-def driven(stream: Sequence[tuple[float, float]], *, measured: bool = False) -> list[Travelled]:
+def driven(stream: Sequence[tuple[float, float]], *, measured: bool = False) -> list[Traveled]:
     odometry = WheelOdometry(BASE, FASTEST)
     rates = angles(1.0) if measured else None
     return [odometry.update(angles(at), START + stamp, rates) for stamp, at in stream]
@@ -76,17 +76,17 @@ def driven(stream: Sequence[tuple[float, float]], *, measured: bool = False) -> 
 @pytest.mark.parametrize("stream", STREAMS.values(), ids=STREAMS)
 def test_velocities_from_angles_stay_near_the_true_ones(stream: list[tuple[float, float]]) -> None:
     readings = driven(stream)
-    assert max(travelled.velocity.speed for travelled in readings) <= TOLERATED * SPEED
-    assert max(abs(travelled.velocity.turn) for travelled in readings) <= TOLERATED * TURN
+    assert max(traveled.velocity.speed for traveled in readings) <= TOLERATED * SPEED
+    assert max(abs(traveled.velocity.turn) for traveled in readings) <= TOLERATED * TURN
     settled = readings[len([stamp for stamp, _ in stream if stamp < 2 * WINDOW]) :]
-    assert min(travelled.velocity.x for travelled in settled) >= 0.8 * SPEED
+    assert min(traveled.velocity.x for traveled in settled) >= 0.8 * SPEED
     assert readings[-1].distance == pytest.approx(SPEED * stream[-1][1], rel=0.02)
 
 
 @pytest.mark.parametrize("stream", STREAMS.values(), ids=STREAMS)
 def test_measured_velocities_are_used_unchanged(stream: list[tuple[float, float]]) -> None:
-    for travelled in driven(stream, measured=True)[1:]:
-        assert travelled.velocity == pytest.approx((SPEED, 0.0, TURN))
+    for traveled in driven(stream, measured=True)[1:]:
+        assert traveled.velocity == pytest.approx((SPEED, 0.0, TURN))
 
 
 @pytest.mark.parametrize("rates", [None, [], [0.0, 0.0], [math.nan, 1.0], [math.inf, 1.0], [1.0]], ids=str)
@@ -105,11 +105,11 @@ def test_a_stop_gives_exactly_zero_immediately(stream: list[tuple[float, float]]
     zero_after = math.inf
     for stamp, at in stream:
         rates = None if noise is None else angles(1.0) if at <= stop else [noise, -noise]
-        travelled = odometry.update(angles(min(at, stop)), stamp, rates)
-        if at > stop and travelled.velocity == (0.0, 0.0, 0.0):
+        traveled = odometry.update(angles(min(at, stop)), stamp, rates)
+        if at > stop and traveled.velocity == (0.0, 0.0, 0.0):
             zero_after = min(zero_after, at - stop)
         if at > stop + 0.25:
-            assert travelled.velocity == (0.0, 0.0, 0.0)
+            assert traveled.velocity == (0.0, 0.0, 0.0)
     assert zero_after <= 0.2
 
 
@@ -130,8 +130,8 @@ def test_encoders_that_wrap_within_one_turn_are_unwrapped(low: float, rate: int,
     for reading in range(10 * rate):
         at = direction * reading / rate
         wrapped = [(angle - low) % math.tau + low for angle in angles(at, 0.25, 0.2)]
-        travelled = base.measured(wrapped, START + reading / rate)
-        assert travelled.velocity.speed <= 0.25 + 1e-6
+        traveled = base.measured(wrapped, START + reading / rate)
+        assert traveled.velocity.speed <= 0.25 + 1e-6
     assert base.odometry.now.distance == pytest.approx(0.25 * abs(at), rel=1e-6)
     assert base.odometry.now.theta == pytest.approx(0.2 * at, rel=1e-6)
 

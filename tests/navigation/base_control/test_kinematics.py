@@ -65,15 +65,15 @@ def test_an_arc_is_integrated_exactly_at_any_encoder_rate(
     for step in range(steps + 1):
         passed = 2.0 * step / steps
         odometry.update((base.wheels(Velocity(x, y, turn)) * passed).tolist(), 10.0 + passed)
-    travelled = odometry.now
+    traveled = odometry.now
     fine = 20_000  # midpoints of small straight pieces
     angles = turn * (np.arange(fine) + 0.5) * 2.0 / fine
     along = np.array([np.sum(x * np.cos(angles) - y * np.sin(angles)), np.sum(x * np.sin(angles) + y * np.cos(angles))])
-    np.testing.assert_allclose([travelled.x, travelled.y], along * 2.0 / fine, atol=1e-6)
-    assert travelled.theta == pytest.approx(2.0 * turn, abs=1e-9)
-    assert travelled.velocity == pytest.approx((x, y, turn), abs=1e-9)
-    assert travelled.angle == pytest.approx(2.0 * abs(turn), abs=1e-9)
-    assert travelled.distance == pytest.approx(2.0 * math.hypot(x, y), abs=1e-9)
+    np.testing.assert_allclose([traveled.x, traveled.y], along * 2.0 / fine, atol=1e-6)
+    assert traveled.theta == pytest.approx(2.0 * turn, abs=1e-9)
+    assert traveled.velocity == pytest.approx((x, y, turn), abs=1e-9)
+    assert traveled.angle == pytest.approx(2.0 * abs(turn), abs=1e-9)
+    assert traveled.distance == pytest.approx(2.0 * math.hypot(x, y), abs=1e-9)
 
 
 def test_restarted_encoders_do_not_move_the_base() -> None:

@@ -12,7 +12,7 @@ from benchmarks.localizer import DEGREES, METERS, Tour, drive, simulated
 from navigation.localization_server.estimate import LocalizationStatus
 from navigation.localization_server.localizer import Localizer
 from navigation.localization_server.own import Memory
-from navigation.localization_server.section import LocaliserSection
+from navigation.localization_server.section import LocalizerSection
 from navigation.pose import Pose, wrapped
 from navigation.scan import scan_points
 from sim.base import Twist
@@ -164,7 +164,7 @@ def test_points_of_a_scan_are_in_the_base_frame() -> None:
 
 
 def test_a_holonomic_base_that_moves_sideways_is_tracked() -> None:
-    settings = LocaliserSection(holonomic=True)
+    settings = LocalizerSection(holonomic=True)
     sim = Simulation(SimSection(plan="lab", robot="ikart_v1", laser=LaserSection(beams=180)))
     localizer = Localizer(Tour(sim, 0).grid, settings)
     localizer.initial(Pose(*sim.base.pose()))

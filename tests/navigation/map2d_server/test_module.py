@@ -17,7 +17,7 @@ from bridge.cli.main import main
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED
-from bridge.stores.kinds import AREA, BEHAVIOUR, KINDS, LOCATION, MAP, MAP3D
+from bridge.stores.kinds import AREA, BEHAVIOR, KINDS, LOCATION, MAP, MAP3D
 from bridge.stores.store import Store
 from navigation.map2d_server.publishers import topic_of
 from navigation.maps.grid import from_grid
@@ -25,7 +25,7 @@ from tests.contract.hubside import HubSide
 from tests.navigation.maps.test_maps import flags_from
 from tests.peers.hub.modules import Place
 from tests.support.wait import until
-from yarp_compat.dev.extras import AreaBehaviour
+from yarp_compat.dev.extras import AreaBehavior
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.map2d_client import Map2DClient
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
@@ -209,7 +209,7 @@ def test_yarp_clients_save_and_load_files(served: Served) -> None:
         client.maps["office"] = grid = six_flags()
         client.locations["kitchen"] = kitchen = Map2DLocation("office", 1, 2, 90, "by the door")
         client.areas["hall"] = Map2DArea("office", [Vec2D(0, 0), Vec2D(1, 0), Vec2D(1, 1)], "")
-        served.store.put(BEHAVIOUR, "hall", AreaBehaviour(max_speed=0.5))
+        served.store.put(BEHAVIOR, "hall", AreaBehavior(max_speed=0.5))
         client.maps.save("office", "office.map")
         client.maps.save_collection("all.ini")
         client.save_places("places.ini")
@@ -223,7 +223,7 @@ def test_yarp_clients_save_and_load_files(served: Served) -> None:
         client.load_places("places.ini")
         assert client.maps["office"] == grid
         assert dict(client.locations) == {"kitchen": kitchen}
-        assert served.store.behaviour("hall") == AreaBehaviour(max_speed=0.5)
+        assert served.store.behavior("hall") == AreaBehavior(max_speed=0.5)
         before = sorted(served.folder.rglob("*"))
         for name in ("../x.map", "/tmp/x.map", "a/b.map", "..", "", ".map", "C:\\x.map"):
             for call in (lambda n: client.maps.save("office", n), client.maps.load):
@@ -374,7 +374,7 @@ def test_areas_and_places_are_published(served: Served) -> None:
         client.locations["far away"] = Map2DLocation("other map", 1, 2, 90, "")
         client.objects["cup"] = Map2DObject("hall", 1, 2, 3)
         client.paths["way"] = Map2DPath([Map2DLocation("hall", 1, 1), Map2DLocation("hall", 2, 2)])
-    served.store.put(BEHAVIOUR, "shut", AreaBehaviour(keep_out=True))
+    served.store.put(BEHAVIOR, "shut", AreaBehavior(keep_out=True))
     until(lambda: sum(value > 0 for value in speed()["data"]) == 9, "the slow area is in the mask", 20)
     until(lambda: sum(value == 100 for value in mask()["data"]) == 9, "the closed area is in the keep-out mask", 20)
     limit = info()["base"] + info()["multiplier"] * max(speed()["data"])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.stores.kinds import AREA, BEHAVIOUR, LINK, LOCATION, MAP
+from bridge.stores.kinds import AREA, BEHAVIOR, LINK, LOCATION, MAP
 from bridge.stores.replica import Replica
 from bridge.stores.store import Store
 from navigation.goals import MapPlace
@@ -15,7 +15,7 @@ from navigation.pose import Pose
 from navigation.robot_path_planner.atlas import StoreAtlas, leg
 from tests.navigation.robot_path_planner.test_path import area
 from tests.peers.navigation.floors import SETTINGS, floor
-from yarp_compat.dev.extras import AreaBehaviour, MapLink
+from yarp_compat.dev.extras import AreaBehavior, MapLink
 from yarp_compat.dev.locations import Map2DLocation
 
 
@@ -51,7 +51,7 @@ def test_new_keep_out_areas_apply_once_the_cache_is_cleared(store: Store) -> Non
     assert before is not None
     assert atlas.ground("floor") is before
     store.put(AREA, "lab", area(1.0, 1.0, 2.0, 2.0))
-    store.put(BEHAVIOUR, "lab", AreaBehaviour(keep_out=True))
+    store.put(BEHAVIOR, "lab", AreaBehavior(keep_out=True))
     atlas.clear()
     ground, other = atlas.ground("floor"), atlas.ground("up")
     assert ground is not None

@@ -275,7 +275,7 @@ def test_a_new_goal_preempts_the_first_and_a_canceled_goal_stops_the_robot(place
     until(lambda: place.robot.x > 1.5, "the robot drives on", 30)
     third.cancel()
     status, result = third.end()
-    assert (status, result["error_msg"]) == (GoalState.CANCELED, "cancelled")
+    assert (status, result["error_msg"]) == (GoalState.CANCELED, "canceled")
     until(lambda: not place.robot.goal or not place.robot.goal.active, "the navigator has stopped", 20)
     assert place.robot.x < 3.9
 

@@ -18,7 +18,7 @@ from navigation.robot_path_planner.path import PlannedPath, blocked, plan_path, 
 from navigation.robot_path_planner.section import RobotPathPlannerSection, WaypointSection
 from navigation.status import Fault, PlanError
 from tests.peers.navigation.floors import ROOMS, SETTINGS, floor, paint
-from yarp_compat.dev.extras import AreaBehaviour
+from yarp_compat.dev.extras import AreaBehavior
 from yarp_compat.dev.locations import Map2DArea
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
@@ -109,7 +109,7 @@ def test_a_start_inside_a_wall_is_reported() -> None:
 def test_keep_out_areas_are_avoided_and_left_by_the_shortest_path() -> None:
     grid = floor()
     paint(grid, (1.5, 0.5, 2.0, 3.0), MapFlag.KEEP_OUT)
-    zone = Zone(area(2.8, 2.0, 3.3, 4.9), AreaBehaviour(keep_out=True))
+    zone = Zone(area(2.8, 2.0, 3.3, 4.9), AreaBehavior(keep_out=True))
     ground = Ground(grid, 0.2, zones=[zone])
     goal = Pose(4.2, 3.5, 0.0)
     line = sampled(places(plan_path(ground, WEST, goal, SETTINGS), WEST), 0.02)
@@ -127,8 +127,8 @@ def test_keep_out_areas_are_avoided_and_left_by_the_shortest_path() -> None:
 
 
 def test_areas_split_the_path_and_set_its_constraints() -> None:
-    slow = Zone(area(2.0, 0.0, 3.0, 5.0), AreaBehaviour(0.15))
-    wait = Zone(area(2.5, 0.0, 3.5, 5.0), AreaBehaviour(0.3, "wait"))
+    slow = Zone(area(2.0, 0.0, 3.0, 5.0), AreaBehavior(0.15))
+    wait = Zone(area(2.5, 0.0, 3.5, 5.0), AreaBehavior(0.3, "wait"))
     ground = Ground(floor(), 0.2, zones=[slow, wait])
     settings = RobotPathPlannerSection(
         robot_radius=0.2, waypoint=WaypointSection(tolerance_lin=None, max_lin_speed=0.5, min_lin_speed=0.2)
@@ -150,7 +150,7 @@ def test_the_local_navigator_waits_next_to_keep_out_cells() -> None:
 
 
 def test_goal_constraints_override_settings_and_areas_override_both() -> None:
-    ground = Ground(floor(), 0.2, zones=[Zone(area(3.0, 0.0, 5.0, 5.0), AreaBehaviour(0.3))])
+    ground = Ground(floor(), 0.2, zones=[Zone(area(3.0, 0.0, 5.0, 5.0), AreaBehavior(0.3))])
     wanted = Constraints(max_lin_speed=0.4, tolerance_lin=0.5, heading=False)
     first, last = plan_path(ground, WEST, EAST, SETTINGS, wanted).waypoints
     assert (first.constraints.max_lin_speed, first.constraints.tolerance_lin) == (0.4, 0.1)

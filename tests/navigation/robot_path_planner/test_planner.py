@@ -16,7 +16,7 @@ from navigation.robot_path_planner.section import RobotPathPlannerSection
 from navigation.status import Fault, State
 from tests.navigation.robot_path_planner.test_path import LIFT, Two, area
 from tests.peers.navigation.floors import ROOMS, SETTINGS, Drive, floor, paint
-from yarp_compat.dev.extras import AreaBehaviour
+from yarp_compat.dev.extras import AreaBehavior
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 
@@ -77,7 +77,7 @@ def test_a_new_goal_replaces_the_old_one_without_a_stop() -> None:
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
     assert drive.goto(Pose(1.0, 4.0, 0.0)).state is State.REACHED
-    assert not drive.local.cancelled
+    assert not drive.local.canceled
 
 
 def test_the_goals_of_a_path_are_passed_in_sequence_without_stops() -> None:
@@ -93,7 +93,7 @@ def test_the_goals_of_a_path_are_passed_in_sequence_without_stops() -> None:
     assert [sent[0][:2] for sent in passed] == [EAST[:2], north.pose[:2]]
     assert all(sent[1].through for sent in passed)
     assert all(min(pose.distance(place) for pose in drive.track) <= 0.1 for place in (EAST, north.pose))
-    assert not drive.local.cancelled
+    assert not drive.local.canceled
 
 
 def test_cancel_and_pause_stop_the_robot() -> None:
@@ -235,7 +235,7 @@ def test_a_pose_lost_with_the_laser_is_reported_as_the_lasers_fault() -> None:
 
 
 def test_the_robot_waits_in_an_area_with_on_obstacle_wait() -> None:
-    zone = Zone(area(1.5, 0.0, 3.5, 5.0), AreaBehaviour(on_obstacle="wait"))
+    zone = Zone(area(1.5, 0.0, 3.5, 5.0), AreaBehavior(on_obstacle="wait"))
     drive = Drive(floor(*ROOMS), WEST, zones=[zone])
     drive.laser = True
     drive.local.crates = [LOW_DOOR]
@@ -344,10 +344,10 @@ def test_an_unavailable_navigator_is_waited_for() -> None:
 def test_a_navigator_stopped_by_another_client_aborts_the_goal() -> None:
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
-    drive.local.state, drive.local.reason = State.IDLE, "cancelled"
+    drive.local.state, drive.local.reason = State.IDLE, "canceled"
     status = drive.tick()
     assert (status.state, status.fault) == (State.ABORTED, Fault.OTHER)
-    assert "cancelled" in status.reason
+    assert "canceled" in status.reason
 
 
 def test_a_changed_map_triggers_a_new_plan_or_aborts_the_goal() -> None:
@@ -406,7 +406,7 @@ def test_random_goals_are_reached_without_entering_keep_out_areas(seed: int) -> 
     random = np.random.default_rng(seed)
     grid = floor(*ROOMS)
     paint(grid, (0.8, 1.8, 1.6, 2.4), MapFlag.KEEP_OUT)
-    zone = Zone(area(3.0, 2.0, 4.2, 2.6), AreaBehaviour(keep_out=True))
+    zone = Zone(area(3.0, 2.0, 4.2, 2.6), AreaBehavior(keep_out=True))
     drive = Drive(grid, WEST, zones=[zone])
     ground = Ground(grid, 0.2, zones=[zone])
     free = np.argwhere(ground.weights)
@@ -491,7 +491,7 @@ def test_a_silent_layer_stops_the_robot_until_it_is_received_again() -> None:
     drive.run(4.0)
     assert drive.planner.status == (State.WAITING, "the layer /layer is silent", Fault.NO_LASER)
     assert drive.local.state is State.IDLE
-    assert drive.local.cancelled == 1
+    assert drive.local.canceled == 1
     drive.planner.layer("/layer", cells(*TABLE))
     drive.planner.silent = ""
     drive.run(0.5)

@@ -79,7 +79,7 @@ class Sent(PolledGoal):
         self._feedback: list[dict[str, Any]] = []
         self._result: dict[str, Any] | None = None
         self._ended = False
-        self._cancelled = False
+        self._canceled = False
         event = threading.Event()
 
         def send() -> None:
@@ -98,7 +98,7 @@ class Sent(PolledGoal):
 
     def cancel(self) -> None:
         self._loop.post(self._goal.cancel)
-        self._cancelled = True
+        self._canceled = True
 
     def state(self) -> dict[str, Any]:
         status = int(self._goal.status) if self._ended else 0
@@ -107,7 +107,7 @@ class Sent(PolledGoal):
             "feedback": self._feedback,
             "status": status,
             "result": self._result,
-            "cancel": [0, 1] if self._cancelled and status == 5 else None,
+            "cancel": [0, 1] if self._canceled and status == 5 else None,
         }
 
 

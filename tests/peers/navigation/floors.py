@@ -59,7 +59,7 @@ class Straight:
         self.crates: list[tuple[float, float, float]] = []
         self.patience = 5.0
         self._waits = 0.0
-        self.cancelled = 0
+        self.canceled = 0
 
     def send(self, pose: Pose, constraints: Constraints) -> None:
         self.sent.append((pose, constraints))
@@ -67,7 +67,7 @@ class Straight:
             self.state, self.reason, self._waits = State.PREPARING, "", 0.0
 
     def cancel(self) -> None:
-        self.cancelled += 1
+        self.canceled += 1
         if self.state is not State.ERROR:
             self.state = State.IDLE
 

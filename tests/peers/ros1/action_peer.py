@@ -73,7 +73,7 @@ class Server(Record):
 
     def on_cancel(self, handle):
         if handle.get_goal().goal < 1_000_000:
-            handle.set_canceled(self.result(handle.get_goal().goal), "cancelled")
+            handle.set_canceled(self.result(handle.get_goal().goal), "canceled")
 
     def message(self, part, **fields):
         return roslib.message.get_message_class(self.type + part)(**fields)

@@ -98,7 +98,7 @@ def reason(answers):
     return wire.read_result_response(reply)[2]
 
 
-def cancelled(answers):
+def canceled(answers):
     (reply,) = answers
     code, infos = wire.read_cancel_response(reply)
     return CancelCode(code), {UUID(bytes=i.uuid).int - 1 for i in infos}

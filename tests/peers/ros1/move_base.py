@@ -42,7 +42,7 @@ class MoveBase:
     def __init__(self, speed, patience):
         self.speed, self.patience = speed, patience
         self.place = None
-        self.current, self.since, self.cancelled = None, 0, False
+        self.current, self.since, self.canceled = None, 0, False
         self.velocity = rospy.Publisher("cmd_vel", Twist, queue_size=1)
         self.target = rospy.Publisher("move_base/current_goal", PoseStamped, queue_size=10)
         self.goals = rospy.Publisher("move_base/goal", MoveBaseActionGoal, queue_size=10)
@@ -81,7 +81,7 @@ class MoveBase:
                     handle.set_canceled(text=ANOTHER)
                     return
                 before.set_canceled(MoveBaseResult(), ANOTHER)
-            self.current, self.since, self.cancelled = handle, 0, False
+            self.current, self.since, self.canceled = handle, 0, False
             handle.set_accepted(ACCEPTED)
             turn = handle.get_goal().target_pose.pose.orientation
             if abs(math.hypot(math.hypot(turn.x, turn.y), math.hypot(turn.z, turn.w)) - 1.0) > 0.1:
@@ -93,7 +93,7 @@ class MoveBase:
         """Mark the goal as canceled; the next control cycle ends it."""
         with self.lock:
             if handle == self.current:
-                self.cancelled = True
+                self.canceled = True
 
     def end(self, how, text):
         handle, self.current = self.current, None
@@ -108,7 +108,7 @@ class MoveBase:
                 return
             self.since += 1
             goal = self.current.get_goal().target_pose
-            if self.cancelled:
+            if self.canceled:
                 self.end("set_canceled", "")
             elif goal.header.frame_id not in FRAMES:
                 self.target.publish(goal)

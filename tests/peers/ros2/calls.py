@@ -115,7 +115,7 @@ class Acting(Record):
             self.execute,
             **depths(profile, "goal_service", "result_service", "cancel_service", "feedback_pub"),
             goal_callback=lambda _goal: GoalResponse.REJECT if self.outcome == "reject" else GoalResponse.ACCEPT,
-            cancel_callback=self.cancelled,
+            cancel_callback=self.canceled,
         )
 
     async def execute(self, handle: Any) -> Any:
@@ -152,7 +152,7 @@ class Acting(Record):
         while self.feedback and not self.node.count_subscribers(feedback) and time.monotonic() < end:
             time.sleep(0.01)
 
-    def cancelled(self, handle: Any) -> Any:
+    def canceled(self, handle: Any) -> Any:
         if self.keeps:
             return CancelResponse.REJECT
         self.end(bytes(handle.goal_id.uuid))

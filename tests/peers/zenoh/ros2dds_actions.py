@@ -75,16 +75,16 @@ class Sent(PolledGoal):
         reply = until(answered, f"there is a server of {params['action']}", params["seconds"], every=0.1)
         self._accepted: bool = reply["accepted"]
         self._result: Calling | None = self._client.ask("get_result", self._id) if self._accepted else None
-        self._cancelled: Calling | None = None
+        self._canceled: Calling | None = None
 
     def cancel(self) -> None:
         """Request the goal's cancellation."""
-        self._cancelled = self._client.ask("cancel_goal", {"goal_info": self._id})
+        self._canceled = self._client.ask("cancel_goal", {"goal_info": self._id})
 
     def state(self) -> dict[str, Any]:
         """Return the state of the goal."""
         ended = None if self._result is None else self._result.result(0)["reply"]
-        reported = None if self._cancelled is None else self._cancelled.result(0)["reply"]
+        reported = None if self._canceled is None else self._canceled.result(0)["reply"]
         return {
             "accepted": self._accepted,
             "feedback": [item["feedback"] for item in self._client.feedback],

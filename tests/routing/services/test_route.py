@@ -140,7 +140,7 @@ def test_one_cause_is_logged_once_however_often_it_is_called(
     assert logged(5) == 1, "after a pause"
 
 
-def test_a_cancelled_call_is_cancelled_on_the_side(place: Place) -> None:
+def test_a_canceled_call_is_canceled_on_the_side(place: Place) -> None:
     serving = place.serve(held=True)
     call = ask(place.client())
     serving.requests(1)

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from yarp_compat.dev.extras import AreaBehaviour, MapLink
+from yarp_compat.dev.extras import AreaBehavior, MapLink
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DLocationVector, Map2DObject, Map2DPath
 from yarp_compat.sig.vec2d import Vec2D
 
@@ -87,17 +87,17 @@ def test_texts_are_those_of_a_real_yarp() -> None:
     [
         ("", None),
         ("the room with the max_speed sign", None),
-        ("max_speed=0.2 on_obstacle=wait", AreaBehaviour(0.2, "wait")),
-        ("loading zone, max_speed = 1.5; on_obstacle = around, beware", AreaBehaviour(1.5, "around")),
-        ("keep_out", AreaBehaviour(keep_out=True)),
-        ("lab keep_out=true max_speed=1e-1", AreaBehaviour(0.1, keep_out=True)),
-        ("keep_out=no", AreaBehaviour()),
+        ("max_speed=0.2 on_obstacle=wait", AreaBehavior(0.2, "wait")),
+        ("loading zone, max_speed = 1.5; on_obstacle = around, beware", AreaBehavior(1.5, "around")),
+        ("keep_out", AreaBehavior(keep_out=True)),
+        ("lab keep_out=true max_speed=1e-1", AreaBehavior(0.1, keep_out=True)),
+        ("keep_out=no", AreaBehavior()),
     ],
 )
-def test_the_rules_of_an_area_are_parsed_from_its_description(text: str, rules: AreaBehaviour | None) -> None:
-    assert AreaBehaviour.from_text(text) == rules
-    if rules is not None and rules != AreaBehaviour():
-        assert AreaBehaviour.from_text(rules.to_text()) == rules
+def test_the_rules_of_an_area_are_parsed_from_its_description(text: str, rules: AreaBehavior | None) -> None:
+    assert AreaBehavior.from_text(text) == rules
+    if rules is not None and rules != AreaBehavior():
+        assert AreaBehavior.from_text(rules.to_text()) == rules
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_the_rules_of_an_area_are_parsed_from_its_description(text: str, rules: 
 )
 def test_invalid_rules_of_an_area_are_rejected(text: str, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
-        AreaBehaviour.from_text(text)
+        AreaBehavior.from_text(text)
 
 
 def test_invalid_links_are_rejected() -> None:

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from yarp_compat.dev.exports import to_geojson, to_waypoints
-from yarp_compat.dev.extras import AreaBehaviour, Extras, MapLink, extras_file
+from yarp_compat.dev.extras import AreaBehavior, Extras, MapLink, extras_file
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.mapfile import MapFileError
 from yarp_compat.dev.places import Places
@@ -104,7 +104,7 @@ def test_files_are_saved_and_loaded(tmp_path: Path) -> None:
     path.write_bytes(b"x" * (1 << 22) + b"y")
     with pytest.raises(MapFileError, match="longer"):
         Places.load(path)
-    extras = Extras({"hall": AreaBehaviour(0.3, "wait"), "a b": AreaBehaviour(keep_out=True)}, {"lift": LIFT})
+    extras = Extras({"hall": AreaBehavior(0.3, "wait"), "a b": AreaBehavior(keep_out=True)}, {"lift": LIFT})
     path_of_extras = extras_file(path)
     assert path_of_extras == tmp_path / "locations_extras.ini"
     extras.save(path_of_extras)
@@ -139,7 +139,7 @@ def test_places_are_exported_as_geojson() -> None:
     places = Places.from_text(V4)
     places.areas["back"] = Map2DArea("m2", TRIANGLE[::-1])
     places.locations |= {"up": Map2DLocation("m1"), "down": Map2DLocation("m2")}
-    collection = json.loads(to_geojson(places, {"hall": AreaBehaviour(0.3, keep_out=True)}, {"lift": LIFT}))
+    collection = json.loads(to_geojson(places, {"hall": AreaBehavior(0.3, keep_out=True)}, {"lift": LIFT}))
     assert collection["type"] == "FeatureCollection"
     by_id = {feature["id"]: feature for feature in collection["features"]}
     assert by_id["location/kitchen"]["geometry"] == {"type": "Point", "coordinates": [1.0, 2.0]}

@@ -321,7 +321,7 @@ def test_the_dialect_of_a_request_shows_the_generation() -> None:
     )
     assert "YARP 3" in server.generations.of("/old").reason
     server.generations.introduced("/new")
-    server.generations.recognised("/new", Profile.YARP3)
+    server.generations.recognized("/new", Profile.YARP3)
     assert server.generations.of("/new").generation is Generation.YARP_3_12
 
 

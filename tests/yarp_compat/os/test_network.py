@@ -84,8 +84,8 @@ def test_names_are_registered_and_queried() -> None:
     assert contact.getRegName() == "/robot/thing"
     queried = yarp.Network.queryName("/robot/thing")
     assert (queried.getPort(), queried.getCarrier(), queried.toURI()) == (contact.getPort(), "tcp", contact.toURI())
-    assert yarp.Network.setProperty("/robot/thing", "colour", yarp.Value("red"))
-    assert yarp.Network.getProperty("/robot/thing", "colour").asString() == "red"
+    assert yarp.Network.setProperty("/robot/thing", "color", yarp.Value("red"))
+    assert yarp.Network.getProperty("/robot/thing", "color").asString() == "red"
     assert yarp.Network.getProperty("/robot/thing", "size") is None
     yarp.Network.unregisterName("/robot/thing")
     assert not yarp.Network.queryName("/robot/thing").isValid()

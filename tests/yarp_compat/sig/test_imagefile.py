@@ -14,19 +14,19 @@ from numpy.typing import NDArray
 import yarp_compat as yarp
 from yarp_compat.sig import png
 
-COLOURS = np.arange(5 * 7 * 3, dtype=np.uint8).reshape(5, 7, 3)
-GREY = COLOURS[:, :, 0].copy()
+COLORS = np.arange(5 * 7 * 3, dtype=np.uint8).reshape(5, 7, 3)
+GRAY = COLORS[:, :, 0].copy()
 FLOATS = np.linspace(-1, 1, 15, dtype=np.float32).reshape(5, 3)
 
 
 @pytest.mark.parametrize(
     ("image", "pixels", "name", "form"),
     [
-        (yarp.ImageRgb, COLOURS, "a.ppm", None),
-        (yarp.ImageRgb, COLOURS, "a.png", yarp.FORMAT_PNG),
-        (yarp.ImageBgr, COLOURS, "a.ppm", yarp.FORMAT_PPM),
-        (yarp.ImageMono, GREY, "a.pgm", None),
-        (yarp.ImageMono, GREY, "a.png", yarp.FORMAT_PNG),
+        (yarp.ImageRgb, COLORS, "a.ppm", None),
+        (yarp.ImageRgb, COLORS, "a.png", yarp.FORMAT_PNG),
+        (yarp.ImageBgr, COLORS, "a.ppm", yarp.FORMAT_PPM),
+        (yarp.ImageMono, GRAY, "a.pgm", None),
+        (yarp.ImageMono, GRAY, "a.png", yarp.FORMAT_PNG),
         (yarp.ImageFloat, FLOATS, "a.float", None),
         (yarp.ImageFloat, FLOATS, "a.floatzip", yarp.FORMAT_NUMERIC_COMPRESSED),
     ],
@@ -41,10 +41,10 @@ def test_images_survive_a_file(tmp_path: Path, image: Any, pixels: NDArray[Any],
 
 def test_bytes_of_yarps_formats(tmp_path: Path) -> None:
     """The bytes that `ImageFile.cpp` of 3.9.1 to 4.0 writes."""
-    assert yarp.write(yarp.ImageRgb.of(COLOURS), str(tmp_path / "a.ppm"))
-    assert (tmp_path / "a.ppm").read_bytes() == b"P6\n7 5\n255\n" + COLOURS.tobytes()
-    assert yarp.write(yarp.ImageMono.of(GREY), str(tmp_path / "a.pgm"))
-    assert (tmp_path / "a.pgm").read_bytes() == b"P5\n7 5\n255\n" + GREY.tobytes()
+    assert yarp.write(yarp.ImageRgb.of(COLORS), str(tmp_path / "a.ppm"))
+    assert (tmp_path / "a.ppm").read_bytes() == b"P6\n7 5\n255\n" + COLORS.tobytes()
+    assert yarp.write(yarp.ImageMono.of(GRAY), str(tmp_path / "a.pgm"))
+    assert (tmp_path / "a.pgm").read_bytes() == b"P5\n7 5\n255\n" + GRAY.tobytes()
     assert yarp.write(yarp.ImageFloat.of(FLOATS), str(tmp_path / "a.float"))
     assert (tmp_path / "a.float").read_bytes() == struct.pack("<QQ", 5, 3) + FLOATS.tobytes()
     assert yarp.write(yarp.ImageFloat.of(FLOATS), str(tmp_path / "a.floatzip"), yarp.FORMAT_NUMERIC_COMPRESSED)
@@ -54,10 +54,10 @@ def test_bytes_of_yarps_formats(tmp_path: Path) -> None:
 
 def test_files_of_other_programs(tmp_path: Path) -> None:
     (tmp_path / "a.ppm").write_bytes(b"P6\n# by hand\n2 1 255\n" + bytes(range(6)))
-    image, grey = yarp.ImageRgb(), yarp.ImageMono()
+    image, gray = yarp.ImageRgb(), yarp.ImageMono()
     assert yarp.read(image, str(tmp_path / "a.ppm"))
     assert image.getPixel(1, 0) == (3, 4, 5)
-    assert yarp.read(grey, str(tmp_path / "a.ppm"))
+    assert yarp.read(gray, str(tmp_path / "a.ppm"))
     (tmp_path / "b").write_bytes((tmp_path / "a.ppm").read_bytes())
     assert yarp.read(image, str(tmp_path / "b"), yarp.FORMAT_PPM)
 
@@ -69,7 +69,7 @@ def test_files_of_other_programs(tmp_path: Path) -> None:
         ("a.ppm", b"P3\n2 2\n255\n1 2 3", "not a binary PGM or PPM"),
         ("a.ppm", b"P6\n2 2\n65535\n123", "not a binary PGM or PPM"),
         ("a.png", b"GIF89a", "not a PNG file"),
-        ("a.png", png.write(GREY)[:40], "truncated"),
+        ("a.png", png.write(GRAY)[:40], "truncated"),
         ("a.jpg", b"", "JPEG is not supported"),
         ("a.txt", b"", "unknown format (suffix '.txt')"),
         ("a.float", b"1", "numbers of rows and columns are missing"),
@@ -85,9 +85,9 @@ def test_invalid_files_are_not_read(
 
 
 def test_unsupported_formats_are_not_written(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    assert not yarp.write(yarp.ImageRgb.of(COLOURS), str(tmp_path / "a.jpg"), yarp.FORMAT_JPG)
+    assert not yarp.write(yarp.ImageRgb.of(COLORS), str(tmp_path / "a.jpg"), yarp.FORMAT_JPG)
     assert not yarp.write(yarp.ImageFloat.of(FLOATS), str(tmp_path / "a.ppm"), yarp.FORMAT_PPM)
-    assert not yarp.write(yarp.ImageRgb.of(COLOURS), str(tmp_path / "no" / "a.ppm"))
+    assert not yarp.write(yarp.ImageRgb.of(COLORS), str(tmp_path / "no" / "a.ppm"))
     assert "JPEG" in caplog.text
     assert "cannot write an image of floats as FORMAT_PPM" in caplog.text
     assert list(tmp_path.iterdir()) == []

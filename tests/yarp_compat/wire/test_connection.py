@@ -85,7 +85,7 @@ def test_carriers_without_outputs(name: str, reason: str) -> None:
 @pytest.mark.parametrize(("number", "named"), [(14, "shmem"), (5, "number 5"), (-7777, "number 0")])
 def test_openings_of_unsupported_carriers(number: int, named: str) -> None:
     with pytest.raises(WireError, match=named):
-        carriers.recognise(carriers.frame(7777 + number))
+        carriers.recognize(carriers.frame(7777 + number))
 
 
 def test_annotated_message() -> None:

@@ -13,7 +13,7 @@ from tests.yarp_compat.wire.content import bottles, strings
 from yarp_compat.wire.binary import encode
 from yarp_compat.wire.errors import Incomplete, WireError
 from yarp_compat.wire.profile import Profile
-from yarp_compat.wire.reply import ReplyReader, plain_end, recognise
+from yarp_compat.wire.reply import ReplyReader, plain_end, recognize
 from yarp_compat.wire.values import Float32, Vocab
 
 ACK = bytes.fromhex("5941000000005250")
@@ -46,17 +46,17 @@ def test_profile_is_detected_from_an_acknowledged_reply(profile: Profile, values
         with pytest.raises(Incomplete):
             reader.end(whole[:end])
     assert reader.end(whole) == len(wire)
-    assert recognise(wire) in (profile, None)
-    assert reader.profile in (recognise(wire), profile)
+    assert recognize(wire) in (profile, None)
+    assert reader.profile in (recognize(wire), profile)
 
 
 @pytest.mark.parametrize("profile", Profile)
 def test_profile_is_detected_from_its_own_tags(profile: Profile) -> None:
     for values in ([1.5], [Float32(1.5)], [[1, [2.5, "x"]]], [{"a": 1.5}], [Float32(1.5), "text", 7]):
-        assert recognise(encode(values, profile)) is profile
+        assert recognize(encode(values, profile)) is profile
     for values in ([], [1, "a", b"b", [Vocab("set"), True]], [{"a": 1}]):
-        assert recognise(encode(values, profile)) is None
-    assert recognise(encode([Vocab("setmap")], Profile.YARP4)) is Profile.YARP4
+        assert recognize(encode(values, profile)) is None
+    assert recognize(encode([Vocab("setmap")], Profile.YARP4)) is Profile.YARP4
 
 
 @pytest.mark.parametrize("values", [[0.5] * 3, [0.5, "x", 3], [Float32(0.5)] * 3, [Float32(0.5), "x"], [1, 2]])
@@ -128,11 +128,11 @@ def test_invalid_replies_are_refused(wire: bytes, reason: str) -> None:
             reader.end(wire)
         assert type(raised.value) is WireError
     with pytest.raises(WireError):
-        recognise(wire)
+        recognize(wire)
 
 
 def test_bottles_of_the_wrong_length_are_not_recognized() -> None:
     wire = encode([1, 2], Profile.YARP3)
     for wrong in (wire[:-1], wire + b"x", b""):
         with pytest.raises(WireError):
-            recognise(wrong)
+            recognize(wrong)

@@ -24,7 +24,7 @@ from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.framing import Buffer, PortCommand
 from yarp_compat.wire.profile import Profile
-from yarp_compat.wire.reply import recognise
+from yarp_compat.wire.reply import recognize
 from yarp_compat.wire.text import to_text
 
 T = TypeVar("T", int, float)
@@ -207,7 +207,7 @@ def sender_profile(message: PortMessage) -> Profile | None:
     """Return the dialect of a message's sender; None if no message has shown it so far."""
     if message.peer.profile is None:
         with contextlib.suppress(WireError):
-            message.peer.profile = recognise(message.payload)
+            message.peer.profile = recognize(message.payload)
     return message.peer.profile
 
 

@@ -13,7 +13,7 @@ from typing_extensions import override
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph.graph import Ros2Graph
 from bridge.adapters.ros2.graph.heartbeats import Heartbeats
-from bridge.adapters.ros2.graph.neighbours import ProcessWatch
+from bridge.adapters.ros2.graph.neighbors import ProcessWatch
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.loop import EndpointReader, ReadLoop
 from bridge.adapters.ros2.participant import Participant

@@ -14,7 +14,7 @@ from tests.peers.ros1.client_world import (
     EMPTY,
     World,
     accepted,
-    cancelled,
+    canceled,
     name,
     reason,
     result,
@@ -113,7 +113,7 @@ def test_goals_of_a_lost_server_are_unknown_once_and_no_state_is_published(world
         (GoalState.UNKNOWN, EMPTY), (GoalState.UNKNOWN, EMPTY), (GoalState.SUCCEEDED, EMPTY)
     ]  # fmt: skip
     assert [reason(a) for a in requests[:2]] == [GONE, GONE]
-    assert cancelled(stop) == (CancelCode.REJECTED, set()), "it can no longer be confirmed"
+    assert canceled(stop) == (CancelCode.REJECTED, set()), "it can no longer be confirmed"
     assert accepted(world.send(4)) is False, "none is held for an unreachable server"
     world.passes(10.0)
     assert world.states == states_before, "neither its end, nor a list without it: it may still be executing"
@@ -138,7 +138,7 @@ def test_a_goal_that_is_reported_again_is_followed_to_its_end(world):
     world.client.lost("the server is gone")
     world.client.found()
     world.client.connected()
-    assert cancelled(world.stop(1)) == (CancelCode.UNKNOWN_GOAL_ID, set())
+    assert canceled(world.stop(1)) == (CancelCode.UNKNOWN_GOAL_ID, set())
     assert world.cancels == [GoalId(ZERO, name(1))], "a stop is sent nevertheless"
     world.says((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
     assert world.states[-1] == {uuid(1): GoalState.EXECUTING, native: GoalState.EXECUTING}

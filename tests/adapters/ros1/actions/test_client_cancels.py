@@ -7,7 +7,7 @@ from bridge.adapters.ros1.actions.client import CONNECT_SECONDS
 from bridge.adapters.ros1.actions.states import Ros1State
 from bridge.adapters.ros1.actions.wire import ZERO, GoalId, RosTime
 from bridge.messages.actions import CancelCode
-from tests.peers.ros1.client_world import World, cancelled, name
+from tests.peers.ros1.client_world import World, canceled, name
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def test_cancel_one_goal(world):
     world.says((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
     assert not answers
     world.says((1, Ros1State.PREEMPTING), (2, Ros1State.ACTIVE))
-    assert cancelled(answers) == (CancelCode.NONE, {1})
+    assert canceled(answers) == (CancelCode.NONE, {1})
 
 
 def test_cancel_a_goal_that_has_just_ended(world):
@@ -31,9 +31,9 @@ def test_cancel_a_goal_that_has_just_ended(world):
     world.says((1, Ros1State.ACTIVE))
     answers = world.stop(1)
     world.ends(1, Ros1State.SUCCEEDED)
-    assert cancelled(answers) == (CancelCode.GOAL_TERMINATED, set())
-    assert cancelled(world.stop(1)) == (CancelCode.GOAL_TERMINATED, set())
-    assert cancelled(world.stop(7)) == (CancelCode.UNKNOWN_GOAL_ID, set())
+    assert canceled(answers) == (CancelCode.GOAL_TERMINATED, set())
+    assert canceled(world.stop(1)) == (CancelCode.GOAL_TERMINATED, set())
+    assert canceled(world.stop(7)) == (CancelCode.UNKNOWN_GOAL_ID, set())
 
 
 def test_cancel_all_goals(world):
@@ -44,8 +44,8 @@ def test_cancel_all_goals(world):
     answers = world.stop()
     assert world.cancels == [GoalId(ZERO, "")]
     world.says((0, Ros1State.RECALLING), (1, Ros1State.PREEMPTED), (3, Ros1State.RECALLED))
-    assert cancelled(answers) == (CancelCode.NONE, {0, 1})
-    assert cancelled(World().stop()) == (CancelCode.NONE, set())
+    assert canceled(answers) == (CancelCode.NONE, {0, 1})
+    assert canceled(World().stop()) == (CancelCode.NONE, set())
 
 
 def test_cancel_before_a_time(world):
@@ -55,10 +55,10 @@ def test_cancel_before_a_time(world):
     answers = world.stop(stamp=RosTime(2, 0))
     assert world.cancels == [GoalId(RosTime(2, 0), "")]
     world.says(*((n, Ros1State.PREEMPTING if n < 3 else Ros1State.ACTIVE, RosTime(n, 0)) for n in (1, 2, 3)))
-    assert cancelled(answers) == (CancelCode.NONE, {1, 2})
+    assert canceled(answers) == (CancelCode.NONE, {1, 2})
     both = world.stop(3, RosTime(1, 0))
     world.says((3, Ros1State.PREEMPTING))
-    assert cancelled(both)[1] >= {3}
+    assert canceled(both)[1] >= {3}
 
 
 def test_a_cancel_request_waits_for_the_connections_but_not_forever(world):
@@ -72,12 +72,12 @@ def test_a_cancel_request_waits_for_the_connections_but_not_forever(world):
     world.client.disconnected()
     late = world.stop()
     world.passes(CONNECT_SECONDS + 0.1)
-    assert cancelled(late) == (CancelCode.REJECTED, set())
+    assert canceled(late) == (CancelCode.REJECTED, set())
     last = world.stop()
     world.client.lost("the server is gone")
-    assert cancelled(last) == (CancelCode.REJECTED, set())
-    assert cancelled(early) == (CancelCode.REJECTED, set()), "the server has not confirmed it"
-    assert cancelled(world.stop()) == (CancelCode.REJECTED, set()), "none is held for an unreachable server"
+    assert canceled(last) == (CancelCode.REJECTED, set())
+    assert canceled(early) == (CancelCode.REJECTED, set()), "the server has not confirmed it"
+    assert canceled(world.stop()) == (CancelCode.REJECTED, set()), "none is held for an unreachable server"
     assert len(world.cancels) == 1
 
 
@@ -89,7 +89,7 @@ def test_a_request_for_one_goal_is_sent_once_the_server_reports_the_goal(world):
     world.says((1, Ros1State.PENDING))
     assert world.cancels == [GoalId(ZERO, name(1))]
     world.says((1, Ros1State.RECALLED))
-    assert cancelled(answers) == (CancelCode.NONE, {1})
+    assert canceled(answers) == (CancelCode.NONE, {1})
 
 
 def test_a_request_is_sent_after_a_while_if_the_server_reports_nothing(world):
@@ -107,7 +107,7 @@ def test_a_request_is_not_sent_for_a_goal_that_has_ended(world):
     world.ends(1, Ros1State.SUCCEEDED)
     world.passes(0.1)
     assert world.cancels == []
-    assert cancelled(answers) == (CancelCode.GOAL_TERMINATED, set())
+    assert canceled(answers) == (CancelCode.GOAL_TERMINATED, set())
 
 
 def test_cancel_all_is_sent_at_once_and_repeated_for_a_goal_that_it_overtook(world):
@@ -117,7 +117,7 @@ def test_cancel_all_is_sent_at_once_and_repeated_for_a_goal_that_it_overtook(wor
     world.says((1, Ros1State.ACTIVE))
     assert world.cancels == [GoalId(ZERO, ""), GoalId(ZERO, name(1))]
     world.says((1, Ros1State.PREEMPTING))
-    assert cancelled(answers) == (CancelCode.NONE, {1})
+    assert canceled(answers) == (CancelCode.NONE, {1})
 
 
 def test_a_stop_needs_only_the_cancel_topic(world):

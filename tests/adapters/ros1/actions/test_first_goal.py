@@ -59,7 +59,7 @@ class RawClient:
 
     def __init__(self, stack, master, name, goal, cancel) -> None:
         self.answers = threading.Event()
-        self.cancelled = threading.Event()
+        self.canceled = threading.Event()
         self._name = name
         ports = {
             "goal": stack.enter_context(tcp_server(lambda sock: self._serve(sock, "actionlib/TestActionGoal", goal))),
@@ -80,7 +80,7 @@ class RawClient:
         header = b"".join(struct.pack("<I", len(f)) + f.encode() for f in fields)
         sock.sendall(struct.pack("<I", len(header)) + header + struct.pack("<I", len(message)) + message)
         if not kind.endswith("Goal"):
-            self.cancelled.set()
+            self.canceled.set()
         until_closed(sock)
 
 
@@ -90,7 +90,7 @@ def test_a_goal_with_a_late_connection_precedes_its_cancel_request(master, edge)
         hub = HubServer(edge, "/slow")
         until(lambda: "/midspan" in master.state()["subscribers"].get("/slow/cancel", []), "it is offered", SECONDS)
         client = RawClient(stack, master, "/slow", goal, wire.goal_id(GoalId(ZERO, "g")))
-        assert client.cancelled.wait(SECONDS)
+        assert client.canceled.wait(SECONDS)
         until(lambda: edge.ask("status")["held_cancels"] == 1, "the request is held for its goal", SECONDS)
         client.answers.set()
         ((uuid, _),) = [wire.read_with_uuid(r) for r in hub.calls("send_goal")]

@@ -94,7 +94,7 @@ def test_aborted_goal(edge: RunningEdge, server: Peer, client: Peer) -> None:
     assert (state["status"], state["result"]["error_code"]) == (ABORTED, 7)
 
 
-def test_cancelled_goal_among_others(edge: RunningEdge, server: Peer, client: Peer) -> None:
+def test_canceled_goal_among_others(edge: RunningEdge, server: Peer, client: Peer) -> None:
     acting = act(server, edge, held=True)
     goals = send(client, 3)
     for goal in goals:

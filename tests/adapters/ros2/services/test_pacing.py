@@ -9,8 +9,8 @@ import time
 
 import pytest
 
-from bridge.adapters.ros2.graph import neighbours
-from bridge.adapters.ros2.graph.neighbours import ProcessWatch
+from bridge.adapters.ros2.graph import neighbors
+from bridge.adapters.ros2.graph.neighbors import ProcessWatch
 from bridge.adapters.ros2.services.pacing import PATIENCE, ROOM, SentRequests
 
 
@@ -35,7 +35,7 @@ def test_requests_wait_for_replies(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_end_of_a_process_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(neighbours, "loaded_majors", lambda process: {2} if process.exists() else set())
+    monkeypatch.setattr(neighbors, "loaded_majors", lambda process: {2} if process.exists() else set())
     own_prefix = b"\x01\x0f\x00\x01" + os.urandom(8)
     program = subprocess.Popen([sys.executable, "-S", "-c", "input()"], stdin=subprocess.PIPE)
     prefix = own_prefix[:4] + (program.pid & 0xFFFF).to_bytes(2, "little") + bytes(6)

@@ -19,8 +19,8 @@ print(
 )
 print("again", yarp.Network.connect("/tools/one", "/tools/two"), first.getOutputCount())
 print("missing", yarp.Network.connect("/tools/one", "/tools/none"))
-print("property", yarp.Network.setProperty("/tools/one", "colour", yarp.Value("red")))
-print("colour", yarp.Network.getProperty("/tools/one", "colour").asString())
+print("property", yarp.Network.setProperty("/tools/one", "color", yarp.Value("red")))
+print("color", yarp.Network.getProperty("/tools/one", "color").asString())
 reply = yarp.Bottle()
 print(
     "admin", yarp.Network.write(yarp.Contact("/tools/one"), yarp.Bottle("[list] [out]"), reply, True), reply.toString()

@@ -106,7 +106,7 @@ export class AreaEditor {
 
   // -- drawing
 
-  draw(context, view, colour) {
+  draw(context, view, color) {
     const pixels = this.corners.map(([x, y]) => view.to(x, y));
     if (this.drag && !this.corners.length) {
       const [[ax, ay], [bx, by]] = this.drag;
@@ -116,11 +116,11 @@ export class AreaEditor {
     context.beginPath();
     for (const pixel of pixels) context.lineTo(...pixel);
     if (pixels.length > 2) context.closePath();
-    context.fillStyle = colour.area;
+    context.fillStyle = color.area;
     context.globalAlpha = 0.15;
     context.fill();
     context.globalAlpha = 1;
-    for (const [width, ink] of [[5, colour.halo], [2, colour.area]]) {
+    for (const [width, ink] of [[5, color.halo], [2, color.area]]) {
       context.lineWidth = width;
       context.strokeStyle = ink;
       context.stroke();
@@ -128,7 +128,7 @@ export class AreaEditor {
     for (const [x, y] of pixels) {
       context.beginPath();
       context.arc(x, y, 5, 0, 2 * Math.PI);
-      context.fillStyle = colour.halo;
+      context.fillStyle = color.halo;
       context.fill();
       context.stroke();
     }

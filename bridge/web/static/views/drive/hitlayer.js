@@ -48,10 +48,10 @@ export class HitLayer {
   }
 
   /** Tint the cells; leaves the context with their transform. */
-  draw(context, view, ratio, colour) {
+  draw(context, view, ratio, color) {
     if (!this.heights.size) return;
     const { low, left } = this.box;
-    if (this.image?.colour !== colour) this.paint(colour);
+    if (this.image?.color !== color) this.paint(color);
     const { canvas } = this.image;
     toCells(context, view, { resolution: this.value.size, height: canvas.height, origin: this.corner(low, left) }, ratio);
     context.imageSmoothingEnabled = false;
@@ -60,23 +60,23 @@ export class HitLayer {
     context.globalAlpha = 1;
   }
 
-  paint(colour) {
+  paint(color) {
     const { top, low, left, right } = this.box;
     const canvas = document.createElement("canvas");
     Object.assign(canvas, { width: right - left, height: top - low + 1 });
     const context = canvas.getContext("2d");
-    context.fillStyle = colour;
+    context.fillStyle = color;
     for (const [row, column, ...heights] of this.value.runs) context.fillRect(column - left, top - row, heights.length, 1);
-    this.image = { canvas, colour };
+    this.image = { canvas, color };
   }
 
   /** A frame round one cell. */
-  mark(context, view, { row, column }, colour) {
+  mark(context, view, { row, column }, color) {
     const corners = [[0, 0], [0, 1], [1, 1], [1, 0]].map(([up, along]) => {
       const { x, y } = this.corner(row + up, column + along);
       return view.to(x, y);
     });
-    for (const [width, ink] of [[4, colour.halo], [1.5, colour.ink]]) {
+    for (const [width, ink] of [[4, color.halo], [1.5, color.ink]]) {
       context.lineWidth = width;
       context.strokeStyle = ink;
       context.beginPath();

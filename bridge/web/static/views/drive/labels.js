@@ -7,16 +7,16 @@ const LONGEST = 24; // letters of a name
 /** The names in one drawing. */
 export class Labels {
   /** `width`: of the window in pixels; names stay within it. */
-  constructor(context, width, colour) {
+  constructor(context, width, color) {
     this.context = context;
     this.width = width;
-    this.colour = colour;
+    this.color = color;
     this.taken = []; // boxes [left, top, right, bottom]
   }
 
   /** Write a name at the first free one of `spots` ([x, y, align]), or not at all. */
   put(name, spots, ink, most = Infinity) {
-    const { context, colour } = this;
+    const { context, color } = this;
     const text = name.length > LONGEST ? `${name.slice(0, LONGEST)}…` : name;
     context.font = FONT;
     const wide = context.measureText(text).width;
@@ -31,7 +31,7 @@ export class Labels {
       context.textBaseline = "alphabetic";
       context.lineJoin = "round";
       context.lineWidth = 4;
-      context.strokeStyle = colour.halo;
+      context.strokeStyle = color.halo;
       context.strokeText(text, left, y);
       context.fillStyle = ink;
       context.fillText(text, left, y);

@@ -153,9 +153,9 @@ export class MapBlock {
 
   themes() {
     this.dark = matchMedia("(prefers-color-scheme: dark)");
-    this.colours = scene.colours();
+    this.colors = scene.colors();
     this.dark.addEventListener("change", () => {
-      this.colours = scene.colours();
+      this.colors = scene.colors();
       this.images.show(this.values.map, this.layers.on("flags"), this.dark.matches);
       this.redraw();
     });
@@ -238,7 +238,7 @@ export class MapBlock {
     const left = x + 14 + width > this.view.width ? x - 14 - width : x + 14;
     this.height.style.setProperty("left", `${Math.max(4, left)}px`);
     this.height.style.setProperty("top", `${Math.max(4, y - 12 - height)}px`);
-    this.hits.mark(this.context, this.view, cell, this.colours);
+    this.hits.mark(this.context, this.view, cell, this.colors);
   }
 
   // -- tools
@@ -259,7 +259,7 @@ export class MapBlock {
 
   /**
    * Pass gestures to an editor: {press(px, py), move(px, py), let(px, py, far), forget(), key(event) -> whether it
-   * was handled, draw(context, view, colour), hint}; null: stop.
+   * was handled, draw(context, view, color), hint}; null: stop.
    */
   edit(editor) {
     this.choose(null);
@@ -365,36 +365,36 @@ export class MapBlock {
   draw() {
     this.dirty = false;
     if (!this.shown || !this.canvas.width) return;
-    const { context, view, values, colours: colour, ratio } = this;
+    const { context, view, values, colors: color, ratio } = this;
     context.setTransform(1, 0, 0, 1, 0, 0);
-    context.fillStyle = colour.floor;
+    context.fillStyle = color.floor;
     context.fillRect(0, 0, this.canvas.width, this.canvas.height);
     if (values.map) this.images.draw(context, view, values.map, ratio);
-    this.hits.draw(context, view, ratio, colour.layer);
+    this.hits.draw(context, view, ratio, color.layer);
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    if (!values.map) scene.drawGrid(context, view, colour);
+    if (!values.map) scene.drawGrid(context, view, color);
     const named = this.named(values);
-    scene.drawPlaces(context, view, named, colour);
-    if (this.layers.on("path")) scene.drawTrail(context, view, this.trail.points, colour);
-    if (this.layers.on("path")) scene.drawPath(context, view, values.path?.points ?? [], values.robot?.pose, colour);
-    if (this.layers.on("obstacles") && values.obstacles) scene.drawObstacles(context, view, values.obstacles, colour);
-    if (this.layers.on("laser")) scene.drawLaser(context, view, values.laser?.points ?? [], colour);
-    const [labels, others] = [new Labels(context, view.width, colour), seen(values.robots, colour)];
+    scene.drawPlaces(context, view, named, color);
+    if (this.layers.on("path")) scene.drawTrail(context, view, this.trail.points, color);
+    if (this.layers.on("path")) scene.drawPath(context, view, values.path?.points ?? [], values.robot?.pose, color);
+    if (this.layers.on("obstacles") && values.obstacles) scene.drawObstacles(context, view, values.obstacles, color);
+    if (this.layers.on("laser")) scene.drawLaser(context, view, values.laser?.points ?? [], color);
+    const [labels, others] = [new Labels(context, view.width, color), seen(values.robots, color)];
     drawRobotNames(labels, view, others);
-    scene.drawNames(labels, view, named, colour);
-    drawRobots(context, view, others, colour, this.layers.on("path"), !this.socket.open);
-    if (values.driving?.goal) scene.drawPose(context, view, values.driving.goal, colour.path, colour);
-    if (values.robot?.pose) scene.drawRobot(context, view, values.robot, colour, !this.socket.open);
+    scene.drawNames(labels, view, named, color);
+    drawRobots(context, view, others, color, this.layers.on("path"), !this.socket.open);
+    if (values.driving?.goal) scene.drawPose(context, view, values.driving.goal, color.path, color);
+    if (values.robot?.pose) scene.drawRobot(context, view, values.robot, color, !this.socket.open);
     this.showHeight();
-    this.editor?.draw(context, view, colour);
-    if ((this.editor || this.tool) && document.activeElement === this.canvas) scene.drawCross(context, view, colour);
+    this.editor?.draw(context, view, color);
+    if ((this.editor || this.tool) && document.activeElement === this.canvas) scene.drawCross(context, view, color);
     if (this.measured.length === 1 && !this.aim) {
       const [x, y] = view.toMap(view.width / 2, view.height / 2);
-      scene.drawMeasure(context, view, [this.measured[0], { x, y }], colour);
-    } else if (this.measured.length === 2) scene.drawMeasure(context, view, this.measured, colour);
-    else if (this.aim) scene.drawPose(context, view, this.aim, colour.accent, colour, 44);
-    if (this.point) scene.drawPose(context, view, this.point, colour.accent, colour);
-    scene.drawScale(context, view, colour, view.width < NARROW ? 76 : 16);
+      scene.drawMeasure(context, view, [this.measured[0], { x, y }], color);
+    } else if (this.measured.length === 2) scene.drawMeasure(context, view, this.measured, color);
+    else if (this.aim) scene.drawPose(context, view, this.aim, color.accent, color, 44);
+    if (this.point) scene.drawPose(context, view, this.point, color.accent, color);
+    scene.drawScale(context, view, color, view.width < NARROW ? 76 : 16);
   }
 
   /** Named objects on the current map whose layer is on. */

@@ -157,15 +157,15 @@ export class PaintEditor {
 
   // -- drawing
 
-  draw(context, view, colour) {
-    for (const stroke of [...this.strokes, this.stroke]) if (stroke) this.drawStroke(context, view, colour, stroke);
+  draw(context, view, color) {
+    for (const stroke of [...this.strokes, this.stroke]) if (stroke) this.drawStroke(context, view, color, stroke);
   }
 
-  drawStroke(context, view, colour, { points, radius, flag }) {
+  drawStroke(context, view, color, { points, radius, flag }) {
     const cell = this.map.values.map?.resolution ?? 0;
     context.lineJoin = context.lineCap = "round";
     context.lineWidth = Math.max(2, Math.max(2 * radius, cell) * view.scale);
-    context.strokeStyle = colour[{ 1: "bad", 2: "held", 3: "area", 4: "ink" }[flag] ?? "floor"];
+    context.strokeStyle = color[{ 1: "bad", 2: "held", 3: "area", 4: "ink" }[flag] ?? "floor"];
     context.globalAlpha = 0.55;
     context.beginPath();
     for (const [x, y] of points) context.lineTo(...view.to(x, y));

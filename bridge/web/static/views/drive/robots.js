@@ -2,16 +2,16 @@
 
 import { drawPath, drawRobot } from "./scene.js";
 
-const COLOURS = 6; // --robot-0 to --robot-5
+const COLORS = 6; // --robot-0 to --robot-5
 
 /** The robots of the feed `robots` with a known pose: [{name, pose, footprint, path, ink}]. */
-export const seen = (robots, colour) =>
-  (robots ?? []).map((robot, i) => ({ ...robot, ink: colour[`robot-${i % COLOURS}`] })).filter(({ pose }) => pose);
+export const seen = (robots, color) =>
+  (robots ?? []).map((robot, i) => ({ ...robot, ink: color[`robot-${i % COLORS}`] })).filter(({ pose }) => pose);
 
 /** `paths`: whether their paths are drawn; `old`: the connection is lost, so they may be elsewhere. */
-export function drawRobots(context, view, robots, colour, paths, old) {
-  for (const { ink, path, pose } of robots) if (paths) drawPath(context, view, path, pose, { ...colour, path: ink });
-  for (const robot of robots) drawRobot(context, view, robot, { ...colour, accent: robot.ink }, old);
+export function drawRobots(context, view, robots, color, paths, old) {
+  for (const { ink, path, pose } of robots) if (paths) drawPath(context, view, path, pose, { ...color, path: ink });
+  for (const robot of robots) drawRobot(context, view, robot, { ...color, accent: robot.ink }, old);
 }
 
 export function drawRobotNames(labels, view, robots) {

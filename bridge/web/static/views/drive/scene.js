@@ -1,7 +1,7 @@
 // Draws the objects on the map. `to(x, y)` gives the pixel of a place, `scale` the pixels a meter.
 
 /** The colors of the page's theme, by the names of style.css. */
-export function colours() {
+export function colors() {
   const style = getComputedStyle(document.documentElement);
   const names = ["floor", "grid", "ink", "muted", "accent", "laser", "path", "layer", "area", "goal", "halo", "bad", "held",
     "robot-0", "robot-1", "robot-2", "robot-3", "robot-4", "robot-5"];
@@ -9,11 +9,11 @@ export function colours() {
 }
 
 /** A grid of meters, without a map. */
-export function drawGrid(context, view, colour) {
+export function drawGrid(context, view, color) {
   const step = niceStep(60 / view.scale);
   const [left, top] = view.toMap(0, 0);
   const [right, bottom] = view.toMap(view.width, view.height);
-  context.strokeStyle = colour.grid;
+  context.strokeStyle = color.grid;
   context.lineWidth = 1;
   context.beginPath();
   for (let x = Math.ceil(left / step) * step; x < right; x += step) {
@@ -36,13 +36,13 @@ export function niceStep(most) {
 }
 
 /** A length as a bar in the corner, `above` pixels above the edge. */
-export function drawScale(context, view, colour, above) {
+export function drawScale(context, view, color, above) {
   const meters = niceStep(110 / view.scale);
   const wide = meters * view.scale;
   const [x, y] = [view.width - 16 - wide, view.height - above - 0.5];
   const text = meters >= 1 ? `${meters} m` : `${Math.round(meters * 100)} cm`;
   context.lineWidth = 5;
-  context.strokeStyle = colour.halo;
+  context.strokeStyle = color.halo;
   const line = () => {
     context.beginPath();
     context.moveTo(x, y - 5);
@@ -53,46 +53,46 @@ export function drawScale(context, view, colour, above) {
   };
   line();
   context.lineWidth = 1.5;
-  context.strokeStyle = colour.ink;
+  context.strokeStyle = color.ink;
   line();
-  label(context, text, x + wide / 2, y - 8, colour);
+  label(context, text, x + wide / 2, y - 8, color);
 }
 
 /** A text in the middle of x that stays readable on any map. */
-function label(context, text, x, y, colour, bold = false) {
+function label(context, text, x, y, color, bold = false) {
   context.font = `${bold ? "600 " : ""}13px system-ui, sans-serif`;
   context.textAlign = "center";
   context.textBaseline = "alphabetic";
   context.lineJoin = "round";
   context.lineWidth = 4;
-  context.strokeStyle = colour.halo;
+  context.strokeStyle = color.halo;
   context.strokeText(text, x, y);
-  context.fillStyle = colour.ink;
+  context.fillStyle = color.ink;
   context.fillText(text, x, y);
 }
 
 const PASSED = 0.35; // opacity of the path behind the robot
 
 /** Pairs of x, y in one flat list, joined by a line; the part behind the robot (`pose`, if known) is pale. */
-export function drawPath(context, view, points, pose, colour) {
+export function drawPath(context, view, points, pose, color) {
   if (points.length < 4) return;
   const [at, x, y] = pose ? nearest(points, pose) : [0, points[0], points[1]];
   const pixels = [];
   for (let i = 0; i + 1 < points.length; i += 2) pixels.push(view.to(points[i], points[i + 1]));
   const here = view.to(x, y);
   context.lineJoin = context.lineCap = "round";
-  line(context, [...pixels.slice(0, at + 1), here], 3, colour.path, PASSED);
+  line(context, [...pixels.slice(0, at + 1), here], 3, color.path, PASSED);
   const left = [here, ...pixels.slice(at + 1)];
-  line(context, left, 6, colour.halo);
-  line(context, left, 3, colour.path);
+  line(context, left, 6, color.halo);
+  line(context, left, 3, color.path);
 }
 
 /** The robot's trail. */
-export function drawTrail(context, view, points, colour) {
+export function drawTrail(context, view, points, color) {
   const pixels = [];
   for (let i = 0; i + 1 < points.length; i += 2) pixels.push(view.to(points[i], points[i + 1]));
   context.lineJoin = context.lineCap = "round";
-  line(context, pixels, 3, colour.path, PASSED);
+  line(context, pixels, 3, color.path, PASSED);
 }
 
 function line(context, pixels, width, ink, opacity = 1) {
@@ -117,9 +117,9 @@ export function nearest(points, { x, y }) {
 }
 
 /** The planner's obstacles: cells of `size` meters. */
-export function drawObstacles(context, view, { points, size }, colour) {
+export function drawObstacles(context, view, { points, size }, color) {
   const side = Math.max(3, size * view.scale);
-  context.fillStyle = colour.held;
+  context.fillStyle = color.held;
   context.globalAlpha = 0.5;
   for (let i = 0; i + 1 < points.length; i += 2) {
     const [x, y] = view.to(points[i], points[i + 1]);
@@ -129,9 +129,9 @@ export function drawObstacles(context, view, { points, size }, colour) {
 }
 
 /** The laser scan. */
-export function drawLaser(context, view, points, colour) {
+export function drawLaser(context, view, points, color) {
   const size = Math.max(2, Math.min(5, view.scale * 0.04));
-  context.fillStyle = colour.laser;
+  context.fillStyle = color.laser;
   for (let i = 0; i + 1 < points.length; i += 2) {
     const [x, y] = view.to(points[i], points[i + 1]);
     context.fillRect(x - size / 2, y - size / 2, size, size);
@@ -139,12 +139,12 @@ export function drawLaser(context, view, points, colour) {
 }
 
 /** The robot: footprint and heading. `old`: the connection is lost, so it may be elsewhere. */
-export function drawRobot(context, view, { pose, footprint }, colour, old) {
+export function drawRobot(context, view, { pose, footprint }, color, old) {
   const [cos, sin] = [Math.cos(pose.theta), Math.sin(pose.theta)];
   const at = (x, y) => view.to(pose.x + cos * x - sin * y, pose.y + sin * x + cos * y);
   const outline = footprint?.length > 2 ? footprint : disc(0.25);
   const reach = Math.max(...outline.map(([x, y]) => Math.hypot(x, y)));
-  const ink = old ? colour.muted : colour.accent;
+  const ink = old ? color.muted : color.accent;
   context.lineJoin = "round";
   shape(context, outline.map(([x, y]) => at(x, y)));
   context.fillStyle = ink;
@@ -157,7 +157,7 @@ export function drawRobot(context, view, { pose, footprint }, colour, old) {
   const size = Math.max(reach * 0.75, 9 / view.scale); // visible on a large map too
   shape(context, [[1, 0], [-0.7, 0.65], [-0.35, 0], [-0.7, -0.65]].map(([x, y]) => at(x * size, y * size)));
   context.lineWidth = 3;
-  context.strokeStyle = colour.halo;
+  context.strokeStyle = color.halo;
   context.stroke();
   context.fillStyle = ink;
   context.fill();
@@ -172,18 +172,18 @@ function shape(context, points) {
 }
 
 /** Areas, paths and places, without their names. */
-export function drawPlaces(context, view, { areas, paths, locations }, colour) {
-  for (const [, { points }] of areas) drawArea(context, view, points, colour);
-  for (const [, { points }] of paths) drawNamedPath(context, view, points, colour);
-  for (const [, place] of locations) drawPlace(context, view, place, colour);
+export function drawPlaces(context, view, { areas, paths, locations }, color) {
+  for (const [, { points }] of areas) drawArea(context, view, points, color);
+  for (const [, { points }] of paths) drawNamedPath(context, view, points, color);
+  for (const [, place] of locations) drawPlace(context, view, place, color);
 }
 
 /** A place: a dot with its heading. */
-function drawPlace(context, view, place, colour) {
+function drawPlace(context, view, place, color) {
   const [x, y] = view.to(place.x, place.y);
   context.lineWidth = 2;
-  context.strokeStyle = colour.goal;
-  context.fillStyle = colour.halo;
+  context.strokeStyle = color.goal;
+  context.fillStyle = color.halo;
   context.beginPath();
   context.moveTo(x, y);
   context.lineTo(x + 13 * Math.cos(place.theta), y - 13 * Math.sin(place.theta));
@@ -195,23 +195,23 @@ function drawPlace(context, view, place, colour) {
 }
 
 /** An area: its outline. */
-function drawArea(context, view, points, colour) {
+function drawArea(context, view, points, color) {
   if (points.length < 2) return;
   const pixels = points.map(([x, y]) => view.to(x, y));
   shape(context, pixels);
-  context.fillStyle = colour.area;
+  context.fillStyle = color.area;
   context.globalAlpha = 0.07;
   context.fill();
   context.globalAlpha = 1;
   context.setLineDash([6, 4]);
   context.lineWidth = 1.5;
-  context.strokeStyle = colour.area;
+  context.strokeStyle = color.area;
   context.stroke();
   context.setLineDash([]);
 }
 
 /** A named path: a dotted line. */
-function drawNamedPath(context, view, points, colour) {
+function drawNamedPath(context, view, points, color) {
   if (!points.length) return;
   const pixels = points.map(([x, y]) => view.to(x, y));
   context.beginPath();
@@ -219,32 +219,32 @@ function drawNamedPath(context, view, points, colour) {
   context.setLineDash([2, 6]);
   context.lineCap = "round";
   context.lineWidth = 3;
-  context.strokeStyle = colour.area;
+  context.strokeStyle = color.area;
   context.stroke();
   context.setLineDash([]);
 }
 
 /** The names of places, then those of areas and paths if there is space. */
-export function drawNames(labels, view, { areas, paths, locations }, colour) {
+export function drawNames(labels, view, { areas, paths, locations }, color) {
   for (const [name, place] of locations) {
     const [x, y] = view.to(place.x, place.y);
-    labels.put(name, [[x + 10, y + 17], [x + 10, y - 8], [x - 10, y + 17, "right"], [x - 10, y - 8, "right"]], colour.ink);
+    labels.put(name, [[x + 10, y + 17], [x + 10, y - 8], [x - 10, y + 17, "right"], [x - 10, y - 8, "right"]], color.ink);
   }
   for (const [name, { points }] of areas) {
     const pixels = points.map(([x, y]) => view.to(x, y));
     const [left, top] = [0, 1].map((axis) => Math.min(...pixels.map((pixel) => pixel[axis])));
     const right = Math.max(...pixels.map(([x]) => x));
-    labels.put(name, [[left + 14, top + 24], [left + 14, top + 42]], colour.area, right - left - 20);
+    labels.put(name, [[left + 14, top + 24], [left + 14, top + 42]], color.area, right - left - 20);
   }
   for (const [name, { points }] of paths) {
     if (!points.length) continue;
     const [x, y] = view.to(...points[0]);
-    labels.put(name, [[x + 8, y - 8], [x + 8, y + 18]], colour.area);
+    labels.put(name, [[x + 8, y - 8], [x + 8, y + 18]], color.area);
   }
 }
 
 /** The goal, or a pose being set: a ring and, with a heading, an arrow. */
-export function drawPose(context, view, { x, y, theta }, ink, colour, length = 30) {
+export function drawPose(context, view, { x, y, theta }, ink, color, length = 30) {
   const [px, py] = view.to(x, y);
   const line = () => {
     context.beginPath();
@@ -262,7 +262,7 @@ export function drawPose(context, view, { x, y, theta }, ink, colour, length = 3
   };
   context.lineJoin = context.lineCap = "round";
   context.lineWidth = 6;
-  context.strokeStyle = colour.halo;
+  context.strokeStyle = color.halo;
   line();
   context.lineWidth = 2.5;
   context.strokeStyle = ink;
@@ -270,9 +270,9 @@ export function drawPose(context, view, { x, y, theta }, ink, colour, length = 3
 }
 
 /** A cross at the center of the window, where the keyboard sets poses. */
-export function drawCross(context, view, colour) {
+export function drawCross(context, view, color) {
   const [x, y] = [Math.round(view.width / 2) + 0.5, Math.round(view.height / 2) + 0.5];
-  for (const [width, ink] of [[5, colour.halo], [2, colour.ink]]) {
+  for (const [width, ink] of [[5, color.halo], [2, color.ink]]) {
     context.lineWidth = width;
     context.strokeStyle = ink;
     context.beginPath();
@@ -313,10 +313,10 @@ export function farFrom(points, x, y) {
 }
 
 /** A measured length between two places. */
-export function drawMeasure(context, view, [a, b], colour) {
+export function drawMeasure(context, view, [a, b], color) {
   const [ax, ay] = view.to(a.x, a.y);
   const [bx, by] = view.to(b.x, b.y);
-  for (const [width, ink] of [[5, colour.halo], [2, colour.ink]]) {
+  for (const [width, ink] of [[5, color.halo], [2, color.ink]]) {
     context.lineWidth = width;
     context.strokeStyle = ink;
     context.beginPath();
@@ -329,5 +329,5 @@ export function drawMeasure(context, view, [a, b], colour) {
     context.stroke();
   }
   const text = `${Math.hypot(b.x - a.x, b.y - a.y).toFixed(2)} m`;
-  label(context, text, (ax + bx) / 2, (ay + by) / 2 - 9, colour, true);
+  label(context, text, (ax + bx) / 2, (ay + by) / 2 - 9, color, true);
 }

@@ -62,7 +62,7 @@ function editor(definition, field, constants, path) {
 
 const typeOf = ({ base, shape, length }) => base + (shape === "single" ? "" : shape === "array" ? `[${length}]` : length ? `[<=${length}]` : "[]");
 
-const labelled = (field, input) => el("label", { class: "entry" },
+const labeled = (field, input) => el("label", { class: "entry" },
   el("span", { class: "key", text: field.name }), input, el("span", { class: "second", text: typeOf(field) }));
 
 function branch(definition, field, path) {
@@ -75,13 +75,13 @@ function branch(definition, field, path) {
 function one(field, constants, path) {
   if (field.base === "bool") {
     const choice = el("select", {}, ...[false, true].map((value) => el("option", { value: String(value), text: String(value), selected: value === field.default })));
-    return { element: labelled(field, choice), read: () => choice.value === "true" };
+    return { element: labeled(field, choice), read: () => choice.value === "true" };
   }
   const text = field.base.includes("string");
   const offered = text ? null : constantList(field, constants);
   const input = el("input", { type: "text", autocomplete: "off", spellcheck: "false", value: field.default ?? (text ? "" : 0),
     inputmode: text ? null : field.base.startsWith("float") || WHOLE[field.base]?.[0] < 0 ? "text" : "numeric", list: offered?.id });
-  const element = labelled(field, input);
+  const element = labeled(field, input);
   if (offered) element.append(offered);
   return { element, read: () => parsed(field, input.value, input, path) };
 }
@@ -103,7 +103,7 @@ function values(field, path) {
   input.value = begin.join(text ? "\n" : ", ");
   const split = () => (input.value === "" && field.shape !== "array" ? [] : input.value.split(text ? "\n" : /[\s,;]+/));
   return {
-    element: labelled(field, input),
+    element: labeled(field, input),
     read() {
       const items = split().map((each, i) => parsed(field, text ? each : each.trim(), input, `${path}[${i}]`));
       counted(field, items.length, input, path);

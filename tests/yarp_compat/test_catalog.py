@@ -9,10 +9,10 @@ import sys
 import pytest
 
 import yarp_compat as yarp
-from yarp_compat import catalogue
+from yarp_compat import catalog
 
 
-@pytest.mark.parametrize("name", catalogue.names())
+@pytest.mark.parametrize("name", catalog.names())
 def test_every_name_exists(name: str) -> None:
     assert getattr(yarp, name) is not None
     assert name in dir(yarp)
@@ -21,7 +21,7 @@ def test_every_name_exists(name: str) -> None:
 def test_names_are_loaded_on_first_use_without_numpy() -> None:
     code = (
         "import sys, yarp_compat as yarp\n"
-        "first = ('yarp_compat.catalogue', 'yarp_compat.absences')\n"
+        "first = ('yarp_compat.catalog', 'yarp_compat.absences')\n"
         "assert not [m for m in sys.modules if m.startswith('yarp_compat.') and m not in first]\n"
         "yarp.Network.setLocalMode(True); yarp.Network.init()\n"
         "p = yarp.BufferedPortBottle(); assert p.open('/p')\n"
@@ -113,7 +113,7 @@ def test_a_star_import_imports_every_name() -> None:
 
 def test_a_star_import_without_numpy_leaves_out_names_that_need_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    names = catalogue.everything()
+    names = catalog.everything()
     assert "Bottle" in names
     assert "Vector" not in names
 

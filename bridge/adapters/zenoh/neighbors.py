@@ -65,14 +65,14 @@ _MAX_UNSURE = 4096
 _POLL_SECONDS = 5.0
 
 
-class KeyNeighbours:
+class KeyNeighbors:
     """Follows the other Midspan sessions of the same side and scope.
 
     Args:
         scope: distinguishes this network from others of the side on the same zenoh network.
         past: ids of this daemon's past sessions.
         graph_changed: called when the result of `is_own` may have changed.
-        presence_changed: called when a neighbour joined, left or sent a record.
+        presence_changed: called when a neighbor joined, left or sent a record.
     """
 
     def __init__(
@@ -117,12 +117,12 @@ class KeyNeighbours:
             self._graph_changed()
 
     def announce(self, record: bytes) -> None:
-        """Send a record to all neighbours."""
+        """Send a record to all neighbors."""
         with contextlib.suppress(zenoh.ZError):  # the session is being closed
             self._publisher.put(record)
 
     def sightings(self) -> list[Sighting]:
-        """Return the neighbours on the network, without this daemon's past sessions."""
+        """Return the neighbors on the network, without this daemon's past sessions."""
         with self._lock:
             return [sighting for zid, sighting in self._seen.items() if zid not in self._past]
 

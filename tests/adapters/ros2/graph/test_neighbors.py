@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.adapters.ros2.graph import neighbours
+from bridge.adapters.ros2.graph import neighbors
 from bridge.adapters.ros2.graph.origins import is_marked, new_prefix
 from bridge.concurrency import DelayedCalls
 
@@ -57,18 +57,18 @@ def table(tmp_path: Path) -> Table:
 
 @pytest.fixture
 def strangers(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., bool]]:
-    """Returns whether `MemoryNeighbours` reports a stranger among constant participants."""
-    monkeypatch.setattr(neighbours, "CONFIRM_SECONDS", 0.01)
-    watches: list[neighbours.MemoryNeighbours] = []
-    later = DelayedCalls("test-neighbours")
+    """Returns whether `MemoryNeighbors` reports a stranger among constant participants."""
+    monkeypatch.setattr(neighbors, "CONFIRM_SECONDS", 0.01)
+    watches: list[neighbors.MemoryNeighbors] = []
+    later = DelayedCalls("test-neighbors")
 
     def detects(*participants: bytes, then: tuple[bytes, ...] | None = None, seconds: float = 40.0) -> bool:
         reported = threading.Event()
-        watch = neighbours.MemoryNeighbours(OWN, 2, 3, reported.set, later, proc=table.folder, folder=table.shm)
+        watch = neighbors.MemoryNeighbors(OWN, 2, 3, reported.set, later, proc=table.folder, folder=table.shm)
         watches.append(watch)
         detects.watch = watch  # type: ignore[attr-defined]
         if then is not None:  # it must exit before the second check, even on a slow machine
-            monkeypatch.setattr(neighbours, "CONFIRM_SECONDS", seconds / 2)
+            monkeypatch.setattr(neighbors, "CONFIRM_SECONDS", seconds / 2)
         watch.follow(participants)
         watch.follow(participants if then is None else then)
         return reported.wait(seconds)
@@ -147,7 +147,7 @@ def test_a_killed_program_is_not_a_stranger_before_its_lease_expires(
     table.bind(8160, 8162, 8164)
     assert strangers(*present), "it is alive, in a container"
     table.bind(8160, 8162)
-    monkeypatch.setattr(neighbours, "LEASE_SECONDS", 0.1)
+    monkeypatch.setattr(neighbors, "LEASE_SECONDS", 0.1)
     assert strangers(*present), "it stays"
 
 
@@ -156,11 +156,11 @@ def test_other_hosts_and_other_midspans_do_not_count(strangers: Callable[..., bo
 
 
 def test_udp_is_preferred_until_the_next_boot(tmp_path: Path) -> None:
-    assert not neighbours.prefers_udp(tmp_path)
-    neighbours.prefer_udp(tmp_path / "deeper")
-    assert neighbours.prefers_udp(tmp_path / "deeper")
+    assert not neighbors.prefers_udp(tmp_path)
+    neighbors.prefer_udp(tmp_path / "deeper")
+    assert neighbors.prefers_udp(tmp_path / "deeper")
     (tmp_path / "deeper" / "udp-alone").write_text("another boot")
-    assert not neighbours.prefers_udp(tmp_path / "deeper")
+    assert not neighbors.prefers_udp(tmp_path / "deeper")
 
 
 def test_mark() -> None:

@@ -43,7 +43,7 @@ _LIBRARIES = {major: f"/lib{name}.so.{major}".encode() for major, name in SHARED
 _NOTE = "udp-alone"
 
 
-class MemoryNeighbours:
+class MemoryNeighbors:
     """Calls ``stranger`` for a participant that shared memory cannot reach, although Fast DDS offers it.
 
     Args:
