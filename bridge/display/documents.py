@@ -21,7 +21,7 @@ def routes_table(documents: Iterable[StatusDocument], *, errors: bool = True) ->
     )
     several = len({document.daemon for document, _ in rows}) > 1
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for name in (*(["daemon"] if several else []), "direction", "topic", "type", "class", "way"):
+    for name in (*(["daemon"] if several else []), "direction", "topic", "type", "class", "transport"):
         table.add_column(name, no_wrap=name not in ("topic", "type"), overflow="fold")
     for name in ("msg/s", "p50 ms", "p99 ms", "messages"):
         table.add_column(name, justify="right", no_wrap=True)
@@ -59,7 +59,7 @@ def topic_text(route: RouteStatus) -> str:
     return f"{side} -> {hub}" if route.direction == "in" else f"{hub} -> {side}"
 
 
-def way_text(route: RouteStatus) -> str:
+def transport_text(route: RouteStatus) -> str:
     """``by the lane``, or ``over zenoh, as ...``; "" if nothing crosses the hub."""
     if route.way == "lane":
         return "by the lane"

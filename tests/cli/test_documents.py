@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from bridge.cli.main import main
-from bridge.display.documents import port_lines, routes_table, way_text
+from bridge.display.documents import port_lines, routes_table, transport_text
 from bridge.status import PortStatus, RouteStatus, read_status
 from tests.adapters.yarp.conftest import Place
 from tests.cli.conftest import Midspan
@@ -60,7 +60,7 @@ def test_a_topic_shows_its_priority() -> None:
     ],
 )
 def test_the_transport_on_the_hub_is_described(way: str, why: str, text: str) -> None:
-    assert way_text(RouteStatus(way=way, why=why)) == text
+    assert transport_text(RouteStatus(way=way, why=why)) == text
 
 
 TWIST, SCAN, STRING = "geometry_msgs/Twist", "sensor_msgs/LaserScan", "std_msgs/String"

@@ -223,7 +223,7 @@ def _monitor(args: argparse.Namespace) -> int:
     return 0
 
 
-def way(frames: Mapping[str, FrameInfo], one: str, other: str) -> list[str]:
+def connecting_frames(frames: Mapping[str, FrameInfo], one: str, other: str) -> list[str]:
     """Return the frames on the path from one to another, without their common ancestor."""
     ups: list[list[str]] = []
     for name in (one, other):
@@ -242,7 +242,7 @@ def _print_meters(args: argparse.Namespace, listener: TransformListener) -> None
     if args.frames:
         first, other = (name.lstrip("/") for name in args.frames)
         age = _age_text(listener, first, other)
-        frames = {name: frames[name] for name in sorted(way(frames, first, other))}
+        frames = {name: frames[name] for name in sorted(connecting_frames(frames, first, other))}
     if args.json:
         print_json([_meter_json(info, meters[info.name], now) for info in frames.values()], lines=True)
         return

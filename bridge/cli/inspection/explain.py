@@ -18,7 +18,7 @@ from bridge.client.session import ASK_SECONDS, Client
 from bridge.client.status import daemon_names
 from bridge.config.model import Config
 from bridge.config.sections.routing import Rule
-from bridge.display.documents import connection_line, drops_text, port_lines, way_text
+from bridge.display.documents import connection_line, drops_text, port_lines, transport_text
 from bridge.doctor import hub_problems
 from bridge.doctor.hub_problems import Note, absence
 from bridge.hub.control import WorkerAnswer
@@ -272,8 +272,8 @@ def _decision_lines(decision: Decision, route: RouteStatus | None, whose: str) -
     name = decision.topic if decision.direction == "in" else decision.hub_topic
     lands = decision.hub_topic if decision.direction == "in" else decision.topic
     renamed = f" as {lands}" if decision.decision == "bridged" and name != lands else ""
-    way = arrow(decision.worker, decision.direction)
-    text = f"{way}{whose}: {name} ({decision.type}) {verdict}{renamed}: {decision.why}."
+    sides = arrow(decision.worker, decision.direction)
+    text = f"{sides}{whose}: {name} ({decision.type}) {verdict}{renamed}: {decision.why}."
     lines = [clean(text)]
     if decision.cure:
         lines.append(f"    cure: {clean(decision.cure)}")
@@ -287,14 +287,14 @@ def _decision_lines(decision: Decision, route: RouteStatus | None, whose: str) -
 def _flow(route: RouteStatus) -> str:
     if route.kind == "service":
         return _calls(route)
-    way = f"; {way_text(route)}" if way_text(route) else ""
+    transport = f"; {transport_text(route)}" if transport_text(route) else ""
     if not route.messages:
-        return f"no message has come yet; drops: {drops_text(route)}{way}"
+        return f"no message has come yet; drops: {drops_text(route)}{transport}"
     speed = rate(route.rate)
     speed = "none in the last second" if speed == "-" else f"{speed} msg/s"
     return (
         f"{plural(route.messages, 'message')}, {speed}, the last one {duration(route.age)} ago;"
-        f" drops: {drops_text(route)}; {clean(route.qos)}{way}"
+        f" drops: {drops_text(route)}; {clean(route.qos)}{transport}"
     )
 
 
@@ -363,7 +363,7 @@ def _what(rule: Rule) -> str:
 
 
 def _fate(rule: Rule) -> str:
-    way = "" if rule.to is None else " into the hub" if rule.to == "zenoh" else f" to {side_name(rule.to)}"
+    destination = "" if rule.to is None else " into the hub" if rule.to == "zenoh" else f" to {side_name(rule.to)}"
     if rule.deny:
-        return f"does not cross{way}"
-    return f"crosses{way}" + ("" if rule.rename is None else f" as {rule.rename}")
+        return f"does not cross{destination}"
+    return f"crosses{destination}" + ("" if rule.rename is None else f" as {rule.rename}")

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from bridge.cli.frames.tf import way
+from bridge.cli.frames.tf import connecting_frames
 from bridge.client.transforms import FrameMeter
 from bridge.messages.registry import Registry
 from bridge.tf.buffer import TransformBuffer
@@ -203,12 +203,12 @@ def test_path_between_two_frames() -> None:
     for parent, child in ("ab", "bc", "bd", "de", "xy"):
         buffer.set_transform(parent, child, 1, (0, 0, 0), UNIT)
     frames = {info.name: info for info in buffer.frames()}
-    assert way(frames, "c", "e") == ["c", "e", "d"]
-    assert way(frames, "a", "c") == ["c", "b"]
-    assert way(frames, "c", "c") == []
+    assert connecting_frames(frames, "c", "e") == ["c", "e", "d"]
+    assert connecting_frames(frames, "a", "c") == ["c", "b"]
+    assert connecting_frames(frames, "c", "c") == []
     for parent, child in ("za", "az"):
         buffer.set_transform(parent, child, 2, (0, 0, 0), UNIT)
-    assert way({info.name: info for info in buffer.frames()}, "c", "nowhere")[:2] == ["c", "b"]
+    assert connecting_frames({info.name: info for info in buffer.frames()}, "c", "nowhere")[:2] == ["c", "b"]
 
 
 def test_a_meter_counts_the_last_five_seconds() -> None:

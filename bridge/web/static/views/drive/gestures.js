@@ -82,8 +82,8 @@ export function gestures(canvas, target) {
     (event) => {
       event.preventDefault();
       const at = place(event);
-      const way = event.deltaY * (event.deltaMode === 1 ? LINE : 1);
-      target.zoom(Math.exp(-Math.max(-300, Math.min(300, way)) * 0.0015), at.x, at.y);
+      const scroll = event.deltaY * (event.deltaMode === 1 ? LINE : 1);
+      target.zoom(Math.exp(-Math.max(-300, Math.min(300, scroll)) * 0.0015), at.x, at.y);
     },
     { passive: false },
   );

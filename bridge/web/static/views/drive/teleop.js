@@ -87,10 +87,10 @@ export function teleop(socket) {
     const box = stick.getBoundingClientRect();
     let right = (event.clientX - box.left - box.width / 2) / (box.width / 2);
     let down = (event.clientY - box.top - box.height / 2) / (box.height / 2);
-    const way = Math.hypot(right, down);
-    if (way > 1) [right, down] = [right / way, down / way];
+    const deflection = Math.hypot(right, down);
+    if (deflection > 1) [right, down] = [right / deflection, down / deflection];
     moveKnob(right, down);
-    return way < DEAD ? drive(0, 0, 0) : drive(-down, 0, -right);
+    return deflection < DEAD ? drive(0, 0, 0) : drive(-down, 0, -right);
   });
   stick.addEventListener("keydown", (event) => {
     if (!(event.key in ARROWS) || event.altKey || event.ctrlKey || event.metaKey || pointer !== null) return;

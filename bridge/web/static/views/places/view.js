@@ -62,7 +62,7 @@ export default function placesView(root, socket) {
 function locationTable(socket, current) {
   return new Table("Places", [
     { label: "Name", class: "wide", head: true, value: (p) => p.name, text: (p) => p.name },
-    { label: "Map", class: "way", value: (p) => p.map, text: (p) => p.map },
+    { label: "Map", class: "short", value: (p) => p.map, text: (p) => p.map },
     { label: "x", class: "num", value: (p) => p.x, text: (p) => meters(p.x) },
     { label: "y", class: "num", value: (p) => p.y, text: (p) => meters(p.y) },
     { label: "Heading", class: "num", value: (p) => p.theta, text: (p) => degrees(p.theta) },
@@ -113,8 +113,8 @@ function shapeActions(socket, current, { of, name }) {
 function shapeTable(socket, current) {
   return new Table("Areas and paths", [
     { label: "Name", class: "wide", head: true, value: (s) => s.name, text: (s) => s.name },
-    { label: "Kind", class: "way", value: (s) => s.of, text: (s) => (s.of === "areas" ? "area" : "path") },
-    { label: "Map", class: "way", value: (s) => s.map, text: (s) => s.map },
+    { label: "Kind", class: "short", value: (s) => s.of, text: (s) => (s.of === "areas" ? "area" : "path") },
+    { label: "Map", class: "short", value: (s) => s.map, text: (s) => s.map },
     { label: "Points", class: "num", value: (s) => s.points.length, text: (s) => String(s.points.length) },
     { label: "Do", class: "do", made: (shape) => shapeActions(socket, current, shape) },
   ], (shape) => `${shape.of} ${shape.name}`);

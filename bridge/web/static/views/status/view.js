@@ -97,7 +97,7 @@ function routeTable(curves) {
   return new Table("Routes", [
     { label: "Topic", class: "wide", head: true, value: (r) => r.topic, text: (r) => `${r.topic} ${r.type}`,
       made: () => topicLines() },
-    { label: "Direction", class: "way", value: (r) => `${r.side} ${r.direction}`, text: (r) => `${r.side} ${r.direction} ${r.daemon}`,
+    { label: "Direction", class: "short", value: (r) => `${r.side} ${r.direction}`, text: (r) => `${r.side} ${r.direction} ${r.daemon}`,
       made: () => twoLines((r) => `${r.side} ${r.direction}`, (r) => r.daemon) },
     { label: "Rate", class: "num", down: true, value: (r) => r.rate, text: (r) => rate(r.rate) },
     { label: "Last minute", class: "curve", made: (item) => {
@@ -108,13 +108,13 @@ function routeTable(curves) {
     { label: "Dropped", class: "num", down: true, value: (r) => r.dropped, text: (r) => `${count(r.dropped)} ${reasons(r)}`,
       mood: (r) => (r.dropped ? "held" : "calm"), made: () => twoLines((r) => count(r.dropped), reasons) },
     { label: "Latency", class: "num", down: true, value: (r) => r.latency, text: (r) => seconds(r.latency) },
-    { label: "Transport", class: "way", value: (r) => r.way ?? "", text: (r) => `${r.way ?? ""} ${r.why ?? ""}`,
-      made: () => twoLines((r) => WAYS[r.way] ?? "", (r) => (r.way === "lane" ? "" : r.why ?? "")) },
+    { label: "Transport", class: "short", value: (r) => r.way ?? "", text: (r) => `${r.way ?? ""} ${r.why ?? ""}`,
+      made: () => twoLines((r) => TRANSPORTS[r.way] ?? "", (r) => (r.way === "lane" ? "" : r.why ?? "")) },
   ], routeKey);
 }
 
 /** Transports between the workers. */
-const WAYS = { lane: "lane", zenoh: "zenoh", both: "lane, zenoh" };
+const TRANSPORTS = { lane: "lane", zenoh: "zenoh", both: "lane, zenoh" };
 
 const reasons = ({ drops }) => Object.entries(drops ?? {}).filter(([, number]) => number).map(([name, number]) => `${name} ${number}`).join(", ");
 
