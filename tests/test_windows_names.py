@@ -12,7 +12,7 @@ from bridge.bags.bag import BagError
 from bridge.bags.writers import written_whole
 from bridge.config.model import Config
 from bridge.hub.security.certificates import Authority, CertificateError
-from bridge.hub.security.door import key_files
+from bridge.hub.security.external_router import key_files
 from bridge.web.verbs.map_files import file_of
 from navigation.map2d_server.files import MapsFolder
 from tests.support.hidden import is_windows_name

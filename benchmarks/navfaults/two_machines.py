@@ -16,7 +16,7 @@ from tests.peers.navigation.chain import Chain
 from tests.support.netns import Cable, Machine
 from tests.support.process import Process
 
-_DOOR = 7448
+_EXTERNAL_PORT = 7448
 _SEEKS = "robot_path_planner"
 
 
@@ -48,8 +48,8 @@ class TwoMachines(Chain):
             config["state"] = str(self.folder / name)
             ends = [config["hub"]["listen"], self._socket(name)]
             config["hub"]["router_zenoh"] = {"listen": {"endpoints": ends}}
-        robot["hub"]["open"] = self._door(listen=[f"tls/0.0.0.0:{_DOOR}"], trusted=["operator1"])
-        operator["hub"]["open"] = self._door(connect=[f"tls/robot1:{_DOOR}"], trusted=["robot1"])
+        robot["hub"]["open"] = self._hub_open(listen=[f"tls/0.0.0.0:{_EXTERNAL_PORT}"], trusted=["operator1"])
+        operator["hub"]["open"] = self._hub_open(connect=[f"tls/robot1:{_EXTERNAL_PORT}"], trusted=["robot1"])
         operator["sim"] = operator["yarp"] = {"enabled": False}
         robot_modules = operator.pop("modules")
         if self._split:
@@ -87,7 +87,7 @@ class TwoMachines(Chain):
     def _socket(self, name: str) -> str:
         return f"unixsock-stream/{self.folder / name}.sock"
 
-    def _door(self, **more: Any) -> dict[str, Any]:
+    def _hub_open(self, **more: Any) -> dict[str, Any]:
         return {"keys": str(self.folder / "keys"), **more}
 
     @override

@@ -23,7 +23,7 @@ _Flaw = tuple[KeyPath, str]
 
 _SESSIONS: tuple[KeyPath, ...] = (("hub", "zenoh"), ("zenoh", "zenoh"))
 _ROUTERS: tuple[KeyPath, ...] = (("hub", "router_zenoh"), ("hub", "open", "zenoh"))
-_INDOORS: KeyPath = ("hub", "router_zenoh")
+_LOCAL: KeyPath = ("hub", "router_zenoh")
 
 _MOST = 20
 """Problems of one zenoh configuration that are reported."""
@@ -127,7 +127,7 @@ def _of_tree(tree: Any, section: KeyPath) -> list[_Flaw]:
     tree, refused = _accepted(tree)
     flaws += refused
     flaws += [flaw for flaw in _ignored(tree) if not any(path[: len(flaw[0])] == flaw[0] for path, _ in refused)]
-    flaws += _bad_endpoints(tree, indoors=section == _INDOORS)
+    flaws += _bad_endpoints(tree, local=section == _LOCAL)
     flaws += _missing_files(tree)
     flaws += [] if flaws else _bad_references(tree)
     if section in _ROUTERS and tree.get("mode", "router") != "router":
@@ -269,7 +269,7 @@ def _differences(given: Any, read: Any, path: KeyPath) -> Iterator[tuple[KeyPath
 # -- what the parser does not check ------------------------------------------------------------------------------------
 
 
-def _bad_endpoints(tree: Tree, *, indoors: bool) -> Iterator[_Flaw]:
+def _bad_endpoints(tree: Tree, *, local: bool) -> Iterator[_Flaw]:
     for part in ("listen", "connect"):
         section = tree.get(part)
         for path, text in _texts(section.get("endpoints") if isinstance(section, dict) else None, (part, "endpoints")):
@@ -278,7 +278,7 @@ def _bad_endpoints(tree: Tree, *, indoors: bool) -> Iterator[_Flaw]:
                 protocol = text.partition("/")[0]
                 if protocol not in PROTOCOLS:
                     yield path, f"{text}: {_not_one_of(protocol, PROTOCOLS)}"
-                elif indoors and not is_loopback(text):
+                elif local and not is_loopback(text):
                     yield path, f"{text} is open to other machines; these join only by hub.open"
             except ValueError as err:
                 yield path, str(err)

@@ -65,7 +65,7 @@ class WorkerKind(WorkerDescriptor):
     def config_part(self, config: Config) -> dict[str, Any]:
         """Return the part of the configuration that it uses, for comparison."""
         names = {"name", "state", "log", *self.sections, *([self.name] if self.section else [])}
-        part = {name: getattr(config, name) for name in names} | {"hub": config.hub.indoors}
+        part = {name: getattr(config, name) for name in names} | {"hub": config.hub.without_open}
         return part | imported(self.uses)(config) if self.uses else part
 
 

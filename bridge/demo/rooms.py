@@ -96,7 +96,7 @@ class RoomsDemo(DemoRun):
                 self._until(lambda: course.localized, "the robot and its localizer", course)
                 names = NameClient(Address("127.0.0.1", sandbox.yarp_port))
                 self._until(
-                    lambda: all(connections.exists(names, door) for door in _ENTRY_POINTS),
+                    lambda: all(connections.exists(names, port) for port in _ENTRY_POINTS),
                     "the ports for YARP clients",
                     course,
                 )

@@ -7,7 +7,7 @@ import stat
 from bridge.doctor.check import Check, Finding, Findings, early_cure, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext
 from bridge.hub.security.certificates import read_certificate, trouble
-from bridge.hub.security.door import key_files
+from bridge.hub.security.external_router import key_files
 from bridge.metrics.section import MetricsSection
 from bridge.web.section import WebSection
 

@@ -25,9 +25,9 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def looked_at(keys: Path, *reported: dict[str, Any], **door: Any) -> list[Finding]:
+def looked_at(keys: Path, *reported: dict[str, Any], **opened: Any) -> list[Finding]:
     documents = [{"worker": "router", "side": "router", "endpoints": list(reported)}] if reported else []
-    return list(every(check_connections(around({"hub": {"open": {"keys": str(keys), **door}}}, hub=hub(*documents)))))
+    return list(every(check_connections(around({"hub": {"open": {"keys": str(keys), **opened}}}, hub=hub(*documents)))))
 
 
 def report(way: str, endpoint: str, state: str, reason: str = "") -> dict[str, Any]:
@@ -100,7 +100,7 @@ def test_the_test_leaves_no_session(keys: Path) -> None:
     with Machine("operator1", keys / "a", listen=[place]) as operator:
         for _ in range(3):
             assert looked_at(keys / "a", connect=[place])[-1].result is Result.OK
-        door = operator.router._door
-        assert door is not None
-        assert door.machines() == []
-        assert door.endpoints()[0].state == "listening"
+        external = operator.router._external
+        assert external is not None
+        assert external.machines() == []
+        assert external.endpoints()[0].state == "listening"

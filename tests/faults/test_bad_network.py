@@ -86,8 +86,8 @@ def link(tmp_path: Path) -> Iterator[Link]:
     rules = [{"topic": "/cmd_vel", "type": TWIST, "priority": "command", "timeout": TIMEOUT}]
     with (
         FaultProxy(port) as proxy,
-        HubNetwork(door={"listen": [f"tls/127.0.0.1:{port}"], **keys}) as robot,
-        HubNetwork(door={"connect": [f"tls/127.0.0.1:{proxy.port}"], **keys}) as operator,
+        HubNetwork(external={"listen": [f"tls/127.0.0.1:{port}"], **keys}) as robot,
+        HubNetwork(external={"connect": [f"tls/127.0.0.1:{proxy.port}"], **keys}) as operator,
         Hub.open(operator.settings("operator")) as sticks,
     ):
         engine = EngineWorker(robot, Registry(), rules=rules)

@@ -257,14 +257,14 @@ def test_nav2(fresh: Begin) -> None:
 
 
 def test_a_robot_and_its_operator(fresh: Begin, tmp_path: Path) -> None:
-    keys, door = tmp_path / "keys", f"tls/127.0.0.1:{free_port()}"
+    keys, endpoint = tmp_path / "keys", f"tls/127.0.0.1:{free_port()}"
     for name in ("robot1", "operator1"):
         assert main(["keys", "make", name, "127.0.0.1", "--folder", str(keys)]) == 0
     robot, operator = from_file("robot.yaml"), from_file("operator.yaml")
-    robot["hub"]["open"] |= {"listen": [door], "keys": str(keys)}
-    operator["hub"]["open"] |= {"connect": [door], "keys": str(keys)}
+    robot["hub"]["open"] |= {"listen": [endpoint], "keys": str(keys)}
+    operator["hub"]["open"] |= {"connect": [endpoint], "keys": str(keys)}
     station = fresh(operator)
-    station.until_it_waits(rf"hub\.open\.connect {door}: not answering: nothing listens")
+    station.until_it_waits(rf"hub\.open\.connect {endpoint}: not answering: nothing listens")
     robot_site = fresh(robot)
     robot_site.until_all_is_well()
     until(lambda: "robot1/ros1" in str(station.doctor("daemon")), "the operator sees the robot", SECONDS, every=0.5)

@@ -24,11 +24,11 @@ OFF = {"enabled": False}
 class Daemon:
     """`midspan run`, or only the router's worker as run by systemd."""
 
-    def __init__(self, folder: Path, name: str, keys: Path, run: list[str], **door: Any) -> None:
+    def __init__(self, folder: Path, name: str, keys: Path, run: list[str], **opened: Any) -> None:
         self.name = name
         self.file = folder / f"{name}.yaml"
         sides = dict.fromkeys(("ros1", "ros2", "yarp"), OFF)
-        hub = {"listen": f"tcp/127.0.0.1:{free_port()}", "open": {"keys": str(keys), **door}}
+        hub = {"listen": f"tcp/127.0.0.1:{free_port()}", "open": {"keys": str(keys), **opened}}
         self.file.write_text(json.dumps({"name": name, "state": str(folder / f"state-{name}"), **sides, "hub": hub}))
         self.process = Process([*MIDSPAN, *run, "--config", self.file], imports=DAEMON_AND_WORKERS)
 

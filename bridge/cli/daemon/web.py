@@ -72,7 +72,7 @@ def _address(config: Config) -> str:
 
 
 def _how_to_get_in(config: Config) -> str:
-    from bridge.hub.security.door import key_files
+    from bridge.hub.security.external_router import key_files
     from bridge.web.section import WebSection
 
     section = config.section(WebSection)

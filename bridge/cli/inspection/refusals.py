@@ -141,11 +141,11 @@ def _sessions(
     links: dict[str, set[str]] = defaultdict(set)
     members: dict[str, set[str]] = {}
     for other_router in routers_of(documents):
-        if door := other_router.door:
-            members[door] = set(other_router.members)
+        if external := other_router.door:
+            members[external] = set(other_router.members)
             for other in other_router.machines:
-                links[door].add(other.zid)
-                links[other.zid].add(door)
+                links[external].add(other.zid)
+                links[other.zid].add(external)
     start, here = machine.zid, router.door
     reached, waiting = links[here] | {here}, [start]  # another machine of the router has its own link
     sessions = {start}

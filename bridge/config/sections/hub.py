@@ -80,7 +80,7 @@ class HubSection(Section):
     )
 
     @property
-    def indoors(self) -> HubSection:
+    def without_open(self) -> HubSection:
         """The section without `open`: what this machine's own programs depend on."""
         return self.model_copy(update={"open": OpenSection()})
 

@@ -10,7 +10,7 @@ from bridge.doctor.check import Finding, Findings, Result, fail, ok, warn
 from bridge.doctor.checks.hub import check_keys
 from bridge.doctor.context import CheckContext
 from bridge.hub.errors import HubError
-from bridge.hub.security.door import door_tree, has_tls
+from bridge.hub.security.external_router import external_tree, has_tls
 from bridge.hub.security.handshake import HostPort, Identity, attempt
 from bridge.hub.security.reasons import EndpointState, Reason
 from bridge.hub.zenoh_config import connect_endpoint, make_config
@@ -33,7 +33,7 @@ def check_connections(context: CheckContext) -> Findings:
     if not has_tls(opened):
         findings = []
     try:
-        identity = Identity.of(make_config(door_tree(context.config), opened.zenoh))
+        identity = Identity.of(make_config(external_tree(context.config), opened.zenoh))
     except HubError:  # the keys' findings name the file
         identity = None
     reported = _reported(context)

@@ -23,7 +23,7 @@ from bridge.doctor.hub_problems import absence, inactive_nodes
 from bridge.hub.errors import HubConfigError, HubError
 from bridge.hub.router import port_held, port_holder, probe_router
 from bridge.hub.security.certificates import Certificate, CertificateError, read_certificate, signed_by
-from bridge.hub.security.door import has_tls, key_files
+from bridge.hub.security.external_router import has_tls, key_files
 from bridge.hub.security.key_files import KeyFiles
 from bridge.state_file import named
 from bridge.status import GatewayKeys, ModuleStatus, RouterStatus, StatusDocument

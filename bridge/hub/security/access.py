@@ -54,17 +54,17 @@ _TYPE_LETTERS = string.ascii_letters + string.digits + "_:"
 _NAME_LETTERS = string.ascii_letters + string.digits + "_-."
 
 
-def access_control(door: OpenSection, routing: RoutingSection, loopback: Sequence[str]) -> dict[str, Any]:
+def access_control(section: OpenSection, routing: RoutingSection, loopback: Sequence[str]) -> dict[str, Any]:
     """Return the ``access_control`` of the external listener's zenoh configuration.
 
     The routing rules name commands in addition to the usual ones. ``loopback`` has this machine's loopback interfaces,
     which are used only without TLS.
     """
-    local = {"interfaces": list(loopback)} if door.insecure else {"link_protocols": ["tcp", "unixsock-stream"]}
-    others: dict[str, Any] = {} if door.insecure else {"link_protocols": ["tls", "quic"]}
-    names = [name for name in door.trusted if name != ANYBODY]
+    local = {"interfaces": list(loopback)} if section.insecure else {"link_protocols": ["tcp", "unixsock-stream"]}
+    others: dict[str, Any] = {} if section.insecure else {"link_protocols": ["tls", "quic"]}
+    names = [name for name in section.trusted if name != ANYBODY]
     subjects = [{"id": "here", **local}, {"id": "others", **others}]
-    masters = ["here", *(["others"] if ANYBODY in door.trusted else [])]
+    masters = ["here", *(["others"] if ANYBODY in section.trusted else [])]
     if names:
         subjects.append({"id": "trusted", "cert_common_names": names, **others})
         masters.append("trusted")

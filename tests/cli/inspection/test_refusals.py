@@ -145,8 +145,8 @@ def test_router_that_omits_its_command_topics_has_the_default_ones(
 
 
 @pytest.fixture(scope="module")
-def door(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
-    """A robot whose door trusts ``friend`` only."""
+def host(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
+    """A robot whose external router trusts ``friend`` only."""
     machines = Machines(make_keys(tmp_path_factory.mktemp("keys")))
     with machines.network:
         machines.network.start_router()
@@ -154,12 +154,12 @@ def door(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
         machines.close()
 
 
-def commander(door: Machines, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
+def commander(host: Machines, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
     """The command line of a machine with a certificate of this name."""
     file = tmp_path / "midspan.yaml"
-    file.write_text(json.dumps({"name": name, "hub": {"zenoh": door.zenoh_config(name)}}))
+    file.write_text(json.dumps({"name": name, "hub": {"zenoh": host.zenoh_config(name)}}))
     midspan = Midspan(file, capsys)
-    return lambda *words: midspan(*words, "--router", door.place)
+    return lambda *words: midspan(*words, "--router", host.place)
 
 
 @pytest.mark.parametrize(
@@ -172,58 +172,58 @@ def commander(door: Machines, name: str, tmp_path: Path, capsys: pytest.CaptureF
     ],
 )
 def test_commands_published_by_an_untrusted_machine_are_reported(
-    door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str], topic: str, type_name: str
+    host: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str], topic: str, type_name: str
 ) -> None:
     quick = ("--once", "--settle", "0")
-    done = commander(door, "guest", tmp_path, capsys)("topic", "pub", topic, type_name, *quick)
+    done = commander(host, "guest", tmp_path, capsys)("topic", "pub", topic, type_name, *quick)
     assert done.code == 1
     assert f"midspan: warning: test refuses the commands of guest on {topic} (this command)" in done.err
     assert "name 'guest' in hub.open.trusted of test and reload" in done.err
-    done = commander(door, "friend", tmp_path, capsys)("topic", "pub", topic, type_name, *quick)
+    done = commander(host, "friend", tmp_path, capsys)("topic", "pub", topic, type_name, *quick)
     assert (done.code, "refuses" in done.err) == (0, False)
 
 
 def test_allowed_topics_of_an_untrusted_machine_are_not_reported(
-    door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    host: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    guest = commander(door, "guest", tmp_path, capsys)
+    guest = commander(host, "guest", tmp_path, capsys)
     for topic, type_name in (("/scan", "sensor_msgs/LaserScan"), ("/arm/angle", "std_msgs/Float64")):
         done = guest("topic", "pub", topic, type_name, "--once", "--settle", "0")
         assert (done.code, "refuses" in done.err) == (0, False), done
 
 
 def test_halt_reports_a_machine_that_refuses_its_zeros(
-    door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    host: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with Hub.open(door.network.settings("base")) as base:
+    with Hub.open(host.network.settings("base")) as base:
         subscription = base.subscription("/cmd_vel", TWIST, "*", Qos(), lambda _sample: None)
-        done = commander(door, "guest", tmp_path, capsys)("halt", "--seconds", "0.1")
+        done = commander(host, "guest", tmp_path, capsys)("halt", "--seconds", "0.1")
         subscription.close()
     assert done.code == 1
     assert "test refuses the commands of guest on /cmd_vel (this command)" in done.err
 
 
 def test_play_reports_a_machine_that_refuses_its_commands(
-    door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    host: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     moves = [Said(0.1, topic, "geometry_msgs/Twist", {}) for topic in ("/cmd_vel", "/base/drive")]
     bag = write_bag(tmp_path / "run.bag", [Said(0.0, "/said", "std_msgs/String", {"data": "hi"}), *moves])
     play = ("play", str(bag), "--settle", "0s", "--commands")
-    done = commander(door, "guest", tmp_path, capsys)(*play)
+    done = commander(host, "guest", tmp_path, capsys)(*play)
     refused = [line for line in done.err.splitlines() if "refuses" in line]
     assert sorted(line.partition(" (")[0] for line in refused) == [
         f"midspan: warning: test refuses the commands of guest on {topic}" for topic in ("/base/drive", "/cmd_vel")
     ]
     for name, command in (("friend", play), ("guest", play[:-1])):
-        assert "refuses" not in commander(door, name, tmp_path, capsys)(*command).err
+        assert "refuses" not in commander(host, name, tmp_path, capsys)(*command).err
 
 
 def test_commands_through_the_router_of_an_untrusted_machine(
-    door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    host: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The verb joins its machine's hub, whose external listener is connected to the robot's."""
-    hub = {"connect": [door.place], "keys": str(door.folder), "certificate": str(door.folder / "guest.pem")}
-    with HubNetwork(run=False, door={**hub, "key": str(door.folder / "guest.key")}) as operator_network:
+    hub = {"connect": [host.place], "keys": str(host.folder), "certificate": str(host.folder / "guest.pem")}
+    with HubNetwork(run=False, external={**hub, "key": str(host.folder / "guest.key")}) as operator_network:
         operator_network.start_router()
         midspan = Midspan(config_file(tmp_path, operator_network), capsys)
 
@@ -231,20 +231,20 @@ def test_commands_through_the_router_of_an_untrusted_machine(
             done = midspan("topic", "pub", "/cmd_vel", "geometry_msgs/Twist", "--once", "--settle", "0")
             return done.code == 1 and "test refuses the commands of guest on /cmd_vel (this command)" in done.err
 
-        until(refused, "the doors are linked, and the robot's refusal is reported", 30)
+        until(refused, "the machines are linked, and the robot's refusal is reported", 30)
 
 
-def test_commands_through_a_foreign_router(door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_through_a_foreign_router(host: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A zenoh router with TLS in the middle, configured as zenohd: `explain` reports it to the commanding machine."""
     place = f"tls/127.0.0.1:{free_port()}"
-    guest = {name: str(door.folder / f"guest.{end}") for name, end in (("certificate", "pem"), ("private_key", "key"))}
+    guest = {name: str(host.folder / f"guest.{end}") for name, end in (("certificate", "pem"), ("private_key", "key"))}
     tls = {f"{prefix}_{name}": file for prefix in ("listen", "connect") for name, file in guest.items()}
-    tls |= {"root_ca_certificate": str(door.folder / "ca.pem"), "enable_mtls": True}
+    tls |= {"root_ca_certificate": str(host.folder / "ca.pem"), "enable_mtls": True}
     tree = router_tree([place], max_payload=1 << 20)
-    tree["connect"]["endpoints"] = [door.place]
+    tree["connect"]["endpoints"] = [host.place]
     middle = zenoh.open(make_config(tree, {"transport": {"link": {"tls": tls}}}))
-    hub = {"connect": [place], "keys": str(door.folder), "certificate": str(door.folder / "friend.pem")}
-    with HubNetwork(run=False, door={**hub, "key": str(door.folder / "friend.key")}) as operator_network:
+    hub = {"connect": [place], "keys": str(host.folder), "certificate": str(host.folder / "friend.pem")}
+    with HubNetwork(run=False, external={**hub, "key": str(host.folder / "friend.key")}) as operator_network:
         operator_network.start_router()
         with Hub.open(operator_network.settings("operator")) as operator:
             operator.publisher("/cmd_vel", TWIST, HASH, Qos())

@@ -161,8 +161,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 def looked_at(folder: Path, **more: str) -> list[tuple[Result, str]]:
-    door = {"listen": ["tls/0.0.0.0:7448"], "keys": str(folder), **more}
-    findings = every(hub_checks.check_keys(around({"hub": {"open": door}})))
+    opened = {"listen": ["tls/0.0.0.0:7448"], "keys": str(folder), **more}
+    findings = every(hub_checks.check_keys(around({"hub": {"open": opened}})))
     return [(finding.result, finding.seen) for finding in findings]
 
 

@@ -120,11 +120,11 @@ def test_command_rule_requires_a_type() -> None:
 
 
 def test_without_tls_no_machine_is_trusted_by_name() -> None:
-    door = OpenSection(listen=("tcp/0.0.0.0:7448",), insecure=True)
-    rules = access_control(door, RoutingSection(), ["lo"])
+    section = OpenSection(listen=("tcp/0.0.0.0:7448",), insecure=True)
+    rules = access_control(section, RoutingSection(), ["lo"])
     assert rules["subjects"] == [{"id": "here", "interfaces": ["lo"]}, {"id": "others"}]
     assert [policy["subjects"] for policy in rules["policies"]] == [["here"], ["others"]]
-    everybody = access_control(door.model_copy(update={"trusted": ("*",)}), RoutingSection(), ["lo"])
+    everybody = access_control(section.model_copy(update={"trusted": ("*",)}), RoutingSection(), ["lo"])
     assert everybody["policies"][0]["subjects"] == ["here", "others"]
 
 
@@ -147,8 +147,8 @@ def test_without_tls_no_machine_is_trusted_by_name() -> None:
     ],
 )
 def test_untrusted_machine_reads_the_store_but_cannot_change_it(message: str, key: str, may: bool) -> None:
-    door = OpenSection.model_validate({"listen": ["tls/0.0.0.0:7448"], "trusted": ["base"]})
-    rules = access_control(door, RoutingSection(), ["lo"])
+    section = OpenSection.model_validate({"listen": ["tls/0.0.0.0:7448"], "trusted": ["base"]})
+    rules = access_control(section, RoutingSection(), ["lo"])
     names = {rule["id"]: rule for rule in rules["rules"]}
     for subject, expected in (("others", may), ("trusted", True)):
         mine = [

@@ -1,4 +1,4 @@
-"""The states of the endpoints of `hub.open`: real doors over TLS, their logs, and the rate of the tests."""
+"""The states of the endpoints of `hub.open`: real routers over TLS, their logs, and the rate of the tests."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Machine:
-    """A router worker with its door."""
+    """A router worker with an external router."""
 
-    def __init__(self, name: str, keys: Path, **door: Any) -> None:
-        hub = {"listen": f"tcp/127.0.0.1:{free_port()}", "open": {"keys": str(keys), **door}}
+    def __init__(self, name: str, keys: Path, **opened: Any) -> None:
+        hub = {"listen": f"tcp/127.0.0.1:{free_port()}", "open": {"keys": str(keys), **opened}}
         self.router = RouterWorker()
         self.config = Config.model_validate({"name": name, "hub": hub})
 
@@ -59,9 +59,9 @@ class Machine:
         self.router.stop()
 
     def statuses(self) -> list[endpoints.EndpointStatus]:
-        door = self.router._door
-        assert door is not None
-        return door.endpoints()
+        external = self.router._external
+        assert external is not None
+        return external.endpoints()
 
     def wait(self, state: EndpointState, number: int = 0) -> endpoints.EndpointStatus:
         return until(
@@ -112,7 +112,7 @@ def test_a_foreign_authority_and_recovery(keys: Path, port: int, caplog: pytest.
 
 
 def operator_status(machine: Machine) -> list[dict[str, Any]]:
-    endpoints: list[dict[str, Any]] = machine.router._door_status()["endpoints"]
+    endpoints: list[dict[str, Any]] = machine.router._external_status()["endpoints"]
     return endpoints
 
 
@@ -163,7 +163,7 @@ def test_endpoint_without_zenoh(keys: Path, port: int) -> None:
 
 def test_closed_endpoints(keys: Path, tmp_path: Path) -> None:
     with Machine("robot1", tmp_path, listen=["tls/127.0.0.1:0"], connect=["tls/127.0.0.1:1"]) as robot:
-        endpoints = robot.router._door_status()["endpoints"]
+        endpoints = robot.router._external_status()["endpoints"]
     assert [(endpoint["way"], endpoint["state"]) for endpoint in endpoints] == [
         ("listen", "closed"),
         ("connect", "closed"),

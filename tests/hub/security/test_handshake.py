@@ -36,7 +36,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextmanager
 def listener(folder: Path, name: str, endpoint: str) -> Iterator[zenoh.Session]:
-    """A zenoh router that asks for certificates, as another machine's door does."""
+    """A zenoh router that asks for certificates, as another machine's external router does."""
     tls = {
         "root_ca_certificate": str(folder / "ca.pem"),
         "listen_certificate": str(folder / f"{name}.pem"),

@@ -44,8 +44,8 @@ def test_commands_without_tls(trusted: list[str], expected: set[str]) -> None:
     started: list[Any] = []
     try:
         cable = Cable(robot, other, 79)
-        door = {"listen": ["tcp/0.0.0.0:7448"], "insecure": True, "trusted": trusted}
-        config = json.dumps({"name": "robot", "hub": {"router": True, "open": door}})
+        opened = {"listen": ["tcp/0.0.0.0:7448"], "insecure": True, "trusted": trusted}
+        config = json.dumps({"name": "robot", "hub": {"router": True, "open": opened}})
         started.append(robot.start(sys.executable, ROUTER_PROGRAM, config, env=env))
         until(lambda: "listening" in started[0].output(), "the router listens")
         ear = robot.start(sys.executable, "-c", PROGRAM, "tcp/127.0.0.1:7447", "[]", "60", env=env)

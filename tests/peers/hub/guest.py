@@ -1,6 +1,6 @@
 """A zenoh peer with an untrusted certificate, which tries to join the hub and to publish velocities.
 
-Usage: guest.py KEYS DOOR LISTEN. Prints JSON: the peer's links, and the hub topics that it discovers.
+Usage: guest.py KEYS ENDPOINT LISTEN. Prints JSON: the peer's links, and the hub topics that it discovers.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from bridge.messages.registry import Registry
 TWIST = "geometry_msgs/msg/Twist"
 
 
-def main(keys: Path, door: str, listen: str) -> None:
+def main(keys: Path, endpoint: str, listen: str) -> None:
     """Try to join for ten seconds, publish forged commands for two, and print the result."""
-    tree = session_tree(door, shared_memory=False, max_payload=1 << 20)
+    tree = session_tree(endpoint, shared_memory=False, max_payload=1 << 20)
     tls = {
         "root_ca_certificate": str(keys / "ca.pem"),
         "connect_certificate": str(keys / "visitor.pem"),

@@ -1,4 +1,4 @@
-"""A robot whose door is open, and sessions of machines that come in by it."""
+"""A robot with an external router, and sessions of machines that connect to it."""
 
 from __future__ import annotations
 
@@ -18,14 +18,13 @@ ARM = {"rules": [{"topic": "/arm/drive", "type": FLOAT, "priority": "command"}]}
 
 
 class Machines:
-    """A robot whose door is open, and sessions of machines that come in by it."""
+    """A robot with an external router, and sessions of machines that connect to it."""
 
-    def __init__(self, folder: Path, **door: Any) -> None:
+    def __init__(self, folder: Path, **opened: Any) -> None:
         self.folder = folder
         self.port = free_port()
-        self.network = HubNetwork(
-            run=False, door={"listen": [self.place], "keys": str(folder), "trusted": ["friend"], **door}, routing=ARM
-        )
+        external = {"listen": [self.place], "keys": str(folder), "trusted": ["friend"], **opened}
+        self.network = HubNetwork(run=False, external=external, routing=ARM)
         self._sessions: list[zenoh.Session] = []
 
     @property

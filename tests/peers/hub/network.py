@@ -37,7 +37,7 @@ class HubNetwork:
         router_zenoh: zenoh configuration that overrides that of the router.
         protocol: ``tcp`` or ``tls``.
         run: whether the router runs from the start.
-        door: the configuration's ``hub.open``.
+        external: the configuration's ``hub.open``.
         routing: the configuration's ``routing``.
     """
 
@@ -49,10 +49,10 @@ class HubNetwork:
         protocol: str = "tcp",
         *,
         run: bool = True,
-        door: dict[str, Any] | None = None,
+        external: dict[str, Any] | None = None,
         routing: dict[str, Any] | None = None,
     ) -> None:
-        self.door = door or {}
+        self.external = external or {}
         self._routing = routing or {}
         self.domain = domain
         self.port = free_port()
@@ -75,7 +75,7 @@ class HubNetwork:
 
     def start_router(self) -> None:
         """Start the router, and wait until it listens."""
-        hub = self.config(router=True, open=self.door)
+        hub = self.config(router=True, open=self.external)
         over = self._router_zenoh
         hub["router_zenoh"] = str(over) if isinstance(over, Path) else over
         router = self._router = Process(

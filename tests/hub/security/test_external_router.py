@@ -247,13 +247,13 @@ def test_router_reports_connected_machines(machines: Machines) -> None:
 
 def test_reload_changes_the_trusted_machines(folder: Path) -> None:
     machines = Machines(folder)
-    config = Config.model_validate({"name": "test", "hub": machines.network.config(open=machines.network.door)})
+    config = Config.model_validate({"name": "test", "hub": machines.network.config(open=machines.network.external)})
     router = RouterWorker()
     router.start(config)
     try:
         assert [name for name, _ in received_from(machines, "friend", put_each([CMD_VEL])) if name] == [CMD_VEL] * 2
-        door = config.hub.open.model_copy(update={"trusted": ("guest",)})
-        changed = config.model_copy(update={"hub": config.hub.model_copy(update={"open": door})})
+        opened = config.hub.open.model_copy(update={"trusted": ("guest",)})
+        changed = config.model_copy(update={"hub": config.hub.model_copy(update={"open": opened})})
         local = machines.session(None)
         assert router.reload(changed)
         assert [str(zid) for zid in local.info.routers_zid()], "this machine's programs are not cut off"
@@ -265,7 +265,7 @@ def test_reload_changes_the_trusted_machines(folder: Path) -> None:
 
 
 def shown(machines: Machines) -> bytes:
-    """The certificate that the robot's door shows."""
+    """The certificate that the robot's external router shows."""
     context = ssl.create_default_context(cafile=machines.folder / "ca.pem")
     context.load_cert_chain(machines.folder / "friend.pem", machines.folder / "friend.key")
     address = ("127.0.0.1", machines.port)
@@ -283,7 +283,8 @@ def test_new_certificates_are_used_once_they_match(tmp_path: Path, caplog: pytes
         authority.issue(name, ["127.0.0.1"])
     machines = Machines(tmp_path)
     router = RouterWorker()
-    router.start(Config.model_validate({"name": "test", "hub": machines.network.config(open=machines.network.door)}))
+    hub = machines.network.config(open=machines.network.external)
+    router.start(Config.model_validate({"name": "test", "hub": hub}))
     try:
         first, local = shown(machines), machines.session(None)
         for _ in range(3):
@@ -312,7 +313,7 @@ def test_new_certificates_are_used_once_they_match(tmp_path: Path, caplog: pytes
 
 def test_hub_runs_if_its_external_listener_cannot_open(folder: Path, tmp_path: Path) -> None:
     machines = Machines(folder)
-    hub = machines.network.config(open={**machines.network.door, "keys": str(tmp_path)})
+    hub = machines.network.config(open={**machines.network.external, "keys": str(tmp_path)})
     config = Config.model_validate({"name": "test", "hub": hub})
     router = RouterWorker()
     router.start(config)

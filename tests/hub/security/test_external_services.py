@@ -1,4 +1,4 @@
-"""What the door lets machines call and answer, with services that are really served."""
+"""Which services other machines may call and serve, with services that are really served."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class ConnectedMachine:
     trusted: bool
 
 
-class HubDoor:
+class ExternalRouter:
     """The router that other machines connect to, and that connects to them.
 
     Raises:
@@ -65,7 +65,7 @@ class HubDoor:
     def __init__(self, config: Config, zenoh_log: ZenohLog | None = None) -> None:
         self._open = config.hub.open
         self._here = connect_endpoint(config.hub.listen)
-        zenoh_config = make_config(door_tree(config), self._open.zenoh)
+        zenoh_config = make_config(external_tree(config), self._open.zenoh)
         identity = Identity.of(zenoh_config)
         try:
             self._session = open_session(zenoh_config)
@@ -115,11 +115,11 @@ class HubDoor:
 
 def key_files(config: Config) -> KeyFiles:
     """Return the files of this machine's identity."""
-    door, folder = config.hub.open, config.hub.open.keys or KEYS
+    section, folder = config.hub.open, config.hub.open.keys or KEYS
     return KeyFiles(
-        door.ca or folder / "ca.pem",
-        door.certificate or folder / escaped(f"{config.name}.pem"),
-        door.key or folder / escaped(f"{config.name}.key"),
+        section.ca or folder / "ca.pem",
+        section.certificate or folder / escaped(f"{config.name}.pem"),
+        section.key or folder / escaped(f"{config.name}.key"),
     )
 
 
@@ -129,17 +129,17 @@ def _trouble(files: KeyFiles) -> str:
     return trouble(files)
 
 
-def has_tls(door: OpenSection) -> bool:
+def has_tls(section: OpenSection) -> bool:
     """Whether any endpoint of ``hub.open`` has TLS."""
-    return any(place.startswith(("tls/", "quic/")) for place in (*door.listen, *door.connect))
+    return any(place.startswith(("tls/", "quic/")) for place in (*section.listen, *section.connect))
 
 
-def door_tree(config: Config) -> dict[str, Any]:
+def external_tree(config: Config) -> dict[str, Any]:
     """Return the zenoh configuration for ``hub.open``; raises `HubConfigError` if a file is missing."""
-    door = config.hub.open
-    tree = router_tree(door.listen, max_payload=MAX_PAYLOAD)
+    section = config.hub.open
+    tree = router_tree(section.listen, max_payload=MAX_PAYLOAD)
     tree["connect"] = {
-        "endpoints": [connect_endpoint(config.hub.listen), *door.connect],
+        "endpoints": [connect_endpoint(config.hub.listen), *section.connect],
         "timeout_ms": -1,
         "exit_on_failure": False,
         "retry": {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2},
@@ -147,7 +147,7 @@ def door_tree(config: Config) -> dict[str, Any]:
     # programs of different machines connect only through their routers
     tree["scouting"]["gossip"] = {"enabled": False}
     tree["transport"]["unicast"] = {"open_timeout": _TIMEOUT_MS, "accept_timeout": _TIMEOUT_MS}
-    if has_tls(door):
+    if has_tls(section):
         files = key_files(config)
         files.check()
         tree["transport"]["link"]["tls"] = {
@@ -159,7 +159,7 @@ def door_tree(config: Config) -> dict[str, Any]:
             "enable_mtls": True,
             "verify_name_on_connect": True,
         }
-    tree["access_control"] = access_control(door, config.rules, _loopback_interfaces())
+    tree["access_control"] = access_control(section, config.rules, _loopback_interfaces())
     return tree
 
 
