@@ -60,12 +60,11 @@ MAX_ERROR = 4096
 _CLOSED = "the call of {name} was ended: its client was closed"
 _REFUSED = "; or an external listener between the machines refuses this call (hub.open.trusted)"
 _AT_ONCE = 0.2
-"""Seconds within which zenoh ends a query that no server received; a longer one did reach a server."""
+"""Seconds within which zenoh ends a query that no server received; a longer one did reach a server.
 
-_SETTLING = 1.0
-"""Seconds after a server's announcement in which zenoh's routers may have no route to it yet."""
+A query that ends so soon may have reached a server too, which crashed or dropped it, so no call is ever repeated.
+"""
 
-_AGAIN = 0.02
 _NO_SERVER = "no server of {name} is on {where}"
 REFUSED_ENCODING = zenoh.Encoding("text/plain;refused")
 """Encoding of the text of an `UnsentCallError`."""
@@ -77,7 +76,7 @@ _FOR_EVER = 1e9
 class _PendingCall:
     """One call that waits for its reply."""
 
-    __slots__ = ("attached", "done", "number", "request", "sent", "servers", "token")
+    __slots__ = ("attached", "done", "number", "request", "sent", "token")
 
     def __init__(self, number: int, request: bytes, attached: bytes | None, done: Done) -> None:
         self.number = number
@@ -86,7 +85,6 @@ class _PendingCall:
         self.done = done
         self.token = zenoh.CancellationToken()
         self.sent = 0.0
-        self.servers: frozenset[bytes] = frozenset()
 
 
 class CallClient:
@@ -125,8 +123,6 @@ class CallClient:
         self._lock = Lock()
         self._numbers = itertools.count(1)
         self._waiting: dict[int, _PendingCall] = {}
-        self._again: list[_PendingCall] = []
-        self._since = time.monotonic()
         self._querier: zenoh.Querier | None = session.declare_querier(
             key,
             target=target,
@@ -145,10 +141,6 @@ class CallClient:
 
     def _abandoned(self, attached: bytes | None) -> None:
         """Handle a client's cancellation of the request with this attachment."""
-
-    def _servers(self) -> frozenset[bytes]:
-        """Return the ids of the servers that are announced, as far as they have ids."""
-        return frozenset()
 
     @property
     def ready(self) -> bool:
@@ -190,7 +182,7 @@ class CallClient:
         number = pending.number
         replied, over = partial(self._on_reply, number), partial(self._on_over, number)
         handler = zenoh.handlers.Callback(replied, over, indirect=False)
-        pending.sent, pending.servers = time.monotonic(), self._servers()
+        pending.sent = time.monotonic()
         try:
             querier.get(
                 handler,
@@ -218,7 +210,6 @@ class CallClient:
     def _match_changed(self, status: object) -> None:
         """Handle the first server or the loss of the last server; runs on a zenoh thread."""
         keep_thread_state()
-        self._since = time.monotonic()
         if not _matching(status):
             self._end_all(CallError(LEFT.format(name=self.name)))
         if self._changed is not None:
@@ -252,30 +243,8 @@ class CallClient:
         if pending is None:
             return
         if self._reachable and now - pending.sent < _AT_ONCE:
-            if now - self._since < _SETTLING:
-                self._later(pending)
-                return
             text += _REFUSED
         self._end(number, CallError(text))
-
-    def _later(self, pending: _PendingCall) -> None:
-        """Repeat a call soon, if no server left: zenoh had no route to the server yet."""
-        with self._lock:
-            self._again.append(pending)
-            first = len(self._again) == 1
-        if first:
-            self._executor.submit(self._ask_again)
-
-    def _ask_again(self) -> None:
-        time.sleep(_AGAIN)
-        with self._lock:
-            again, self._again = self._again, []
-            again = [pending for pending in again if pending.number in self._waiting]
-        for pending in again:
-            if pending.servers <= self._servers():
-                self._ask(pending)
-            else:  # the server that left may have executed it
-                self._end(pending.number, CallError(LEFT.format(name=self.name)))
 
     def _end(self, number: int, result: bytes | CallError) -> None:
         with self._lock:

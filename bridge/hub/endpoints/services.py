@@ -217,10 +217,6 @@ class _VariantClient(CallClient):
         return pack_attachment(number, time.time_ns(), self._client.gid)
 
     @override
-    def _servers(self) -> frozenset[bytes]:
-        return self._client._servers()
-
-    @override
     def _abandoned(self, attached: bytes | None) -> None:
         for key in (self._key, self._client._key):  # a server listens only under its own hash
             self._client._announce_abandoned(key, attached)
@@ -305,10 +301,6 @@ class HubClient(CallClient):
             return False
         servers = [server.gid in self._own for server in self._graph.servers(self.name)]
         return not servers or not all(servers)
-
-    @override
-    def _servers(self) -> frozenset[bytes]:
-        return frozenset(server.gid for server in self._graph.servers(self.name))
 
     @override
     def _attached(self, number: int) -> bytes:
