@@ -108,8 +108,8 @@ def connect(
     """Join the hub of a configuration; raises `ClientError` if no router answers within ``seconds``.
 
     A router that listens but does not answer gets `SLOW_SECONDS` more, after a call of ``on_wait`` with a line for
-    people. ``here``: the hub is that of this machine's daemon, whose name the client gets if the configuration has
-    none.
+    people, unless one end refuses the other's certificate. ``here``: the hub is that of this machine's daemon, whose
+    name the client gets if the configuration has none.
     """
     where = f"the hub at {connect_endpoint(config.hub.listen)} (domain {config.hub.domain})"
     try:
@@ -135,17 +135,23 @@ def connect(
 
 
 def _open(config: Config, seconds: float, on_wait: Callable[[str], None]) -> zenoh.Session:
-    """Open a session; raises `zenoh.ZError`."""
+    """Open a session; raises `zenoh.ZError`, and `UnreachableHubError` for a refused certificate."""
     from bridge.hub.router import may_be_slow  # needed only here
+    from bridge.hub.security.handshake import refusal
 
     hub = config.hub
+    place = connect_endpoint(hub.listen)
     try:
         return zenoh.open(client_session_config(hub.listen, hub.zenoh, seconds))
     except zenoh.ZError:
+        refused = refusal(place, client_session_config(hub.listen, hub.zenoh, seconds))
+        if refused is not None:
+            text = f"the hub at {place} cannot be joined: {refused.text}"
+            raise UnreachableHubError(text, refused.cure) from None
         if not may_be_slow(hub.listen):
             raise
     on_wait(
-        f"the router at {connect_endpoint(hub.listen)} has not answered for {seconds:g} s, although it listens; "
+        f"the router at {place} has not answered for {seconds:g} s, although it listens; "
         f"waiting up to {SLOW_SECONDS:g} s more"
     )
     return zenoh.open(client_session_config(hub.listen, hub.zenoh, SLOW_SECONDS))

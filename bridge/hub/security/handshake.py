@@ -156,6 +156,18 @@ def attempt(place: HostPort, identity: Identity | None, name: str = "") -> Attem
     return Attempt(reason, machine, addresses)
 
 
+def refusal(endpoint: str, config: zenoh.Config) -> Reason | None:
+    """Return why one end of a TLS connection to an endpoint refuses the other's certificate; None if neither does.
+
+    ``config`` is that of the session. Other protocols than ``tls`` are not tested. See `attempt` for the time it takes.
+    """
+    place, identity = HostPort.of(endpoint), Identity.of(config)
+    if place is None or place.protocol != "tls" or identity is None:
+        return None
+    reason = attempt(place, identity).reason
+    return reason if reason.state is EndpointState.REFUSED else None
+
+
 def _connect(place: HostPort) -> socket.socket:
     return socket.create_connection((place.host, place.port), timeout=_CONNECT_SECONDS)
 

@@ -12,6 +12,9 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from bridge.client.errors import UnreachableHubError
+from bridge.client.session import connect
+from bridge.config.model import Config
 from bridge.hub.security.certificates import Authority
 from bridge.hub.security.handshake import Attempt, HostPort, Identity, attempt
 from bridge.hub.security.reasons import EndpointState, refusal_in_log, unreachable
@@ -265,3 +268,22 @@ def test_zenoh_itself_links_after_a_test(keys: Path) -> None:
         tree["connect"]["endpoints"] = [f"tls/127.0.0.1:{port}"]
         with zenoh.open(make_config(tree, {"transport": {"link": {"tls": tls}}})):
             until(lambda: [link.auth_identifier for link in robot.info.links()] == ["operator1"], "the link", 10.0)
+
+
+def test_a_program_with_a_refused_certificate_does_not_wait_for_a_busy_router(keys: Path) -> None:
+    port, folder, waits = free_port(), keys / "b", list[str]()
+    tls = {
+        "root_ca_certificate": str(folder / "ca.pem"),
+        "connect_certificate": str(folder / "operator1.pem"),
+        "connect_private_key": str(folder / "operator1.key"),
+        "enable_mtls": True,
+    }
+    hub = {"listen": f"tls/127.0.0.1:{port}", "zenoh": {"transport": {"link": {"tls": tls}}}}
+    with (
+        listener(keys / "a", "robot1", f"tls/127.0.0.1:{port}"),
+        pytest.raises(UnreachableHubError, match="does not accept this machine's certificate") as raised,
+        connect(Config.model_validate({"hub": hub}), 0.5, on_wait=waits.append),
+    ):
+        pass
+    assert "copy ca.pem and each machine's certificate" in raised.value.hint
+    assert waits == []
