@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import sys
@@ -96,7 +97,8 @@ class RosMaster:
             parts = psutil.Process(self._process.pid).children() if self._process.popen.poll() is None else []
             self._process.stop(0)
             for part in parts:
-                part.kill()
+                with contextlib.suppress(psutil.NoSuchProcess):  # it may have exited with the command
+                    part.kill()
             self._process = None
 
     def close(self) -> None:
