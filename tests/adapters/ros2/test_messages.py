@@ -64,6 +64,33 @@ def test_a_type_crosses_without_its_message_package(edge: RunningEdge, peer: Cal
     assert "visualization_msgs" not in sys.modules
 
 
+def timer_switches() -> int:
+    """Return how often Fast DDS's timer threads of this process have slept."""
+    total = 0
+    for task in Path("/proc/self/task").iterdir():
+        if (task / "comm").read_text().startswith("dds.ev"):
+            _, _, after = (task / "status").read_text().partition("\nvoluntary_ctxt_switches:")
+            total += int(after.split()[0])
+    return total
+
+
+def test_messages_do_not_wake_the_timer_thread(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+    native = peer()
+    subscription = native.subscribe("/m/timers", "std_msgs/String")
+    ours = edge.edge.advertise("/m/timers", edge.type("std_msgs/msg/String"), Qos())
+
+    def received() -> bool:
+        ours.send(string("first"), "hub")
+        return bool(native.wait(subscription, 1, 0.1))
+
+    until(received, "the native subscription receives a message")
+    count, before = len(native.wait(subscription, 1)), timer_switches()
+    for number in range(count + 1, count + 201):
+        ours.send(string("next"), "hub")
+        native.wait(subscription, number)  # one at a time
+    assert timer_switches() - before < 100  # without the profile at least one per message
+
+
 @pytest.mark.parametrize("size", [1_000_000, 6_000_000])
 def test_large_messages(edge: RunningEdge, peer: Callable[..., Peer], size: int) -> None:
     native = peer()
