@@ -48,6 +48,11 @@ class Release:
         return ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")[self.fast_dds_major - 2 :]
 
     @property
+    def nack_suppression(self) -> str:
+        """The profile's element for the duration of a writer's NACK suppression, as Fast DDS spells it."""
+        return "nackSupressionDuration" if self.fast_dds_major == 2 else "nack_supression_duration"
+
+    @property
     def library(self) -> str:
         """File name of Fast DDS's library."""
         return f"lib{SHARED_MEMORY[self.fast_dds_major]}.so.{self.fast_dds}"
