@@ -10,14 +10,16 @@ import pytest
 import zenoh
 
 from bridge import resources
-from bridge.hub.endpoints.publisher import LARGE
+from bridge.hub.endpoints.publisher import LARGE, _Matching
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.errors import HubClosedError, HubError, HubWireError
+from bridge.hub.graph.tokens import BRIDGE_ENCLAVE, EndpointKind, EndpointToken, NodeToken, endpoint_key
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from bridge.hub.wire.qos import History
 from tests.peers.hub.endpoints import HASH, LATCHED, STREAM, TYPE, Subscriber, advertise, matched
 from tests.peers.hub.network import HubNetwork
+from tests.peers.zenoh.rmw import RmwSubscription
 from tests.support.wait import until
 
 
@@ -96,6 +98,29 @@ def test_matched_reports_subscribers(network: HubNetwork):
         until(lambda: not publisher.pass_over(), "the next listener is noticed")
         again.subscription.close()
         until(publisher.pass_over, "there is no subscriber again")
+
+
+@pytest.mark.parametrize("joins", [1, pytest.param(300, marks=pytest.mark.thorough)])
+def test_a_listed_subscription_of_another_program_misses_nothing(
+    network: HubNetwork, monkeypatch: pytest.MonkeyPatch, joins: int
+) -> None:
+    """It may be listed before zenoh reports it as matching, which it does some time after it sends to it."""
+    if joins == 1:
+        monkeypatch.setattr(_Matching, "_changed", lambda *_: None)  # very late
+    with Hub.open(network.settings("a")) as a, network.rmw_session() as other:
+        publisher, key = advertise(a, "/chatter"), topic_key(network.domain, "/chatter", TYPE, HASH)
+        for number in range(joins):
+            assert not publisher.matched()
+            beside = RmwSubscription(other, key, STREAM)
+            node = NodeToken(network.domain, str(other.zid()), "0", "/", "other", BRIDGE_ENCLAVE)
+            entity = EndpointToken(node, str(number + 1), EndpointKind.SUBSCRIPTION, "/chatter", TYPE, HASH, STREAM)
+            beside.announce(endpoint_key(entity))
+            until(lambda: a.graph.subscriptions("/chatter"), "it is listed")
+            assert not publisher.pass_over()
+            publisher.put(b"x")
+            beside.expect("x")
+            beside.close()
+            until(lambda: not a.graph.subscriptions("/chatter") and publisher.pass_over(), "it has left")
 
 
 def test_publisher_detects_earlier_subscriptions(network: HubNetwork):
