@@ -2,8 +2,9 @@
 
 Half of the topics go from ROS 1 to ROS 2, half back. First nothing is sent; then ten messages per second on each, all
 numbered and counted at the receiver; then one more topic runs at 250 Hz with the idle ones, and without them in
-separate rounds before and after. If the project promises an absolute limit, this is the peer. Since the ends' cost
-depends on the machine, the busy topics also run through two bare relays (`benchmarks.latency.relay`).
+separate rounds before and after; at last one topic of TF with 20 transforms runs at 2,000 Hz. If the project promises
+an absolute limit, this is the peer. Since the ends' cost depends on the machine, the busy topics also run through two
+bare relays (`benchmarks.latency.relay`), and strings at 2,000 Hz as the peer of TF, which they do not convert.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from typing_extensions import override
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.latency.cases import NUMBERED, prepare
+from benchmarks.latency.cases import NUMBERED, NUMBERED_TF, Prepared, prepare
 from benchmarks.latency.figures import figures
 from benchmarks.latency.network import BACK, THERE
 from benchmarks.latency.stage import Stage
@@ -44,17 +45,19 @@ LATEST_SECONDS = 2.0
 class Crowd(Stage):
     """The daemon with a number of topics in each direction, and one more in each for fast messages."""
 
-    def __init__(self, topics: int, *, realtime: bool, lane: bool = True) -> None:
+    def __init__(self, topics: int, *, realtime: bool, lane: bool = True, tf: bool = False) -> None:
         super().__init__({
             "hub": {"lane": lane}, "ros2": {"transport": "shared_memory"}, "log": {"level": "warning"},
         })  # fmt: skip
         try:
-            self._message = prepare(NUMBERED, self.place.folder)
+            string, transforms = (prepare(case, self.place.folder) for case in (NUMBERED, NUMBERED_TF))
             self._topics = {direction: [f"/many/{direction}_{i}" for i in range(topics)] for direction in WAYS}
             self.start_bridge()
-            self._ends("fast", {direction: [f"/fast/{direction}"] for direction in WAYS})
+            self._ends("fast", {direction: [f"/fast/{direction}"] for direction in WAYS}, string)
             if topics:
-                self._ends("many", self._topics)
+                self._ends("many", self._topics, string)
+            if tf:
+                self._ends("tf", {direction: [f"/tf/{direction}"] for direction in WAYS}, transforms)
             self.meter = Meter(self.process_ids())
             if realtime:
                 self.prefer()
@@ -62,12 +65,12 @@ class Crowd(Stage):
             self.close()
             raise
 
-    def _ends(self, part: str, topics: Mapping[str, Sequence[str]]) -> None:
+    def _ends(self, part: str, topics: Mapping[str, Sequence[str]], message: Prepared) -> None:
         """Start the senders and listeners of some topics, and wait until a message has arrived on each."""
         self.start_ends({f"{kind} {part} {role}": kind for kind in KINDS for role in ("listener", "sender")})
         for direction, (source, target, _) in WAYS.items():
-            subscribed = [self._message.topic(name, ros1=target == "ros1") for name in topics[direction]]
-            sent = [self._message.topic(name, ros1=source == "ros1") for name in topics[direction]]
+            subscribed = [message.topic(name, ros1=target == "ros1") for name in topics[direction]]
+            sent = [message.topic(name, ros1=source == "ros1") for name in topics[direction]]
             self.command(f"{target} {part} listener", "count", "counting", topics=subscribed)
             self.command(f"{source} {part} sender", "advertise", "advertised", topics=sent)
         for direction, (source, target, _) in WAYS.items():
@@ -97,16 +100,17 @@ class Crowd(Stage):
     ) -> tuple[dict[str, dict[str, Any]], dict[str, Usage]]:
         """Send on the topics of some directions; return the arrived messages by direction, and the processes' use."""
         topics = {
-            direction: self._topics[direction] if part == "many" else [f"/fast/{direction}"] for direction in directions
+            direction: self._topics[direction] if part == "many" else [f"/{part}/{direction}"]
+            for direction in directions
         }
         self.meter.start()
         for direction in directions:
             sender = f"{WAYS[direction][0]} {part} sender"
             self.command(sender, "drum", "drumming", topics=topics[direction], rate=rate, seconds=seconds)
         time.sleep(seconds)
-        used = self.meter.read()
         for direction in directions:
-            self.wait_for(f"{WAYS[direction][0]} {part} sender", "drummed")
+            self.wait_for(f"{WAYS[direction][0]} {part} sender", "drummed")  # later than planned on a full machine
+        used = self.meter.read()
         sent = {direction: round(rate * seconds) * len(topics[direction]) for direction in directions}
         tallies = {
             direction: self._tally(f"{WAYS[direction][1]} {part} listener", sent[direction], LATEST_SECONDS)
@@ -167,12 +171,16 @@ class Samples:
 def main(arguments: Sequence[str] | None = None) -> None:
     args = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.WARNING)
-    taken = [_measure(args, lane=lane) for lane in LANES[args.lane]]
+    needed = {"idle", "busy", "fast"} & set(args.parts)
+    taken = [_measure(args, lane=lane) for lane in LANES[args.lane]] if needed else []
     rows: list[Row] = []
+    if "tf" in args.parts:
+        rows += _tf_rows(args)
     count = 2 * (args.topics // 2)
     if "busy" in args.parts:
         with Bare(count // 2, realtime=args.realtime) as crowd:
-            bare = _busy(crowd, f"{count} topics at {args.rate:g} Hz by bare relays", args.rate, args.seconds)
+            title = f"{count} topics at {args.rate:g} Hz by bare relays"
+            bare = _busy(crowd, "many", list(WAYS), args.rate, args.seconds, title)
         for measurement in taken:
             rows += _busy_rows(f"{count} at {args.rate:g} Hz{measurement.suffix}", measurement.busy[0], bare)
         if len(taken) > 1:
@@ -208,8 +216,31 @@ def _measure(args: argparse.Namespace, *, lane: bool) -> Taken:
                 taken.samples.measure(crowd, condition, args.seconds / (2 if condition == "alone" else 1))
             if condition == "beside" and "busy" in args.parts:
                 title = f"{count} topics at {args.rate:g} Hz{taken.suffix}"
-                taken.busy.append(_busy(crowd, title, args.rate, args.seconds))
+                taken.busy.append(_busy(crowd, "many", list(WAYS), args.rate, args.seconds, title))
     return taken
+
+
+def _tf_rows(args: argparse.Namespace) -> list[Row]:
+    """Return rows of one topic of TF at a high rate, beside strings at the same rate through the bare relays."""
+    rate, rows = NUMBERED_TF.rate, []
+    with Bare(0, realtime=args.realtime) as crowd:
+        bare = {direction: _busy(crowd, "fast", [direction], rate, args.seconds) for direction in WAYS}
+    for lane in LANES[args.lane]:
+        with Crowd(0, realtime=args.realtime, lane=lane, tf=True) as crowd:
+            for direction, (_, _, name) in WAYS.items():
+                ours, case = _busy(crowd, "tf", [direction], rate, args.seconds), f"TF of 20 at {rate:g} Hz, {name}"
+                case += "" if lane else ", lane off"
+                rows += [
+                    Row(f"{case}, CPU per message, to strings by bare relays", ours.cost, bare[direction].cost, "us"),
+                    Row(f"{case}, arrived of sent", ours.arrived[direction], ours.sent[direction], "msgs", "more"),
+                    Row(
+                        f"{case}, p50, to strings by bare relays",
+                        ours.p50[direction],
+                        bare[direction].p50[direction],
+                        "us",
+                    ),
+                ]
+    return rows
 
 
 def _idle(quiet: dict[str, list[float]], count: int, suffix: str) -> list[Row]:
@@ -228,6 +259,7 @@ class Busy:
 
     Attributes:
         cpu: processor time of both workers or relays, in percent of a core.
+        cost: the same in microseconds for each message that arrived.
         sent: sent messages by direction.
         arrived: arrived messages by direction, without duplicates.
         p50: median latency by direction, microseconds.
@@ -235,23 +267,26 @@ class Busy:
     """
 
     cpu: float
+    cost: float
     sent: Mapping[str, int]
     arrived: Mapping[str, int]
     p50: Mapping[str, float]
     p99: Mapping[str, float]
 
 
-def _busy(crowd: Crowd, title: str, rate: float, seconds: float) -> Busy:
-    tallies, used = crowd.drum("many", list(WAYS), rate, seconds)
-    report_progress(text(title, used))
-    for direction, (_, _, name) in WAYS.items():
-        tally = tallies[direction]
-        report_progress(f"{name}: {tally['got'] - tally['distinct']} doubled, {tally['disorder']} out of order")
+def _busy(crowd: Crowd, part: str, directions: Sequence[str], rate: float, seconds: float, title: str = "") -> Busy:
+    tallies, used = crowd.drum(part, directions, rate, seconds)
+    report_progress(text(title or f"{part} {' and '.join(directions)} at {rate:g} Hz", used))
+    for direction, tally in tallies.items():
+        doubled, name = tally["got"] - tally["distinct"], WAYS[direction][2]
+        report_progress(f"{name}: {doubled} doubled, {tally['disorder']} out of order")
     if warnings := crowd.words():
         report_progress(f"the daemon's warnings:\n{warnings}")
     ages = {direction: figures(tally["ages"]) for direction, tally in tallies.items()}
+    cpu, arrived = total(used, WORKERS), sum(tally["distinct"] for tally in tallies.values())
     return Busy(
-        total(used, WORKERS),
+        cpu,
+        1e4 * cpu * crowd.meter.seconds / max(arrived, 1),
         {direction: tally["sent"] for direction, tally in tallies.items()},
         {direction: tally["distinct"] for direction, tally in tallies.items()},
         {direction: figure.p50 for direction, figure in ages.items()},
@@ -265,6 +300,7 @@ def _busy_rows(case: str, ours: Busy, bare: Busy) -> list[Row]:
     rows = [
         Row(f"{case}, {label}, to the limit", ours.cpu, BUSY_CPU, "%"),
         Row(f"{case}, {label}, to bare relays", ours.cpu, bare.cpu, "%"),
+        Row(f"{case}, CPU per message, to bare relays", ours.cost, bare.cost, "us"),
     ]
     for direction, (_, _, name) in WAYS.items():
         rows += [
@@ -283,7 +319,7 @@ def report_progress(message: str) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parts = ("idle", "busy", "fast")
+    parts = ("idle", "busy", "fast", "tf")
     parser.add_argument("--parts", nargs="+", choices=parts, default=parts, help="parts to measure (default all)")
     parser.add_argument(
         "--topics", type=int, default=500, metavar="N", help="topics, half of them in each direction (500)"

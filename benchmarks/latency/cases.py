@@ -76,8 +76,8 @@ def prepare(case: Case, folder: Path) -> Prepared:
     return Prepared(case, form, files[0], ros1.index(mark), files[1], cdr.index(mark))
 
 
-def _header() -> Any:
-    return _T["std_msgs/msg/Header"](stamp=_time(), frame_id=_TEXT_MARK)
+def _header(frame: str = _TEXT_MARK) -> Any:
+    return _T["std_msgs/msg/Header"](stamp=_time(), frame_id=frame)
 
 
 def _time() -> Any:
@@ -100,9 +100,9 @@ def _twist() -> Any:
     return _T["geometry_msgs/msg/Twist"](linear=_vector(_NUMBER_MARK, 0.0, 0.0), angular=_vector(0.0, 0.0, 0.5))
 
 
-def _transforms() -> Any:
-    plain, transform = _T["std_msgs/msg/Header"], _T["geometry_msgs/msg/Transform"]
-    headers = [_header()] + [plain(stamp=_time(), frame_id=f"link_{i}") for i in range(1, 20)]
+def _transforms(frame: str = _TEXT_MARK) -> Any:
+    transform = _T["geometry_msgs/msg/Transform"]
+    headers = [_header(frame)] + [_header(f"link_{i}") for i in range(1, 20)]
     stamped = [
         _T["geometry_msgs/msg/TransformStamped"](
             header=header,
@@ -153,3 +153,9 @@ BACKGROUND = CASES[0]
 
 NUMBERED = Case("String 100 B", "numbered", "std_msgs/msg/String", _string, "numbered", 0, 10.0)
 """A message with space for a number after its stamp."""
+
+NUMBERED_TF = Case(
+    "TFMessage of 20", "numbered_tf", "tf2_msgs/msg/TFMessage", lambda: _transforms(_TEXT_MARK + "x" * DIGITS),
+    "numbered", 0, 2000.0,
+)  # fmt: skip
+"""The same for transforms."""

@@ -44,10 +44,14 @@ class Meter:
 
     Args:
         pids: the processes by name; see `processes`.
+
+    Attributes:
+        seconds: length of the last measurement.
     """
 
     def __init__(self, pids: Mapping[str, int]) -> None:
         self._processes = {name: psutil.Process(pid) for name, pid in pids.items()}
+        self.seconds = 0.0
         self.start()
 
     def start(self) -> None:
@@ -57,7 +61,7 @@ class Meter:
 
     def read(self) -> dict[str, Usage]:
         """Return each process's use since the start."""
-        passed = time.monotonic() - self._began
+        self.seconds = passed = time.monotonic() - self._began
         return {
             name: Usage(
                 100 * (cpu_seconds(process.pid) - self._seconds[name]) / passed,
