@@ -7,7 +7,7 @@ Rules, conversion, queues, latching, origins and counters are implemented once, 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
@@ -299,6 +299,13 @@ class Edge(ABC):
 
     def details(self) -> dict[str, Any]:
         """Return further entries of the side's status document."""
+        return {}
+
+    def version_notes(self) -> Mapping[tuple[str, str, str], Sequence[str]]:
+        """Return what the messages of nodes with other versions of types lose.
+
+        The keys are ``topic`` or ``service``, the direction as in decisions, and the name on the side.
+        """
         return {}
 
     def connections(self) -> list[ConnectionStatus]:

@@ -54,7 +54,7 @@ class EngineRoutes:
         if self._edge.services:
             self._services_to_side.follow(leaving, endpoints, decisions, outcome)
         self.velocities = subscribed_velocities(self._edge, endpoints, leaving, rules) if joined else frozenset()
-        note_losses(self._hub, decisions)
+        note_losses(self._hub, self._edge, decisions)
         return decisions
 
     def stand_by(self, why: str) -> list[RouteDecision]:

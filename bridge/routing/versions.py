@@ -1,4 +1,4 @@
-"""What messages lose between this machine's version of a type and those of other releases' nodes on the hub."""
+"""What messages lose between this machine's version of a type and those of other releases' nodes."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import EndpointKind
 from bridge.hub.session import Hub
 from bridge.routing.decision import RouteDecision
+from bridge.routing.edge import Edge
 
 _KINDS = {
     ("topic", "in"): EndpointKind.SUBSCRIPTION,
@@ -19,39 +20,48 @@ _KINDS = {
 """The endpoints of the hub at the far end of a route, by its kind and direction."""
 
 
-def note_losses(hub: Hub, decisions: Iterable[RouteDecision]) -> None:
+def note_losses(hub: Hub, edge: Edge, decisions: Iterable[RouteDecision]) -> None:
     """Note in the decisions on bridged names which fields are lost, once for each version."""
-    versions = hub.versions
+    versions, of_side = hub.versions, dict(edge.version_notes())
     others: dict[tuple[EndpointKind, str], dict[tuple[str, str], HubEndpoint]] = {}
     for end in hub.graph.endpoints():
         if not end.own and versions.here(end.type_name, end.type_hash) != end.type_hash:
             others.setdefault((end.kind, end.topic), {}).setdefault((end.type_name, end.type_hash), end)
-    for decision in decisions if others else ():
-        kind = _KINDS[decision.of, decision.direction]
-        ends = others.get((kind, decision.hub_topic), {}).values() if decision.kind == "bridged" else ()
+    for decision in decisions if others or of_side else ():
+        if decision.kind != "bridged":
+            continue
+        ends = others.get((_KINDS[decision.of, decision.direction], decision.hub_topic), {}).values()
         # the side's names of types may differ
-        texts = (_text(end, versions) for end in ends if decision.direction == "in" or end.type_name == decision.type)
+        texts = [_text(end, versions) for end in ends if decision.direction == "in" or end.type_name == decision.type]
+        texts += of_side.pop((decision.of, decision.direction, decision.topic), ())
         decision.note = "; ".join(filter(None, texts))
 
 
 def _text(end: HubEndpoint, versions: TypeVersions) -> str:
-    fields = list(dict.fromkeys(_lost(end, versions)))
+    here = versions.here(end.type_name, end.type_hash)
+    fields = lost_fields(versions, end.kind, end.type_name, end.type_hash, here)
+    return loss_text(end.node, versions.release(end.type_name, end.type_hash), end.type_name, fields)
+
+
+def loss_text(node: str, release: str, type_name: str, lost: Iterable[str]) -> str:
+    """Return which fields of a node's type are lost, "" if none is."""
+    fields = list(dict.fromkeys(lost))
     if not fields:
         return ""
-    release, verb = versions.release(end.type_name, end.type_hash), "is" if len(fields) == 1 else "are"
-    return f"{end.node} has {release}'s version of {end.type_name}: {', '.join(fields)} {verb} left out"
+    verb = "is" if len(fields) == 1 else "are"
+    return f"{node} has {release}'s version of {type_name}: {', '.join(fields)} {verb} left out"
 
 
-def _lost(end: HubEndpoint, versions: TypeVersions) -> Iterator[str]:
-    name, here = end.type_name, versions.here(end.type_name, end.type_hash)
-    match end.kind:
+def lost_fields(versions: TypeVersions, kind: EndpointKind, name: str, theirs: str, here: str) -> Iterator[str]:
+    """Yield the fields that messages between an endpoint of another version and this machine lose."""
+    match kind:
         case EndpointKind.PUBLISHER:
-            yield from versions.lost(name, end.type_hash, here)
+            yield from versions.lost(name, theirs, here)
         case EndpointKind.SUBSCRIPTION:
-            yield from versions.lost(name, here, end.type_hash)
+            yield from versions.lost(name, here, theirs)
         case EndpointKind.SERVER:
-            yield from versions.lost(name, here, end.type_hash, REQUEST)
-            yield from versions.lost(name, end.type_hash, here, RESPONSE)
+            yield from versions.lost(name, here, theirs, REQUEST)
+            yield from versions.lost(name, theirs, here, RESPONSE)
         case EndpointKind.CLIENT:
-            yield from versions.lost(name, end.type_hash, here, REQUEST)
-            yield from versions.lost(name, here, end.type_hash, RESPONSE)
+            yield from versions.lost(name, theirs, here, REQUEST)
+            yield from versions.lost(name, here, theirs, RESPONSE)

@@ -14,6 +14,7 @@ import zenoh
 
 from bridge.adapters.ros2.services.cyclone import unwrap
 from bridge.messages.registry import Registry
+from bridge.messages.values import MessageWriter
 from tests.adapters.ros2.conftest import string, text
 from tests.peers.daemon.deployment import Deployment
 from tests.peers.hub.actions import HubActions
@@ -279,6 +280,15 @@ def test_a_node_with_graph_messages_of_humble_is_found_by_its_endpoints(shared: 
     call = ros1.ask("call", service="/humble_lamp", type=TYPE, request={"data": True})["id"]
     assert ros1.ask("result", id=call, seconds=20)["reply"] == {"success": True, "message": "lit"}
     assert len(executed(native, server)) == 1
+    message = MessageWriter(Registry().schema("sensor_msgs/msg/Range")).message({"range": 2.5})
+    ranges = native.advertise("/range", "sensor_msgs/Range")
+    subscription = ros1.subscribe("/range", "sensor_msgs/Range")
+
+    def range_received() -> list[Any]:
+        native.put(ranges, message[:-4])  # without the variance of later releases
+        return ros1.wait(subscription, 1, 0.2)
+
+    assert until(range_received, "a Range of Humble on ROS 1", 30)[0]["range"] == 2.5
 
 
 def test_doctor_names_the_nodes(shared: Deployment) -> None:

@@ -18,6 +18,7 @@ from tests.support.wait import until
 
 PROGRAM = Path(__file__).parents[1] / "peers" / "ros2" / "parameters.py"
 TEXT, SERVICE, ACTION = "std_msgs/String", "std_srvs/SetBool", "nav2_msgs/NavigateToPose"
+THROUGH, FULL = "nav2_msgs/NavigateThroughPoses", "nav2_msgs/action/NavigateThroughPoses"
 GOAL = {"pose": {"header": {"frame_id": "map"}, "pose": {"position": {"x": 5.0}}}}
 RULES = [
     {"ros1": "/robot", "node": "/robot_parameters", "owner": "ros1"},
@@ -98,6 +99,34 @@ def test_actions(rig: Rig, native: str) -> None:
     assert (state["accepted"], state["status"]) == (True, 4), state
     (received,) = server.ask("goals", id=served, count=1, seconds=20)["goals"]
     assert received["pose"]["pose"]["position"]["x"] == 5.0
+
+
+@pytest.mark.parametrize("native", ["server", "client"])
+def test_actions_whose_fields_differ(rig: Rig, native: str) -> None:
+    """Kilted's ``NavigateThroughPoses`` has its poses in a ``Goals``, and more fields in result and feedback."""
+    server, client = (rig.ros2, rig.hub) if native == "server" else (rig.hub, rig.ros2)
+    name, poses = f"/through_{native}", [GOAL["pose"], GOAL["pose"]]
+    values = {"distance_remaining": 2.5, "number_of_poses_remaining": 2}
+    served = server.ask("act", action=name, type=THROUGH, feedback=[values], outcome="succeed")["id"]
+    sent = {"poses": poses if native == "server" else {"goals": poses}}
+
+    def driven() -> list[Any]:
+        goal = client.ask("send_goal", action=name, type=THROUGH, goal=sent, seconds=40)["id"]
+        state = client.ask("goal", id=goal, until={"accepted": True, "status": 4}, seconds=40)
+        assert (state["accepted"], state["status"]) == (True, 4), state
+        return client.ask("goal", id=goal, until={"feedback": 1}, seconds=1)["feedback"]
+
+    (feedback,) = until(driven, "feedback, which is lost before its publisher is discovered", 40)
+    assert (feedback["distance_remaining"], feedback["number_of_poses_remaining"]) == (2.5, 2)
+    received, *_ = server.ask("goals", id=served, count=1, seconds=20)["goals"]
+    goals = received["poses"]["goals"] if native == "server" else received["poses"]
+    assert [pose["pose"]["position"]["x"] for pose in goals] == [5.0, 5.0]
+
+    def explained() -> bool:
+        reasons = [decision["why"] for decision in rig.deployment.explain(name)]
+        return any(f"has kilted's version of {FULL}_" in reason for reason in reasons)
+
+    until(explained, "explain names what is left out", 20, every=0.1)
 
 
 def test_parameters(rig: Rig) -> None:

@@ -32,6 +32,7 @@ from bridge.adapters.ros2.services.server import Ros2Server
 from bridge.adapters.ros2.topics.publisher import Ros2Publisher
 from bridge.adapters.ros2.topics.subscription import Ros2Subscription
 from bridge.adapters.ros2.types import TypeSupports
+from bridge.adapters.ros2.versions import EndpointVersions, Notes
 from bridge.adapters.side_edge import SideEdge
 from bridge.concurrency import DelayedCalls
 from bridge.config.model import Config
@@ -42,7 +43,7 @@ from bridge.messages.actions import GET_RESULT, GoalState, split
 from bridge.messages.definitions.hashes import rihs01
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
-from bridge.messages.transcode.conversion import ServiceConversion, SideType
+from bridge.messages.transcode.conversion import Conversion, Convert, ServiceConversion, SideType
 from bridge.messages.values import refusal
 from bridge.routing.edge import (
     Deliver,
@@ -77,7 +78,7 @@ class Ros2Edge(SideEdge):
     def __init__(self, config: Config, registry: Registry, state: Path) -> None:
         super().__init__(config, registry)
         self._state = state
-        self._types = TypeSupports()
+        self._types, self._versions = TypeSupports(), EndpointVersions(registry)
         self._lock = threading.Lock()
         self._ends: set[Ros2Subscription | Ros2Publisher | Ros2Caller | Ros2Server] = set()
         self._prefix = b""
@@ -109,7 +110,7 @@ class Ros2Edge(SideEdge):
             _log.warning("%s; %s", err, err.cure)
         loop = EpollReadLoop() if rcl.has_eventfd() else WaitSetReadLoop(participant)
         loop.start()
-        graph = Ros2Graph(participant, self._prefix, self._changed)
+        graph = Ros2Graph(participant, self._prefix, self._changed, self._versions)
         send_all = partial(spdp.send_all, domain=number, localhost_only=self._localhost_only)
         heartbeats = Heartbeats(send_all, later)
         self._context = Ros2Context(participant, loop, graph, ProcessWatch(self._prefix), later, heartbeats)
@@ -242,12 +243,18 @@ class Ros2Edge(SideEdge):
         return context is None or is_hidden(topic) or topic in context.graph.snapshot.subscribed
 
     @override
+    def to_hub(self, endpoint: Endpoint) -> Conversion:
+        """Return a conversion that validates the bytes, from the version of the type that a publisher has."""
+        return self._versions.to_hub(endpoint) or super().to_hub(endpoint)
+
+    @override
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
         """Subscribe; ``qos`` is an upper bound, reduced to what the publishers offer."""
         context = self._started()
         self._check_one_type(topic, side_type.name)
-        message_class = self._types.message_class(side_type.name, side_type.type_id)
-        subscription = self._kept(Ros2Subscription(topic, message_class, qos, deliver, context, self._closed))
+        message_class = self._types.message_class(side_type.name, self._announced(side_type))
+        accepts = partial(self._versions.is_of, type_id=side_type.type_id)
+        subscription = self._kept(Ros2Subscription(topic, message_class, qos, deliver, context, self._closed, accepts))
         subscription.refit()  # the graph may have changed since the constructor read it
         return subscription
 
@@ -257,9 +264,24 @@ class Ros2Edge(SideEdge):
         context = self._started()
         self._check_one_type(topic, side_type.name)
         message_class = self._types.message_class(side_type.name, side_type.type_id)
-        publisher = self._kept(Ros2Publisher(topic, message_class, qos, context, self._closed, self.has_subscribers))
+        for_readers = None
+        if self._versions.varies(side_type.name):
+            for_readers = partial(self._converter_for_readers, topic, side_type)
+        heard = self.has_subscribers
+        publisher = self._kept(Ros2Publisher(topic, message_class, qos, context, self._closed, heard, for_readers))
         publisher.refit()
         return publisher
+
+    def _converter_for_readers(self, topic: str, side_type: SideType) -> Convert | None:
+        context = self._context
+        of_topic = context.graph.readers(topic) if context is not None else ()  # a message may arrive during `stop`
+        readers = [r for r in of_topic if r.type == side_type.name and r.made_by is MadeBy.NATIVE]
+        version = self._versions.for_readers(side_type.type_id, readers)
+        return self._versions.converter(side_type.name, side_type.type_id, version)
+
+    def _announced(self, side_type: SideType) -> str:
+        """Return the hash that an endpoint announces: for a version of Humble, which has none, this machine's."""
+        return side_type.type_id or self._registry.ros2(side_type.name).type_id
 
     def _check_one_type(self, topic: str, type_name: str) -> None:
         """Reject a second type for a topic: a DDS participant has only one, and Fast DDS's error omits the reason."""
@@ -275,12 +297,11 @@ class Ros2Edge(SideEdge):
     @override
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
         conversion = self.service_from_hub(endpoint.type, "")
+        other = self._versions.service_to_hub(endpoint, conversion)
+        if other is not None:
+            return other
         request, _ = self._part_hashes(conversion.side)
-        if endpoint.type_id not in ("", request):
-            raise MessageTypeError(
-                f"{endpoint.type}: its server's requests have {endpoint.type_id}, this machine's have {request}",
-                "install the same version of the package on both, or give its .srv folder in types.folders",
-            )
+        self._versions.check_server(endpoint, conversion.hub.type_id, request)
         return conversion
 
     @override
@@ -293,11 +314,15 @@ class Ros2Edge(SideEdge):
         return rihs01(request), rihs01(response)
 
     def _service_class(self, service: SideType) -> Any:
+        if not service.type_id:  # Humble's version, which has no hash
+            service = self._registry.service_ros2(service.name)
         return self._types.service_class(service.name, service.type_id, self._part_hashes(service))
 
     @override
     def caller(self, name: str, side_type: SideType) -> EdgeCaller:
-        caller = self._kept(Ros2Caller(name, self._service_class(side_type), self._started(), self._closed))
+        version = side_type.type_id if self._versions.varies(side_type.name) else None
+        service_class = self._service_class(side_type)
+        caller = self._kept(Ros2Caller(name, service_class, self._started(), self._closed, version))
         caller.refit()
         return caller
 
@@ -308,8 +333,10 @@ class Ros2Edge(SideEdge):
         refuse = refusal(self._registry, side_type.name, side_type.type_id)
         if split(name)[1] == GET_RESULT:
             call, refuse = partial(_call_for_end, call), _ended_refusal(refuse)
-        replaced = partial(self._is_served, name)
-        return self._kept(Ros2Server(name, service_class, call, refuse, replaced, self._started(), self._closed))
+        replaced, (request, _) = partial(self._is_served, name), self._part_hashes(side_type)
+        converters = partial(self._versions.of_client, side_type.name, side_type.type_id, request)
+        context = self._started()
+        return self._kept(Ros2Server(name, service_class, call, refuse, replaced, context, self._closed, converters))
 
     def _is_served(self, name: str) -> bool:
         """Return whether a service has an open server here, or one of another participant; reads the graph."""
@@ -353,16 +380,22 @@ class Ros2Edge(SideEdge):
         return details | {"middlewares": groups}
 
     @override
+    def version_notes(self) -> Notes:
+        return self._versions.notes(self.endpoints())
+
+    @override
     def warnings(self) -> list[str]:
         """Return warnings of QoS, of other versions of Fast DDS, of names on two kinds of DDS, and of new addresses."""
         offers: dict[str, set[Qos]] = {}
+        advertised: dict[str, str] = {}
         with self._lock:
             for end in self._ends:
                 if isinstance(end, Ros2Publisher):
                     offers.setdefault(end.topic, set()).add(end.qos)
+                    advertised[end.topic] = end.type_name
         cyclone = vendors.report(self.endpoints())
         warnings = [text] if cyclone and (text := vendors.warning(cyclone)) else []
-        warnings += self._over_udp()
+        warnings += self._over_udp() + self._versions.warnings(self.endpoints(), advertised)
         warnings += [self._interfaces.text] if self._interfaces is not None and self._interfaces.text else []
         for endpoint in self.endpoints():
             if endpoint.kind is Kind.SUBSCRIPTION and endpoint.made_by is MadeBy.NATIVE:

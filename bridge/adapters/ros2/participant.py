@@ -92,6 +92,11 @@ class Participant:
         raw = _rclpy.rclpy_get_topic_names_and_types(self._node, True)
         return [(service, topic) for topic, _types in raw if (service := service_of(topic))]
 
+    def service_types(self) -> set[str]:
+        """Return the types of all services on the graph."""
+        raw = _rclpy.rclpy_get_topic_names_and_types(self._node, True)
+        return {service_type(name) for topic, types in raw if service_of(topic) for name in types}
+
     def make_client(self, service_class: Any, service: str, qos: Qos) -> Any:
         """Create a client; its ``pointer`` is ``rcl_client_t *``."""
         with self._lock, _explained(service, service_class):

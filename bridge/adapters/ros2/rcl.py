@@ -78,6 +78,7 @@ def _declare(function: Any, result: Any, *arguments: Any) -> None:
 for _library in (_rcl, _rcl_held):
     _declare(_library.rcl_take_serialized_message, c_int32, c_void_p, POINTER(_Bytes), c_void_p, c_void_p)
     _declare(_library.rcl_publish_serialized_message, c_int32, c_void_p, POINTER(_Content), c_void_p)
+_declare(_rcl.rcl_publisher_get_subscription_count, c_int32, c_void_p, POINTER(c_size_t))
 _declare(_rcl.rcl_node_get_graph_guard_condition, c_void_p, c_void_p)
 _declare(_rcl.rcl_wait_set_add_guard_condition, c_int32, c_void_p, c_void_p, c_void_p)
 _declare(_rcutils.rcutils_get_default_allocator, _Allocator)
@@ -158,6 +159,14 @@ def publish(publisher: int, payload: bytes) -> None:
     library = _rcl if size >= LARGE else _rcl_held
     code = library.rcl_publish_serialized_message(publisher, byref(content), None)
     _check("rcl_publish_serialized_message", code)
+
+
+def reader_count(publisher: int) -> int:
+    """Return how many readers ``rcl_publisher_t *`` has matched."""
+    count = c_size_t()
+    code = _rcl.rcl_publisher_get_subscription_count(publisher, byref(count))
+    _check("rcl_publisher_get_subscription_count", code)
+    return count.value
 
 
 def _check(call: str, code: int) -> None:

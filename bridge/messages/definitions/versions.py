@@ -13,7 +13,7 @@ from pathlib import Path
 from threading import Lock
 
 from bridge.messages.definitions.library import DefinitionLibrary
-from bridge.messages.definitions.names import split_part
+from bridge.messages.definitions.names import is_ros2_name, split_part
 from bridge.messages.definitions.schema import Schema, World
 from bridge.messages.definitions.sources import DefinitionFolder, DefinitionSource, jazzy_sources
 from bridge.messages.errors import MessageTypeError
@@ -111,6 +111,8 @@ class TypeVersions:
 
     def _varies(self, name: str) -> bool:
         """Whether a type or one that it nests may have several versions."""
+        if not is_ros2_name(name):  # a plain DDS program may have any
+            return False
         schema = _find(self._installed, name)
         names = (name,) if schema is None else schema.types
         return self._folders or any(split_part(nested)[0] in _stored() for nested in names)

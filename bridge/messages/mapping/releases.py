@@ -177,14 +177,67 @@ class ReleaseConversions:
         self._converters: dict[_Key, Convert | None] = {}
         self._lost: dict[_Key, tuple[str, ...]] = {}
         self._here: dict[tuple[str, str], str] = {}
+        self._hashes: dict[str, Collection[str]] = {}
+        self._own: dict[str, str] = {}
+        self._parts: dict[str, Mapping[tuple[str, str], str]] = {}
 
     def hashes(self, type_name: str) -> Collection[str]:
         """Return the hashes of all known versions of a type or service, the installed one among them."""
-        with self._lock:
-            try:
-                return dict.fromkeys([*self._versions.of(type_name), *self._installed_hash(type_name)])
-            except MessageTypeError:
-                return ()
+        known = self._hashes.get(type_name)
+        if known is None:
+            with self._lock:
+                try:
+                    known = dict.fromkeys([*self._versions.of(type_name), *self._installed_hash(type_name)])
+                except MessageTypeError:
+                    known = ()
+                _store(self._hashes, type_name, known)
+        return known
+
+    def varies(self, type_name: str) -> bool:
+        """Return whether a type or service has several known versions."""
+        return len(self.hashes(type_name)) > 1 or self.here(type_name, NO_HASH) != NO_HASH
+
+    def here_hash(self, type_name: str) -> str:
+        """Return the hash of this machine's version of a type or service; "" if it is not installed."""
+        known = self._own.get(type_name)
+        if known is None:
+            with self._lock:
+                try:
+                    known = next(iter(self._installed_hash(type_name)), "")
+                except MessageTypeError:
+                    known = ""
+                _store(self._own, type_name, known)
+        return known
+
+    def service_hash(self, service: str, request: str, response: str = "") -> str:
+        """Return the hash of the version of a service whose request and response have these hashes.
+
+        A ``response`` of "" is any. Returns "" if no version has them, or several do.
+        """
+        parts = self._service_parts(service)
+        if response:
+            return parts.get((request, response), "")
+        found = {version for (first, _), version in parts.items() if first == request}
+        return found.pop() if len(found) == 1 else ""
+
+    def has_request(self, service: str, request: str) -> bool:
+        """Return whether the request of any version of a service has this hash."""
+        return any(first == request for first, _ in self._service_parts(service))
+
+    def _service_parts(self, service: str) -> Mapping[tuple[str, str], str]:
+        """Return the versions of a service by the hashes of request and response."""
+        parts = self._parts.get(service)
+        if parts is None:
+            parts = {}
+            with self._lock:
+                for version in self.hashes(service):
+                    schema = self._schema(service, version)
+                    names = (f"{service}_Request", f"{service}_Response")
+                    if schema is not None and all(name in schema.types for name in names):
+                        request, response = (self._ros2.fingerprint(schema.sub(name)) for name in names)
+                        parts[request, response] = version
+                _store(self._parts, service, parts)
+        return parts
 
     def here(self, type_name: str, type_hash: str) -> str:
         """Return the hash that this machine uses for a type announced with a hash; the same if it is unknown."""

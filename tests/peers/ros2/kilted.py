@@ -13,11 +13,14 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from bridge.interfaces.cache import SITE
+from bridge.messages.definitions.versions import RELEASES_FOLDER
 from tests.peers.ros2.network import ros2_environment
 from tests.support.missing import KILTED, kilted_prefix, need
 
 _BUILD = "from tests.peers.ros2.kilted import build_action; build_action()"
 _ACTION = "action/NavigateToPose.action"
+_OWN = ("action/NavigateThroughPoses.action", "msg/WaypointStatus.msg")
+"""Files of nav2_msgs that differ from those of Jazzy."""
 
 
 def source(environ: Mapping[str, str]) -> dict[str, str]:
@@ -37,7 +40,7 @@ def source(environ: Mapping[str, str]) -> dict[str, str]:
 
 
 def program_environment() -> dict[str, str]:
-    """Return the environment of a program on Kilted on this process's domain, with one action of nav2_msgs."""
+    """Return the environment of a program on Kilted on this process's domain, with two actions of nav2_msgs."""
     sourced = source(ros2_environment())
     command = [sys.executable, "-c", _BUILD]
     root = str(Path(__file__).parents[3])
@@ -52,11 +55,12 @@ def program_environment() -> dict[str, str]:
 
 
 def build_action() -> None:
-    """Build nav2_msgs with ``NavigateToPose`` only, for the sourced ROS 2, unless it is cached; print its prefix."""
+    """Build the two actions of Kilted's nav2_msgs for the sourced ROS 2, unless they are cached; print the prefix."""
     from bridge.interfaces import builder
     from bridge.interfaces.folders import bundled_files
 
-    text = bundled_files("nav2_msgs")[_ACTION]
+    own = {file: (RELEASES_FOLDER / "kilted" / "nav2_msgs" / file).read_text(encoding="utf-8") for file in _OWN}
+    files = {_ACTION: bundled_files("nav2_msgs")[_ACTION], **own}
     name = "bundled_files"
     setattr(builder, name, lambda package: {} if package == "nav2_msgs" else bundled_files(package))
-    print(builder.build({"nav2_msgs": {_ACTION: text}}))
+    print(builder.build({"nav2_msgs": files}))

@@ -23,6 +23,7 @@ from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
 from bridge.adapters.ros2.participant import Participant, from_rclpy, reply_topic, request_topic, service_type
+from bridge.adapters.ros2.versions import EndpointVersions
 from bridge.config.model import Config
 from bridge.messages.actions import TOPICS, part_name
 from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
@@ -61,8 +62,11 @@ class GraphSnapshot:
 class Ros2Graph:
     """Follows the graph; `snapshot` is its latest state."""
 
-    def __init__(self, participant: Participant, own_prefix: bytes, changed: Callable[[GraphSnapshot], None]) -> None:
-        self._participant, self._own, self._changed = participant, own_prefix, changed
+    def __init__(
+        self, participant: Participant, own_prefix: bytes, changed: Callable[[GraphSnapshot], None],
+        versions: EndpointVersions | None = None,
+    ) -> None:  # fmt: skip
+        self._participant, self._own, self._changed, self._versions = participant, own_prefix, changed, versions
         self.snapshot = GraphSnapshot()
         self._guard = participant.make_guard_condition()
         self._graph_guard = rcl.graph_guard_condition(participant.pointer)
@@ -84,6 +88,10 @@ class Ros2Graph:
     def publishers(self, topic: str) -> Mapping[bytes, Endpoint]:
         """Return a topic's publishers by GID, from the last snapshot."""
         return self.snapshot.publishers.get(topic, {})
+
+    def readers(self, topic: str) -> list[Endpoint]:
+        """Return a topic's current subscriptions; reads the graph."""
+        return [e for _, e in self._endpoints_of(topic, Kind.SUBSCRIPTION)]
 
     def find(self, topic: str, gid: bytes) -> Endpoint | None:
         """Return one publisher; the graph is queried if the last snapshot lacks it."""
@@ -109,7 +117,7 @@ class Ros2Graph:
         for service, requests in self._participant.service_topics():
             service_servers = self._servers(service, requests)
             servers[service] = frozenset(gid for gid, server in service_servers if server.made_by is MadeBy.NATIVE)
-            obstacle = vendors.of_servers(service, (e for _, e in service_servers))
+            obstacle = self.obstacle(service, [e for _, e in service_servers])
             if obstacle is not None:
                 obstacles[service] = obstacle
             endpoints += [replace(e, obstacle=obstacle) for _, e in service_servers]
@@ -123,6 +131,22 @@ class Ros2Graph:
     def servers(self, service: str) -> list[Endpoint]:
         """Return a service's current servers; reads the graph."""
         return [e for _, e in self._servers(service, request_topic(service))]
+
+    def obstacle(self, service: str, servers: Sequence[Endpoint], expected: str | None = None) -> Obstacle | None:
+        """Return why these servers of a service cannot be called, by a client of the ``expected`` version; or None."""
+        obstacle = vendors.of_servers(service, servers)
+        if obstacle is None and self._versions is not None:
+            obstacle = self._versions.obstacle(service, servers, expected)
+        return obstacle
+
+    def client_types(self, service: str) -> dict[bytes, str]:
+        """Return the types' hashes of a service's clients, by the GUID prefix of their participant; reads the graph.
+
+        Clients whose version is not known yet are omitted.
+        """
+        clients, versions = self._clients(service, request_topic(service)), self._versions
+        known = (client for client in clients if versions is None or versions.is_resolved(client))
+        return {bytes.fromhex(client.id)[:PREFIX_BYTES]: client.type_id for client in known}
 
     def reply_readers(self, service: str) -> list[bytes]:
         """Return the GIDs of all readers of a service's replies; reads the graph."""
@@ -142,10 +166,35 @@ class Ros2Graph:
         return {bytes(info["endpoint_gid"]) for info in asking} | set(self.reply_readers(service))
 
     def _servers(self, service: str, requests: str) -> list[tuple[bytes, Endpoint]]:
-        return self._others(service, Kind.SERVER, self._participant.readers(requests, dds=True))
+        servers = self._others(service, Kind.SERVER, self._participant.readers(requests, dds=True))
+        return self._with_versions(servers, service, self._participant.writers)
 
     def _clients(self, service: str, requests: str) -> list[Endpoint]:
-        return [e for _, e in self._others(service, Kind.CLIENT, self._participant.writers(requests, dds=True))]
+        clients = self._others(service, Kind.CLIENT, self._participant.writers(requests, dds=True))
+        return [e for _, e in self._with_versions(clients, service, self._participant.readers)]
+
+    def _with_versions(
+        self, ends: list[tuple[bytes, Endpoint]], service: str, reply_ends: Callable[..., Sequence[Mapping[str, Any]]]
+    ) -> list[tuple[bytes, Endpoint]]:
+        """Return servers or clients with the hash of the service, if its type varies: they announce that of requests.
+
+        That of the replies is announced by the participant's other endpoint.
+        """
+        versions = self._versions
+        if versions is None or not any(end.type_id and versions.varies(end.type) for _, end in ends):
+            return ends
+        hashes: dict[bytes, set[str]] = {}
+        for info in reply_ends(reply_topic(service), dds=True):
+            hashes.setdefault(bytes(info["endpoint_gid"])[:PREFIX_BYTES], set()).add(_type_hash(info))
+        resolved: list[tuple[bytes, Endpoint]] = []
+        for gid, end in ends:
+            announced = hashes.get(gid[:PREFIX_BYTES], set())
+            reply = next(iter(announced)) if len(announced) == 1 else ""
+            varies = versions.varies(end.type)
+            resolved.append(
+                (gid, replace(end, type_id=versions.of_service(end.type, end.type_id, reply)) if varies else end)
+            )
+        return resolved
 
     def _endpoints_of(self, topic: str, kind: Kind) -> list[tuple[bytes, Endpoint]]:
         query = self._participant.writers if kind is Kind.PUBLISHER else self._participant.readers
@@ -153,7 +202,12 @@ class Ros2Graph:
 
     def _others(self, name: str, kind: Kind, infos: Sequence[Mapping[str, Any]]) -> list[tuple[bytes, Endpoint]]:
         gids = [(bytes(info["endpoint_gid"]), info) for info in infos]
-        return [(gid, _endpoint(name, kind, gid, info)) for gid, info in gids if gid[:PREFIX_BYTES] != self._own]
+        ends = [(gid, _endpoint(name, kind, gid, info)) for gid, info in gids if gid[:PREFIX_BYTES] != self._own]
+        versions = self._versions
+        if versions is None or not any(versions.may_be_humble(end) for _, end in ends):
+            return ends
+        programs = {gid[:PREFIX_BYTES] for gid in self._participant.participants()}
+        return [(gid, end if gid[:PREFIX_BYTES] in programs else versions.of_plain_dds(end)) for gid, end in ends]
 
     def _run(self) -> None:
         wait_set = self._participant.make_wait_set(2)
@@ -161,6 +215,8 @@ class Ros2Graph:
             while not self._stopping.is_set():
                 started = time.thread_time()  # CPU time, which on a busy machine is less than the elapsed time
                 try:
+                    self._prepare_versions()
+                    started = time.thread_time()
                     self._update()
                 except Exception:
                     _log.exception("reading the ROS 2 graph failed")
@@ -173,6 +229,15 @@ class Ros2Graph:
                 rcl.wait_set_add_guard_condition(wait_set.pointer, self._graph_guard)
                 wait_set.wait(int(min(max(_POLL, _SHARE * took), _LONGEST_POLL) * 1e9))
                 self._stopping.wait(_SETTLE)
+
+    def _prepare_versions(self) -> None:
+        """Find the versions of the services' types.
+
+        That takes up to 20 ms for each type, but once, so the pause after a read does not count it.
+        """
+        if self._versions is not None:
+            for type_name in self._participant.service_types():
+                self._versions.varies(type_name)
 
     def _update(self) -> None:
         snapshot = self.read()
@@ -192,7 +257,6 @@ def is_hidden(topic: str) -> bool:
 
 def _endpoint(topic: str, kind: Kind, gid: bytes, info: Mapping[str, Any]) -> Endpoint:
     node = str(info["node_name"])
-    type_hash = info["topic_type_hash"]
     return Endpoint(
         id=gid.hex(),
         kind=kind,
@@ -201,8 +265,13 @@ def _endpoint(topic: str, kind: Kind, gid: bytes, info: Mapping[str, Any]) -> En
         qos=from_rclpy(info["qos_profile"]),
         made_by=MadeBy.MIDSPAN if is_marked(gid) else MadeBy.NATIVE,
         node="" if node in _UNKNOWN_NODES else f"{str(info['node_namespace']).rstrip('/')}/{node}",
-        type_id=f"RIHS01_{bytes(type_hash['value']).hex()}" if type_hash["version"] == 1 else "",
+        type_id=_type_hash(info),
     )
+
+
+def _type_hash(info: Mapping[str, Any]) -> str:
+    type_hash = info["topic_type_hash"]
+    return f"RIHS01_{bytes(type_hash['value']).hex()}" if type_hash["version"] == 1 else ""
 
 
 # -- one snapshot, for programs that must not load rclpy ---------------------------------------------------------------

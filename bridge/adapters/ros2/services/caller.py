@@ -45,13 +45,16 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
 
     kind: ClassVar[str] = "client"
 
-    def __init__(self, name: str, service_class: Any, context: Ros2Context, closed: Closed) -> None:
+    def __init__(
+        self, name: str, service_class: Any, context: Ros2Context, closed: Closed, type_id: str | None = None
+    ) -> None:
         super().__init__(name, service_class, context.participant.make_client(service_class, name, SERVICE), context)
         self._on_closed = closed
         self._waiting: deque[_PendingCall] = deque()
         self._sent: dict[int, _PendingCall] = {}
         self._requests = SentRequests()
-        self._sender = RequestSender(name, self.pointer, service_class.response_support, context, self._replied)
+        support = service_class.response_support
+        self._sender = RequestSender(name, self.pointer, support, context, self._replied, type_id)
         self._settling_until = 0.0
         self._ended: set[bytes] = set()
         self._matched = self._due = False

@@ -28,10 +28,14 @@ class RequestSender:
         pointer: the client's ``rcl_client_t *``.
         response_support: the address of the type support of the responses.
         replied: called with each reply of a server on Cyclone DDS.
+        type_id: the version of the type in which requests are; None if there is only one.
     """
 
-    def __init__(self, name: str, pointer: int, response_support: int, context: Ros2Context, replied: Replied) -> None:
-        self._name, self._pointer, self._context = name, pointer, context
+    def __init__(
+        self, name: str, pointer: int, response_support: int, context: Ros2Context, replied: Replied,
+        type_id: str | None = None,
+    ) -> None:  # fmt: skip
+        self._name, self._pointer, self._context, self._type_id = name, pointer, context, type_id
         self._open = partial(CycloneCalls, name, response_support, context, replied)
         self._matches = MatchCounter(pointer, "client")
         self._verified: int | None = None
@@ -47,7 +51,7 @@ class RequestSender:
         matched = self._matches.total()
         if matched is None or matched != self._verified:
             servers = self._context.graph.servers(self._name)
-            obstacle = vendors.of_servers(self._name, servers)
+            obstacle = self._context.graph.obstacle(self._name, servers, self._type_id)
             if obstacle is not None:
                 return refusal(obstacle)
             if not any(server.made_by is MadeBy.NATIVE for server in servers):  # it has just left

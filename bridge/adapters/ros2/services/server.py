@@ -22,6 +22,9 @@ from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context, ServiceE
 from bridge.adapters.ros2.services.matching import MatchCounter
 from bridge.adapters.ros2.services.pacing import ClientReplies
 from bridge.hub.endpoints.calls import Abandon, Call, CallError
+from bridge.messages.errors import MessageError, MessageTypeError
+from bridge.messages.transcode.conversion import Convert
+from bridge.messages.unchanged import same
 from bridge.routing.edge import EdgeServer
 
 _LINGER = 1.0
@@ -39,6 +42,9 @@ _log = logging.getLogger(__name__)
 
 Refusal = Callable[[], bytes]
 """Returns the rejecting response of a service type."""
+
+ClientConverters = Callable[[str], tuple[Convert, Convert] | None]
+"""Returns the converters of requests and replies for a client's hash of the type; None if its version is unknown."""
 
 
 class _PendingRequest:
@@ -64,12 +70,13 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
 
     def __init__(
         self, name: str, service_class: Any, call: Call, refusal: Refusal | None, replaced: Callable[[], bool],
-        context: Ros2Context, closed: Closed,
+        context: Ros2Context, closed: Closed, converters: ClientConverters = lambda _hash: (same, same),
     ) -> None:  # fmt: skip
         super().__init__(name, service_class, context.participant.make_server(service_class, name, SERVICE), context)
         self._call, self._refusal, self._replaced, self._on_closed = call, refusal, replaced, closed
         self._pending: dict[RequestId, _PendingRequest] = {}
         self._clients: dict[bytes, ClientReplies] = {}
+        self._converters, self._client_types = converters, dict[bytes, str]()
         self._reach = ReplyReach(name, MatchCounter(self.pointer, self.kind), context)
         self._logged = self._replied = float("-inf")
         self._alive = threading.Lock()
@@ -92,7 +99,29 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
                     self._log_failure("the request is not little-endian CDR with Cyclone DDS's header", _NO_REPLY)
                     continue
                 header, payload = framed
+            try:
+                payload = self._for_client(request.gid)[0](payload)
+            except MessageError as err:
+                self._log_failure(str(err), _NO_REPLY)
+                continue
             self._begin(_PendingRequest(request, header), payload, limit)
+
+    def _for_client(self, gid: bytes) -> tuple[Convert, Convert]:
+        """Return the converters for a client; raises `MessageTypeError` if its version of the type is unknown."""
+        type_id = self._client_type(gid)
+        converters = (same, same) if type_id is None else self._converters(type_id)
+        if converters is None:
+            raise MessageTypeError(f"its client has an unknown version of {self.type_name} ({type_id})")
+        return converters
+
+    def _client_type(self, gid: bytes) -> str | None:
+        """Return the hash of a client's version of the type, "" if it announces none; None before it is discovered."""
+        prefix = gid[:PREFIX_BYTES]
+        if prefix not in self._client_types:
+            if len(self._client_types) >= _MOST_CLIENTS:
+                self._client_types.clear()
+            self._client_types |= self._graph.client_types(self.name)
+        return self._client_types.get(prefix)
 
     def _begin(self, pending: _PendingRequest, payload: bytes, backlog: int) -> None:
         with self._lock:
@@ -129,6 +158,12 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
                 client.unanswered()
                 return
             result = refusal
+        try:
+            result = self._for_client(pending.id.gid)[1](result)
+        except MessageError as err:
+            self._log_failure(str(err), _NO_REPLY)
+            client.unanswered()
+            return
         self._replied = time.monotonic()
         client.send(pending.id, cyclone.wrap(pending.header, result) if pending.header else result)
 

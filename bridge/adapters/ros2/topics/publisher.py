@@ -13,6 +13,7 @@ from bridge.adapters.ros2.graph.heartbeats import MATCH_SECONDS, Heartbeats
 from bridge.adapters.ros2.participant import Participant
 from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context
 from bridge.hub.wire.qos import Qos
+from bridge.messages.transcode.conversion import Convert
 
 
 class _Writer:
@@ -23,7 +24,7 @@ class _Writer:
         self._handle: Any = participant.make_writer(message_class, topic, qos)
         self._pointer = int(self._handle.pointer)
         self._lock = threading.Lock()
-        self._written = 0
+        self._written = self._readers = 0
         self._held: deque[bytes] | None = None
 
     def send(self, payload: bytes) -> None:
@@ -38,6 +39,14 @@ class _Writer:
         if self._handle is not None:
             rcl.publish(self._pointer, payload)
             self._written += 1
+
+    def readers_changed(self) -> bool:
+        """Return whether the number of matched readers has changed since the last call; False after `close`."""
+        with self._lock:
+            if self._handle is None:
+                return False
+            before, self._readers = self._readers, rcl.reader_count(self._pointer)
+            return self._readers != before
 
     def hold(self, depth: int) -> None:
         """Keep the last ``depth`` messages until `release`."""
@@ -69,6 +78,9 @@ class _Writer:
 Heard = Callable[[str], bool]
 """Whether another participant subscribes to a topic."""
 
+ForReaders = Callable[[], Convert | None]
+"""Returns the converter of messages to the version of the type that the subscriptions of a topic have."""
+
 
 class Ros2Publisher:
     """Publishes messages of the hub on a ROS 2 topic.
@@ -79,10 +91,12 @@ class Ros2Publisher:
     """
 
     def __init__(
-        self, topic: str, message_class: Any, qos: Qos, context: Ros2Context, closed: Closed, heard: Heard
-    ) -> None:
+        self, topic: str, message_class: Any, qos: Qos, context: Ros2Context, closed: Closed, heard: Heard,
+        for_readers: ForReaders | None = None,
+    ) -> None:  # fmt: skip
         self.topic, self.qos, self.type_name = topic, qos, str(message_class.type_name)
-        self._closed, self._heard = closed, heard
+        self._closed, self._heard, self._for_readers = closed, heard, for_readers
+        self._convert = None if for_readers is None else for_readers()
         self._heartbeats, self._later = context.heartbeats, context.later
         self._prepared = self._heartbeats.readers(topic)
         self._new_writer = partial(_Writer, context.participant, message_class, topic, qos)
@@ -103,10 +117,13 @@ class Ros2Publisher:
         return self._heard(self.topic)
 
     def send(self, payload: bytes, source: str) -> None:
-        """Publish a source's message."""
+        """Publish a source's message; raises `ConversionError` if it cannot be in its subscriptions' version."""
         writer = self._only or self._writers.get(source) or self._writer_for(source)
-        if writer is not None:
-            writer.send(payload)
+        if writer is None:
+            return
+        if self._for_readers is not None and writer.readers_changed():
+            self._convert = self._for_readers()
+        writer.send(payload if self._convert is None else self._convert(payload))
 
     def _writer_for(self, source: str) -> _Writer | None:
         with self._lock:
@@ -132,7 +149,9 @@ class Ros2Publisher:
         return writer
 
     def refit(self) -> None:
-        """Prepare subscriptions on Cyclone DDS that have appeared since the last call."""
+        """Follow the subscriptions' version of the type, and prepare new ones on Cyclone DDS."""
+        if self._for_readers is not None:
+            self._convert = self._for_readers()
         readers = self._heartbeats.readers(self.topic)
         with self._lock:
             new, self._prepared = readers - self._prepared, readers

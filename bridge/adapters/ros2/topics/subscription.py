@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -50,13 +51,21 @@ class _Source(NamedTuple):
     reader_class: ReaderClass
 
 
+Accepts = Callable[[Endpoint], bool]
+"""Whether a publisher has the subscription's version of the type."""
+
+
 class Ros2Subscription:
-    """Receives from all native publishers of a topic, with one reader per QoS class."""
+    """Receives from all native publishers of a topic that have its version of the type.
+
+    It has one reader per QoS class. Another version has another subscription: DDS delivers all messages to both.
+    """
 
     def __init__(
-        self, topic: str, message_class: Any, qos: Qos, deliver: Deliver, context: Ros2Context, closed: Closed
-    ) -> None:
-        self.topic, self.qos, self.deliver = topic, qos, deliver
+        self, topic: str, message_class: Any, qos: Qos, deliver: Deliver, context: Ros2Context, closed: Closed,
+        accepts: Accepts = lambda _publisher: True,
+    ) -> None:  # fmt: skip
+        self.topic, self.qos, self.deliver, self._accepts = topic, qos, deliver, accepts
         self._message_class, self.type_name = message_class, str(message_class.type_name)
         self._participant, self._loop, self._graph = context.participant, context.loop, context.graph
         self._on_closed = closed
@@ -73,7 +82,11 @@ class Ros2Subscription:
         with self._lock:  # includes reading the graph: an older snapshot must not be applied last
             if self.closed:
                 return
-            publishers = {g: p for g, p in self._graph.publishers(self.topic).items() if p.made_by is MadeBy.NATIVE}
+            publishers = {
+                g: p
+                for g, p in self._graph.publishers(self.topic).items()
+                if p.made_by is MadeBy.NATIVE and self._accepts(p)
+            }
             wanted = {self._class_of(p, publishers.values()) for p in publishers.values()}
             if not wanted and not self._readers:
                 wanted = {ReaderClass(self.qos.reliability, self.qos.durability)}
@@ -132,6 +145,8 @@ class Ros2Subscription:
         publisher = self._graph.find(self.topic, gid)
         if publisher is None:
             return _Source(gid.hex(), reader_class)
+        if not self._accepts(publisher):
+            return None
         known = {**self._graph.publishers(self.topic), gid: publisher}
         source = _Source(gid.hex(), self._class_of(publisher, known.values()))
         with self._lock:

@@ -1,0 +1,260 @@
+"""Versions of types on the DDS network: endpoints of other releases, whose messages have other fields than here.
+
+DDS matches endpoints by the name of their type, so an endpoint receives, and decodes wrongly, what another version of
+the type publishes. Endpoints announce the hash of their version (those of Humble none). What Midspan receives is
+converted from the version of its publisher or client; what it sends is in the version of its readers or server. One
+topic has one version: if its readers have several, some decode the messages wrongly, as without Midspan.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+from bridge.hub.graph.tokens import EndpointKind
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.mapping.releases import NO_HASH
+from bridge.messages.registry import Registry
+from bridge.messages.transcode.conversion import Conversion, Convert, ServiceConversion, SideType
+from bridge.messages.unchanged import same
+from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
+from bridge.routing.versions import loss_text, lost_fields
+
+Notes = Mapping[tuple[str, str, str], list[str]]
+"""Texts by ``topic`` or ``service``, direction and name."""
+
+_KINDS = {
+    Kind.PUBLISHER: EndpointKind.PUBLISHER,
+    Kind.SUBSCRIPTION: EndpointKind.SUBSCRIPTION,
+    Kind.SERVER: EndpointKind.SERVER,
+    Kind.CLIENT: EndpointKind.CLIENT,
+}
+_CURE = "install the same version of the package on both, or give its folder in types.folders"
+
+
+class EndpointVersions:
+    """The versions of the endpoints' types. Safe to use from any thread."""
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry, self._releases = registry, registry.releases
+
+    def varies(self, type_name: str) -> bool:
+        """Return whether a type has several known versions."""
+        return self._releases.varies(type_name)
+
+    def may_be_humble(self, endpoint: Endpoint) -> bool:
+        """Return whether an endpoint has Humble's version of a type, if a ROS 2 program created it."""
+        return not endpoint.type_id and self._differs(endpoint.type, NO_HASH)
+
+    def of_plain_dds(self, endpoint: Endpoint) -> Endpoint:
+        """Return an endpoint of a program without ROS 2's graph, which has this machine's version if it has no hash."""
+        return replace(endpoint, type_id=self._releases.here_hash(endpoint.type)) if not endpoint.type_id else endpoint
+
+    def of_service(self, type_name: str, request: str, reply: str) -> str:
+        """Return the hash of a service by those of its request and reply, which its endpoints announce.
+
+        If no known version has both, return one that is of no version. ``reply`` is "" before it is discovered.
+        """
+        if not request or request in self._releases.hashes(type_name):
+            return request
+        known = self._releases.service_hash(type_name, request, reply)
+        return known or (reply if reply and self._releases.has_request(type_name, request) else request)
+
+    def is_resolved(self, service: Endpoint) -> bool:
+        """Return whether the version of a server or client is known, or unknown for good."""
+        name, type_id = service.type, service.type_id
+        return not self.varies(name) or not self._releases.has_request(name, type_id)
+
+    def is_of(self, endpoint: Endpoint, type_id: str) -> bool:
+        """Return whether an endpoint has the version of a side's type."""
+        if endpoint.type_id:
+            return endpoint.type_id == type_id
+        return type_id == NO_HASH or not self._differs(endpoint.type, NO_HASH)
+
+    def _differs(self, type_name: str, type_id: str) -> bool:
+        """Whether a version is known, and another one than this machine's."""
+        return self._releases.here(type_name, type_id) != type_id
+
+    def to_hub(self, endpoint: Endpoint) -> Conversion | None:
+        """Return the conversion of a publisher's messages from another version; None if it has this machine's."""
+        name, version = endpoint.type, endpoint.type_id
+        if not self._differs(name, version):
+            return None
+        here = self._registry.ros2(name)
+        convert = self._releases.converter(name, version, here.type_id)
+        if convert is None or convert is same:
+            convert = self._registry.hub_check(name)
+        return Conversion(SideType(name, version, here.definition), here, convert)
+
+    def service_to_hub(self, endpoint: Endpoint, here: ServiceConversion) -> ServiceConversion | None:
+        """Return the conversion of a server of another version; None if it has this machine's (``here``)."""
+        name, version, own = endpoint.type, endpoint.type_id, here.hub.type_id
+        if version == own or not self._differs(name, version):
+            return None
+        request = self._releases.converter(name, own, version, "Request")
+        response = self._releases.converter(name, version, own, "Response")
+        if request is None or response is None:
+            return None
+        return ServiceConversion(
+            SideType(name, version, here.side.definition),
+            here.hub,
+            request_to_side=here.request_to_side if request is same else request,
+            request_to_hub=None,
+            response_to_side=None,
+            response_to_hub=here.response_to_hub if response is same else response,
+        )
+
+    def check_server(self, endpoint: Endpoint, here: str, request: str) -> None:
+        """Raise `MessageTypeError` unless a server has this machine's version of its type.
+
+        Args:
+            endpoint: the server.
+            here: hash of this machine's version.
+            request: hash of its requests.
+        """
+        name, version, varies = endpoint.type, endpoint.type_id, self.varies(endpoint.type)
+        if version in ("", here if varies else request):
+            return
+        if not varies:
+            raise MessageTypeError(
+                f"{name}: its server's requests have {version}, this machine's have {request}", _CURE
+            )
+        if not self.is_resolved(endpoint):
+            raise MessageTypeError(
+                f"{name}: several versions have the requests of its server, whose replies are not discovered yet",
+                "wait: DDS discovers them within seconds",
+            )
+        raise MessageTypeError(f"{name}: its server has an unknown version ({version}), this machine has {here}", _CURE)
+
+    def for_readers(self, here: str, readers: Iterable[Endpoint]) -> str:
+        """Return the version in which readers get this machine's messages: theirs, if they have one in common."""
+        versions = Counter(version for reader in readers if (version := self._known(reader)) is not None)
+        if not versions or here in versions:
+            return here
+        return min(versions, key=lambda version: (-versions[version], version))
+
+    def _known(self, endpoint: Endpoint) -> str | None:
+        """Return the version of an endpoint; None if it is unknown."""
+        if not endpoint.type_id:
+            return NO_HASH if self._differs(endpoint.type, NO_HASH) else self._releases.here_hash(endpoint.type)
+        return endpoint.type_id if endpoint.type_id in self._releases.hashes(endpoint.type) else None
+
+    def converter(self, type_name: str, here: str, version: str) -> Convert | None:
+        """Return the converter of this machine's messages to another version; None if there is nothing to convert."""
+        convert = None if version == here else self._releases.converter(type_name, here, version)
+        return None if convert is same else convert
+
+    def of_client(self, type_name: str, here: str, request_hash: str, client: str) -> tuple[Convert, Convert] | None:
+        """Return the converters of a client's requests to this machine's version, and of the replies to the client's.
+
+        Args:
+            type_name: the service.
+            here: hash of this machine's version.
+            request_hash: hash of its requests.
+            client: what the client announced, as `of_service` returns it.
+
+        Returns None if the client's version is unknown.
+        """
+        if client in (here, request_hash):
+            return same, same
+        if client == NO_HASH and not self._differs(type_name, NO_HASH):
+            return same, same
+        request = self._releases.converter(type_name, client, here, "Request")
+        reply = self._releases.converter(type_name, here, client, "Response")
+        return None if request is None or reply is None else (request, reply)
+
+    # -- for people ----------------------------------------------------------------------------------------------------
+
+    def obstacle(self, service: str, servers: Iterable[Endpoint], expected: str | None = None) -> Obstacle | None:
+        """Return why servers cannot be called: they have different versions; None if they can.
+
+        Args:
+            service: the name.
+            servers: all of it.
+            expected: the version of a client that is to call them, if it exists.
+        """
+        types: dict[str, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))  # DDS matches equal names
+        for server in servers:
+            version = self._of_server(server) if server.made_by is MadeBy.NATIVE else None
+            if version is not None:
+                types[server.type][version].append(server.node or "a node with an unknown name")
+        for type_name, nodes in types.items():
+            if len(nodes) == 1 and (expected is None or expected in nodes):
+                continue
+            found = "; ".join(f"{self._label(type_name, v)}: {', '.join(sorted(names))}" for v, names in nodes.items())
+            if len(nodes) == 1:
+                return Obstacle(f"{service} is now served with another version of {type_name} ({found})", "call again")
+            reason = (
+                f"{service} is served with different versions of {type_name} ({found}): DDS delivers each request to"
+                " all servers, and some would decode it wrongly, so it was not sent"
+            )
+            return Obstacle(reason, "stop one of them, or rename one by a remapping of its node")
+        return None
+
+    def _of_server(self, server: Endpoint) -> str | None:
+        """Return the version of a server, or the hash of an unknown one; None if it is not discovered yet."""
+        if not self.varies(server.type):
+            return server.type_id or None  # the hash of its requests
+        known = self._known(server)
+        return server.type_id if known is None and self.is_resolved(server) else known
+
+    def _label(self, type_name: str, version: str) -> str:
+        return self._releases.release(type_name, version) or version
+
+    def notes(self, endpoints: Iterable[Endpoint]) -> Notes:
+        """Return what the messages of native endpoints with another version lose, and which cannot decode them."""
+        notes: dict[tuple[str, str, str], list[str]] = defaultdict(list)
+        readers: dict[tuple[str, str], list[Endpoint]] = defaultdict(list)
+        for endpoint in endpoints:
+            if endpoint.made_by is not MadeBy.NATIVE:
+                continue
+            if endpoint.kind is Kind.SUBSCRIPTION:
+                readers[endpoint.topic, endpoint.type].append(endpoint)
+            if text := self._loss(endpoint):
+                of = "topic" if endpoint.kind in (Kind.PUBLISHER, Kind.SUBSCRIPTION) else "service"
+                direction = "in" if endpoint.kind in (Kind.PUBLISHER, Kind.SERVER) else "out"
+                texts = notes[of, direction, endpoint.topic]
+                if text not in texts:
+                    texts.append(text)
+        for topic, text in self._undecodable(readers):
+            notes["topic", "out", topic].append(text)
+        return notes
+
+    def warnings(self, endpoints: Iterable[Endpoint], advertised: Mapping[str, str]) -> list[str]:
+        """Return the subscriptions that decode Midspan's messages wrongly; ``advertised`` are its types by topic."""
+        readers: dict[tuple[str, str], list[Endpoint]] = defaultdict(list)
+        for endpoint in endpoints:
+            if endpoint.kind is Kind.SUBSCRIPTION and endpoint.made_by is MadeBy.NATIVE:
+                readers[endpoint.topic, endpoint.type].append(endpoint)
+        wanted = {key: ends for key, ends in readers.items() if advertised.get(key[0]) == key[1]}
+        return [f"{topic}: {text}" for topic, text in self._undecodable(wanted)]
+
+    def _loss(self, endpoint: Endpoint) -> str:
+        name, version = endpoint.type, endpoint.type_id
+        if not self._differs(name, version):
+            return ""
+        here = self._releases.here(name, version)
+        fields = lost_fields(self._releases, _KINDS[endpoint.kind], name, version, here)
+        return loss_text(endpoint.node or "a node", self._label(name, version), name, fields)
+
+    def _undecodable(self, readers: Mapping[tuple[str, str], list[Endpoint]]) -> Iterable[tuple[str, str]]:
+        for (topic, type_name), ends in readers.items():
+            here = self._releases.here_hash(type_name)
+            if not here or (all(end.type_id in (here, NO_HASH) for end in ends) and not self.varies(type_name)):
+                continue
+            sent = self.for_readers(here, ends)
+            wrong = sorted({
+                f"{end.node or 'a node'} ({self._label(type_name, end.type_id)})"
+                for end in ends
+                if self._known(end) != sent
+            })  # fmt: skip
+            if wrong:
+                decodes = "decodes" if len(wrong) == 1 else "decode"
+                yield (
+                    topic,
+                    (
+                        f"{', '.join(wrong)} {decodes} it wrongly: it is sent as {type_name} of"
+                        f" {self._label(type_name, sent)}, and DDS delivers it to all subscriptions; {_CURE}"
+                    ),
+                )
