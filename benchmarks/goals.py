@@ -36,6 +36,8 @@ from sim.simulation import pose
 
 BASES = ("r1", "ikart_v1")
 NEEDED_FACTOR = 10.0
+ROWS = 9
+"""Rows of each case."""
 
 
 def run(
@@ -99,6 +101,12 @@ def _rows(case: str, drives: list[Drive], judge: Judge, factor: float, fastest: 
         Row(f"{case}: keep-out entries", judge.entered, 0.0, "checks"),
         Row(f"{case}: driven path, shortest path", driven, best, "m"),
         Row(f"{case}: seconds per shortest meter, at top speed", _pace(reached), fastest, "s/m"),
+        Row(
+            f"{case}: seconds of standing, of all drives",
+            sum(d.stood for d in drives),
+            sum(d.seconds for d in drives),
+            "s",
+        ),
         Row(f"{case}: largest error of the estimate", max(d.lost for d in drives), 0.15, "m"),
         Row(f"{case}: smallest clearance of the hull", judge.room, 0.0, "m", "more"),
         Row(f"{case}: real time factor, needed", factor, NEEDED_FACTOR, "x", "more"),
@@ -128,7 +136,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         rows += world_rows
     report(rows, args.json)
-    reached, contacts, entries = (rows[place::8] for place in range(3))
+    reached, contacts, entries = (rows[place::ROWS] for place in range(3))
     return int(any(row.ratio < 1.0 for row in reached) or any(row.ours for row in (*contacts, *entries)))
 
 

@@ -7,15 +7,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from benchmarks.closedloop.judge import Judge
+from benchmarks.closedloop.judge import STANDING, Judge
 from benchmarks.closedloop.robot import Robot
 from navigation.constraints import Constraints
 from navigation.pose import Pose, wrapped
 from navigation.status import State
+from sim.base import TICK_NS
 
 NEAR_METERS, NEAR_DEGREES = 0.25, 10.0
 """Distance from the goal within which a reached goal counts: the goal tolerance and the localizer's error."""
 
+_TURNING = 0.02  # rad/s; a robot that turns more slowly stands
 _SPEED = 0.1
 _EXTRA = 180.0
 
@@ -54,6 +56,7 @@ class Drive:
         optimum: length of the shortest path, meters.
         off: true distance from the goal at the end, meters.
         lost: maximum distance between estimated and true position, meters.
+        stood: seconds for which the robot neither moved nor turned.
     """
 
     reached: bool
@@ -64,6 +67,7 @@ class Drive:
     optimum: float
     off: float
     lost: float
+    stood: float
 
 
 class Loop:
@@ -76,17 +80,20 @@ class Loop:
 
     Attributes:
         lost: maximum distance between estimated and true position since it was reset, meters.
+        stood: seconds since it was reset for which the robot neither moved nor turned.
     """
 
     def __init__(self, robot: Robot, stack: Stack, judge: Judge) -> None:
         self.robot, self.stack, self.judge = robot, stack, judge
-        self.lost = 0.0
+        self.lost = self.stood = 0.0
 
     def tick(self) -> None:
         """Advance by 10 ms."""
         self.stack.step()
         self.robot.tick()
         self.judge.check()
+        if self.robot.moving < STANDING and abs(self.robot.turning) < _TURNING:
+            self.stood += TICK_NS / 1e9
         pose = self.stack.pose
         if pose is not None:
             self.lost = max(self.lost, pose.distance(self.robot.truth))
@@ -106,17 +113,17 @@ class Loop:
     def drive(self, goal: Pose, optimum: float = math.inf, seconds: float | None = None) -> Drive:
         """Drive to a goal on the map, within a number of seconds (default: the time of a slow drive)."""
         began, driven = self.robot.now, self.robot.driven
-        self.lost = 0.0
+        self.lost = self.stood = 0.0
         self.stack.goal(goal)
         self.stack.step()
         self.run(seconds or optimum / _SPEED + _EXTRA, lambda: self.stack.status[0].ended)
         state, reason = self.stack.status
         if not state.ended:
             self.stack.stop()
-        seconds = self.robot.now - began
+        seconds, stood = self.robot.now - began, self.stood
         self.settle()
         truth = self.robot.truth
         off, turned = truth.distance(goal), abs(math.degrees(wrapped(truth.theta - goal.theta)))
         reached = state is State.REACHED and off < NEAR_METERS and turned < NEAR_DEGREES
         driven = self.robot.driven - driven
-        return Drive(reached, state, reason, seconds, driven, optimum, off, self.lost)
+        return Drive(reached, state, reason, seconds, driven, optimum, off, self.lost, stood)

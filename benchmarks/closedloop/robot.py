@@ -95,6 +95,11 @@ class Robot:
         return math.hypot(twist.x, twist.y)
 
     @property
+    def turning(self) -> float:
+        """The true angular velocity, rad/s."""
+        return self.simulation.base.twist().yaw
+
+    @property
     def scan(self) -> Turn:
         """The laser's last scan."""
         return self.simulation.scan

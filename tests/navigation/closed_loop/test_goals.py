@@ -45,5 +45,6 @@ def test_random_goals_are_reached_without_a_contact(name: str, base: str) -> Non
         drive = loop.drive(goal, way)
         assert drive.reached, (goal, drive)
         assert drive.lost < 0.15
+        assert 0.0 <= drive.stood < 0.5 * drive.seconds
     assert judge.contacts == 0, judge.where
     assert judge.entered == 0, judge.where
