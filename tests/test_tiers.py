@@ -134,6 +134,16 @@ def test_two_processes_start_with_long_tests_and_the_others_skip_them(tmp_path: 
     assert [name for node in ("gw0", "gw1", "gw4", "gw5") for name in given[node] if "long" in name] == []
 
 
+def test_files_that_share_a_rig_go_to_one_process(tmp_path: Path) -> None:
+    shared = [f"tests/web/browser/test_{number}.py" for number in range(3)]
+    names = [*shared, *(f"test_{number}.py" for number in range(5))]
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("")
+    given = scheduled(tmp_path, names, 2)
+    assert any(set(shared) <= set(files) for files in given.values())
+
+
 def test_the_marker_alone_applies_to_functions_and_to_whole_files(tmp_path: Path) -> None:
     some, every, none = tmp_path / "some.py", tmp_path / "every.py", tmp_path / "none.py"
     some.write_text(ALONE.format("one") + "def test_two(): ...")

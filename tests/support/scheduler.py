@@ -15,6 +15,9 @@ _ALONE = "@alone"
 _BY_SIDE = "tests/contract/"
 """Folder of long files with independent tests, split into one work unit per side, so that no process is last."""
 
+_SHARED = "tests/web/browser/"
+"""Folder whose files share an expensive rig, and so are one work unit."""
+
 TOGETHER = min(2, len(os.sched_getaffinity(0)))
 """Number of concurrent tests once only those with the marker `alone` are left, so that each has a core."""
 
@@ -34,6 +37,8 @@ class Scheduler(LoadFileScheduling):
         name, _, side = test.partition("[")
         if name in alone(self.config.rootpath / file):
             return file + _ALONE
+        if file.startswith(_SHARED):
+            return _SHARED
         return f"{file}[{side}" if side and file.startswith(_BY_SIDE) else file
 
     def _assign_work_unit(self, node: Any) -> None:
@@ -50,7 +55,8 @@ class Scheduler(LoadFileScheduling):
         super()._assign_work_unit(node)
 
     def _is_long(self, unit: str) -> bool:
-        return has_long_tests(self.config.rootpath / unit.partition("[")[0].removesuffix(_ALONE))
+        file = self.config.rootpath / unit.partition("[")[0].removesuffix(_ALONE)
+        return file.is_file() and has_long_tests(file)
 
     def _reschedule(self, node: Any) -> None:
         if self.workqueue and all(unit.endswith(_ALONE) for unit in self.workqueue) and not node.shutting_down:

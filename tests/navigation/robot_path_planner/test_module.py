@@ -7,7 +7,6 @@ import io
 import math
 import threading
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,23 +14,13 @@ import pytest
 from PIL import Image
 
 from bridge import kernels
-from bridge.clock import SYSTEM
-from bridge.hub.session import Hub
-from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.actions import GoalState
-from bridge.messages.registry import Registry
-from bridge.modules.action_server import Goal
-from bridge.stores.kinds import MAP
-from navigation.constraints import Constraints
-from navigation.maps.grid import to_grid, yaw_of
 from navigation.messages import THROUGH
-from navigation.pose import Pose
-from navigation.status import Fault, PlannerStatus, State, status_message
+from navigation.status import Fault, State
 from tests.navigation.uncompiled import uncompiled
-from tests.peers.hub.modules import Place
-from tests.peers.navigation.floors import ROOMS, floor
 from tests.peers.navigation.gateway import pose
-from tests.peers.navigation.served import ACTION, STATUS, Program, Served
+from tests.peers.navigation.planning import PLANNER, Planning, pose_of
+from tests.peers.navigation.served import STATUS
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import (
@@ -44,98 +33,6 @@ from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.naming import connections
 from yarp_compat.pythonic import Client, Reader, Writer
 from yarp_compat.sig.image import ImageRgb
-
-PLANNER = "/planner/robot_path_planner"
-TICK = 0.02
-LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-
-
-class Robot(Program):
-    """A local navigator on the hub with a robot that follows its goals exactly, and a client of the planner."""
-
-    def __init__(self, hub: Hub, registry: Registry) -> None:
-        super().__init__(hub, registry, PLANNER)
-        self.x, self.y, self.yaw = 1.0, 1.0, 0.0
-        self.goal: Goal | None = None
-        self.asked: list[tuple[float, float, Constraints]] = []
-        self.fails, self.code = "", Fault.BLOCKED
-        self.speed = 3.0
-        self._tf = self.node.publisher("/tf", "tf2_msgs/msg/TFMessage")
-        self._status = self.node.publisher("/planner/robot_goto/status", "midspan_msgs/msg/NavigationStatus", LATCHED)
-        self.node.action_server("/planner/robot_goto/navigate_to_pose", ACTION, self._accept, self._cancel)
-        self.beat(TICK, self._tick)
-
-    def _accept(self, goal: Goal) -> bool:
-        if self.goal is not None and self.goal.active:
-            self.goal.abort()
-        self.goal = goal
-        pose = goal.goal["pose"]["pose"]["position"]
-        self.asked.append((pose["x"], pose["y"], Constraints.from_text(goal.goal["behavior_tree"])))
-        goal.execute()
-        if self.fails:
-            goal.abort({"error_code": int(self.code), "error_msg": self.fails})
-        return True
-
-    def says(self, state: State, reason: str) -> None:
-        """Publish a status of the current goal that the action itself cannot express."""
-        assert self.goal is not None
-        status = status_message(SYSTEM.stamp(), PlannerStatus(state, reason), goal_id=self.goal.id)
-        self.loop.call(lambda: self._status.publish(status))
-
-    def _cancel(self, goal: Goal) -> bool:
-        self.loop.post(goal.canceled)
-        return True
-
-    def _tick(self) -> None:
-        goal = self.goal
-        if goal is not None and goal.active and goal.status is GoalState.EXECUTING:
-            pose = goal.goal["pose"]["pose"]
-            dx, dy = pose["position"]["x"] - self.x, pose["position"]["y"] - self.y
-            distance = math.hypot(dx, dy)
-            fraction = min(1.0, self.speed * TICK / distance) if distance else 1.0
-            self.x, self.y = self.x + dx * fraction, self.y + dy * fraction
-            if fraction == 1.0:
-                self.yaw = yaw_of(pose["orientation"])
-                goal.succeed()
-        rotation = {"x": 0.0, "y": 0.0, "z": math.sin(self.yaw / 2), "w": math.cos(self.yaw / 2)}
-        transform = {"translation": {"x": self.x, "y": self.y, "z": 0.0}, "rotation": rotation}
-        header = {"stamp": SYSTEM.stamp(), "frame_id": "map"}
-        self._tf.publish({"transforms": [{"header": header, "child_frame_id": "base_link", "transform": transform}]})
-
-
-class Planning(Served):
-    """A running planner."""
-
-    def __init__(self, folder: Path, **more: Any) -> None:
-        super().__init__(folder, "robot_path_planner")
-        self.robot = Robot(self.far.hub, self.far.registry)
-        section = {
-            "enabled": True,
-            "robot_radius": 0.2,
-            "clearance": 0.1,
-            "image_hz": 20.0,
-            "goal": {"tolerance_lin": 0.05},
-            **more,
-        }
-        self.worker.start(self.config(modules={"robot_path_planner": section}))
-        store = self.worker.store
-        store.put(MAP, "floor", floor(*ROOMS))
-        store.use_map("floor")
-        until(lambda: self.planner_status().get("map") == "floor", "the planner has the map", 30)
-        until(lambda: self.planner_status()["navigator"]["state"] == "idle", "the local navigator is reachable", 30)
-
-    def planner_status(self) -> dict[str, Any]:
-        return self.answer("robot_path_planner")
-
-    def put(self, x: float, y: float) -> None:
-        """Put the robot at a place, and wait until the planner has its pose: a jump would repeat a goal's waypoint."""
-        self.robot.x, self.robot.y, self.robot.yaw = x, y, 0.0
-        at = pytest.approx((x, y, 0.0), abs=1e-6)
-        until(lambda: pose_of(self.module)[:3] == at, "the planner has the robot's pose", 30)
-
-    def close(self) -> None:
-        self.robot.close()
-        super().close()
 
 
 @pytest.fixture(scope="module")
@@ -154,13 +51,6 @@ def place(running: Planning) -> Planning:
     running.put(1.0, 1.0)
     robot.asked.clear()
     return running
-
-
-def pose_of(module: Any) -> Pose:
-    try:
-        return module.pose()
-    except RuntimeError:
-        return Pose(math.inf, math.inf, math.inf)
 
 
 def test_a_hub_goal_of_several_poses_is_driven_without_stops(place: Planning) -> None:
@@ -472,82 +362,3 @@ def test_a_navigator_without_laser_ends_the_goal(place: Planning) -> None:
     finally:
         place.robot.fails, place.robot.code = "", Fault.BLOCKED
     assert len(place.robot.asked) == 1
-
-
-def test_the_map_is_received_from_a_topic_and_completed_by_the_laser(tmp_path: Path) -> None:
-    with Place(tmp_path) as place:
-        robot = Robot(place.far.hub, place.far.registry)
-        maps = robot.node.publisher("/map", "nav_msgs/msg/OccupancyGrid", LATCHED, priority="state")
-        scans = robot.node.publisher("/scan", "sensor_msgs/msg/LaserScan")
-
-        def scan() -> None:
-            """Publish a scan of a closed door at x = 2.5 m, y = 1 m."""
-            angles = np.arange(-200, 201) * 0.005 - robot.yaw
-            to_door = (2.5 - robot.x) / np.cos(angles + robot.yaw)
-            hits = np.abs(robot.y + np.tan(angles + robot.yaw) * (2.5 - robot.x) - 1.0) < 0.4
-            header = {"stamp": SYSTEM.stamp(), "frame_id": "base_link"}
-            scans.publish({
-                "header": header, "angle_min": float(angles[0]), "angle_max": float(angles[-1]),
-                "angle_increment": 0.005, "range_min": 0.05, "range_max": 10.0,
-                "ranges": np.where(hits & (to_door > 0), to_door, np.inf).astype(np.float32),
-            })  # fmt: skip
-
-        timer = robot.loop.every(0.05, scan)
-        try:
-            maps.publish(to_grid(floor(*ROOMS)))
-            section = {"enabled": True, "robot_radius": 0.2, "map": "/map", "prefix": "", "patience": 0.0}
-            place.worker.start(place.config(modules={"robot_path_planner": section}))
-            until(lambda: place.answer("robot_path_planner")["map"] == "map", "the planner has the map", 30)
-            robot.speed, robot.y = 0.1, 2.3
-            until(lambda: robot.client.ready, "the planner is available", 30)
-            sent = robot.send(4.0, 2.3)
-            until(lambda: any(y > 3.5 for _, y, _ in robot.asked), "the robot detours through the other door", 30)
-            sent.cancel()
-            sent.end()
-        finally:
-            timer.close()
-            robot.close()
-
-
-def test_the_planner_waits_for_a_hub_layer_and_plans_around_it(tmp_path: Path) -> None:
-    with Planning(tmp_path, obstacles=[{"topic": "/layer", "timeout": 0.5}]) as place:
-        end = place.far.advertise("/layer", "nav_msgs/OccupancyGrid", latched=True)
-        sent = place.robot.send(4.0, 1.0)
-        status = lambda: place.module.planner.status.reason  # noqa: E731
-        until(lambda: status() == "waiting for layer /layer", "the planner waits for the layer", 30)
-        info = {"resolution": 0.1, "width": 7, "height": 11, "origin": {"position": {"x": 1.5, "y": 0.5}}}
-        place.far.publish(end, {"header": {"frame_id": "map"}, "info": info, "data": [100]})
-        until(
-            lambda: "7 x 11 cells must not have 1" in place.module.health().text, "the health text gives the error", 30
-        )
-        assert not place.robot.asked
-        # a table in front of the lower door
-        place.far.publish(end, {"header": {"frame_id": "map"}, "info": info, "data": [100] * 77})
-        assert sent.end()[0] is GoalState.SUCCEEDED
-        assert max(y for _, y, _ in place.robot.asked) > 1.7
-        assert place.module.health().state == "running"  # a latched layer may be silent while nothing changes
-
-
-def test_a_layer_that_falls_silent_stops_the_robot_until_it_resumes(tmp_path: Path) -> None:
-    place = Planning(tmp_path, obstacles=[{"topic": "/layer", "timeout": 0.5}])
-    robot, planner = place.robot, place.module.planner
-    layers = robot.node.publisher("/layer", "nav_msgs/msg/OccupancyGrid", LATCHED, priority="state")
-    info = {"resolution": 0.1, "width": 1, "height": 1, "origin": {"position": {"x": 4.5, "y": 4.5}}}
-    publish = lambda: layers.publish({"header": {"frame_id": "map"}, "info": info, "data": [0]})  # noqa: E731
-    try:
-        timer = robot.loop.every(0.05, publish)
-        robot.speed = 0.02
-        sent = robot.send(4.0, 1.0)
-        until(lambda: robot.goal and robot.goal.status is GoalState.EXECUTING, "the robot drives", 30)
-        until(lambda: place.module._layers._periodic, "the layer is received repeatedly", 30)
-        robot.loop.call(timer.close)
-        until(lambda: robot.goal and robot.goal.status is GoalState.CANCELED, "the navigator stops", 30)
-        until(lambda: planner.status.fault is Fault.NO_LASER, "the status gives the fault", 30)
-        assert "the layer /layer is silent: no message for" in planner.status.reason
-        assert "layer /layer is silent" in place.module.health().text
-        robot.speed = 3.0
-        timer = robot.loop.every(0.05, publish)
-        assert sent.end()[0] is GoalState.SUCCEEDED
-        robot.loop.call(timer.close)
-    finally:
-        place.close()

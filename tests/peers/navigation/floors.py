@@ -25,6 +25,10 @@ TURN = 0.5
 ROOM = 0.2
 """Meters that the robot keeps from crates."""
 SETTINGS = RobotPathPlannerSection(robot_radius=0.2, clearance=0.1)
+WEST, EAST = Pose(1.0, 1.0, 0.0), Pose(4.0, 1.0, 1.0)
+KEPT = 0.14
+"""Meters kept free: the radius is 0.2 m, but waypoints are passed within 0.1 m, which cuts corners by 0.05 m."""
+LOW_DOOR = (2.5, 1.0, 0.5)
 
 
 def floor(*boxes: tuple[float, float, float, float], name: str = "floor", size: float = 5.0) -> MapGrid2D:
@@ -165,3 +169,10 @@ class Drive:
             if status.state is state:
                 return status
         raise AssertionError(f"not {state}: {self.statuses}")
+
+
+def least_room(drive: Drive, grid: MapGrid2D) -> float:
+    """Return the smallest distance of the robot to obstacles on its track, meters."""
+    ground = Ground(grid, 0.2, zones=drive.zones)
+    columns, rows = grid.cells_at([pose[:2] for pose in drive.track]).T
+    return float(ground.room[rows, columns].min())
