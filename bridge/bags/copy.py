@@ -45,7 +45,7 @@ class BagSelection:
             return list(bag.topics)
         for name in self.names.idle(topic.name for topic in bag.topics):
             raise BagError(bag.path, f"has no topic {name}", None, "'midspan bag info' lists them")
-        return [topic for topic in bag.topics if self.names.wants(topic.name)]
+        return [topic for topic in bag.topics if self.names.matches(topic.name)]
 
 
 @dataclass

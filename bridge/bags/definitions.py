@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 from bridge.messages.definitions.hashes import EMPTY_MEMBER
 from bridge.messages.definitions.names import is_ros2_name, split_part
-from bridge.messages.definitions.parts import CONTENTS, made_parts
+from bridge.messages.definitions.parts import CONTENTS, generated_parts
 from bridge.messages.definitions.schema import Definition, Schema, Shape, World
 from bridge.messages.definitions.text import closure, full_text, own_text, parse_full, split_parts
 from bridge.messages.errors import MessageTypeError
@@ -130,7 +130,7 @@ def _part_of_file(type_name: str, base: str, contents: tuple[str, ...], sections
     if len(sections) != len(contents):
         return ""
     try:
-        types = made_parts(base, World.ROS2)
+        types = generated_parts(base, World.ROS2)
         for content, section in zip(contents, sections, strict=True):
             types |= parse_full(section, f"{base}_{content}", World.ROS2)
     except MessageTypeError:

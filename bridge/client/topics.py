@@ -80,7 +80,7 @@ def published(endpoints: Iterable[HubEndpoint], *, taps: bool = False) -> dict[T
 
     Args:
         endpoints: publishers on the hub.
-        taps: include topics that workers show of a side upon request (`bridge.hub.graph.tokens.TAPS`).
+        taps: include topics of a side that its worker shows on request (`bridge.hub.graph.tokens.TAPS`).
     """
     publishers: dict[TopicKey, list[HubEndpoint]] = {}
     for endpoint in endpoints:
@@ -94,7 +94,7 @@ class SubscribedTopic:
     """A subscribed topic, created by `HubTopics.subscribe` and renewed by `HubTopics.refresh`.
 
     If a publisher stores messages for late joiners, these are received as well, each once. Messages of one publisher
-    are in order, except for the stored ones of a latched publisher that joins publishers without stored messages.
+    are in order, except that stored ones may follow newer ones if a latched publisher joins volatile ones.
 
     Attributes:
         key: the topic.
@@ -257,7 +257,7 @@ class HubTopics:
         registry: of types.
         changed: called after each change of the hub's graph, on a thread of zenoh: it should only wake a thread, which
             then calls `refresh`.
-        taps: include topics that workers show of a side upon request.
+        taps: include topics of a side that its worker shows on request.
 
     Attributes:
         definitions: of the topics' types.

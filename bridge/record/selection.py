@@ -19,11 +19,11 @@ class Selection:
     """
 
     def __init__(self, section: RecordSection) -> None:
-        self.name = NameFilter(section.topics, section.exclude).wants
+        self.name = NameFilter(section.topics, section.exclude).matches
         self._named = {glob for glob in section.topics if not set("*?") & set(glob)}
         self.sides: Sequence[str] = section.sides
 
-    def wants(self, topic: HubTopic) -> bool:
+    def includes(self, topic: HubTopic) -> bool:
         """Return whether a topic on the hub is recorded; a tap, which workers forward on request, must be wanted."""
         side, name = tapped(topic.key.topic)
         if side:

@@ -68,7 +68,7 @@ class RecordedTopics:
                 return topics
             subscribed = {end.key for end in self.topics.subscribed()}
             for key, topic in topics.items():
-                if key not in subscribed and self._selection.wants(topic):
+                if key not in subscribed and self._selection.includes(topic):
                     self._subscribe(topic)
             now = time.monotonic()
             self._gone = {key: self._gone.get(key, now) for key in subscribed - topics.keys()}

@@ -91,12 +91,12 @@ class Sighting:
     """Another Midspan worker that is on this side's network now.
 
     ``id`` identifies it, in a form that the edge chooses; ``record`` is its last announcement (`Edge.announce`),
-    None before the first; `heard` is ``time.monotonic()`` when that arrived, or the worker was first seen.
+    None before the first; `received` is ``time.monotonic()`` when that arrived, or the worker was first seen.
     """
 
     id: str
     record: bytes | None
-    heard: float
+    received: float
 
 
 class EdgeListener(Protocol):
@@ -270,7 +270,7 @@ class Edge(ABC):
         """Return the other Midspan workers on this network, of any daemon, node or hub.
 
         A worker that left cleanly, or whose death the side reports, disappears at once; one that may be suspended
-        stays, with an old `heard`. Dead predecessors of this daemon are omitted.
+        stays, with an old `received`. Dead predecessors of this daemon are omitted.
         """
         return ()
 

@@ -242,7 +242,7 @@ class Election:
         living: dict[str, Record] = {}
         for sighting in sightings:
             record = self._decode(sighting, decoded)
-            age = now - max(sighting.heard, self._lapsed)
+            age = now - max(sighting.received, self._lapsed)
             if record is None:
                 reason = "" if sighting.record is None else Record.foreign(sighting.record)
                 if reason and age < SILENCE:

@@ -55,7 +55,7 @@ class NameFilter:
         self._globs = {glob: glob_regex(_slashed(glob)) for glob in globs}
         self._exclude = [re.compile(expression) for expression in exclude]
 
-    def wants(self, name: str) -> bool:
+    def matches(self, name: str) -> bool:
         """Return whether a topic of this name is chosen."""
         name = _slashed(name)
         return any(glob.fullmatch(name) for glob in self._globs.values()) and not any(

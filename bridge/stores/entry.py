@@ -75,7 +75,7 @@ class Version:
     origin: str
     seen: Mapping[str, int] = field(default_factory=dict)
 
-    def knows(self, other: Version) -> bool:
+    def has_seen(self, other: Version) -> bool:
         """Return whether the writer of this version knew of the other version."""
         return self.seen.get(other.stamp.replica, -1) >= other.stamp.ns or self.stamp == other.stamp
 
@@ -127,7 +127,7 @@ class Conflict:
 
 def conflict(one: StoreEntry, other: StoreEntry) -> Conflict | None:
     """Return the conflict of two entries of one key, None if one followed the other or both have the same value."""
-    if one.version.knows(other.version) or other.version.knows(one.version) or one.body == other.body:
+    if one.version.has_seen(other.version) or other.version.has_seen(one.version) or one.body == other.body:
         return None
     if (one.version.stamp.ns == OLDEST) is not (other.version.stamp.ns == OLDEST):
         return None  # a written value replaces an imported one

@@ -30,7 +30,7 @@ class ActionGoals:
         self._subscription = host.node.subscription(self._status, STATUSES, self._on_list, LATCHED)
 
     @property
-    def there(self) -> bool:
+    def is_present(self) -> bool:
         """Whether the action has a server that can be asked to cancel."""
         return self._client.ready
 
@@ -54,7 +54,7 @@ class ActionGoals:
         """Cancel all goals of the server; if they are unknown, cancel the goals of its next valid list."""
         for goal in self.list.active:
             self.end(goal)
-        self._end_next = not (self.there and self.list.known)
+        self._end_next = not (self.is_present and self.list.known)
         self._ask(bytes(16))
 
     def end_no_more(self) -> None:
@@ -69,7 +69,7 @@ class ActionGoals:
     def refresh(self) -> None:
         """Check which servers are available, and cancel again the goals that have to end."""
         self.list.refresh([publisher.gid for publisher in self._host.node.hub.graph.publishers(self._status)])
-        if not self.there:
+        if not self.is_present:
             self._asked.clear()
             return
         now = time.monotonic()
@@ -89,7 +89,7 @@ class ActionGoals:
             self._host.node.release(endpoint)
 
     def _ask(self, goal: bytes) -> None:
-        if self.there:
+        if self.is_present:
             self._client.call({"goal_info": {"goal_id": {"uuid": list(goal)}}}, lambda _reply: None)
 
     def _on_list(self, message: Message) -> None:

@@ -83,7 +83,7 @@ class PlannerLink:
     @property
     def may_move(self) -> bool:
         """Whether another action moves the base, or is not known to have no goals."""
-        return any(action.there and (action.list.active or not action.list.known) for action in self._motion)
+        return any(action.is_present and (action.list.active or not action.list.known) for action in self._motion)
 
     @property
     def goals(self) -> bool | None:
@@ -94,7 +94,7 @@ class PlannerLink:
     def released(self) -> bool:
         """Whether it, and every other action that moves the base, is known to have ended the goals that have to end."""
         reachable = self.reachable and self._goals.released
-        return reachable and all(action.released or not action.there for action in self._motion)
+        return reachable and all(action.released or not action.is_present for action in self._motion)
 
     @property
     def left(self) -> bool:
@@ -214,7 +214,7 @@ class PlannerLink:
     def unlisted(self) -> bool:
         """Whether it serves goals of several poses, and whether it has any is unknown."""
         through = self._through_goals
-        return through is not None and through.there and not through.list.known
+        return through is not None and through.is_present and not through.list.known
 
     @property
     def orphans(self) -> bool:

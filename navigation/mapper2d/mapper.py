@@ -20,7 +20,7 @@ PAINTS = {"wall": MapFlag.WALL, "free": MapFlag.FREE, "unknown": MapFlag.UNKNOWN
 MOST_BRUSH = 200
 _BARE = 255  # not painted
 _STEP = 5.0  # meters by which the map grows at a side, so that it does not grow at every scan
-_SURE = 1e-3
+_TOLERANCE = 1e-3  # by which a size in cells or meters may exceed its limit, for rounding
 
 
 class Mapper:
@@ -123,7 +123,7 @@ class Mapper:
                 f"the map's cells have {grid.resolution:g} m, Mapper2D's {self.settings.resolution:g} m: "
                 "set modules.mapper2d.resolution"
             )
-        if max(grid.getSize_in_meters()) > self._largest + _SURE:
+        if max(grid.getSize_in_meters()) > self._largest + _TOLERANCE:
             raise ValueError(f"the map is larger than {self._largest:g} m (modules.mapper2d.largest)")
         x, y, _ = grid.getOrigin()
         self._map = OccupancyMap(grid.height(), grid.width(), self.settings.resolution, (x, y))
@@ -215,7 +215,7 @@ class Mapper:
     def _grow(self, below: int, above: int, left: int, right: int) -> bool:
         """Add cells at the sides; return False, without a change, if the map would be too large."""
         rows, columns = self._map.odds.shape
-        most = self._largest / self.settings.resolution + _SURE
+        most = self._largest / self.settings.resolution + _TOLERANCE
         if max(rows + below + above, columns + left + right) > most:
             return False
         self._map.grow(below, above, left, right)

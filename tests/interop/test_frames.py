@@ -41,10 +41,10 @@ class Listener:
 
     def __init__(self, peer: Peer) -> None:
         self.peer, self.buffer, self.taken = peer, TransformBuffer(), [0, 0]
-        self.heard = peer.subscribe("/tf", TF, depth=1000), peer.subscribe("/tf_static", TF, latched=True, depth=100)
+        self.received = peer.subscribe("/tf", TF, depth=1000), peer.subscribe("/tf_static", TF, latched=True, depth=100)
 
     def lookup(self, target: str, source: str) -> Transform | None:
-        for n, subscription in enumerate(self.heard):
+        for n, subscription in enumerate(self.received):
             messages = self.peer.wait(subscription, 0, 0.0)
             for message in messages[self.taken[n] :]:
                 for transform in message["transforms"]:

@@ -75,7 +75,7 @@ def test_a_module_is_stopped_once_it_has_wound_down(place: Place, monkeypatch: p
     stopping = Stopping(running)
     assert winding.begun.wait(20)
     assert winding.done is not None
-    place.hears("one more", received, "one more")  # its endpoints work meanwhile
+    place.until_replied("one more", received, "one more")  # its endpoints work meanwhile
     assert not stopping.stopped
     assert winding.events == ["winding down"]
     winding.done()

@@ -33,7 +33,7 @@ def echo(name: str = "echo", **options: Any) -> dict[str, Any]:
 def test_a_module_subscribes_publishes_and_counts_messages(place: Place) -> None:
     subscription = place.far.subscribe("/said", STRING)
     place.worker.start(place.config(echo(prefix="again ")))
-    place.hears("hello", subscription, "again hello")
+    place.until_replied("hello", subscription, "again hello")
 
     def counted() -> dict[str, Any] | None:
         """Return the status once it counts messages on all topics, which is after their delivery."""
@@ -57,10 +57,10 @@ def test_a_module_subscribes_publishes_and_counts_messages(place: Place) -> None
 def test_a_module_continues_after_a_failed_callback(place: Place, caplog: pytest.LogCaptureFixture) -> None:
     subscription = place.far.subscribe("/said", STRING)
     place.worker.start(place.config(echo()))
-    place.hears("one", subscription, "one")
+    place.until_replied("one", subscription, "one")
     out = place.far.advertise("/heard", STRING)
     until(lambda: (place.far.publish(out, {"data": "break"}), "one step failed" in caplog.text)[1], "a callback fails")
-    place.hears("two", subscription, "two")
+    place.until_replied("two", subscription, "two")
 
 
 def test_ports_open_when_a_name_server_starts(place: Place) -> None:
@@ -134,13 +134,13 @@ def test_a_reload_only_touches_changed_modules(place: Place) -> None:
 
     subscription = place.far.subscribe("/said", STRING)
     place.worker.start(place.config(echo(), echo("other")))
-    place.hears("a", subscription, "a")
+    place.until_replied("a", subscription, "a")
     until(lambda: ends("echo").keys() == ends("other").keys() == {"/heard", "/said"}, "the graph names both modules")
     original, zid = ends("echo"), place.answer("echo")["zid"]
     snapshots: list[dict[str, bytes]] = []
     unwatch = graph.watch(lambda: snapshots.append(ends("echo")))
     assert place.worker.reload(place.config(echo(prefix="new "), echo("third")))
-    place.hears("b", subscription, "new b")
+    place.until_replied("b", subscription, "new b")
     until(lambda: place.status("third") and ends("third") and not ends("other"), "the third replaces the other")
     assert place.status("other") is None
     unwatch()
@@ -149,23 +149,23 @@ def test_a_reload_only_touches_changed_modules(place: Place) -> None:
     assert {node.zid for node in graph.nodes() if node.node in {"echo", "third"}} == {zid}, "on one session"
     assert place.worker.reload(place.config(echo(restart=True), echo("third")))
     until(lambda: ends("echo").keys() == original.keys() and ends("echo") != original, "the module has restarted")
-    place.hears("c", subscription, "c")
+    place.until_replied("c", subscription, "c")
     assert not place.worker.reload(place.config(echo(), name="elsewhere")), "the worker needs a restart"
 
 
 def test_a_blocked_module_does_not_delay_others(place: Place) -> None:
     subscription = place.far.subscribe("/said", STRING)
     place.worker.start(place.config(echo(), echo("other", prefix="other ")))
-    place.hears("a", subscription, "other a")
+    place.until_replied("a", subscription, "other a")
     blocked, release = place.worker.running("echo").host.loop, threading.Event()
     blocked.post(release.wait)
     try:
-        place.hears("b", subscription, "other b")
+        place.until_replied("b", subscription, "other b")
         assert "b" not in {message["data"] for message in place.far.wait(subscription, 0)}
         assert place.status("other") is not None
     finally:
         release.set()
-    place.hears("c", subscription, "c")
+    place.until_replied("c", subscription, "c")
 
 
 def test_a_changed_yarp_release_applies_without_a_restart(place: Place) -> None:
@@ -193,7 +193,7 @@ def test_a_module_that_cannot_start_does_not_affect_others_and_is_restarted(plac
         echo("refuses", refuse=True),
     ]
     place.worker.start(place.config(*bad, echo()))
-    place.hears("a", subscription, "a")
+    place.until_replied("a", subscription, "a")
     health = place.worker.health()
     assert health.state == "running"
     assert "refuses waiting: start refused by its options" in health.text

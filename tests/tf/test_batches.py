@@ -56,7 +56,7 @@ def test_batches_and_messages_equal_single_insertions(monkeypatch: pytest.Monkey
     dice = random.Random(4)
     for _ in range(150):
         names = [f"f{k}" for k in range(6)]
-        steps = trees.sets(dice, names)
+        steps = trees.transforms(dice, names)
         stamps = [step[3] for step in steps] or [START]
         buffers = [TransformBuffer(max_future=20.0, now=lambda: trees.START) for _ in range(3)]
         answers: list[list[FrameRefusal | None]] = [[], [], []]

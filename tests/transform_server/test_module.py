@@ -33,7 +33,7 @@ class ServedPlace(Place):
         self.server = NameServer(port=self.port, gc_seconds=0)
         self.server.__enter__()
         self.timed, self.static = self.far.advertise("/tf", TF), self.far.advertise("/tf_static", TF, latched=True)
-        self.heard, self.static_frames = (
+        self.received, self.static_frames = (
             self.far.subscribe("/tf", TF),
             self.far.subscribe("/tf_static", TF, latched=True),
         )
@@ -90,7 +90,7 @@ def test_a_client_and_the_hub_receive_each_others_frames(place: ServedPlace) -> 
         def both_received() -> bool:
             place.publish("map", "base")
             frames.set("arm", "base", LASER)
-            return "arm" in place.children(place.heard) and "gripper" in frames and "arm" in frames
+            return "arm" in place.children(place.received) and "gripper" in frames and "arm" in frames
 
         until(both_received, "both sides have received all frames")
         frames.set("laser", "base", LASER, static=True)
@@ -104,7 +104,7 @@ def test_a_client_and_the_hub_receive_each_others_frames(place: ServedPlace) -> 
         frames.delete("laser", "base")
         until(lambda: "laser" not in frames and "laser" not in asking, "it is deleted")
         assert frames.waitForTransform("gripper", "base", 20.0)
-        assert set(place.children(place.heard)) == {"arm"}
+        assert set(place.children(place.received)) == {"arm"}
     place.publish("elsewhere", "base")
     children = {"frame": "base", "parents": ["elsewhere", "map"], "sources": ["/far"]}
     until(lambda: (place.status("transform_server") or {}).get("conflicts") == [children], "both parents are reported")
@@ -144,7 +144,7 @@ def test_frames_in_simulated_time(place: ServedPlace) -> None:
         until(both, "the client has both")
         assert until(stamp, "a stamp") == 100.0
         arm = until(
-            lambda: (both(), [t for t in place.transforms(place.heard) if t["child_frame_id"] == "arm"])[1], "", 20
+            lambda: (both(), [t for t in place.transforms(place.received) if t["child_frame_id"] == "arm"])[1], "", 20
         )
         assert 99 <= arm[0]["header"]["stamp"]["sec"] <= 100
         tick(100)

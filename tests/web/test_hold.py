@@ -20,7 +20,7 @@ class Base:
     """Receives velocities of one type on the hub, each with its time of arrival."""
 
     def __init__(self, desk: Desk, type_name: str = TWIST) -> None:
-        self.heard: list[tuple[float, float, float]] = []
+        self.received: list[tuple[float, float, float]] = []
         registry = desk.far.registry
         type_id = registry.ros2(type_name).type_id
         self.subscription = desk.far.hub.subscription("/cmd_vel", type_name, type_id, Qos(depth=10), self._on_message)
@@ -29,13 +29,13 @@ class Base:
     def _on_message(self, sample: Any) -> None:
         message = to_json(self._registry, self._type_name, sample.data())
         twist = message.get("twist", message)
-        self.heard.append((time.monotonic(), twist["linear"]["x"], twist["angular"]["z"]))
+        self.received.append((time.monotonic(), twist["linear"]["x"], twist["angular"]["z"]))
 
     def drives(self) -> bool:
-        return bool(self.heard) and self.heard[-1][1:] != (0.0, 0.0)
+        return bool(self.received) and self.received[-1][1:] != (0.0, 0.0)
 
     def stands(self) -> bool:
-        return bool(self.heard) and self.heard[-1][1:] == (0.0, 0.0)
+        return bool(self.received) and self.received[-1][1:] == (0.0, 0.0)
 
 
 def hold(page: TestPage, base: Base, seconds: float = 0.0, x: float = 0.1) -> None:
@@ -55,14 +55,14 @@ def test_a_hold_drives_while_it_is_repeated(desk: Desk) -> None:
     base = Base(desk)
     with TestPage(desk.port) as page:
         hold(page, base, 0.6, x=5.0)
-        assert base.heard[-1][1] == 0.3, "limited by the configuration"
+        assert base.received[-1][1] == 0.3, "limited by the configuration"
         page.send(op="release")
         until(base.stands, "the base stands after the release")
-        count = len(base.heard)
+        count = len(base.received)
         page.watch("topics")
         page.value("topics")
         page.until(lambda: page.counts["topics"] >= 1, "a while")
-        assert len(base.heard) == count, "one zero, then silence"
+        assert len(base.received) == count, "one zero, then silence"
 
 
 def test_a_hold_drives_in_the_form_of_the_base(desk: Desk) -> None:
@@ -82,7 +82,7 @@ def test_a_hold_drives_in_the_configured_form(desk: Desk, stamped: bool) -> None
     bases = {name: Base(desk, name) for name in (TWIST, TWIST_STAMPED)}
     with TestPage(desk.port) as page:
         hold(page, bases.pop(TWIST_STAMPED if stamped else TWIST))
-    assert [base.heard for base in bases.values()] == [[]]
+    assert [base.received for base in bases.values()] == [[]]
 
 
 @pytest.mark.parametrize("how", ["silent", "cut", "closed"])
@@ -118,7 +118,7 @@ def test_one_page_drives_at_a_time(desk: Desk) -> None:
             other.send(op="hold", x=-0.1, y=0.0, turn=0.0)
             other.read(0.05)
         assert "drives manually" in other.errors()[0]
-        assert all(x >= 0.0 for _, x, _ in base.heard)
+        assert all(x >= 0.0 for _, x, _ in base.received)
 
 
 def test_no_hold_against_a_planner(desk: Desk) -> None:

@@ -39,7 +39,7 @@ class Talk:
     port: int
     steps: list[Step] = field(default_factory=list)
 
-    def said(self, by: str) -> bytes:
+    def sent_by(self, by: str) -> bytes:
         """Return all bytes that one side sent."""
         return b"".join(step.data for step in self.steps if step.by == by)
 

@@ -49,7 +49,7 @@ _MARK_AGAIN = 3.0
 _STOP_TIMEOUT = 0.4
 """Seconds per name-server command while the adapter stops; after a timeout it sends no more commands."""
 
-_AWAKE = 0.9
+_ALIVE_SECONDS = 0.9
 """Seconds since its last record for which another worker counts as alive; less than `election.SILENCE`."""
 
 
@@ -73,7 +73,7 @@ class YarpEdge(SideEdge):
             registry, naming, _owner(state / "yarp_owner"), config.name, self._names, self._contents, self._graph,
             self._refuse, self._wake_up, config.limits.message_bytes, section.ip,
         )  # fmt: skip
-        self.ports = OwnPorts(context, self._awake, Callers(naming, callers_file(state, "worker yarp")))
+        self.ports = OwnPorts(context, self._is_alive, Callers(naming, callers_file(state, "worker yarp")))
         self._presence: WorkerPresence = WorkerPresence(context, self._presence_changed)
         self._services = YarpServices(context)
         self._lock = threading.Lock()
@@ -85,7 +85,7 @@ class YarpEdge(SideEdge):
         self._mark_until = 0.0
         self._wake = threading.Event()
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="midspan-yarp-clerk", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="midspan-yarp-names", daemon=True)
 
     # -- lifecycle -----------------------------------------------------------------------------------------------------
 
@@ -201,10 +201,10 @@ class YarpEdge(SideEdge):
         self._wake.set()
         return False
 
-    def _awake(self, owner: str) -> bool:
-        now = time.monotonic()
+    def _is_alive(self, owner: str) -> bool:
+        since = time.monotonic() - _ALIVE_SECONDS
         sightings = self._presence.sightings()
-        return any(s.id == PRESENCE + owner and s.record is not None and now - s.heard < _AWAKE for s in sightings)
+        return any(s.id == PRESENCE + owner and s.record is not None and s.received > since for s in sightings)
 
     @override
     def warnings(self) -> list[str]:

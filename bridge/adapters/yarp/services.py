@@ -231,7 +231,7 @@ class _PortCall:
         except ConversionError as err:
             result = CallError(f"malformed reply: {err}")
         except (OSError, WireError) as err:
-            result = CallError(f"the port left before it answered: {err}")
+            result = CallError(f"the port disappeared before it replied: {err}")
             if fresh is not None:
                 fresh.close()
                 fresh = None
@@ -302,7 +302,7 @@ class YarpServices:
         return plan
 
     def conversion(self, type_name: str, type_hash: str = "") -> ServiceConversion:
-        """Return only checks of requests and replies; each port converts them to its content."""
+        """Return a conversion that only checks requests and replies; each port itself converts them to its content."""
         known = self._registry.service_ros2(type_name, type_hash)
         request, response = self._registry.hub_service_check(type_name, type_hash)
         return ServiceConversion(known, known, request, None, response, None)

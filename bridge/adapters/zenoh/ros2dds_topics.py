@@ -121,7 +121,7 @@ class LatchedSubscription(KeySubscription):
             else:
                 self._deliver(sample, source)
 
-    def asked(self, zid: str) -> None:
+    def on_query(self, zid: str) -> None:
         """Hold back a session's live samples while its publishers are queried."""
         with self._asking:
             self._asked[zid] += 1

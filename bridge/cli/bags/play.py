@@ -147,7 +147,7 @@ def _play(args: argparse.Namespace, client: Client, bags: list[Bag], ended: thre
 
     registry = client.registry()
     names = NameFilter(args.topics or ["/**"], args.exclude)
-    wanted = PlayChoice(names.wants, dict(args.remap), args.commands, bool(args.clock))
+    wanted = PlayChoice(names.matches, dict(args.remap), args.commands, bool(args.clock))
     chosen, left = choose(bags, registry, client.config, wanted)
     topics = [topic for of_bag in chosen.values() for topic in of_bag]
     _tell_choice(topics, left, args.rate)

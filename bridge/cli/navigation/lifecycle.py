@@ -37,7 +37,7 @@ _ACTIVE_SECONDS = 5.0
 def add_lifecycle_verbs(verbs: Any) -> None:
     """Add the verbs below ``midspan nav``."""
     for verb, text in (
-        (_STARTUP, "configure and activate the planner's nodes (Nav2), which drives nowhere by itself"),
+        (_STARTUP, "configure and activate the planner's nodes (Nav2); the robot does not move"),
         (_DEACTIVATE, "deactivate the planner's nodes; they stay configured"),
         (_ACTIVATE, "activate them again"),
         (_RESET, "deactivate and clean up the planner's nodes, after which startup configures them again"),
@@ -91,7 +91,7 @@ def _planner(client: CliClient) -> Planner:
 
 
 def _is_idle(gateway: GatewayKeys) -> bool:
-    """Return whether no goal is active. A gateway is thinking while its planner is unavailable, as before a startup."""
+    """Return whether no goal is active; THINKING means that the planner is unavailable, as before a startup."""
     ended = has_ended(gateway.navigation) or gateway.navigation == State.THINKING
     return ended and not (gateway.goals or gateway.goals_of_others)
 

@@ -111,7 +111,7 @@ _MAX_PUBLISHERS = 4096
 class HistoryListener(Protocol):
     """Receives the history; called on zenoh's threads."""
 
-    def asked(self, zid: str) -> None:
+    def on_query(self, zid: str) -> None:
         """A session's publishers are being queried: hold back its live samples."""
 
     def on_stored(self, sample: zenoh.Sample) -> None:
@@ -177,7 +177,7 @@ class LatchedHistory:
 
     def ask(self, publishers: str, zid: str) -> None:
         """Query the publishers at a key for their cached samples. The caller holds no lock that the listener needs."""
-        self._listener.asked(zid)
+        self._listener.on_query(zid)
         self._executor.submit(partial(self._ask, publishers, zid))
 
     def _ask(self, publishers: str, zid: str) -> None:

@@ -24,7 +24,7 @@ class _OtherHistory:
 
     def __init__(self, subscription: LatchedHubSubscription, convert: Convert) -> None:
         self._convert, self._on_other, self._receive = convert, subscription._on_other, subscription.on_stored
-        self.asked, self.done = subscription.asked, subscription.done
+        self.on_query, self.done = subscription.on_query, subscription.done
 
     def on_stored(self, sample: zenoh.Sample) -> None:
         self._on_other(self._convert, self._receive, sample)
@@ -127,7 +127,7 @@ class LatchedHubSubscription(HubSubscription):
                 self.sources.pop_all_held(source)
         self._ask(zid)
 
-    def asked(self, zid: str) -> None:
+    def on_query(self, zid: str) -> None:
         """Handle the start of a query for the samples that a session's publishers store; see `LatchedHistory`."""
         with self._lock:
             self._asked[zid] += 1

@@ -62,7 +62,7 @@ def is_service(name: str) -> bool:
     return part == "" if kind == "srv" else kind == "action" and part in ACTION_SERVICES
 
 
-def made_parts(base: str, world: World) -> dict[str, Definition]:
+def generated_parts(base: str, world: World) -> dict[str, Definition]:
     """Return the definitions that a service or action has in addition to its file's; no events in ROS 1."""
     kind = base.split("/")[1]
     templates = _MADE[kind] if world is World.ROS2 else _SENT
@@ -128,7 +128,7 @@ def find_part(folder: Path, name: str, world: World = World.ROS2) -> dict[str, D
 def with_made(definitions: dict[str, Definition], name: str, world: World) -> dict[str, Definition] | None:
     """Return the definitions of a service's or action's file and those that ROS 2 adds; None if ``name`` is missing."""
     if world is World.ROS2:
-        definitions = made_parts(base_of(name, world), world) | definitions
+        definitions = generated_parts(base_of(name, world), world) | definitions
     return definitions if name in definitions else None
 
 

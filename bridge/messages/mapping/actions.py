@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 from bridge.messages.definitions.hashes import md5_sum, rihs01
 from bridge.messages.definitions.names import is_ros1_name, is_ros2_name, legal_type, split_part
-from bridge.messages.definitions.parts import CONTENTS, actionlib_messages, made_parts, with_status_text
+from bridge.messages.definitions.parts import CONTENTS, actionlib_messages, generated_parts, with_status_text
 from bridge.messages.definitions.schema import Definition, Schema, World
 from bridge.messages.definitions.text import closure, full_text
 from bridge.messages.errors import MessageTypeError
-from bridge.messages.mapping.fields import says_the_same
+from bridge.messages.mapping.fields import has_equal_fields
 from bridge.messages.mapping.messages import MessageMapping, derive_ros1, derive_ros2, unknown_type
 from bridge.messages.transcode.conversion import SideType
 
@@ -52,9 +52,8 @@ class ActionMapping:
                 return name
         goal = self._ros1_content(action, "Goal")
         for name in names:
-            if any(
-                says_the_same(goal, announced, self._messages.rules) for announced in self._announced(name, "SendGoal")
-            ):
+            rules, versions = self._messages.rules, self._announced(name, "SendGoal")
+            if any(has_equal_fields(goal, announced, rules) for announced in versions):
                 return name
         return legal_type(action, "action")
 
@@ -154,7 +153,7 @@ class ActionMapping:
         if installed is not None:
             return installed
         for announced in self._announced(action, part):
-            if says_the_same(ros1, announced, self._messages.rules):
+            if has_equal_fields(ros1, announced, self._messages.rules):
                 return announced
         return derive_ros2(ros1, self._messages.to_ros2, name)
 
@@ -199,10 +198,10 @@ class ActionMapping:
         uuid = self._messages.ros2.installed(_UUID)
         assert uuid is not None  # rosbags' store has it
         types = with_status_text(content) if part == "GetResult" else content.types
-        return {**made_parts(base, World.ROS1), **self._messages.to_ros1(uuid).types, **types}
+        return {**generated_parts(base, World.ROS1), **self._messages.to_ros1(uuid).types, **types}
 
     def _ros2_types(self, action: str, content: Schema) -> Types:
-        types = made_parts(action, World.ROS2)
+        types = generated_parts(action, World.ROS2)
         for needed in _NEEDED:
             schema = self._messages.ros2.installed(needed)
             assert schema is not None  # rosbags' store has it

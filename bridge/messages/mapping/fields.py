@@ -90,7 +90,7 @@ def _status_text(ros1: Definition, ros2: Definition, fields: Fields) -> Fields:
     return (pair,) if has_text and has_error and all(path2 != pair[1] for _, path2 in fields) else ()
 
 
-def says_the_same(ros1: Schema, ros2: Schema, rules: Rules) -> bool:
+def has_equal_fields(ros1: Schema, ros2: Schema, rules: Rules) -> bool:
     """Whether two types and their nested types match with a counterpart for every field."""
     try:
         pairs = pair_types(ros1, ros2, rules)

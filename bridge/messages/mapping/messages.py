@@ -13,7 +13,7 @@ from bridge.messages.definitions.names import is_ros1_name, is_ros2_name, legal_
 from bridge.messages.definitions.schema import TIME_TYPES, Definition, Field, FieldType, Schema, World
 from bridge.messages.definitions.text import full_text
 from bridge.messages.errors import MessageTypeError
-from bridge.messages.mapping.fields import left_out, pair_types, says_the_same
+from bridge.messages.mapping.fields import has_equal_fields, left_out, pair_types
 from bridge.messages.mapping.rules import Rules
 from bridge.messages.transcode.conversion import Conversion, SideType, cdr_to_ros1, ros1_to_cdr
 
@@ -210,7 +210,7 @@ class MessageMapping:
                 return schema
         for name in names:
             for announced in self.ros2.variants(name):
-                if says_the_same(ros1, announced, self.rules):
+                if has_equal_fields(ros1, announced, self.rules):
                     return announced
         return derive_ros2(ros1, self.to_ros2)
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from bridge.messages.definitions.hashes import EMPTY_MD5, md5_sum, rihs01
 from bridge.messages.definitions.names import is_ros1_name, is_ros2_name, legal_type, split_part
-from bridge.messages.definitions.parts import CANCEL_GOAL, CONTENTS, is_service, made_parts
+from bridge.messages.definitions.parts import CANCEL_GOAL, CONTENTS, generated_parts, is_service
 from bridge.messages.definitions.schema import Definition, Schema, World
 from bridge.messages.definitions.text import closure, full_text
 from bridge.messages.errors import MessageTypeError
-from bridge.messages.mapping.fields import says_the_same
+from bridge.messages.mapping.fields import has_equal_fields
 from bridge.messages.mapping.messages import MessageMapping, derive_ros1, derive_ros2, unknown_type
 from bridge.messages.transcode.conversion import ServiceConversion, SideType
 
@@ -106,7 +106,7 @@ class ServiceMapping:
         for name in names:
             for root in self._messages.ros2.variants(name):
                 announced = ros2_service(root)
-                if says_the_same(ros1.request, announced.request, self._messages.rules) and says_the_same(
+                if has_equal_fields(ros1.request, announced.request, self._messages.rules) and has_equal_fields(
                     ros1.response, announced.response, self._messages.rules
                 ):
                     return announced
@@ -175,7 +175,7 @@ class ServiceMapping:
         base = legal_type(ros1.name, "srv")
         info = self._messages.ros2.installed("service_msgs/msg/ServiceEventInfo")
         assert info is not None  # rosbags ships it
-        types = {**made_parts(base, World.ROS2), **info.types}
+        types = {**generated_parts(base, World.ROS2), **info.types}
         for ros1_part in (ros1.request, ros1.response):
             types |= derive_ros2(ros1_part, self._messages.to_ros2, f"{base}_{ros1_part.name.rpartition('_')[2]}").types
         return ros2_service(closure(types[base], types))

@@ -1,8 +1,8 @@
 """A patrol: the robot drives to places in turn, repeatedly, until a client ends it. Used on the module's thread.
 
-It sends one goal at a time to the gateway's action, after the previous goal was reached. Without stops, a goal has the
-places of some rounds, and planners that can pass them do not stop. Anything else ends the patrol: a stop, a goal of
-another client, a place that cannot be reached. The page that started it may be closed.
+It sends one goal at a time to the gateway's action, after the previous goal was reached. Without stops, one
+goal has the places of several rounds, and planners that can pass places drive through them. Anything else ends the
+patrol: a stop, a goal of another client, a place that cannot be reached. The page that started it may be closed.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ class Patrol:
             self._timer = None
         return self._step
 
-    def _within(self, seconds: float, action: Callable[[], Any]) -> None:
+    def _after(self, seconds: float, action: Callable[[], Any]) -> None:
         self._timer = self._host.loop.after(seconds, action)
 
     def _find(self) -> None:
@@ -158,7 +158,7 @@ class Patrol:
         place = self._places[(self._at + len(self._poses)) % len(self._places)]
         self._locate = self._locate or self._host.node.client(_LOCATE, GET_LOCATION)
         self._locate.call({"name": place}, partial(self._on_pose, step))
-        self._within(ANSWER_SECONDS, lambda: self.end(f"{_LOCATE} has not answered in {ANSWER_SECONDS:g} s"))
+        self._after(ANSWER_SECONDS, lambda: self.end(f"{_LOCATE} has not answered in {ANSWER_SECONDS:g} s"))
 
     def _on_pose(self, step: int, reply: dict[str, Any] | CallError) -> None:
         if step != self._step:
@@ -185,15 +185,15 @@ class Patrol:
         self._last = self._at + count - 1
         self._goal = self._goals[action].send(goal, self._ended, partial(self._on_feedback, step))
         self._newest = self._goal.id
-        self._within(ANSWER_SECONDS, self._accepted)
+        self._after(ANSWER_SECONDS, self._accepted)
 
     def _on_feedback(self, step: int, feedback: dict[str, Any]) -> None:
         left = int(feedback.get("number_of_poses_remaining", 0))
         if step == self._step and 0 < left <= self._last + 1 - self._at:
-            self._pass_to(self._last + 1 - left)
+            self._set_place(self._last + 1 - left)
 
-    def _pass_to(self, index: int) -> None:
-        """Drive to a later place of the goal; indices count on from the last place of a round."""
+    def _set_place(self, index: int) -> None:
+        """Set the place that the robot drives to now; ``index`` continues past the last place into the next round."""
         if index == self._at:
             return
         rounds, self._at = divmod(index, len(self._places))
@@ -215,8 +215,8 @@ class Patrol:
             return
         self._next_step()
         self._held = False
-        self._pass_to(self._last)
-        self._within(self._wait or SHORTEST, self._next_place)
+        self._set_place(self._last)
+        self._after(self._wait or SHORTEST, self._next_place)
         self._publish("waits")
 
     def _next_place(self) -> None:

@@ -47,7 +47,7 @@ class Crowd:
 
     def __init__(self) -> None:
         self.loop = ConnectionLoop()
-        self.heard: list[tuple[int, bytes]] = []
+        self.received: list[tuple[int, bytes]] = []
         self.threads: set[str] = set()
         self.ended: list[tuple[int, str]] = []
         self.publishers: list[socket.socket] = []
@@ -61,7 +61,7 @@ class Crowd:
 
         def on_message(payload: bytes) -> None:
             self.threads.add(threading.current_thread().name)
-            self.heard.append((number, payload))
+            self.received.append((number, payload))
 
         reader = PublisherConnection(
             DeadlineSocket(fileno=ours.detach()),
@@ -107,10 +107,10 @@ def test_one_thread_reads_all_connections(crowd: Crowd) -> None:
     for turn in range(20):
         for number, publisher in enumerate(crowd.publishers):
             publisher.sendall(frame(bytes([number, turn])))
-    until(lambda: len(crowd.heard) == 1000, "all have arrived", 20)
+    until(lambda: len(crowd.received) == 1000, "all have arrived", 20)
     assert crowd.threads == {"midspan-ros1-intake"}
     for number in range(50):
-        assert [p for n, p in crowd.heard if n == number] == [bytes([number, turn]) for turn in range(20)]
+        assert [p for n, p in crowd.received if n == number] == [bytes([number, turn]) for turn in range(20)]
 
 
 def test_messages_are_joined_until_the_loop_waits_again(crowd: Crowd) -> None:
@@ -163,11 +163,11 @@ def test_a_connection_with_a_large_message_gets_a_separate_thread(crowd: Crowd) 
     """An incomplete large message does not delay other connections."""
     large, small = crowd.add(), crowd.add()
     large.sendall(frame(b"before") + frame(b"x" * 100_000)[:70_000])
-    until(lambda: crowd.heard == [(0, b"before")], "the small one", 20)
+    until(lambda: crowd.received == [(0, b"before")], "the small one", 20)
     small.sendall(frame(b"beside"))
-    until(lambda: crowd.heard[1:] == [(1, b"beside")], "that of the other connection", 20)
+    until(lambda: crowd.received[1:] == [(1, b"beside")], "that of the other connection", 20)
     large.sendall(frame(b"x" * 100_000)[70_000:] + frame(b"after"))
-    until(lambda: [p for _, p in crowd.heard[2:]] == [b"x" * 100_000, b"after"], "the rest", 20)
+    until(lambda: [p for _, p in crowd.received[2:]] == [b"x" * 100_000, b"after"], "the rest", 20)
     assert crowd.threads == {"midspan-ros1-intake", "midspan-ros1-in/t0"}
 
 
@@ -182,7 +182,7 @@ def test_a_connection_that_ends_or_fails_does_not_affect_others(crowd: Crowd) ->
     until(lambda: len(crowd.ended) == 2, "both are reported", 20)
     assert dict(crowd.ended) == {0: "the publisher closed the connection", 1: "RuntimeError: on purpose"}
     staying.sendall(frame(b"on"))
-    until(lambda: crowd.heard == [(2, b"on")], "the third", 20)
+    until(lambda: crowd.received == [(2, b"on")], "the third", 20)
 
 
 def test_without_a_thread_for_a_large_message_the_connection_ends(
@@ -244,7 +244,7 @@ def test_a_connection_that_is_closed_at_its_start_does_not_affect_others(
     reader.start()
     closer.join()
     staying.sendall(frame(b"on"))
-    until(lambda: crowd.heard == [(0, b"on")], "the other one", 20)
+    until(lambda: crowd.received == [(0, b"on")], "the other one", 20)
 
 
 def test_data_after_the_end_is_not_read(crowd: Crowd) -> None:
@@ -267,7 +267,7 @@ def test_a_paused_connection_is_not_called_until_it_is_read_again(crowd: Crowd) 
         until(lambda: source.calls == 1, "it is called")
         staying = crowd.add()
         staying.sendall(frame(b"on"))
-        until(lambda: crowd.heard == [(0, b"on")], "another one is read")
+        until(lambda: crowd.received == [(0, b"on")], "another one is read")
         assert source.calls == 1
         crowd.loop.listen(source, data=True)
         crowd.loop.pause(source)  # a thread that was late: it has no effect
@@ -288,7 +288,7 @@ def test_a_connection_that_raises_is_closed(crowd: Crowd, caplog: pytest.LogCapt
         assert source.ended.wait(20)
     staying = crowd.add()
     staying.sendall(frame(b"on"))
-    until(lambda: crowd.heard == [(0, b"on")], "the loop goes on")
+    until(lambda: crowd.received == [(0, b"on")], "the loop goes on")
     assert caplog.text.count("reading a ROS 1 connection failed") == 1
 
 
@@ -310,10 +310,10 @@ def test_threads_that_open_and_close_connections_do_not_disturb_others(crowd: Cr
         thread.start()
     for n in range(100):
         staying.sendall(frame(bytes([n])))
-        until(lambda n=n: crowd.heard[-1:] == [(0, bytes([n]))], "it is read", every=0.001)  # type: ignore[misc]
+        until(lambda n=n: crowd.received[-1:] == [(0, bytes([n]))], "it is read", every=0.001)  # type: ignore[misc]
     for thread in threads:
         thread.join()
-    assert len(crowd.heard) == 100
+    assert len(crowd.received) == 100
 
 
 def test_a_source_may_use_the_loop_while_it_is_added(crowd: Crowd, monkeypatch: pytest.MonkeyPatch) -> None:

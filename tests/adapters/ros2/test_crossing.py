@@ -111,7 +111,7 @@ class Directions:
             edge.ask("subscribe", topic="/x/in")["id"],
             edge.ask("advertise", topic="/x/out")["id"],
         )
-        self.heard, self.sends = (
+        self.received, self.sends = (
             native.subscribe("/x/out", "std_msgs/String"),
             native.advertise("/x/in", "std_msgs/String"),
         )
@@ -123,7 +123,7 @@ class Directions:
             self.native.publish(self.sends, {"data": data})
             self.edge.ask("publish", id=self.outward, message=data)
             received = self.edge.ask("wait", id=self.inward, count=1, seconds=0.1)["messages"]
-            return data in received and {"data": data} in self.native.wait(self.heard, 1, 0.1)
+            return data in received and {"data": data} in self.native.wait(self.received, 1, 0.1)
 
         until(both, "messages in both directions", seconds)
 

@@ -45,7 +45,7 @@ def cdr(text: str) -> bytes:
 
 
 def name_server_threads() -> list[threading.Thread]:
-    return [thread for thread in threading.enumerate() if thread.name == "midspan-yarp-clerk"]
+    return [thread for thread in threading.enumerate() if thread.name == "midspan-yarp-names"]
 
 
 @pytest.fixture

@@ -46,10 +46,10 @@ class Robot:
             ModuleNode(Hub.open(network.settings(name)), registry, self.loop, SYSTEM) for name in ("robot", "client")
         )
         self._nodes = (self.node, far)
-        self.heard: list[dict[str, Any]] = []
+        self.received: list[dict[str, Any]] = []
         self.obeys = True
         self.loop.start()
-        self.node.subscription("/cmd_vel", TWIST, self.heard.append)
+        self.node.subscription("/cmd_vel", TWIST, self.received.append)
         server = self.node.action_server("/lookup", LOOKUP, lambda _goal: True, self.cancel)
         client = far.action_client("/lookup", LOOKUP)
         until(lambda: client.ready, "the action is there")
@@ -90,8 +90,8 @@ def test_halt_stops_everything(midspan: Midspan, network: HubNetwork, robot: Rob
     ]
     assert halt_requests == [{}]
     until(lambda: [goal.status for goal in robot.sent] == [GoalState.CANCELED] * 2, "both goals were canceled")
-    assert len(robot.heard) > 3
-    assert all(message["linear"]["x"] == message["angular"]["z"] == 0.0 for message in robot.heard)
+    assert len(robot.received) > 3
+    assert all(message["linear"]["x"] == message["angular"]["z"] == 0.0 for message in robot.received)
 
 
 def test_halt_reports_what_does_not_stop(
@@ -206,7 +206,7 @@ def test_nonsense_on_the_hub_keeps_nothing_from_stopping(
     assert f"/a: zero could not be published as {TWIST} (type hash 'nonsense' is not" in done.err
     assert [line for line in done.err.splitlines() if "a b" in line or "*" in line] == []
     until(lambda: [goal.status for goal in robot.sent] == [GoalState.CANCELED] * 2, "both goals were canceled")
-    assert robot.heard
+    assert robot.received
     assert [to_json(registry, TWIST, data)["linear"]["x"] for data in received] == [0.0] * len(received) != []
     for token in declared:
         token.undeclare()
@@ -224,7 +224,7 @@ def test_zero_does_not_wait_for_an_action_server_that_is_unreachable(
     done = midspan("halt", "--seconds", "0.05")
     assert done.code == 1
     assert "/a: not canceled" in done.out
-    assert len(robot.heard) > 5, "zero is repeated meanwhile"
+    assert len(robot.received) > 5, "zero is repeated meanwhile"
     token.undeclare()
 
 
@@ -293,7 +293,7 @@ def test_bases_that_cannot_be_asked_are_reported(
     assert done.code == 1
     assert "bases could not be asked to halt and may still be moving: no answer can be read" in done.err
     assert "/lookup: 2 goals canceled" in done.out
-    assert robot.heard
+    assert robot.received
 
 
 @pytest.mark.parametrize("errors", [("it moves", ""), ("", "it moves")])

@@ -196,7 +196,7 @@ def _samples() -> Subject:
         if qos.latched:
             latched = LatchedHubSubscription(context, "t", key, "/t", qos, received.append)
             actions = {
-                b"c": latched.on_stored, b"d": lambda _: latched.done("0"), b"a": lambda _: latched.asked("0"),
+                b"c": latched.on_stored, b"d": lambda _: latched.done("0"), b"a": lambda _: latched.on_query("0"),
             }  # fmt: skip
             subscription: HubSubscription = latched
         else:

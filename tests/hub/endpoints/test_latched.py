@@ -339,7 +339,7 @@ def test_query_that_its_history_no_longer_needs_ends() -> None:
 class Events(list[str]):
     """What a history reports."""
 
-    def asked(self, _zid: str) -> None:
+    def on_query(self, _zid: str) -> None:
         self.append("asked")
 
     def on_stored(self, _sample: zenoh.Sample) -> None:

@@ -184,11 +184,11 @@ class Busy:
     """A program that reads nothing for a while, as one does on a machine where others compute."""
 
     def __init__(self, hub: Hub) -> None:
-        self.begun, self.goes_on, self.heard = threading.Event(), threading.Event(), list[int]()
+        self.begun, self.goes_on, self.received = threading.Event(), threading.Event(), list[int]()
         self.subscription = hub.subscription("/large", TYPE, HASH, STREAM, self._on_sample)
 
     def _on_sample(self, sample: HubSample) -> None:  # on zenoh's thread that reads the link
-        self.heard.append(len(sample.payload))
+        self.received.append(len(sample.payload))
         self.begun.set()
         self.goes_on.wait(10)
 
@@ -211,8 +211,8 @@ def test_message_too_large_for_shared_memory_waits_for_a_busy_subscriber(network
         sending.join()
         publisher.put(b"last")
         other.expect("meanwhile")
-        until(lambda: len(busy.heard) == 3, "all came")
-        assert busy.heard == [5, LARGE + 1, 4]
+        until(lambda: len(busy.received) == 3, "all came")
+        assert busy.received == [5, LARGE + 1, 4]
         assert busy.subscription.lost == 0
 
 
@@ -234,7 +234,7 @@ def test_lost_messages_are_reported_with_their_source(network: HubNetwork):
             return busy.subscription.lost > 0
 
         until(seen, "the gap is seen")
-        assert busy.heard[1] == 4
+        assert busy.received[1] == 4
         assert "busy for too long" in (losses := busy.subscription.losses())
         assert " from a;" in losses
         assert "max_wait_before_drop_fragments" in losses

@@ -14,7 +14,7 @@ from navigation.algorithms.voxel_map import MIDDLE, VoxelMap
 from tests.support.uncompiled import uncompiled
 
 CELL = 0.05
-SIDE, TALL, GROUND = 60, 44, 8  # voxels of a room along x and y, and along z, and below its floor
+SIDE, HEIGHT, GROUND = 60, 44, 8  # voxels of a room: along x and y, along z, and those below its floor
 ROBOT = RobotSize(height=1.2, width=0.4, step=0.02, margin=0.05, slope=math.radians(10.0))
 Box = tuple[slice, slice, slice]
 
@@ -23,12 +23,12 @@ class Room:
     """A completely seen room of 3 x 3 m: its floor, and free space above."""
 
     def __init__(self) -> None:
-        self.odds = np.full((SIDE, SIDE, TALL), np.nan, np.float32)
+        self.odds = np.full((SIDE, SIDE, HEIGHT), np.nan, np.float32)
         self.odds[:, :, GROUND:] = -1.0
         self.odds[:, :, GROUND - 1] = 2.0
 
     def box(self, x: slice, y: slice, low: float, high: float, odds: float = 2.0) -> Room:
-        """Something from one height above the floor to another, meters."""
+        """Fill a box between two heights above the floor, in meters."""
         self.odds[x, y, GROUND + round(low / CELL) : GROUND + round(high / CELL)] = odds
         return self
 

@@ -54,7 +54,7 @@ def rig(running: Rig, odometry: Odometry) -> Iterator[Rig]:
     odometry.speed = 0.0
     running.planner.cancels = running.planner.cancel
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(actions, "CANCEL_ALL_SECONDS", 0.0)  # what this stop means is not the next test's planner
+        patched.setattr(actions, "CANCEL_ALL_SECONDS", 0.0)  # no effect on the next test's planner
         running.fresh()
     running.planners.pop(PLANNER).close()
     until(lambda: not running.gateway.link.reachable, "the planner is unreachable", 20)
@@ -73,7 +73,7 @@ def ignore_cancel(_goal: object) -> bool:
 
 
 class FarPlanner:
-    """A planner with a link that can be cut; to the gateway, this polls like a killed worker of the planner's side."""
+    """A planner with a link that can be cut; a cut looks to the gateway like a killed worker of the side."""
 
     def __init__(self, rig: Rig, link: FaultProxy) -> None:
         rig.planners.pop(PLANNER).close()

@@ -317,7 +317,7 @@ def test_a_navigator_that_pauses_in_a_deadlock_can_be_resumed(place: Planning) -
         until(lambda: robot.goal and robot.goal.status is GoalState.EXECUTING, "the navigator has the goal", 20)
 
         def paused() -> bool:
-            robot.says(State.PAUSED, reason)  # repeated: on a loaded machine the planner may have sent the goal twice
+            robot.report(State.PAUSED, reason)  # repeated: on a loaded machine the planner may have sent the goal twice
             return bool(planner.status[:2] == (State.PAUSED, reason))
 
         until(paused, "the planner reports the pause", 20)

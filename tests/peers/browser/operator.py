@@ -92,7 +92,7 @@ class Operator:
         texts: list[str] = self.chrome.execute_script(script, selector)
         return texts
 
-    def said(self) -> str:
+    def messages(self) -> str:
         return " ".join(self.chrome.find_element(By.ID, name).text for name in ("said", "wrong"))
 
     def errors(self) -> list[str]:

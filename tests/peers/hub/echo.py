@@ -21,7 +21,7 @@ class Echo(Module):
             raise RuntimeError(msg)
         self.prefix = section.options.get("prefix", "")
         self.host = host
-        self.heard = 0
+        self.received = 0
         self.out = host.node.publisher("/said", "std_msgs/msg/String")
         self.port = host.yarp.output(f"/{section.name}/said:o")
         host.node.subscription("/heard", "std_msgs/msg/String", self.on_message)
@@ -29,7 +29,7 @@ class Echo(Module):
         host.yarp.input(f"/{section.name}/heard:i", lambda received: self.publish(str(received.values[0])))
 
     def on_message(self, message: dict[str, Any]) -> None:
-        self.heard += 1
+        self.received += 1
         if message["data"] == "break":
             raise ValueError(message["data"])
         self.publish(message["data"])
@@ -45,10 +45,10 @@ class Echo(Module):
         return True
 
     def health(self) -> Health:
-        return Health("running", f"heard {self.heard}")
+        return Health("running", f"heard {self.received}")
 
     def status(self) -> dict[str, Any]:
-        return {"heard": self.heard}
+        return {"heard": self.received}
 
 
 class NoModule:

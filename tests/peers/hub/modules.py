@@ -34,12 +34,12 @@ class Place(HubRig):
         modules = {"own": list(own), **sections.pop("modules", {})}
         return super().config(**{"yarp": self.yarp_section(), **sections, "modules": modules})
 
-    def hears(self, said: str, heard: int, text: str) -> None:
+    def until_replied(self, sent: str, subscription: int, text: str) -> None:
         """Publish to the module until a subscription receives its reply."""
         out = self.far.advertise("/heard", STRING)
 
         def once() -> bool:
-            self.far.publish(out, {"data": said})
-            return text in {m["data"] for m in self.far.wait(heard, 1, 0.2)}
+            self.far.publish(out, {"data": sent})
+            return text in {m["data"] for m in self.far.wait(subscription, 1, 0.2)}
 
         until(once, f"{text} arrives")

@@ -54,7 +54,7 @@ class Robot(Program):
             goal.abort({"error_code": int(self.code), "error_msg": self.fails})
         return True
 
-    def says(self, state: State, reason: str) -> None:
+    def report(self, state: State, reason: str) -> None:
         """Publish a status of the current goal that the action itself cannot express."""
         assert self.goal is not None
         status = status_message(SYSTEM.stamp(), PlannerStatus(state, reason), goal_id=self.goal.id)

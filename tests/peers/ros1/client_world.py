@@ -59,13 +59,13 @@ class World:
 
     # -- the server
 
-    def says(self, *statuses: tuple):
+    def report(self, *statuses: tuple):
         self.client.statuses([status(*s) for s in statuses])
 
     def ends(self, number, state, body=b"result", text=""):
         self.client.result(status(number, state, text=text), body)
 
-    def passes(self, seconds):
+    def advance(self, seconds):
         self.now += seconds
         self.client.tick()
 

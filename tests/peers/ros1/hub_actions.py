@@ -64,10 +64,10 @@ class HubClient:
         """Return the only reply of a call, decoded from base64; an error stays text."""
         part, number = call
 
-        def there() -> list | None:
+        def arrived() -> list | None:
             return self.edge.ask("results", id=self.callers[part], count=0, seconds=0)["results"].get(str(number))
 
-        (answer,) = until(there, f"a reply to {part}", seconds)
+        (answer,) = until(arrived, f"a reply to {part}", seconds)
         return answer if answer.startswith("error") else base64.b64decode(answer)
 
     def replies(self, part, count):
@@ -102,14 +102,14 @@ class HubClient:
         return CancelCode(code), {i.uuid for i in infos}
 
     def feedback(self, goal, count=1):
-        def there() -> list | None:
+        def arrived() -> list | None:
             messages = [
                 wire.read_with_uuid(base64.b64decode(p)) for p, _ in self.edge.received(self.topics["feedback"], 0, 0)
             ]
             result = [struct.unpack("<i", data)[0] for u, data in messages if u == goal]
             return result if len(result) >= count else None
 
-        return until(there, "feedback", SECONDS)
+        return until(arrived, "feedback", SECONDS)
 
     def states(self):
         """Return the goal states of the status topic, by UUID."""
@@ -142,11 +142,11 @@ class HubServer:
         }
 
     def calls(self, part, count=1):
-        def there() -> list | None:
+        def arrived() -> list | None:
             result = self.edge.ask("calls", id=self.services[part])["requests"]
             return [base64.b64decode(r) for r in result] if len(result) >= count else None
 
-        return until(there, f"{count} calls of {part}", SECONDS)
+        return until(arrived, f"{count} calls of {part}", SECONDS)
 
     def answer(self, part, number, reply=b"", error=""):
         self.calls(part, number + 1)
@@ -155,12 +155,12 @@ class HubServer:
     def accept(self, number, accepted=True):
         self.answer("send_goal", number, wire.goal_response(wire.RosTime(7, 0), accepted=accepted))
 
-    def asked(self, goal):
+    def result_call(self, goal):
         """Return the number of the get_result call of a goal."""
         return until(lambda: [i for i, g in enumerate(self.calls("get_result")) if g == goal], "get_result", SECONDS)[0]
 
     def end(self, goal, state, number):
-        self.answer("get_result", self.asked(goal), wire.result_response(state, body(number)))
+        self.answer("get_result", self.result_call(goal), wire.result_response(state, body(number)))
 
     def publish(self, part, payload):
         self.edge.ask("send", id=self.topics[part], payload=encoded(payload))

@@ -23,6 +23,6 @@ class RecordedCalls:
         self.calls.append((api, "shutdown", node, reason))
 
     def pop(self) -> list[tuple[Any, ...]]:
-        """Return the calls since the last call of this."""
+        """Return the calls since the previous `pop`."""
         calls, self.calls = self.calls, []
         return calls

@@ -32,7 +32,7 @@ def pose(dice):
     return moved, rotation(dice, dice.uniform(0.997, 1.003) if odd < 0.3 else 1.0)
 
 
-def sets(dice, names):
+def transforms(dice, names):
     """Return the transforms of a random forest."""
     steps = []
     spacing = dice.choice((0.01, 0.1, 1.0, 5.0))
@@ -58,7 +58,7 @@ def sets(dice, names):
     return steps
 
 
-def question(dice, names, stamps):
+def lookup(dice, names, stamps):
     """Return a lookup at times that are known, nearly known, or not."""
 
     def stamp() -> int:
@@ -80,11 +80,11 @@ def question(dice, names, stamps):
 def case(dice):
     """Return one tree, and lookups in it."""
     names = [f"f{k}" for k in range(dice.choice((2, 3, 4, 6, 9)))]
-    steps = sets(dice, names)
+    steps = transforms(dice, names)
     if dice.random() < 0.03:
-        steps += [("clear",), *sets(dice, names[:3])]
+        steps += [("clear",), *transforms(dice, names[:3])]
     stamps = [step[3] for step in steps if step[0] == "set" and step[3]] or [START]
-    return steps + [question(dice, names, stamps) for _ in range(5)] + [("frames",)]
+    return steps + [lookup(dice, names, stamps) for _ in range(5)] + [("frames",)]
 
 
 def cases(seed, count):

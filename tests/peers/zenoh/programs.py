@@ -79,7 +79,7 @@ class Program:
         self._ids = itertools.count(1)
         self._things: dict[int, tuple[str, str, list[Any]]] = {}
         self._puts: dict[int, Callable[[bytes], None]] = {}
-        self.heard: dict[int, Record] = {}
+        self.received: dict[int, Record] = {}
         self.servings: dict[int, Serving] = {}
         self._callings: dict[int, Calling] = {}
         self.watch: zenoh.Subscriber | None = None
@@ -98,18 +98,18 @@ class Program:
         return number
 
     def on_message(self, number: int, type_: str, data: bytes) -> None:
-        self.heard[number].add(self.decode(type_, data))
+        self.received[number].add(self.decode(type_, data))
 
     def listener(self, topic: str, type_: str) -> tuple[int, Callable[[zenoh.Sample], None]]:
         number = self.add(topic, type_, [])
-        self.heard[number] = Record()
+        self.received[number] = Record()
         return number, lambda sample: self.on_message(number, type_, sample.payload.to_bytes())
 
     def publish(self, endpoint: int, message: dict[str, Any]) -> None:
         topic, type_, _ = self._things[endpoint]
         data = self.encode(type_, message)
         self._puts[endpoint](data)
-        for number in [n for n in self.heard if self._things.get(n, ("",))[0] == topic]:
+        for number in [n for n in self.received if self._things.get(n, ("",))[0] == topic]:
             self.on_message(number, type_, data)
 
     def until_subscribed(self, endpoint: int) -> None:
@@ -118,7 +118,7 @@ class Program:
         until(lambda: publisher.matching_status.matching, "a subscription exists")
 
     def wait(self, endpoint: int, count: int, seconds: float = 40.0) -> list[Any]:
-        return self.heard[endpoint].wait(count, seconds)
+        return self.received[endpoint].wait(count, seconds)
 
     def drop(self, endpoint: int) -> None:
         for part in self._things.pop(endpoint)[2]:

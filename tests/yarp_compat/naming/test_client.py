@@ -53,7 +53,7 @@ def test_a_port_is_opened_with_the_commands_of_a_real_program() -> None:
         assert names.register("/reader") == PortContact("/reader", "127.0.0.1", 10002, "tcp")
         names.announce("/reader")
         names.unregister("/reader")
-    real = [TALKS[n].said("C") for n in (1, 2, 3, 4, 5, 6, 7, 25)]
+    real = [TALKS[n].sent_by("C") for n in (1, 2, 3, 4, 5, 6, 7, 25)]
     ours = server.received
     assert [ours[i] for i in (0, 1, 6, 7)] == [real[i] for i in (0, 1, 6, 7)]
     offers = " ".join(CARRIERS).encode()
@@ -74,7 +74,7 @@ def test_two_ports_are_connected_with_the_commands_of_yarp_connect() -> None:
     ):
         reply = connections.connect(client(server.port), "/writer", "/reader")
     assert reply == "Added connection from /writer to tcp://reader"
-    assert [*server.received, *port.received] == [TALKS[n].said("C") for n in CONNECT]
+    assert [*server.received, *port.received] == [TALKS[n].sent_by("C") for n in CONNECT]
 
 
 @pytest.mark.parametrize(

@@ -190,9 +190,9 @@ def test_every_recorded_exchange_of_two_ports_is_reproduced(ask: TextRegistry) -
     talks = [t for t in read("connect.txt") if t.port == 10000]
     assert len(talks) >= 19
     for talk in talks:
-        line = talk.said("C").decode()
+        line = talk.sent_by("C").decode()
         answer = "".join(f"{text}\r\n" for text in ask(line))
-        assert answer.encode() == talk.said("S"), line
+        assert answer.encode() == talk.sent_by("S"), line
 
 
 def recorded() -> list[tuple[str, list[str]]]:

@@ -60,9 +60,9 @@ def test_every_recorded_exchange_is_reproduced(server: NameServer) -> None:
     """Requests of two real ports and ``yarp connect`` get the bytes of a real name server."""
     port = server.address.port
     for talk in (t for t in read("connect.txt") if t.port == 10000):
-        wanted = talk.said("S").replace(b"port 10002", b"port %d" % (port + 2))
+        wanted = talk.sent_by("S").replace(b"port 10002", b"port %d" % (port + 2))
         wanted = wanted.replace(b"port 10003", b"port %d" % (port + 3))
-        assert exchange(port, talk.said("C"), wanted[-6:]) == wanted
+        assert exchange(port, talk.sent_by("C"), wanted[-6:]) == wanted
 
 
 def test_one_connection_may_send_many_commands(server: NameServer) -> None:

@@ -137,7 +137,7 @@ def test_reader_of_carriers(number: int) -> None:
     got: list[str] = []
     with opened("/r", 10005, on_message=lambda m: got.append(str(decode(m.payload)))) as (port, address):
         (talk,) = [t for t in talks("carriers-admin.txt", 10005) if t.number == number]
-        if b"~/w" in talk.said("C"):
+        if b"~/w" in talk.sent_by("C"):
             sock = socket.create_connection(address)
             sock.sendall(b"YAd\x1e\0\0RP\x03\0\0\0/w\0")
             until(port.inputs, "the connection to remove")

@@ -69,7 +69,7 @@ class PresenceTopic(EndpointReader):
         now, seen = time.monotonic(), self._seen()
         with self._lock:
             for prefix, sighting in list(self._heard.items()):
-                if prefix not in seen and now - sighting.heard > DISCOVERY_SECONDS:
+                if prefix not in seen and now - sighting.received > DISCOVERY_SECONDS:
                     del self._heard[prefix]
             marked = {p for p in seen if is_marked(p)} - self._past
             self._first = {p: self._first.get(p, now) for p in marked}

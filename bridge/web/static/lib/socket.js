@@ -27,8 +27,8 @@ export class Socket extends EventTarget {
     this.frame = 0;
     this.calls = new Map();
     this.nextId = 1;
-    this.heard = 0;
-    this.asked = 0;
+    this.receivedAt = 0;
+    this.probedAt = 0;
     document.addEventListener("visibilitychange", () => this.watchAll(!document.hidden));
     addEventListener("offline", () => this.lose());
     addEventListener("online", () => this.join());
@@ -57,8 +57,8 @@ export class Socket extends EventTarget {
     clearTimeout(this.timer);
     this.open = true;
     this.wait = FIRST_WAIT;
-    this.heard = performance.now();
-    this.asked = 0;
+    this.receivedAt = performance.now();
+    this.probedAt = 0;
     this.tell("state");
     this.watchAll(!document.hidden);
   }
@@ -83,12 +83,12 @@ export class Socket extends EventTarget {
   listen() {
     const now = performance.now();
     if (!this.open || document.hidden) {
-      this.asked = 0;
-      this.heard = now;
-    } else if (this.asked && now - this.asked > ANSWER) {
+      this.probedAt = 0;
+      this.receivedAt = now;
+    } else if (this.probedAt && now - this.probedAt > ANSWER) {
       this.lose();
-    } else if (!this.asked && now - this.heard > SILENCE) {
-      this.asked = now;
+    } else if (!this.probedAt && now - this.receivedAt > SILENCE) {
+      this.probedAt = now;
       this.call("ping").catch(() => {}); // any reply shows that the connection is alive
     }
   }
@@ -103,8 +103,8 @@ export class Socket extends EventTarget {
   }
 
   take(text) {
-    this.heard = performance.now();
-    this.asked = 0;
+    this.receivedAt = performance.now();
+    this.probedAt = 0;
     const message = JSON.parse(text);
     switch (message.op) {
       case "hello":

@@ -39,7 +39,7 @@ class World:
     def stop(self, request, client=ME):
         self.order.cancel(request, client, unread=client in self.unread)
 
-    def passes(self, seconds):
+    def advance(self, seconds):
         self.now += seconds
         self.order.release()
 
@@ -59,18 +59,18 @@ def test_goals_and_cancel_requests_in_order_are_forwarded_at_once(world):
 
 def test_a_cancel_request_that_arrives_first_is_forwarded_after_its_goal(world):
     world.stop(GoalId(ZERO, "a"))
-    world.passes(CROSSING_SECONDS / 2)
+    world.advance(CROSSING_SECONDS / 2)
     assert world.passed == []
     world.send("b")
     world.send("a")
     assert world.passed == ["goal b", "goal a", "cancel a"]
-    world.passes(LONGEST_SECONDS)
+    world.advance(LONGEST_SECONDS)
     assert world.passed == ["goal b", "goal a", "cancel a"], "it is forwarded once"
 
 
 def test_a_request_whose_goal_never_arrives_is_forwarded_to_the_server(world):
     world.stop(GoalId(ZERO, "a"))
-    world.passes(CROSSING_SECONDS)
+    world.advance(CROSSING_SECONDS)
     assert world.passed == ["cancel a"]
     world.send("a")
     assert world.passed == ["cancel a", "goal a"], "the server decides from then on"
@@ -81,10 +81,10 @@ def test_a_request_is_held_while_its_clients_goals_are_unread(world, why):
     getattr(world, why).add(ME)
     world.stop(GoalId(ZERO, "a"))
     for _ in range(10):
-        world.passes(CROSSING_SECONDS)
+        world.advance(CROSSING_SECONDS)
     assert world.passed == []
     getattr(world, why).clear()
-    world.passes(CROSSING_SECONDS / 2)
+    world.advance(CROSSING_SECONDS / 2)
     assert world.passed == []
     world.send("a")
     assert world.passed == ["goal a", "cancel a"]
@@ -93,9 +93,9 @@ def test_a_request_is_held_while_its_clients_goals_are_unread(world, why):
 def test_a_request_is_not_held_forever_for_an_unresponsive_client(world):
     world.listed.add(ME)
     world.stop(GoalId(ZERO, "a"))
-    world.passes(LONGEST_SECONDS - 0.1)
+    world.advance(LONGEST_SECONDS - 0.1)
     assert world.passed == []
-    world.passes(CROSSING_SECONDS)
+    world.advance(CROSSING_SECONDS)
     assert world.passed == ["cancel a"]
 
 
@@ -108,7 +108,7 @@ def test_cancel_all_is_forwarded_at_once_and_repeated_for_goals_that_it_overtook
     world.send("")
     assert world.passed[1:] == ["goal late", "cancel late", "goal of another", "goal made up", "cancel made up"]
     world.unread.clear()
-    world.passes(0.1)
+    world.advance(0.1)
     world.send("later")
     assert world.passed[-1] == "goal later"
 
@@ -128,7 +128,7 @@ def test_a_goal_that_is_unread_when_cancel_all_arrives_is_canceled_even_if_it_wa
     world.stop(ALL)
     world.send("earlier or later")
     world.unread.clear()
-    world.passes(0.1)
+    world.advance(0.1)
     world.send("next")
     assert world.passed == ["cancel ", "goal earlier or later", "cancel earlier or later", "goal next"]
 

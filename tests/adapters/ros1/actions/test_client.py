@@ -40,9 +40,9 @@ def test_a_goal_is_sent_with_stamp_zero_and_a_unique_id(world):
 @pytest.mark.parametrize("state", [Ros1State.PENDING, Ros1State.ACTIVE, Ros1State.PREEMPTING, Ros1State.SUCCEEDED])
 def test_a_goal_is_accepted_with_the_servers_stamp_once_its_state_is_reported(world, state):
     answers = world.send(1)
-    world.says()
+    world.report()
     assert not answers
-    world.says((1, state))
+    world.report((1, state))
     assert answers == [wire.goal_response(RosTime(5, 0), accepted=True)]
 
 
@@ -52,7 +52,7 @@ def test_a_goal_that_the_server_rejects_is_rejected(world, state, by_result):
     answers = world.send(1)
     if by_result:
         world.ends(1, state)
-    world.says((1, state))
+    world.report((1, state))
     assert accepted(answers) is False
     assert result(world.ask(1)) == (GoalState.UNKNOWN, EMPTY)
     assert all(uuid(1) not in states for states in world.states)
@@ -60,7 +60,7 @@ def test_a_goal_that_the_server_rejects_is_rejected(world, state, by_result):
 
 def test_a_goal_that_is_rejected_after_it_was_pending_is_aborted(world):
     answers, request = world.send(1), world.ask(1)
-    world.says((1, Ros1State.PENDING))
+    world.report((1, Ros1State.PENDING))
     world.ends(1, Ros1State.REJECTED, b"why")
     assert accepted(answers)
     assert result(request) == (GoalState.ABORTED, b"why")
@@ -92,9 +92,9 @@ def test_malformed_calls_end_with_an_error(world):
 def test_a_new_goal_preempts_the_old_one(world):
     first, second = world.send(1), world.send(2)
     call = world.ask(1)
-    world.says((1, Ros1State.ACTIVE), (2, Ros1State.PENDING))
+    world.report((1, Ros1State.ACTIVE), (2, Ros1State.PENDING))
     world.ends(1, Ros1State.PREEMPTED, text="another goal was received")
-    world.says((1, Ros1State.PREEMPTED), (2, Ros1State.ACTIVE))
+    world.report((1, Ros1State.PREEMPTED), (2, Ros1State.ACTIVE))
     assert accepted(first)
     assert accepted(second)
     assert result(call)[0] is GoalState.CANCELED
@@ -103,7 +103,7 @@ def test_a_new_goal_preempts_the_old_one(world):
 
 def test_goals_of_a_lost_server_are_unknown_once_and_no_state_is_published(world):
     waiting, running, over = world.send(1), world.send(2), world.send(3)
-    world.says((2, Ros1State.ACTIVE), (3, Ros1State.SUCCEEDED))
+    world.report((2, Ros1State.ACTIVE), (3, Ros1State.SUCCEEDED))
     requests = [world.ask(n) for n in (1, 2, 3)]
     stop, states_before = world.stop(2), list(world.states)
     world.client.lost("the server is gone")
@@ -115,7 +115,7 @@ def test_goals_of_a_lost_server_are_unknown_once_and_no_state_is_published(world
     assert [reason(a) for a in requests[:2]] == [GONE, GONE]
     assert canceled(stop) == (CancelCode.REJECTED, set()), "it can no longer be confirmed"
     assert accepted(world.send(4)) is False, "none is held for an unreachable server"
-    world.passes(10.0)
+    world.advance(10.0)
     assert world.states == states_before, "neither its end, nor a list without it: it may still be executing"
     assert result(world.ask(2)) == (GoalState.UNKNOWN, EMPTY)
     world.client.found()
@@ -134,13 +134,13 @@ def test_goals_that_were_never_sent_to_a_lost_server_are_rejected(world):
 def test_a_goal_that_is_reported_again_is_followed_to_its_end(world):
     native = states.uuid_of("/act", "/rviz-1")
     world.send(1)
-    world.says((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
+    world.report((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
     world.client.lost("the server is gone")
     world.client.found()
     world.client.connected()
     assert canceled(world.stop(1)) == (CancelCode.UNKNOWN_GOAL_ID, set())
     assert world.cancels == [GoalId(ZERO, name(1))], "a stop is sent nevertheless"
-    world.says((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
+    world.report((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
     assert world.states[-1] == {uuid(1): GoalState.EXECUTING, native: GoalState.EXECUTING}
     call = world.ask(1)
     world.stop(1)
@@ -153,25 +153,25 @@ def test_a_goal_that_is_reported_again_is_followed_to_its_end(world):
 
 def test_the_first_list_of_a_server_is_published_even_if_it_is_empty(world):
     """It proves that the server has no goals, which is unknown before."""
-    world.says()
+    world.report()
     assert world.states == [{}]
-    world.says()
+    world.report()
     assert world.states == [{}]
     world.client.lost("the server is gone")
     world.client.found()
     assert world.states == [{}]
-    world.says()
+    world.report()
     assert world.states == [{}, {}]
 
 
 def test_a_goal_that_its_server_no_longer_lists_is_unknown(world):
     world.send(1), world.send(2)
     call = world.ask(1)
-    world.says((1, Ros1State.ACTIVE))
-    world.says()
+    world.report((1, Ros1State.ACTIVE))
+    world.report()
     assert result(call) == (GoalState.UNKNOWN, EMPTY)
     assert world.states[-1] == {}, "the server's list shows that it has no such goal"
-    world.passes(5.0)
+    world.advance(5.0)
     assert not world.ask(2), "it was never in the list, so it may not have arrived yet"
 
 
@@ -185,7 +185,7 @@ def test_goals_wait_for_the_connections_but_not_forever(world):
     assert world.goals == [(GoalId(ZERO, name(1)), b"body")]
     world.client.disconnected()
     waiting = world.send(3)
-    world.passes(CONNECT_SECONDS + 0.1)
+    world.advance(CONNECT_SECONDS + 0.1)
     assert accepted(waiting) is False
     world.client.connected()
     assert len(world.goals) == 1
@@ -195,7 +195,7 @@ def test_goals_wait_for_the_connections_but_not_forever(world):
 def test_closing_cancels_and_ends_the_goals_of_the_hub(world):
     world.send(1)
     request, native = world.ask(1), states.uuid_of("/act", "/rviz-1")
-    world.says((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
+    world.report((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
     world.client.close("the bridge stops")
     assert world.cancels == [GoalId(ZERO, name(1))]
     assert result(request) == (GoalState.UNKNOWN, EMPTY)
@@ -204,7 +204,7 @@ def test_closing_cancels_and_ends_the_goals_of_the_hub(world):
 
 def test_goals_of_native_clients_appear_and_can_be_followed_and_canceled(world):
     native = states.uuid_of("/act", "/rviz-1")
-    world.says(("/rviz-1", Ros1State.ACTIVE))
+    world.report(("/rviz-1", Ros1State.ACTIVE))
     assert world.states[-1] == {native: GoalState.EXECUTING}
     request, answers = [], []
     world.client.get_result(native, request.append)
@@ -213,14 +213,14 @@ def test_goals_of_native_clients_appear_and_can_be_followed_and_canceled(world):
     world.client.result(status("/rviz-1", Ros1State.PREEMPTED), b"stopped")
     assert result(request) == (GoalState.CANCELED, b"stopped")
     assert wire.read_cancel_response(answers[0])[1] == [GoalInfo(native, RosTime(5, 0))]
-    world.says(("/rviz-1", Ros1State.ACTIVE))
+    world.report(("/rviz-1", Ros1State.ACTIVE))
     assert world.states[-1] == {native: GoalState.CANCELED}, "an old list that arrives late"
-    world.says(("/rviz-1", Ros1State.ACTIVE, RosTime(9, 0)))
+    world.report(("/rviz-1", Ros1State.ACTIVE, RosTime(9, 0)))
     assert world.states[-1] == {native: GoalState.EXECUTING}, "a client that reuses the id"
 
 
 def test_a_goal_of_a_killed_worker_is_recognized_by_its_id(world):
-    world.says((1, Ros1State.ACTIVE))
+    world.report((1, Ros1State.ACTIVE))
     call = world.ask(1)
     world.ends(1, Ros1State.SUCCEEDED, b"there")
     assert result(call) == (GoalState.SUCCEEDED, b"there")

@@ -17,18 +17,18 @@ def world():
 
 def test_cancel_one_goal(world):
     world.send(1), world.send(2)
-    world.says((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
+    world.report((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
     answers = world.stop(1)
     assert world.cancels == [GoalId(ZERO, name(1))]
-    world.says((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
+    world.report((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
     assert not answers
-    world.says((1, Ros1State.PREEMPTING), (2, Ros1State.ACTIVE))
+    world.report((1, Ros1State.PREEMPTING), (2, Ros1State.ACTIVE))
     assert canceled(answers) == (CancelCode.NONE, {1})
 
 
 def test_cancel_a_goal_that_has_just_ended(world):
     world.send(1)
-    world.says((1, Ros1State.ACTIVE))
+    world.report((1, Ros1State.ACTIVE))
     answers = world.stop(1)
     world.ends(1, Ros1State.SUCCEEDED)
     assert canceled(answers) == (CancelCode.GOAL_TERMINATED, set())
@@ -39,11 +39,11 @@ def test_cancel_a_goal_that_has_just_ended(world):
 def test_cancel_all_goals(world):
     for number in range(4):
         world.send(number)
-    world.says((0, Ros1State.PENDING), (1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
+    world.report((0, Ros1State.PENDING), (1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
     world.ends(2, Ros1State.SUCCEEDED)
     answers = world.stop()
     assert world.cancels == [GoalId(ZERO, "")]
-    world.says((0, Ros1State.RECALLING), (1, Ros1State.PREEMPTED), (3, Ros1State.RECALLED))
+    world.report((0, Ros1State.RECALLING), (1, Ros1State.PREEMPTED), (3, Ros1State.RECALLED))
     assert canceled(answers) == (CancelCode.NONE, {0, 1})
     assert canceled(World().stop()) == (CancelCode.NONE, set())
 
@@ -51,19 +51,19 @@ def test_cancel_all_goals(world):
 def test_cancel_before_a_time(world):
     for number in (1, 2, 3):
         world.send(number)
-    world.says(*((n, Ros1State.ACTIVE, RosTime(n, 0)) for n in (1, 2, 3)))
+    world.report(*((n, Ros1State.ACTIVE, RosTime(n, 0)) for n in (1, 2, 3)))
     answers = world.stop(stamp=RosTime(2, 0))
     assert world.cancels == [GoalId(RosTime(2, 0), "")]
-    world.says(*((n, Ros1State.PREEMPTING if n < 3 else Ros1State.ACTIVE, RosTime(n, 0)) for n in (1, 2, 3)))
+    world.report(*((n, Ros1State.PREEMPTING if n < 3 else Ros1State.ACTIVE, RosTime(n, 0)) for n in (1, 2, 3)))
     assert canceled(answers) == (CancelCode.NONE, {1, 2})
     both = world.stop(3, RosTime(1, 0))
-    world.says((3, Ros1State.PREEMPTING))
+    world.report((3, Ros1State.PREEMPTING))
     assert canceled(both)[1] >= {3}
 
 
 def test_a_cancel_request_waits_for_the_connections_but_not_forever(world):
     world.send(1)
-    world.says((1, Ros1State.ACTIVE))
+    world.report((1, Ros1State.ACTIVE))
     world.client.disconnected()
     early = world.stop(1)
     assert (early, world.cancels) == ([], [])
@@ -71,7 +71,7 @@ def test_a_cancel_request_waits_for_the_connections_but_not_forever(world):
     assert world.cancels == [GoalId(ZERO, name(1))]
     world.client.disconnected()
     late = world.stop()
-    world.passes(CONNECT_SECONDS + 0.1)
+    world.advance(CONNECT_SECONDS + 0.1)
     assert canceled(late) == (CancelCode.REJECTED, set())
     last = world.stop()
     world.client.lost("the server is gone")
@@ -86,18 +86,18 @@ def test_a_request_for_one_goal_is_sent_once_the_server_reports_the_goal(world):
     world.send(1)
     answers = world.stop(1)
     assert world.cancels == []
-    world.says((1, Ros1State.PENDING))
+    world.report((1, Ros1State.PENDING))
     assert world.cancels == [GoalId(ZERO, name(1))]
-    world.says((1, Ros1State.RECALLED))
+    world.report((1, Ros1State.RECALLED))
     assert canceled(answers) == (CancelCode.NONE, {1})
 
 
 def test_a_request_is_sent_after_a_while_if_the_server_reports_nothing(world):
     world.send(1)
     world.stop(1)
-    world.passes(CROSSING_SECONDS / 2)
+    world.advance(CROSSING_SECONDS / 2)
     assert world.cancels == []
-    world.passes(CROSSING_SECONDS / 2)
+    world.advance(CROSSING_SECONDS / 2)
     assert world.cancels == [GoalId(ZERO, name(1))]
 
 
@@ -105,7 +105,7 @@ def test_a_request_is_not_sent_for_a_goal_that_has_ended(world):
     world.send(1)
     answers = world.stop(1)
     world.ends(1, Ros1State.SUCCEEDED)
-    world.passes(0.1)
+    world.advance(0.1)
     assert world.cancels == []
     assert canceled(answers) == (CancelCode.GOAL_TERMINATED, set())
 
@@ -114,15 +114,15 @@ def test_cancel_all_is_sent_at_once_and_repeated_for_a_goal_that_it_overtook(wor
     world.send(1)
     answers = world.stop()
     assert world.cancels == [GoalId(ZERO, "")]
-    world.says((1, Ros1State.ACTIVE))
+    world.report((1, Ros1State.ACTIVE))
     assert world.cancels == [GoalId(ZERO, ""), GoalId(ZERO, name(1))]
-    world.says((1, Ros1State.PREEMPTING))
+    world.report((1, Ros1State.PREEMPTING))
     assert canceled(answers) == (CancelCode.NONE, {1})
 
 
 def test_a_stop_needs_only_the_cancel_topic(world):
     world.send(1)
-    world.says((1, Ros1State.ACTIVE))
+    world.report((1, Ros1State.ACTIVE))
     world.client.disconnected()
     world.client.reach(reachable=True)
     world.stop(1)

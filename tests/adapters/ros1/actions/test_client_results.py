@@ -26,14 +26,14 @@ def test_the_servers_status_text_is_returned_with_the_result(world, state, why, 
         world.ends(1, state, text="no way")
     else:
         world.client.statuses([status(1, state, text="no way")])
-        world.passes(RESULT_SECONDS + 0.1)
+        world.advance(RESULT_SECONDS + 0.1)
     assert [reason(before), reason(world.ask(1))] == [why, why]
 
 
 def test_lost_goals_have_a_reason(world):
     removed, forgotten = world.send(1), world.send(2)
-    world.says((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
-    world.says((1, Ros1State.ACTIVE))
+    world.report((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
+    world.report((1, Ros1State.ACTIVE))
     world.client.lost("its action server /move_base left")
     assert accepted(removed)
     assert accepted(forgotten)
@@ -62,9 +62,9 @@ def test_feedback_accepts_the_goal_and_is_forwarded(world):
 def test_a_result_is_returned_to_all_earlier_and_later_callers(world):
     world.send(1)
     before = [world.ask(1), world.ask(1)]
-    world.says((1, Ros1State.ACTIVE))
+    world.report((1, Ros1State.ACTIVE))
     world.ends(1, Ros1State.PREEMPTED, b"half way")
-    world.passes(3000.0)
+    world.advance(3000.0)
     for answers in [*before, world.ask(1)]:
         assert result(answers) == (GoalState.CANCELED, b"half way")
 
@@ -72,15 +72,15 @@ def test_a_result_is_returned_to_all_earlier_and_later_callers(world):
 def test_results_are_stored_for_an_hour_and_within_limits(world, monkeypatch):
     world.send(1)
     world.ends(1, Ros1State.SUCCEEDED)
-    world.passes(goal_module.KEEP_SECONDS - 1.0)
+    world.advance(goal_module.KEEP_SECONDS - 1.0)
     assert result(world.ask(1))[0] is GoalState.SUCCEEDED
-    world.passes(2.0)
+    world.advance(2.0)
     assert result(world.ask(1))[0] is GoalState.UNKNOWN
     monkeypatch.setattr(goal_module, "MAX_ENDED", 5)
     for number in range(10, 20):
         world.send(number)
         world.ends(number, Ros1State.SUCCEEDED)
-    world.passes(0.1)
+    world.advance(0.1)
     assert world.client.kept == 5
     assert result(world.ask(19))[0] is GoalState.SUCCEEDED
     monkeypatch.setattr(goal_module, "MAX_ENDED_BYTES", 1000)
@@ -88,17 +88,17 @@ def test_results_are_stored_for_an_hour_and_within_limits(world, monkeypatch):
     world.ends(30, Ros1State.SUCCEEDED, bytes(999))
     world.send(31)
     world.ends(31, Ros1State.SUCCEEDED, bytes(900))
-    world.passes(0.1)
+    world.advance(0.1)
     assert world.client.kept == 1
 
 
 def test_a_lost_result_is_empty_and_has_the_state_of_the_list(world):
     world.send(1)
     call = world.ask(1)
-    world.says((1, Ros1State.SUCCEEDED))
-    world.passes(RESULT_SECONDS - 0.1)
+    world.report((1, Ros1State.SUCCEEDED))
+    world.advance(RESULT_SECONDS - 0.1)
     assert not call
-    world.passes(0.2)
+    world.advance(0.2)
     assert result(call) == (GoalState.SUCCEEDED, EMPTY)
     world.ends(1, Ros1State.SUCCEEDED, b"late")
     assert result(world.ask(1)) == (GoalState.SUCCEEDED, EMPTY), "the empty one was already delivered"
@@ -106,8 +106,8 @@ def test_a_lost_result_is_empty_and_has_the_state_of_the_list(world):
 
 def test_a_late_result_counts_if_it_was_not_requested_before(world):
     world.send(1)
-    world.says((1, Ros1State.SUCCEEDED))
-    world.passes(RESULT_SECONDS + 0.1)
+    world.report((1, Ros1State.SUCCEEDED))
+    world.advance(RESULT_SECONDS + 0.1)
     world.ends(1, Ros1State.SUCCEEDED, b"late")
     assert result(world.ask(1)) == (GoalState.SUCCEEDED, b"late")
     world.ends(1, Ros1State.ABORTED, b"again")

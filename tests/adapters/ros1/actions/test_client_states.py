@@ -32,16 +32,16 @@ def test_a_goal_never_steps_back(world):
         (Ros1State.PREEMPTING, GoalState.CANCELING),
         (Ros1State.ACTIVE, GoalState.CANCELING),
     ):
-        world.says((1, state))
+        world.report((1, state))
         assert world.states[-1] == {uuid(1): seen}
 
 
 def test_ended_goals_leave_the_status_topic(world):
     world.send(1), world.send(2)
-    world.says((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
+    world.report((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
     world.ends(1, Ros1State.SUCCEEDED)
     assert world.states[-1][uuid(1)] is GoalState.SUCCEEDED
-    world.passes(SHOWN_SECONDS + 1)
+    world.advance(SHOWN_SECONDS + 1)
     world.ends(2, Ros1State.SUCCEEDED)
     assert uuid(1) not in world.states[-1]
 
@@ -49,26 +49,26 @@ def test_ended_goals_leave_the_status_topic(world):
 def test_an_unchanged_list_is_published_while_the_server_publishes_it(world):
     """It shows clients that the server is alive; move_base publishes its list five times per second."""
     world.send(0)
-    world.says((0, Ros1State.ACTIVE))
+    world.report((0, Ros1State.ACTIVE))
     reported = len(world.states)
     for _ in range(25):
-        world.passes(0.2)
-        world.says((0, Ros1State.ACTIVE))
+        world.advance(0.2)
+        world.report((0, Ros1State.ACTIVE))
     assert len(world.states) == reported + 5
-    world.passes(10.0)  # it hangs: nothing is published
+    world.advance(10.0)  # it hangs: nothing is published
     assert len(world.states) == reported + 5
     world.ends(0, Ros1State.SUCCEEDED)
     reported = len(world.states)
-    world.passes(5.0)
-    world.says((0, Ros1State.SUCCEEDED))
+    world.advance(5.0)
+    world.report((0, Ros1State.SUCCEEDED))
     assert len(world.states) == reported
 
 
 def test_many_goals_do_not_flood_the_status_topic(world):
     for number in range(500):
         world.send(number)
-        world.says(*((n, Ros1State.ACTIVE) for n in range(number + 1)))
-    world.passes(0.1)
+        world.report(*((n, Ros1State.ACTIVE) for n in range(number + 1)))
+    world.advance(0.1)
     assert len(world.states) < 100
     assert len(world.states[-1]) == 500
 
@@ -112,8 +112,8 @@ def test_every_goal_ends_in_the_state_that_its_server_reported(seed: int, count:
             ) if p[0]
         ])  # fmt: skip
         take(queue.pop(0))
-        world.passes(rng.random() * 0.02)
-    world.passes(RESULT_SECONDS + 1)
+        world.advance(rng.random() * 0.02)
+    world.advance(RESULT_SECONDS + 1)
     for n in range(count):
         refused = accepted(answers[n]) is False
         reported, body = result(call[n])

@@ -142,7 +142,7 @@ def test_goals_end_when_their_hub_server_leaves(master, edge, clients):
     act.send(1)
     act.hub.accept(0)
     ((goal, _),) = act.goals(1)
-    act.hub.asked(goal)
+    act.hub.result_call(goal)
     act.hub.states({goal: GoalState.EXECUTING})
     act.until_state(1, "ACTIVE")
     abandoned = act.hub.services["get_result"]

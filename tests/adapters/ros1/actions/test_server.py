@@ -72,19 +72,19 @@ class World:
     def running(self, id_="g", stamp=ASKED):
         uuid = self.goal(id_, stamp)
         self.answer(uuid)
-        self.says({uuid: GoalState.EXECUTING})
+        self.report({uuid: GoalState.EXECUTING})
         return uuid
 
     def ends(self, uuid, state, body=b"result", text=""):
         self.asked[uuid](wire.result_response(state, body, text))
 
-    def says(self, states, stamp=TAKEN):
+    def report(self, states, stamp=TAKEN):
         self.server.states([(GoalInfo(u, stamp), s) for u, s in states.items()])
 
     def state(self, id_="g"):
         return Ros1State(self.lists[-1][id_].state)
 
-    def passes(self, seconds):
+    def advance(self, seconds):
         self.now += seconds
         self.server.tick()
 
@@ -104,7 +104,7 @@ def test_a_goal_runs_and_ends(world):
     assert world.state() is Ros1State.PENDING
     world.answer(uuid)
     assert world.state() is Ros1State.PENDING
-    world.says({uuid: GoalState.EXECUTING})
+    world.report({uuid: GoalState.EXECUTING})
     assert world.state() is Ros1State.ACTIVE
     world.server.feedback(uuid, b"half")
     ((status, body),) = world.feedbacks
@@ -202,7 +202,7 @@ def test_a_goal_with_the_id_of_a_canceling_goal_is_ignored(world):
 def test_an_id_that_is_reused_later_is_a_new_goal(world):
     first = world.running()
     world.ends(first, GoalState.SUCCEEDED)
-    world.passes(LIST_SECONDS + 0.1)
+    world.advance(LIST_SECONDS + 0.1)
     assert world.goal() not in (None, first)
 
 
@@ -245,7 +245,7 @@ def test_a_cancel_request_may_arrive_before_its_goal(world):
     assert world.goal("later") is None
     assert world.results == [("later", Ros1State.RECALLED, EMPTY, "")]
     world.server.cancel(GoalId(ZERO, "never"))
-    world.passes(LIST_SECONDS + 0.1)
+    world.advance(LIST_SECONDS + 0.1)
     assert world.lists[-1] == {}
     assert world.goal("never") is not None
 
@@ -262,25 +262,25 @@ def test_a_goal_that_cannot_be_canceled_continues(world, caplog):
 def test_a_nonempty_list_is_published_at_five_hertz(world):
     before = len(world.lists)
     for _ in range(20):
-        world.passes(0.1)
+        world.advance(0.1)
     assert len(world.lists) == before
     uuid = world.running()
     before = len(world.lists)
     for _ in range(50):
-        world.passes(0.1)
+        world.advance(0.1)
     assert 20 <= len(world.lists) - before <= 30
     world.ends(uuid, GoalState.SUCCEEDED)
-    world.passes(LIST_SECONDS - 0.5)
+    world.advance(LIST_SECONDS - 0.5)
     assert world.state() is Ros1State.SUCCEEDED
-    world.passes(1.0)
+    world.advance(1.0)
     assert world.lists[-1] == {}
 
 
 def test_results_are_sent_to_subscribers_that_connect_soon_after(world, monkeypatch):
     world.ends(world.running(), GoalState.SUCCEEDED)
-    world.passes(RESULT_SECONDS - 1)
+    world.advance(RESULT_SECONDS - 1)
     assert world.forgotten == []
-    world.passes(2.0)
+    world.advance(2.0)
     assert world.forgotten == ["g"]
     monkeypatch.setattr(server, "MAX_RESULT_BYTES", 1000)
     world.ends(world.running("big"), GoalState.SUCCEEDED, bytes(700))
@@ -302,7 +302,7 @@ def test_all_goals_end_once_when_the_server_leaves(world):
     a, b = world.running("a"), world.goal("b")
     world.ends(a, GoalState.SUCCEEDED)
     c = world.running("c")
-    world.says({c: GoalState.EXECUTING, bytes(range(16)): GoalState.EXECUTING})
+    world.report({c: GoalState.EXECUTING, bytes(range(16)): GoalState.EXECUTING})
     world.server.close("the action server left")
     assert [(i, s) for i, s, _, _ in world.results] == [
         ("a", Ros1State.SUCCEEDED), ("b", Ros1State.ABORTED), ("c", Ros1State.ABORTED)
@@ -316,30 +316,30 @@ def test_all_goals_end_once_when_the_server_leaves(world):
 
 def test_goals_of_the_hub_appear_and_can_be_canceled(world):
     other = bytes(range(16))
-    world.says({other: GoalState.EXECUTING}, RosTime(70, 0))
+    world.report({other: GoalState.EXECUTING}, RosTime(70, 0))
     id_ = states.text_of(other)
     assert world.lists[-1][id_].goal.stamp == RosTime(70, 0)
     assert world.state(id_) is Ros1State.ACTIVE
     world.server.cancel(GoalId(ZERO, id_))
     assert [c for c, _ in world.cancels] == [GoalInfo(other, ZERO)]
-    world.says({other: GoalState.CANCELING})
+    world.report({other: GoalState.CANCELING})
     assert world.state(id_) is Ros1State.PREEMPTING
-    world.says({other: GoalState.CANCELED})
+    world.report({other: GoalState.CANCELED})
     assert world.state(id_) is Ros1State.PREEMPTED
     assert world.results == []
-    world.passes(LIST_SECONDS + 0.1)
-    world.says({other: GoalState.CANCELED})
+    world.advance(LIST_SECONDS + 0.1)
+    world.report({other: GoalState.CANCELED})
     assert world.lists[-1] == {}
-    world.says({other: GoalState.EXECUTING})
-    world.says({})
+    world.report({other: GoalState.EXECUTING})
+    world.report({})
     assert world.state(id_) is Ros1State.ABORTED
 
 
 def test_another_client_cancels_a_goal(world):
     uuid = world.running()
-    world.says({uuid: GoalState.CANCELING})
+    world.report({uuid: GoalState.CANCELING})
     assert world.state() is Ros1State.PREEMPTING
-    world.says({uuid: GoalState.CANCELED})
+    world.report({uuid: GoalState.CANCELED})
     assert world.results == []
     world.ends(uuid, GoalState.CANCELED, b"stopped")
     assert world.results == [("g", Ros1State.PREEMPTED, b"stopped", "")]
@@ -348,7 +348,7 @@ def test_another_client_cancels_a_goal(world):
 def test_many_goals_do_not_flood_the_status_topic(world):
     for number in range(500):
         world.goal(str(number))
-    world.passes(0.1)
+    world.advance(0.1)
     assert len(world.lists) < 100
     assert len(world.lists[-1]) == 500
 
@@ -389,8 +389,8 @@ def test_every_goal_ends_once_in_the_state_that_its_server_reported(seed: int, c
             case _:
                 world.server.cancel(GoalId(ZERO, rng.choice([*(uuids.keys() - wanted), "other"])))
         if rng.random() < 0.5:
-            world.says({u: s for u, s in hub.items() if s is not None})
-        world.passes(rng.random() * 0.3)
+            world.report({u: s for u, s in hub.items() if s is not None})
+        world.advance(rng.random() * 0.3)
     assert sorted(r[0] for r in world.results) == sorted(uuids)
     assert all(state in wanted[name] for name, state, _, _ in world.results)
     for id_ in uuids:

@@ -24,12 +24,12 @@ class Side:
     """A graph, and its existing connections."""
 
     def __init__(self) -> None:
-        self.graph = StandingGraph(lambda: Connections(*map(frozenset, (self.publishers, self.heard, self.servers))))
-        self.publishers, self.heard, self.servers = {STATUS, SCAN}, {("/move_base", "/move_base/goal")}, {CLEAR}
+        self.graph = StandingGraph(lambda: Connections(*map(frozenset, (self.publishers, self.received, self.servers))))
+        self.publishers, self.received, self.servers = {STATUS, SCAN}, {("/move_base", "/move_base/goal")}, {CLEAR}
         self.graph.update(FULL)
 
     def cut(self) -> None:
-        self.publishers, self.heard, self.servers = set(), set(), set()
+        self.publishers, self.received, self.servers = set(), set(), set()
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_without_a_master_the_last_state_stays_while_any_connection_proves_it(si
     assert side.graph.unlisted
     side.publishers, side.servers = set(), set()
     assert side.graph.update(None) is FULL, "the server is connected to the edge's goal topic"
-    side.heard = {("/other", "/move_base/goal")}
+    side.received = {("/other", "/move_base/goal")}
     assert side.graph.update(None) is None
     assert not side.graph.unlisted
     assert side.graph.update(None) is None

@@ -74,9 +74,9 @@ class Bench:
     def __init__(self) -> None:
         self.loop, self.pool, self.doubts = ConnectionLoop("test-calls"), PeerPool(), []
         context: Any = SimpleNamespace(loop=self.loop, pool=self.pool, node=lambda: "/me", limit=LIMIT)
-        self.caller = Ros1Caller(context, "/serve", TYPE, self.doubted, lambda _caller: None)
+        self.caller = Ros1Caller(context, "/serve", TYPE, self.on_doubt, lambda _caller: None)
 
-    def doubted(self, link: Registration, trouble: str) -> None:
+    def on_doubt(self, link: Registration, trouble: str) -> None:
         self.doubts.append((link, trouble))
 
     def toward(self, address: tuple[str, int]) -> None:
@@ -180,7 +180,7 @@ def test_no_server(bench):
     assert bench.call().error() == "/serve has no server on ROS 1 now"
     bench.toward(("127.0.0.1", free_port()))
     assert "cannot be called" in bench.call().error()
-    assert "refused" in until(lambda: bench.doubts, "it is doubted")[0][1]
+    assert "refused" in until(lambda: bench.doubts, "its registration is checked")[0][1]
 
 
 def test_a_server_that_rejects_the_connection(bench):
@@ -225,7 +225,7 @@ def test_the_crash_of_a_server_is_noticed_without_a_call(bench):
         bench.toward(address)
         bench.warm()
         assert not bench.doubts
-    link, trouble = until(lambda: bench.poll() or bench.doubts, "it is doubted")[0]
+    link, trouble = until(lambda: bench.poll() or bench.doubts, "its registration is checked")[0]
     assert (link.node, link.uri) == ("/server", f"rosrpc://{address[0]}:{address[1]}")
     assert "refused" in trouble
 

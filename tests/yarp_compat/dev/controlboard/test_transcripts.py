@@ -43,7 +43,7 @@ def exchanges(profile: Profile) -> Iterator[tuple[bytes, bytes]]:
 def streamed(profile: Profile) -> Iterator[bytes]:
     """Yield messages without a reply; the last one of a connection may be incomplete."""
     for talk in read(FILES[profile]):
-        data = talk.said("C")
+        data = talk.sent_by("C")
         data = data[12 + int.from_bytes(data[8:12], "little") :]
         while len(data) > HEAD_SIZE and len(data) >= (size := index_size(data)):
             size += body_size(data, 0, DEFAULT_LIMIT)
