@@ -9,7 +9,7 @@ import pytest
 
 from bridge import state_file
 from bridge.bags.bag import BagError
-from bridge.bags.writers import written_whole
+from bridge.bags.writers import complete_file
 from bridge.config.model import Config
 from bridge.hub.security.certificates import Authority, CertificateError
 from bridge.hub.security.external_router import key_files
@@ -41,7 +41,7 @@ def test_a_daemon_of_any_name_has_state_files_and_keys(name: str, tmp_path: Path
 
 @pytest.mark.parametrize("name", ["CON.mcap", "a:b.mcap", "aux", "run.mcap."])
 def test_a_bag(name: str, tmp_path: Path) -> None:
-    with pytest.raises(BagError, match="not a file name on Windows"), written_whole(tmp_path / name, "mcap"):
+    with pytest.raises(BagError, match="not a file name on Windows"), complete_file(tmp_path / name, "mcap"):
         pytest.fail("it is not written")
     assert list(tmp_path.iterdir()) == []
 

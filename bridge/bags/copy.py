@@ -14,7 +14,7 @@ from bridge.bags.conversion import FileTopics, TopicForm, to_hub, to_ros1
 from bridge.bags.known_types import misfits
 from bridge.bags.mcap_copy import McapCopy, Ros2Mcap
 from bridge.bags.mcap_reader import McapBag
-from bridge.bags.writers import COMPRESSIONS, BagWriter, check_compression, open_writer, written_whole
+from bridge.bags.writers import COMPRESSIONS, BagWriter, check_compression, complete_file, open_writer
 from bridge.messages.definitions.schema import World
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
@@ -130,7 +130,7 @@ def convert(
                 reason = form.undefined
                 done.undefined.setdefault(topic.name, Undefined(topic.type_name, reason.what, reason.cure))
     check_compression(target, kind, compression or COMPRESSIONS[kind][0])
-    with written_whole(target, kind) as making:
+    with complete_file(target, kind) as making:
         usual = compression or COMPRESSIONS[kind][0]
         columns = _columns(bag, list(forms), choice)
         _copy(bag, _writer(making, kind, usual), forms, columns, done, skip_bad=skip_bad, on_progress=on_progress)
@@ -158,7 +158,7 @@ def cut(
     usual = bag.compression if bag.compression in COMPRESSIONS[bag.kind] else COMPRESSIONS[bag.kind][0]
     columns = _columns(bag, list(forms), choice)
     check_compression(target, bag.kind, compression or usual)
-    with written_whole(target, bag.kind) as making:
+    with complete_file(target, bag.kind) as making:
         if isinstance(bag, McapBag):
             copier = McapCopy(making, compression or usual, bag)
             if not (mend or choice.names or choice.latched):

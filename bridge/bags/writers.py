@@ -49,7 +49,7 @@ class BagWriter(ABC):
 
     @abstractmethod
     def finish(self) -> None:
-        """Write what closes the bag."""
+        """Complete the file, for example with its index."""
 
     def abandon(self) -> None:  # noqa: B027 - most hold nothing
         """Release the file, which will be removed."""
@@ -202,16 +202,16 @@ def open_writer(path: Path, kind: Kind, compression: str) -> BagWriter:
 
 
 @contextmanager
-def written_whole(target: Path, kind: Kind) -> Iterator[Path]:
-    """Yield the path to write a bag to, which is moved to ``target`` at the end; raises `BagError`."""
+def complete_file(target: Path, kind: Kind) -> Iterator[Path]:
+    """Yield a temporary path to write a bag to, and move it to ``target`` once it is complete; raises `BagError`."""
     if reason := forbidden(target.name):
         raise BagError(target, reason)
     if target.exists():
         raise BagError(target, "exists already", None, "remove it, or choose another name")
-    making = target.parent / f".{target.name}.{secrets.token_hex(4)}"
+    temporary = target.parent / f".{target.name}.{secrets.token_hex(4)}"
     try:
-        making.mkdir(0o700)  # inside `try`, since a signal may come as soon as it exists
-        path = making / target.name
+        temporary.mkdir(0o700)  # inside `try`, since a signal may come as soon as it exists
+        path = temporary / target.name
         yield path
         if kind == "db3" and target.suffix:  # only the file, without its folder
             path = path / f"{path.name}.db3"
@@ -224,6 +224,6 @@ def written_whole(target: Path, kind: Kind) -> Iterator[Path]:
         raise BagError(target, f"cannot be written: {type(err).__name__}: {err}") from err
     finally:
         try:
-            shutil.rmtree(making, ignore_errors=True)
+            shutil.rmtree(temporary, ignore_errors=True)
         finally:  # a signal during the removal may have raised SystemExit
-            shutil.rmtree(making, ignore_errors=True)
+            shutil.rmtree(temporary, ignore_errors=True)

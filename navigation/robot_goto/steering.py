@@ -157,7 +157,7 @@ def aim(grid: LocalGrid, now: float, here: Pose, to: Pose, radius: float, before
 def _is_free(
     grid: LocalGrid, distances: NDArray[np.float32], corners: Sequence[tuple[float, float]], least: float
 ) -> bool:
-    """Whether a line over corners within the window keeps at least some meters from obstacles."""
+    """Return whether lines between corners in the window stay at least ``least`` meters from obstacles."""
     for begin, end in pairwise(corners):
         shares = np.linspace(0.0, 1.0, 2 + math.ceil(math.dist(begin, end) / RESOLUTION))[:, None]
         places = np.array(begin) + (np.array(end) - begin) * shares - grid.origin
@@ -208,7 +208,7 @@ def drive(
 
 
 def side_slowdown(settings: RobotGotoSection, aside: float) -> float:
-    """Return the share of its speed that the robot drops next to obstacles; upstream defines it without using it."""
+    """Return the share of its speed that the robot drops next to obstacles; upstream defines it but does not use it."""
     weight = max(0.0, 1.0 - aside / INFLUENCE) / 2.0
     return min(2.2 * weight, settings.speed_reduction_factor)
 

@@ -32,7 +32,7 @@ class _Call(NamedTuple):
     method: str
     params: tuple[Any, ...]
     subscriber: Link | None
-    """Of a parameter, which is dropped if it rejects the update."""
+    """The subscriber of a parameter, which is dropped if it rejects the update; None for other calls."""
 
     subscribed_key: str
 

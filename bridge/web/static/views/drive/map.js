@@ -319,7 +319,7 @@ export class MapBlock {
   /** The area that contains a place, or the path below it: {kind, name}; null without one. */
   shapeAt(x, y) {
     const { areas, paths } = this.named(this.values);
-    const [path] = paths.find(([, { points }]) => scene.farFrom(points, x, y) * this.view.scale < NEAR / 2) ?? [];
+    const [path] = paths.find(([, { points }]) => scene.distanceFrom(points, x, y) * this.view.scale < NEAR / 2) ?? [];
     if (path !== undefined) return { kind: "path", name: path };
     const [area] = areas.findLast(([, { points }]) => scene.inside(points, x, y)) ?? [];
     return area === undefined ? null : { kind: "area", name: area };

@@ -1,4 +1,4 @@
-// Draws the objects on the map. `to(x, y)` gives the pixel of a place, `scale` the pixels a meter.
+// Draws the objects on the map. `view.to(x, y)` is the pixel of a place, `view.scale` the pixels per meter.
 
 /** The colors of the page's theme, by the names of style.css. */
 export function colors() {
@@ -58,7 +58,7 @@ export function drawScale(context, view, color, above) {
   label(context, text, x + wide / 2, y - 8, color);
 }
 
-/** A text in the middle of x that stays readable on any map. */
+/** A text centered at x, with a halo to be readable on any map. */
 function label(context, text, x, y, color, bold = false) {
   context.font = `${bold ? "600 " : ""}13px system-ui, sans-serif`;
   context.textAlign = "center";
@@ -73,7 +73,7 @@ function label(context, text, x, y, color, bold = false) {
 
 const PASSED = 0.35; // opacity of the path behind the robot
 
-/** Pairs of x, y in one flat list, joined by a line; the part behind the robot (`pose`, if known) is pale. */
+/** A path through points ([x, y, x, y, ...]); the part behind the robot (`pose`, if known) is pale. */
 export function drawPath(context, view, points, pose, color) {
   if (points.length < 4) return;
   const [at, x, y] = pose ? nearest(points, pose) : [0, points[0], points[1]];
@@ -302,7 +302,7 @@ function onLine(ax, ay, bx, by, x, y) {
 }
 
 /** The distance of a place from a line of points. */
-export function farFrom(points, x, y) {
+export function distanceFrom(points, x, y) {
   let least = Infinity;
   points.forEach(([bx, by], i) => {
     const [ax, ay] = points[Math.max(i - 1, 0)];
