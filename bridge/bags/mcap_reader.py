@@ -148,7 +148,7 @@ class McapBag(SpanBag):
             opcode, length = _HEAD.unpack(self._read(at, _HEAD.size))
             body, after = at + _HEAD.size, at + _HEAD.size + length
             if opcode == 0 or after > self.size:
-                return self._end(at, "the file ends within a record, or a length is wrong")
+                return self._end(at)
             if opcode == Opcode.FOOTER:
                 return None if self._magic_at(after) else self._end(after, "the file ends without its last bytes")
             try:
@@ -173,11 +173,6 @@ class McapBag(SpanBag):
 
     def _magic_at(self, offset: int) -> bool:
         return self.size >= offset + len(MAGIC) and self._read(offset, len(MAGIC)) == MAGIC
-
-    def _end(self, offset: int, what: str) -> None:
-        self.unfinished = True
-        cure = "the records before it can be read; 'midspan bag mend' writes them into a whole file"
-        self.trouble = BagError(self.path, what, offset, cure)
 
     def _walk_chunk(self, at: int, body: int, length: int) -> None:
         if length < _CHUNK.size:

@@ -125,11 +125,6 @@ class Ros1Bag(SpanBag):
         else:
             self._spans.append(FileSpan(at, length, 0, 0, chunk=False))
 
-    def _end(self, offset: int, what: str = "the file ends within a record, or a length is wrong") -> None:
-        self.unfinished = True
-        cure = "the records before it can be read; 'midspan bag mend' writes them into a whole file"
-        self.trouble = BagError(self.path, what, offset, cure)
-
     def _store_record(self, fields: Fields, data: bytes) -> None:
         number = _U32.unpack(fields[b"conn"])[0]
         if number in self._connections:

@@ -52,6 +52,11 @@ class SpanBag(Bag):
         self._spans: list[FileSpan] = []
         self.topic_of: dict[int, BagTopic] = {}
 
+    def _end(self, offset: int, what: str = "the file ends within a record, or a length is wrong") -> None:
+        self.unfinished = True
+        cure = "the records before it can be read; 'midspan bag mend' writes them into a whole file"
+        self.trouble = BagError(self.path, what, offset, cure)
+
     @abstractmethod
     def _load(self, span: FileSpan) -> Rows:
         """Return the messages of a span as stored; raises anything for bad bytes."""

@@ -11,6 +11,8 @@ import threading
 import time
 from collections.abc import Callable
 
+from bridge.clock import steady_ns
+
 _BEAT = 0.1
 _REST_BEAT = 0.25
 """Seconds between beats while no commands arrive, since each wake-up costs an idle process 50 to 100 us. Shorter than
@@ -21,13 +23,8 @@ _LATE = 0.5
 _STOOD_STILL = 1.0
 
 
-def _now_ns() -> int:
-    """Return a clock that is never set, and that also runs while the machine is suspended if the system has one."""
-    return time.clock_gettime_ns(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic_ns()
-
-
 def _now() -> float:
-    return _now_ns() / 1e9
+    return steady_ns() / 1e9
 
 
 class StallDetector:
@@ -111,7 +108,7 @@ class AgeGate:
 
     def age(self, source_time_ns: int) -> float:
         """Return a message's extra delay in seconds; infinite after a newer message, or while the offset is unknown."""
-        arrival = _now_ns()
+        arrival = steady_ns()
         difference, now = arrival - source_time_ns, arrival / 1e9
         newest, self._newest = self._newest, source_time_ns
         if self._least is None and time.time_ns() - source_time_ns > STEP_NS:

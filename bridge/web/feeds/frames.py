@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from typing_extensions import override
 
 from bridge.config.model import Config
@@ -11,6 +13,7 @@ from bridge.tf.errors import TransformError
 from bridge.tf.transform import angles_of
 from bridge.web.feeds.feed import Feed
 from navigation.frames import FramesError, RobotFrames
+from navigation.pose import Pose
 
 PREFIX = "pose:"
 FRAMES_SECONDS, POSE_SECONDS = 1.0, 0.2
@@ -31,6 +34,13 @@ class FrameFollower:
         if self._frames is None:
             raise FramesError("the transforms are not subscribed")
         return self._frames
+
+    def grid_frame(self, topic: str, grid: dict[str, Any], most: int) -> Pose:
+        """Return the pose of a grid's frame on the map; raises `FramesError`, also for more than ``most`` cells."""
+        width, height = int(grid["info"]["width"]), int(grid["info"]["height"])
+        if width * height > most:
+            raise FramesError(f"{topic} has {width} x {height} cells; up to {most} are shown")
+        return self.frames.on_map(str(grid["header"]["frame_id"]).lstrip("/"))
 
     def begin(self) -> None:
         """Add a user; the first user causes the subscription."""

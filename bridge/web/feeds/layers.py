@@ -72,12 +72,8 @@ class LayerFeed(TopicsFeed):
         grid = self._grid
         if grid is None:
             return
-        info = grid["info"]
-        if int(info["width"]) * int(info["height"]) > MOST_CELLS:
-            self.put(None, f"{self._topic} has {info['width']} x {info['height']} cells; up to {MOST_CELLS} are shown")
-            return
         try:
-            frame = self._follower.frames.on_map(str(grid["header"]["frame_id"]).lstrip("/"))
+            frame = self._follower.grid_frame(self._topic, grid, MOST_CELLS)
         except FramesError as err:
             self.put(None, str(err))
             return

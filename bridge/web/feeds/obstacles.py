@@ -74,16 +74,12 @@ class ObstaclesFeed(TopicsFeed):
         grid, self._newest = self._newest, None
         if grid is None or not self._driving.drives:
             return
-        info = grid["info"]
-        if int(info["width"]) * int(info["height"]) > MOST_CELLS:
-            self.put(None, f"{self._topic} has {info['width']} x {info['height']} cells; up to {MOST_CELLS} are shown")
-            return
         try:
-            frame = self._follower.frames.on_map(str(grid["header"]["frame_id"]).lstrip("/"))
+            frame = self._follower.grid_frame(self._topic, grid, MOST_CELLS)
         except FramesError as err:
             self.put(None, str(err))
             return
-        self.put({"points": cells_on_map(grid, frame), "size": round(float(info["resolution"]), 4)})
+        self.put({"points": cells_on_map(grid, frame), "size": round(float(grid["info"]["resolution"]), 4)})
 
 
 def cells_on_map(grid: dict[str, Any], frame: Pose) -> list[float]:
