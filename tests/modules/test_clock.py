@@ -56,6 +56,11 @@ def test_timers_and_stamps_follow_the_simulation(place: Place) -> None:  # noqa:
     assert Ticking.seen == ["11", "12", "13"]
     until(lambda: place.far.wait(done, 1)[-1]["stamp"]["sec"] == 13, "the module is done with the time")
     assert place.far.wait(done, 1)[-1]["frame_id"] == "ticking"
+    # a slow job delays the next acknowledgment, so that steps of the simulation wait for it
+    jobs: list[threading.Thread] = []
+    host = Ticking.host
+    host.loop.call(lambda: host.background.submit(lambda: threading.current_thread, jobs.append))
+    assert jobs == [host.loop.call(threading.current_thread)]
     publish_clock(2.0)
     until(lambda: "back" in Ticking.seen, "the jump is reported")
     publish_clock(3.0)
