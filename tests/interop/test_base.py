@@ -30,16 +30,10 @@ SCALE = 0.03
 
 
 class RosLike:
-    """A program whose topics carry ROS messages.
+    """A program whose topics carry ROS messages."""
 
-    With ``hub``, another program there, it continues when its command has arrived on the hub: the simulation does not
-    wait for commands, which on a busy machine could arrive some ticks too late.
-    """
-
-    def __init__(self, peer: Any, hub: HubSide | None = None) -> None:
-        self._peer, self._hub = peer, hub
-        self._commands = hub.subscribe("/cmd_vel", TWIST) if hub is not None else 0
-        self._crossed = 0
+    def __init__(self, peer: Any) -> None:
+        self._peer = peer
         self._out = peer.advertise("/cmd_vel", TWIST)
         self._in = peer.subscribe("/odom", ODOMETRY)
         self._heard = 0
@@ -49,8 +43,6 @@ class RosLike:
         # unused axes have distinct values, so that swapped axes would be noticed
         linear, angular = {"x": x, "y": 0.5, "z": 0.25}, {"x": 0.125, "y": 0.75, "z": turn}
         self._peer.publish(self._out, {"linear": linear, "angular": angular})
-        if self._hub is not None:
-            self._crossed = len(self._hub.wait(self._commands, self._crossed + 1, 0.5))
 
     def pose(self, after_ns: int) -> Pose:
         while self._last[0] < after_ns:
@@ -130,6 +122,11 @@ class Robot:
         self.now = reply["stamp"]["sec"] * 1_000_000_000 + reply["stamp"]["nanosec"]
         return self.now
 
+    def commands(self) -> int:
+        """Return how many commands BaseControl has accepted."""
+        (reply,) = self.far.hub.ask("status", {}, worker="base_control", timeout=20.0)
+        return sum(source["commands"] for source in reply.value["inputs"].values())
+
     def truth(self) -> Pose:
         """Return the robot's true pose now."""
         result: tuple[int, Pose] = (-1, Pose(0.0, 0.0, 0.0))
@@ -141,6 +138,32 @@ class Robot:
 
         until(current, "the true pose is published", 20)
         return result[1]
+
+
+class Paced:
+    """A program that continues when BaseControl has received its command.
+
+    The simulation does not wait for commands, which could arrive some ticks late on a busy machine.
+    """
+
+    def __init__(self, robot: Robot, program: Program) -> None:
+        self._robot, self._program = robot, program
+        self._received = robot.commands()
+        self.pose = program.pose
+
+    def command(self, x: float, turn: float) -> None:
+        """Command until it is received: after a stall of a process on the way, late commands are dropped."""
+        accepted, again = self._received, -math.inf
+
+        def received() -> bool:
+            nonlocal again
+            if time.monotonic() > again:
+                again = time.monotonic() + 2.0
+                self._program.command(x, turn)
+            self._received = self._robot.commands()
+            return self._received != accepted
+
+        until(received, "BaseControl receives the command", 40, 0.005)
 
 
 class _Stopped:
@@ -166,16 +189,16 @@ def test_squares_through_every_side(deployment: Deployment) -> None:
     robot = Robot(deployment)
     yarp = deployment.keep(YarpProgram(robot.names))
     programs: dict[str, Callable[[], Program]] = {
-        "rospy": lambda: RosLike(deployment.ros1(), robot.far),
-        "rclpy": lambda: RosLike(deployment.ros2(), robot.far),
-        "zenoh": lambda: RosLike(deployment.sdk(), robot.far),
+        "rospy": lambda: RosLike(deployment.ros1()),
+        "rclpy": lambda: RosLike(deployment.ros2()),
+        "zenoh": lambda: RosLike(deployment.sdk()),
         "YARP": lambda: yarp,
     }
     for name, created in programs.items():
         program = created()
         connected(robot, program)
         start, reported = robot.truth(), program.pose(robot.now)
-        for corner, pose in zip(CORNERS, driven(program, SIDE, robot.step), strict=True):
+        for corner, pose in zip(CORNERS, driven(Paced(robot, program), SIDE, robot.step), strict=True):
             true, by_odometry = moved(start, robot.truth()), moved(reported, pose)
             assert math.dist(true[:2], corner) < 0.05, (name, corner, true)
             assert math.dist(true[:2], by_odometry[:2]) < 0.01 * 4 * SIDE, (name, true, by_odometry)
