@@ -39,14 +39,20 @@ class Decision:
     decision: str
     why: str
     cure: str
+    users: tuple[str, ...] = ()
+    """The side's nodes with their middleware and release, in words."""
 
-    def as_dict(self) -> dict[str, str]:
+    def as_dict(self) -> dict[str, Any]:
         """Return the object for ``--json``."""
         return {name: getattr(self, name) for name in self.__slots__}
 
     @override
     def __str__(self) -> str:
         return f"{arrow(self.worker, self.direction)}: {clean(self.decision)}: {clean(self.why)}"
+
+
+_TEXTS = ("direction", "topic", "hub_topic", "type", "decision", "why", "cure")
+_MOST_USERS = 100
 
 
 @dataclass(slots=True)
@@ -119,8 +125,10 @@ def decisions_in(answers: Iterable[WorkerAnswer], kind: str | None = None) -> li
     for answer in answers:
         for entry in answer.value if isinstance(answer.value, list) else ():
             if isinstance(entry, dict) and kind in (None, entry.get("kind", "topic")):
-                texts = {name: str(entry.get(name, "")) for name in Decision.__slots__[2:]}
-                decisions.append(Decision(answer.daemon, answer.worker, **texts))
+                texts = {name: str(entry.get(name, "")) for name in _TEXTS}
+                users = entry.get("users", ())
+                texts_of_users = map(str, users[:_MOST_USERS]) if isinstance(users, list) else ()
+                decisions.append(Decision(answer.daemon, answer.worker, **texts, users=tuple(texts_of_users)))
     return decisions
 
 

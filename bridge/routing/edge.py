@@ -308,6 +308,13 @@ class Edge(ABC):
         """
         return {}
 
+    def programs(self) -> Mapping[str, str]:
+        """Return the middleware and the release of native endpoints' programs in words, by the endpoints' ids.
+
+        Empty if all programs on the side have the same.
+        """
+        return {}
+
     def connections(self) -> list[ConnectionStatus]:
         """Return the side's connections to other nodes, if it makes them itself."""
         return []

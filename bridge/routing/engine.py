@@ -265,4 +265,4 @@ class Engine:
 
     def explain(self, topic: str) -> list[dict[str, Any]]:
         """Return all decisions on a topic, service or action; on everything for ``""``."""
-        return explain(topic, self._checked.decisions, self.edge.endpoints())
+        return explain(topic, self._checked.decisions, self.edge.endpoints(), self.edge.programs())

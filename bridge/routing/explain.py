@@ -3,24 +3,40 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from bridge.messages.actions import split
 from bridge.routing.decision import RouteDecision
 from bridge.routing.edge import Endpoint, Kind
+from bridge.text import listed
 
 _ENDS = {
     Kind.SUBSCRIPTION: ("topic", "it has no publisher; subscribed by {}"),
     Kind.CLIENT: ("service", "it has no server; clients: {}"),
 }
+_USERS = {
+    ("topic", "in"): (Kind.PUBLISHER, "published by"),
+    ("topic", "out"): (Kind.SUBSCRIPTION, "subscribed by"),
+    ("service", "in"): (Kind.SERVER, "served by"),
+    ("service", "out"): (Kind.CLIENT, "called by"),
+}
+"""The side's endpoints of a decision, by kind and direction."""
 
 
-def explain(topic: str, decisions: Iterable[RouteDecision], endpoints: Iterable[Endpoint]) -> list[dict[str, Any]]:
+def explain(
+    topic: str, decisions: Iterable[RouteDecision], endpoints: Sequence[Endpoint], programs: Mapping[str, str]
+) -> list[dict[str, Any]]:
     """Return all decisions on a topic, service or action; on everything for ``""``.
 
-    The name on the side and the one on the hub both match; an action's name matches its five parts. ``endpoints`` is
-    the side's graph.
+    The name on the side and the one on the hub both match; an action's name matches its five parts. The ``users`` of an
+    entry are the side's nodes with the middleware and the release of their programs, in words.
+
+    Args:
+        topic: the name.
+        decisions: all of the side.
+        endpoints: the side's graph.
+        programs: as `Edge.programs` returns them.
     """
     name = topic if topic.startswith("/") or not topic else "/" + topic
 
@@ -37,4 +53,19 @@ def explain(topic: str, decisions: Iterable[RouteDecision], endpoints: Iterable[
         of, text = _ENDS[kind]
         reason = text.format(", ".join(sorted({user.node for user in users})))
         answer.append(RouteDecision.one_ended(topic_name, users[0].type, reason, of).as_dict())
+    return _with_users(answer, endpoints, programs)
+
+
+def _with_users(
+    answer: list[dict[str, Any]], endpoints: Iterable[Endpoint], programs: Mapping[str, str]
+) -> list[dict[str, Any]]:
+    nodes: dict[tuple[Kind, str], dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
+    for endpoint in endpoints:
+        program = programs.get(endpoint.id)
+        if program is not None:
+            nodes[endpoint.kind, endpoint.topic][program].add(endpoint.node or "a node with an unknown name")
+    for entry in answer:
+        kind, verb = _USERS[entry["kind"], entry["direction"]]
+        users = sorted(nodes[kind, entry["topic"]].items()) if (kind, entry["topic"]) in nodes else ()
+        entry["users"] = [f"{verb} {listed(sorted(names))} on {program}" for program, names in users]
     return answer

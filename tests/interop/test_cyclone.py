@@ -297,6 +297,8 @@ def test_doctor_names_the_nodes(shared: Deployment) -> None:
     until_explained(shared, "/lamp", "bridged")
     shared.ros2().advertise("/of_fast_dds", "std_msgs/String")
     until(lambda: shows(shared, "Cyclone DDS 11.0.1 (", "Fast DDS 2 (Iron or Jazzy): "), "status names both", 40)
+    explained = shared.command("explain", "/lamp").stdout
+    assert "    served by a node with an unknown name on Cyclone DDS 11.0.1 (" in explained, explained
     findings = json.loads(shared.command("doctor", "--json", seconds=60).stdout)
     named = [finding["seen"] for finding in findings if finding["check"] == "ros2-releases"]
     assert any(line.startswith("Cyclone DDS 11.0.1 (") for line in named), named

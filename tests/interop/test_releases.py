@@ -84,6 +84,9 @@ def test_services(rig: Rig, native: str) -> None:
     if native == "server":
         rig.deployment.until_route("ros1", name, "out", state="active")
         client.ask("await_service", service=name, seconds=20)
+    if native == "server":
+        users = [user for decision in rig.deployment.explain(name) for user in decision["users"]]
+        assert users == ["served by /controller_server on Fast DDS 3.2.2 (Kilted)"]
     call = client.ask("call", service=name, type=SERVICE, request={"data": True})["id"]
     assert client.ask("result", id=call, seconds=40)["reply"] == reply
     assert server.ask("requests", id=served, count=1, seconds=20)["requests"] == [{"data": True}]

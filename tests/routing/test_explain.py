@@ -42,10 +42,22 @@ ENDPOINTS = [
     ],
 )
 def test_names_match_on_both_networks_and_by_action(topic: str, answers: list[str]) -> None:
-    assert [answer["topic"] for answer in explain(topic, DECISIONS, ENDPOINTS)] == answers
+    assert [answer["topic"] for answer in explain(topic, DECISIONS, ENDPOINTS, {})] == answers
 
 
 def test_names_with_one_kind_of_endpoint_list_its_nodes() -> None:
-    (chatter,), (reset,) = explain("/chatter", [], ENDPOINTS), explain("/reset", [], ENDPOINTS)
+    (chatter,), (reset,) = explain("/chatter", [], ENDPOINTS, {}), explain("/reset", [], ENDPOINTS, {})
     assert (chatter["kind"], chatter["why"]) == ("topic", "it has no publisher; subscribed by /a, /b")
     assert (reset["kind"], reset["why"]) == ("service", "it has no server; clients: /c")
+
+
+def test_the_side_s_nodes_have_their_programs() -> None:
+    fast, cyclone = "Fast DDS 3.2.2 (Kilted)", "Cyclone DDS 0.10.5 (Iron or later)"
+    ends = [*ENDPOINTS, endpoint(Kind.PUBLISHER, "/scan", ""), endpoint(Kind.PUBLISHER, "/scan", "/d")]
+    programs = {"/a/chatter": cyclone, "/b/chatter": fast, "/a/scan": fast, "/scan": cyclone, "/d/scan": cyclone}
+    (chatter,), (scan,), (reset,) = (
+        explain(name, DECISIONS, ends, programs) for name in ("/chatter", "/scan", "/reset")
+    )
+    assert chatter["users"] == [f"subscribed by /a on {cyclone}", f"subscribed by /b on {fast}"]
+    assert scan["users"] == [f"published by /d, a node with an unknown name on {cyclone}"]
+    assert reset["users"] == []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
@@ -382,6 +382,15 @@ class Ros2Edge(SideEdge):
     @override
     def version_notes(self) -> Notes:
         return self._versions.notes(self.endpoints())
+
+    @override
+    def programs(self) -> Mapping[str, str]:
+        context, announcements = self._context, self._announcements
+        if context is None or announcements is None:
+            return {}
+        snapshot = context.graph.snapshot
+        found = middlewares.programs(snapshot.endpoints, snapshot.participants, announcements.versions())
+        return {end.id: str(program) for program, ends in found.values() for end in ends}
 
     @override
     def warnings(self) -> list[str]:

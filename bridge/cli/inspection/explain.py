@@ -277,6 +277,7 @@ def _decision_lines(decision: Decision, route: RouteStatus | None, whose: str) -
     lines = [clean(text)]
     if decision.cure:
         lines.append(f"    cure: {clean(decision.cure)}")
+    lines += [f"    {clean(users)}" for users in decision.users]
     if route is not None:
         lines.append(f"    {_flow(route)}")
         if route.error:

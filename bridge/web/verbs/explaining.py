@@ -9,7 +9,7 @@ from bridge.client.session import Client
 from bridge.client.status import daemon_names
 
 _ASK_SECONDS = 1.0
-_DECISION = ("daemon", "direction", "decision", "why", "cure")
+_DECISION = ("daemon", "direction", "decision", "why", "cure", "users")
 
 
 def explain(client: Client, name: str) -> list[dict[str, Any]]:

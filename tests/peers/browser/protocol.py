@@ -274,6 +274,7 @@ class Decision(Model):
     decision: str
     why: str
     cure: str
+    users: list[str]
 
 
 class Line(Model):

@@ -158,12 +158,21 @@ def test_the_view_of_the_documentation_is_shown(
     assert chrome.find_element(By.CSS_SELECTOR, '#tabs [aria-current="page"]').text == "Battery"
 
 
+EXPLAINED = """
+const done = arguments[0], users = ["served by /a on Fast DDS 2 (Jazzy)"];
+const decision = { daemon: "", side: "ros2", decision: "bridged", why: "", cure: "", users };
+import("./lib/cure.js").then(({ explained }) => done(explained("/x", [decision]).map((item) => item.textContent)));
+"""
+"""The text of a decision with the nodes of the side."""
+
+
 def test_status_and_frames_show_the_deployment(operator: Operator) -> None:
     chrome = operator.chrome
     operator.open("status")
     until(lambda: {"web-test", "YARP"} <= set(operator.texts(".graph .name")), "daemon and side are drawn")
     chrome.find_element(By.CSS_SELECTOR, ".asking input").send_keys("/cmd_vel", Keys.ENTER)
     until(lambda: operator.texts(".refused .crossing li"), "the decision is shown", 30)
+    assert chrome.execute_async_script(EXPLAINED) == ["ros2 bridgedserved by /a on Fast DDS 2 (Jazzy)"]
     until(lambda: "0" in operator.texts(".workers td:last-child"), "the restarts of each worker are shown")
     operator.open("frames")
     script = "return [...document.querySelectorAll('.framepose select')].map((each) => each.value)"

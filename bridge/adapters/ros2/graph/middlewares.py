@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
+
+from typing_extensions import override
 
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.messages import releases
 from bridge.messages.releases import Release, Releases
 from bridge.routing.edge import Endpoint, MadeBy
+from bridge.status import Middleware
 
 _VENDORS = {
     b"\x01\x01": "RTI Connext",
@@ -53,6 +56,42 @@ def _by_version(prefix: bytes, version: str | None) -> Releases:
     return frozenset({Release.LYRICAL})
 
 
+class Program(NamedTuple):
+    """The DDS and the releases of one participant, as `bridge.status.Middleware` describes them."""
+
+    name: str
+    release: str
+    ros: bool
+    hashes: bool
+
+    @override
+    def __str__(self) -> str:
+        return str(Middleware(name=self.name, release=self.release, ros=self.ros, hashes=self.hashes))
+
+
+def prefix_of(endpoint: Endpoint) -> bytes:
+    """Return the GUID prefix of an endpoint's participant."""
+    return bytes.fromhex(endpoint.id)[:PREFIX_BYTES]
+
+
+def programs(
+    endpoints: Iterable[Endpoint], participants: frozenset[bytes], versions: Mapping[bytes, str]
+) -> dict[bytes, tuple[Program, list[Endpoint]]]:
+    """Return the native programs with their endpoints, by GUID prefix; the arguments are those of `groups`."""
+    of_participant: dict[bytes, list[Endpoint]] = {}
+    for endpoint in endpoints:
+        if endpoint.made_by is MadeBy.NATIVE:
+            of_participant.setdefault(prefix_of(endpoint), []).append(endpoint)
+    found: dict[bytes, tuple[Program, list[Endpoint]]] = {}
+    for prefix, ends in of_participant.items():
+        ros, version = prefix in participants, versions.get(prefix)
+        hashed = [end for end in ends if end.type_id]
+        announced = [releases.by_hash(end.type, end.type_id) for end in hashed] or [releases.WITHOUT_HASHES]
+        release = releases.release_text(releases.common([*announced, _by_version(prefix, version)])) if ros else ""
+        found[prefix] = Program(dds_name(prefix, version), release, ros, bool(hashed)), ends
+    return found
+
+
 def groups(
     endpoints: Iterable[Endpoint], participants: frozenset[bytes], versions: Mapping[bytes, str]
 ) -> list[dict[str, Any]]:
@@ -63,26 +102,14 @@ def groups(
         participants: the GUID prefixes of ROS 2 programs; others that have endpoints are plain DDS programs.
         versions: what participants announce, by GUID prefix.
     """
-    of_participant: dict[bytes, list[Endpoint]] = {}
-    for endpoint in endpoints:
-        if endpoint.made_by is MadeBy.NATIVE:
-            of_participant.setdefault(bytes.fromhex(endpoint.id)[:PREFIX_BYTES], []).append(endpoint)
-    found: dict[tuple[str, str, bool, bool], list[list[str]]] = {}
-    for prefix, ends in of_participant.items():
-        ros, version = prefix in participants, versions.get(prefix)
-        hashed = [end for end in ends if end.type_id]
-        announced = [releases.by_hash(end.type, end.type_id) for end in hashed] or [releases.WITHOUT_HASHES]
-        release = releases.release_text(releases.common([*announced, _by_version(prefix, version)])) if ros else ""
-        nodes = sorted({end.node for end in ends} - {""}) or [_UNNAMED]
-        found.setdefault((dds_name(prefix, version), release, ros, bool(hashed)), []).append(nodes)
+    found: dict[Program, list[list[str]]] = {}
+    for program, ends in programs(endpoints, participants, versions).values():
+        found.setdefault(program, []).append(sorted({end.node for end in ends} - {""}) or [_UNNAMED])
     return [
         {
-            "name": name,
-            "release": release,
-            "ros": ros,
-            "hashes": hashes,
-            "nodes": sorted({node for nodes in programs for node in nodes})[:_SHOWN],
-            "count": len(programs),
+            **program._asdict(),
+            "nodes": sorted({node for nodes in of_programs for node in nodes})[:_SHOWN],
+            "count": len(of_programs),
         }
-        for (name, release, ros, hashes), programs in sorted(found.items())
+        for program, of_programs in sorted(found.items())
     ]

@@ -163,7 +163,7 @@ function topicBlock(socket, typeOf) {
     try {
       found = await socket.call("explain", { name: name.split("@")[0] });
     } catch (error) {
-      found = [{ side: "", decision: "Unknown", why: error.message, cure: "" }];
+      found = [{ side: "", decision: "Unknown", why: error.message, cure: "", users: [] }];
     }
     if (name !== topic) return; // another topic was chosen meanwhile
     crossing.replaceChildren(...explained(name.split("@")[0], found));
