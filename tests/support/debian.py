@@ -31,7 +31,7 @@ mount --make-rprivate /
 mount -t cgroup2 cgroup2 "$2"
 mkdir -p "$2/$1"
 echo $$ >"$2/$1/cgroup.procs"
-umount "$2"
+umount --lazy "$2"
 shift 2
 exec "$@"
 """
