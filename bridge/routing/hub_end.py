@@ -1,4 +1,4 @@
-"""The parts of a route to the side at its end on the hub: the publishers there, the subscription, and the demand."""
+"""The parts of a route to the side at its end on the hub: publishers, subscription, held samples, and the demand."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from threading import Lock
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.wire.qos import Durability, Qos
+from bridge.routing.backlog import Backlog
+from bridge.routing.limits import MAX_PENDING, QUEUE_BYTES, QUEUE_DEPTH, Priority
 from bridge.routing.stall import AgeGate
 from bridge.state_machine import Machine, Table
 
@@ -149,6 +151,33 @@ class RouteSubscription:
         """Return the number of lost samples, and a function that explains them; None while closed."""
         current = self._current
         return None if current is None else (self._lost_before + current.lost, current.losses)
+
+
+class HeldSamples:
+    """Samples that a route publishes later, or never; ``dropped`` is called for each that a newer one displaces.
+
+    Attributes:
+        unknown: from publishers that the engine has not classified yet.
+        latched: latched ones of publishers that may pass later, or of any without a lease. They arrive once.
+    """
+
+    def __init__(self, dropped: Callable[[], None]) -> None:
+        self.unknown = Backlog[HubSample](MAX_PENDING, QUEUE_BYTES, dropped)
+        self.latched = Backlog[HubSample](QUEUE_DEPTH[Priority.STATE], QUEUE_BYTES, dropped)
+
+    def add_unknown(self, sample: HubSample) -> None:
+        """Hold a sample of a publisher that is not classified, after the older ones."""
+        self.unknown.add(sample.gid, sample, len(sample.payload))
+
+    def add_latched(self, sample: HubSample, endpoint: HubEndpoint) -> None:
+        """Hold a latched sample; only as many as its publisher ``endpoint`` retains."""
+        depth = min(max(endpoint.qos.depth, 1), MAX_PENDING)
+        self.latched.keep(sample.gid, sample, len(sample.payload), depth)
+
+    def remove(self, sources: Collection[bytes]) -> None:
+        """Remove the samples of some publishers, by GID; they do not count as dropped."""
+        for backlog in (self.unknown, self.latched):
+            backlog.pop_matching(lambda waiting: waiting.source in sources)
 
 
 class Demand(Enum):

@@ -19,8 +19,7 @@ from bridge.routing.dispatcher import RouteQueue
 from bridge.routing.edge import EdgePublisher, Endpoint
 from bridge.routing.election import Outcome
 from bridge.routing.gates import ExitGate, may_carry, may_leave
-from bridge.routing.held import HeldSamples
-from bridge.routing.hub_end import HubSource, HubSources, RouteSubscription
+from bridge.routing.hub_end import HeldSamples, HubSource, HubSources, RouteSubscription
 from bridge.routing.limits import QUEUE_DEPTH, Priority, combined_qos, stream_depth
 from bridge.routing.rewrites import TF_TYPE, StaticTransforms, with_spread
 from bridge.routing.route import EngineContext, RouteSet, TopicRoute

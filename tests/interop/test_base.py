@@ -152,7 +152,7 @@ class Paced:
         self.pose = program.pose
 
     def command(self, x: float, turn: float) -> None:
-        """Command until it is received: after a stall of a process on the way, late commands are dropped."""
+        """Command until it is received: late commands are dropped after a process stalled."""
         accepted, again = self._received, -math.inf
 
         def received() -> bool:
@@ -265,5 +265,5 @@ def test_the_base_stops_when_its_commanders_worker_is_killed_and_resumes_with_th
         return False
 
     until(lambda: turns() > 0.2 * TICK, "it turns", 20)
-    until(stands, "it stands, whatever the program commands", 20)
+    until(stands, "it stands despite commands of the program", 20)
     until(lambda: turns() > 0.2 * TICK, "it turns through the next worker", 40)

@@ -1,4 +1,4 @@
-"""``midspan map explore`` as a whole: the daemon with simulator, Mapper2D, planner and driver, and the verb beside it.
+"""``midspan map explore`` as a whole: the daemon with simulator, Mapper2D, planner and driver, and the verb.
 
 Everything is in lock-step, so that a busy machine only takes longer.
 """
@@ -98,7 +98,7 @@ def test_an_unknown_floor_is_explored_until_it_is_complete(floor: Floor) -> None
     *goals, end = lines
     assert (end["status"], end["reached"]) == ("complete", end["goals"])
     assert len(goals) == end["goals"] >= 2, "one view does not show the floor"
-    assert 12.0 < end["area"] < 15.0, "free cells of the floor, and none behind its walls"
+    assert 12.0 < end["area"] < 15.0, "only free cells within the walls"
     daemon = floor.midspan.daemon
     assert daemon is not None
     assert "TF_REPEATED_DATA" not in daemon.output()

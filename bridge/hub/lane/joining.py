@@ -30,8 +30,8 @@ class _Thread(threading.local):
 _thread = _Thread()
 
 
-def joins(link: JoinedLink) -> bool:
-    """Return whether this thread joins messages; if so, it sends those of the link later."""
+def send_later(link: JoinedLink) -> bool:
+    """Let this thread send the link's joined messages later; return False if it does not join messages."""
     links = _thread.links
     if links is None:
         return False

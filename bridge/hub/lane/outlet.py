@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from threading import Lock
 
-from bridge.hub.lane.joining import MAX_JOINED, MAX_JOINED_BYTES, joins
+from bridge.hub.lane.joining import MAX_JOINED, MAX_JOINED_BYTES, send_later
 from bridge.hub.lane.wire import BOUND, DATA, FENCE, HEAD, MARK, PART, PIECE, SIZE, TOKEN
 from bridge.hub.wire.keys import pack_attachment
 
@@ -90,7 +90,8 @@ class ReaderLink:
         with self._lock:
             if self._closed:
                 return
-            if size <= MAX_JOINED_BYTES and not outlet.command and not self._queued and not self._notes and joins(self):
+            small = size <= MAX_JOINED_BYTES and not outlet.command
+            if small and not self._queued and not self._notes and send_later(self):
                 self._joined.append((outlet, attached, payload))
                 if len(self._joined) >= MAX_JOINED:
                     self._send_joined()

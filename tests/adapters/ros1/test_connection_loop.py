@@ -14,7 +14,8 @@ import pytest
 from bridge.adapters.ros1.connection_loop import ConnectionLoop, PolledConnection, receive_now
 from bridge.adapters.ros1.topics.connection import PublisherConnection
 from bridge.adapters.ros1_peers import DeadlineSocket
-from bridge.hub.lane.joining import joins
+from bridge.hub.lane.joining import send_later
+from tests.peers.hub.lane import Link
 from tests.support.wait import until
 
 
@@ -117,24 +118,16 @@ def test_messages_are_joined_until_the_loop_waits_again(crowd: Crowd) -> None:
     sent = threading.Event()
     joined: list[bool] = []
 
-    class Link:
-        def send_joined(self) -> None:
-            sent.set()
-
-    link = Link()
-    crowd.add(lambda _: joined.append(joins(link))).sendall(frame(b"x"))
+    link = Link(sent.set)
+    crowd.add(lambda _: joined.append(send_later(link))).sendall(frame(b"x"))
     assert sent.wait(20.0)
     assert joined == [True]
-    assert not joins(link), "this thread joins none"
+    assert not send_later(link), "this thread joins none"
 
 
 def test_joined_messages_do_not_wait_for_a_service_call(crowd: Crowd) -> None:
     sent: list[bool] = []
     ended = threading.Event()
-
-    class Link:
-        def send_joined(self) -> None:
-            sent.append(True)
 
     class Call(PolledConnection):
         def on_ready(self) -> Callable[[], None] | None:
@@ -150,10 +143,10 @@ def test_joined_messages_do_not_wait_for_a_service_call(crowd: Crowd) -> None:
     theirs.sendall(b"x")
 
     def deliver(_: bytes) -> None:
-        joins(link)
+        send_later(link)
         crowd.loop._on_ready(call)  # in the same step
 
-    link, call = Link(), Call(ours)
+    link, call = Link(lambda: sent.append(True)), Call(ours)
     crowd.add(deliver).sendall(frame(b"x"))
     assert ended.wait(20.0)
     assert sent == [True, False]

@@ -13,11 +13,12 @@ import pytest
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.loop import TAKES_PER_TURN, EndpointReader, EpollReadLoop
 from bridge.adapters.ros2.topics.subscription import ClassReader
-from bridge.hub.lane.joining import joins
+from bridge.hub.lane.joining import send_later
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.routing.edge import Kind
 from tests.adapters.ros2.conftest import RunningEdge, text
+from tests.peers.hub.lane import Link
 from tests.peers.peer import Peer
 from tests.support.wait import until
 
@@ -79,12 +80,8 @@ def test_messages_are_joined_until_the_loop_waits_again(edge: RunningEdge, peer:
     sent = threading.Event()
     joined: list[bool] = []
 
-    class Link:
-        def send_joined(self) -> None:
-            sent.set()
-
-    link = Link()
-    edge.edge.subscribe("/joined", edge.type(STRING), Qos(), lambda _p, _s, _t: joined.append(joins(link)))
+    link = Link(sent.set)
+    edge.edge.subscribe("/joined", edge.type(STRING), Qos(), lambda _p, _s, _t: joined.append(send_later(link)))
     native = peer()
     publisher = native.advertise("/joined", "std_msgs/String")
 
@@ -101,10 +98,6 @@ def test_joined_messages_do_not_wait_for_large_messages_and_calls() -> None:
     order: list[str] = []
     served = threading.Event()
 
-    class Link:
-        def send_joined(self) -> None:
-            order.append("sent")
-
     class Reader(EndpointReader):
         descriptor: int | None = None
 
@@ -116,7 +109,7 @@ def test_joined_messages_do_not_wait_for_large_messages_and_calls() -> None:
 
         def drain(self, _taker: rcl.Taker, _limit: int) -> None:
             if self.joins:
-                joins(link)
+                send_later(link)
             else:
                 order.append("served")
                 served.set()
@@ -124,7 +117,7 @@ def test_joined_messages_do_not_wait_for_large_messages_and_calls() -> None:
         def destroy(self) -> None:
             pass
 
-    link, loop = Link(), EpollReadLoop()
+    link, loop = Link(lambda: order.append("sent")), EpollReadLoop()
     for reader in (Reader(small=True), Reader(small=False)):
         loop.add(reader)
         assert reader.descriptor is not None

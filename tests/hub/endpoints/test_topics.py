@@ -97,7 +97,7 @@ def test_matched_reports_subscribers(network: HubNetwork):
         again = Subscriber(b, "/chatter")
         until(lambda: not publisher.pass_over(), "the next listener is noticed")
         again.subscription.close()
-        until(publisher.pass_over, "there is no subscriber again")
+        until(publisher.pass_over, "the subscriber has left")
 
 
 @pytest.mark.parametrize("joins", [1, pytest.param(300, marks=pytest.mark.thorough)])
@@ -148,7 +148,7 @@ def test_unreceived_messages_are_numbered_but_not_encoded(network: HubNetwork):
         subscriber.expect("x")
         assert [sample.sequence for sample in subscriber.samples] == [3]
         subscriber.subscription.close()
-        until(lambda: not publisher.matched(), "there is no subscriber any longer")
+        until(lambda: not publisher.matched(), "the subscriber has left")
         assert publisher.pass_over()
         publisher.close()
         with pytest.raises(HubClosedError, match="/chatter is closed"):

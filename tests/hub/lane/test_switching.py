@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 
 from bridge.hub.lane.inlet import Inlet
-from bridge.hub.lane.joining import Joining, joins
+from bridge.hub.lane.joining import Joining, send_later
 from bridge.hub.lane.wire import BOUND
 from bridge.hub.session import Hub, HubSession
 from bridge.hub.wire.keys import topic_key
 from bridge.hub.wire.qos import History, Qos
 from tests.peers.hub.endpoints import HASH, LATCHED, TYPE, Subscriber, advertise, matched
-from tests.peers.hub.lane import goes_by, subscription, whole
+from tests.peers.hub.lane import Link, goes_by, subscription, whole
 from tests.peers.hub.network import HubNetwork
 from tests.peers.peer import Peer
 from tests.peers.zenoh.rmw import RmwSubscription
@@ -101,13 +101,9 @@ def test_other_subscribers_receive_lane_messages(network: HubNetwork, reader: Hu
 def test_joined_messages_do_not_wait_for_a_publisher_that_blocks(writer: Hub) -> None:
     sent: list[bool] = []
 
-    class Link:
-        def send_joined(self) -> None:
-            sent.append(True)
-
     joining, blocks = Joining(), advertise(writer, "/t", Qos(history=History.KEEP_ALL))
     try:
-        assert joins(Link())
+        assert send_later(Link(lambda: sent.append(True)))
         blocks.put(b"x")
         assert sent
     finally:

@@ -16,20 +16,20 @@ from tests.support.wait import until
 PROGRAM = """
 import json, sys, time, zenoh
 from bridge.hub.zenoh_config import make_config, session_tree
-place, said, seconds = sys.argv[1], json.loads(sys.argv[2]), float(sys.argv[3])
+place, keys, seconds = sys.argv[1], json.loads(sys.argv[2]), float(sys.argv[3])
 tree = session_tree(place, shared_memory=False, max_payload=1 << 20)
-heard = []
+received = []
 with zenoh.open(make_config(tree, {"mode": "client"})) as session:
     session.declare_subscriber(
-        "**", lambda sample: heard.append(str(sample.key_expr)), allowed_origin=zenoh.Locality.REMOTE
+        "**", lambda sample: received.append(str(sample.key_expr)), allowed_origin=zenoh.Locality.REMOTE
     )
     print("joined", flush=True)
     end = time.monotonic() + seconds
-    while time.monotonic() < end and heard.count("0/end/std_msgs::msg::dds_::String_/RIHS01_ab") < 2:
-        for key in said:
+    while time.monotonic() < end and received.count("0/end/std_msgs::msg::dds_::String_/RIHS01_ab") < 2:
+        for key in keys:
             session.put(key, b"go")
         time.sleep(0.1)
-print(json.dumps(heard))
+print(json.dumps(received))
 """
 COMMAND = "0/cmd_vel/geometry_msgs::msg::dds_::Twist_/RIHS01_ab"
 DATA = "0/odom/nav_msgs::msg::dds_::Odometry_/RIHS01_ab"
@@ -48,14 +48,14 @@ def test_commands_without_tls(trusted: list[str], expected: set[str]) -> None:
         config = json.dumps({"name": "robot", "hub": {"router": True, "open": opened}})
         started.append(robot.start(sys.executable, ROUTER_PROGRAM, config, env=env))
         until(lambda: "listening" in started[0].output(), "the router listens")
-        ear = robot.start(sys.executable, "-c", PROGRAM, "tcp/127.0.0.1:7447", "[]", "60", env=env)
-        started.append(ear)
-        until(lambda: "joined" in ear.output(), "a local program joins")
+        local = robot.start(sys.executable, "-c", PROGRAM, "tcp/127.0.0.1:7447", "[]", "60", env=env)
+        started.append(local)
+        until(lambda: "joined" in local.output(), "a local program joins")
         key_exprs = json.dumps([COMMAND, "0/**", DATA, END])
         place = f"tcp/{cable.addresses[0]}:7448"
         started.append(other.start(sys.executable, "-c", PROGRAM, place, key_exprs, "60", env=env))
-        ear.popen.wait(90)
-        assert set(json.loads(ear.output().splitlines()[-1])) == expected
+        local.popen.wait(90)
+        assert set(json.loads(local.output().splitlines()[-1])) == expected
     finally:
         for process in reversed(started):
             process.stop()

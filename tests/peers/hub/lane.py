@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from itertools import pairwise
 
 from bridge.hub.endpoints.lane_subscription import LaneSubscription
@@ -37,3 +38,10 @@ def whole(texts: list[str]) -> None:
     twice = sorted(number for number, count in Counter(numbers).items() if count > 1)
     back = [after for before, after in pairwise(numbers) if after < before]
     assert (missing, twice, back) == ([], [], []), f"of {len(numbers)} missing {missing}, twice {twice}, behind {back}"
+
+
+class Link:
+    """A reader's connection that only reports when its joined messages are sent."""
+
+    def __init__(self, send_joined: Callable[[], object]) -> None:
+        self.send_joined = send_joined

@@ -65,7 +65,7 @@ def test_the_layer_is_shown_as_a_tint_with_heights(operator: Operator, robot: We
         until(lambda: over(0) == "hit at 0.74 m", "the height of the table is shown")
         tinted = operator.middle()
         assert over(28) == "a drop, or unknown height"
-        assert over(80) == "", "there is no obstacle"
+        assert over(80) == "", "a free cell"
         assert not tip.is_displayed()
         ActionChains(operator.chrome).move_to_element(canvas).click().perform()
         menu = operator.chrome.find_element(By.CSS_SELECTOR, ".pointmenu p")

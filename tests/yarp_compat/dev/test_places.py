@@ -1,4 +1,4 @@
-"""Files of places: every version of YARP's, our extras, and exports."""
+"""Files of places: all versions of the format of YARP, the extras of Midspan, and exports."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_places_are_exported_as_geojson() -> None:
     assert by_id["area/hall"]["geometry"] == {"type": "Polygon", "coordinates": ring}
     hall = {"kind": "area", "name": "hall", "map": "m1", "description": "big", "max_speed": 0.3, "keep_out": True}
     assert by_id["area/hall"]["properties"] == hall
-    # counterclockwise, whatever the order of the corners
+    # counterclockwise for any order of the corners
     assert by_id["area/back"]["geometry"]["coordinates"] == ring
     assert by_id["path/tour"]["geometry"] == {"type": "LineString", "coordinates": [[1, 2], [3, 4.5]]}
     assert by_id["link/lift"]["properties"]["maps"] == ["m1", "m2"]
