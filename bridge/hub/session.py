@@ -240,7 +240,7 @@ class Hub:
         executor = SerialExecutor("hub-executor")
         self._context = EndpointContext(
             self._session, session.reach, self._own, self.graph, settings.max_payload, executor,
-            SerialExecutor("hub-ends"), SerialExecutor("hub-asking"), DelayedCalls("hub-heartbeats"),
+            SerialExecutor("hub-ends"), SerialExecutor("hub-asking"), DelayedCalls("hub-delays"),
             KeyVariants(self.graph, executor), self._remove, session.lane,
         )  # fmt: skip
         session.add(self)
@@ -415,7 +415,7 @@ class Hub:
         self._context.executor.close()
         self._context.ends.close()
         self._context.asking.close()
-        self._context.heartbeats.close(1.0)
+        self._context.delays.close(1.0)
         self._control.close()
         self._withdraw()
         self._joined.nodes.discard(self)

@@ -23,10 +23,10 @@ class KeyCaller(CallClient):
     ) -> None:  # fmt: skip
         self.announcement, self.encoding = announcement, encoding
         self._withdraw, self._attach = announcement.withdraw, attached
-        target = zenoh.QueryTarget.BEST_MATCHING
         super().__init__(
-            context.session, key, name, context.limit, context.executor, context.ends, target, context.closed
-        )
+            context.session, key, name, context.limit, context.executor, context.ends, context.delays,
+            zenoh.QueryTarget.BEST_MATCHING, context.closed,
+        )  # fmt: skip
 
     @override
     def _attached(self, number: int) -> bytes | None:

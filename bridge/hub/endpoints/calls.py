@@ -15,7 +15,7 @@ from typing import Any
 
 import zenoh
 
-from bridge.concurrency import SerialExecutor
+from bridge.concurrency import DelayedCalls, SerialExecutor
 from bridge.hub.errors import zenoh_reason
 from bridge.hub.zenoh_compat import keep_thread_state, undeclare
 
@@ -65,6 +65,9 @@ _AT_ONCE = 0.2
 A query that ends so soon may have reached a server too, which crashed or dropped it, so no call is ever repeated.
 """
 
+_LEAVING = 1.0
+"""Seconds within which a crashed server's queryable is gone; one that remains did not crash."""
+
 _NO_SERVER = "no server of {name} is on {where}"
 REFUSED_ENCODING = zenoh.Encoding("text/plain;refused")
 """Encoding of the text of an `UnsentCallError`."""
@@ -94,6 +97,7 @@ class CallClient:
         limit: maximum size of a request or reply, in bytes.
         executor: runs operations that may block in zenoh.
         ends: handles the ends of queries, see `bridge.hub.zenoh_compat`.
+        delays: makes delayed calls.
         target: which of several queryables receive the query.
         closed: called once with the client when it has closed.
         changed: called when the first server appears or the last one leaves.
@@ -112,6 +116,7 @@ class CallClient:
         limit: int,
         executor: SerialExecutor,
         ends: SerialExecutor,
+        delays: DelayedCalls,
         target: zenoh.QueryTarget,
         closed: Callable[[Any], None],
         changed: Callable[[], None] | None = None,
@@ -119,7 +124,7 @@ class CallClient:
     ) -> None:
         self.name = name
         self._session, self._key, self._limit, self._executor = session, key, limit, executor
-        self._ends, self._on_close, self._changed = ends, closed, changed
+        self._ends, self._delays, self._on_close, self._changed = ends, delays, closed, changed
         self._lock = Lock()
         self._numbers = itertools.count(1)
         self._waiting: dict[int, _PendingCall] = {}
@@ -237,14 +242,19 @@ class CallClient:
 
     def _over(self, number: int, now: float) -> None:
         """Handle the end of a query without a reply at the time ``now``."""
-        text = LEFT.format(name=self.name)
         with self._lock:
             pending = self._waiting.get(number)
         if pending is None:
             return
         if self._reachable and now - pending.sent < _AT_ONCE:
-            text += _REFUSED
-        self._end(number, CallError(text))
+            self._delays.after(_LEAVING, partial(self._fail, number))
+        else:
+            self._fail(number)
+
+    def _fail(self, number: int) -> None:
+        """End a call without a reply; if its server remains, an external listener may be the reason."""
+        text = LEFT.format(name=self.name)
+        self._end(number, CallError(text + _REFUSED if self._reachable else text))
 
     def _end(self, number: int, result: bytes | CallError) -> None:
         with self._lock:

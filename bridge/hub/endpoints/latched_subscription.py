@@ -72,7 +72,7 @@ class LatchedHubSubscription(HubSubscription):
         self, context: EndpointContext, key: str, end: Callable[[], None], listener: HistoryListener | None = None
     ) -> Callable[[], None]:
         history = LatchedHistory(
-            context.session, key, self._depth, listener or self, context.asking, context.ends, context.heartbeats,
+            context.session, key, self._depth, listener or self, context.asking, context.ends, context.delays,
             reach=context.reach, recovers=self._recovers,
         )  # fmt: skip
         self._histories += (history,)

@@ -59,7 +59,7 @@ class EndpointContext:
         executor: runs calls that may wait for zenoh.
         ends: handles the ends of queries, see `bridge.hub.zenoh_compat`.
         asking: runs queries for the samples that latched publishers cache.
-        heartbeats: publishes the numbers of latched publishers' last samples.
+        delays: makes delayed calls, for example for the heartbeats of latched publishers.
         variants: gives the endpoints their further keys.
         closed: called with each endpoint that has closed.
         lane: the transport to this daemon's other workers; None if the session has no lane.
@@ -73,7 +73,7 @@ class EndpointContext:
     executor: SerialExecutor
     ends: SerialExecutor
     asking: SerialExecutor
-    heartbeats: DelayedCalls
+    delays: DelayedCalls
     variants: KeyVariants
     closed: Callable[[Any], None]
     lane: Lane | None = None
@@ -199,7 +199,7 @@ class _LatchedSink:
             context.session,
             key,
             depth,
-            context.heartbeats if reliable else None,
+            context.delays if reliable else None,
             reach=context.reach,
             congestion=options.congestion,
             priority=options.priority,

@@ -190,7 +190,7 @@ class _VariantClient(CallClient):
         self._client = client
         self._to_server, self._to_client = converters
         super().__init__(
-            context.session, key, client.name, context.limit, context.executor, context.ends,
+            context.session, key, client.name, context.limit, context.executor, context.ends, context.delays,
             zenoh.QueryTarget.ALL_COMPLETE, lambda _self: None, changed, context.reach,
         )  # fmt: skip
         self._withdraw, self._numbers = nothing, client._numbers
@@ -250,6 +250,7 @@ class HubClient(CallClient):
             context.limit,
             context.executor,
             context.ends,
+            context.delays,
             zenoh.QueryTarget.ALL_COMPLETE,
             context.closed,
             changed,

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from bridge.hub.endpoints import calls
 from bridge.hub.endpoints.calls import Abandon, CallError, Done
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
@@ -64,7 +65,8 @@ def test_sdk_server_error_reaches_our_client(hub: Hub, sdk: Peer) -> None:
     assert asked(hub, {}) == "Service callback error: the arm is stuck"
 
 
-def test_dead_sdk_server_ends_our_call(hub: Hub, sdk: Peer) -> None:
+def test_dead_sdk_server_ends_our_call(hub: Hub, sdk: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(calls, "_AT_ONCE", 40.0)  # it dies soon after the request
     served = sdk.ask("serve", service="/do", type="std_srvs/SetBool", held=True)
     client = hub.client("/do", SERVICE, HASH)
     until(lambda: client.ready, "the server is seen")
