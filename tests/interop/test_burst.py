@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -26,6 +27,10 @@ SECONDS = 90.0
 
 PAUSE = 1.0
 """Seconds that /tf may pause between two sides."""
+
+FLOOD, ROUNDS = 1000, 4
+HEARTBEAT = 3.0
+"""Seconds between heartbeats of a ROS 2 program's writers."""
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +73,11 @@ class Transforms:
         self._id = self._sender.advertise("/tf", TF)
         self._sender.ask("broadcast", id=self._id, child="base_link", rate=50)
         self.until_arriving(time.monotonic())
+
+    @property
+    def across(self) -> Peer:
+        """The rclpy program that receives them."""
+        return self._across
 
     def until_arriving(self, since: float) -> None:
         """Wait until transforms that were sent after ``since`` arrive."""
@@ -113,5 +123,32 @@ def test_all_routes_work_after_a_burst_and_tf_continues(
         transforms.until_arriving(time.monotonic())
         across, beside = transforms.pauses(begun)
         assert across < PAUSE + beside
+    finally:
+        deployment.stop_programs()
+
+
+def test_tf_continues_after_the_queue_of_a_ros2_program_was_full(site: tuple[Deployment, Names]) -> None:
+    """A default ROS 2 program has room for 512 messages in shared memory; a reader waits for those that are lost."""
+    deployment, _ = site
+    try:
+        transforms, sender, other = Transforms(deployment), deployment.ros1(), deployment.ros2()
+        flood = sender.advertise("/flood", STRING)
+        ends = [(node, node.subscribe("/flood", STRING, depth=FLOOD)) for node in (transforms.across, other)]
+
+        def received(node: Peer, end: int) -> int:
+            sender.publish(flood, {"data": "0"})
+            return int(node.ask("tally", id=end)["distinct"])
+
+        until(lambda: all(received(*end) for end in ends), "the flood's topic crosses", every=0.1)
+        for number in range(ROUNDS):
+            transforms.across.signal(signal.SIGSTOP)
+            sender.ask("count", id=flood, first=1 + number * FLOOD, count=FLOOD, rate=2000)
+            sender.ask("counted", id=flood)
+            until(lambda: received(*ends[1]) > (number + 1) * FLOOD, "the flood has crossed", every=0.1)  # noqa: B023
+            transforms.across.signal(signal.SIGCONT)
+            begun = time.monotonic()
+            transforms.until_arriving(begun + HEARTBEAT)
+            across, beside = transforms.pauses(begun)
+            assert across < PAUSE + beside
     finally:
         deployment.stop_programs()

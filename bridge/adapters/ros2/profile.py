@@ -8,8 +8,9 @@ Measured with Fast DDS 2.14.5, against nodes with its default settings:
 - The discovery range LOCALHOST makes rmw_fastrtps add shared memory again. So this profile limits the range itself:
   the white list admits only loopback. It discovers the machine's nodes by multicast on loopback, and nodes that do not
   listen to multicast (their range is LOCALHOST) by unicast to the ports of the first 32 participants.
-- The default queue of a participant's shared memory (512) overflows in a burst; the lost messages are resent only after
-  the writer's next heartbeat, every 3 s.
+- The default queue of a participant's shared memory (512) overflows in a burst. A reader reports lost messages after
+  the writer's next heartbeat, by default every 3 s, and delivers no later message until then: ``/tf`` paused for up to
+  2.6 s, with a heartbeat every 0.5 s for up to 0.5 s. The processor time of 500 topics at 10 Hz does not grow.
 - The default shared-memory segment (512 kB) makes a message of 1 MB five times slower than a large segment.
 - With the range SYSTEM_DEFAULT, rmw_fastrtps ignores ``ROS_STATIC_PEERS``. So this profile contains the static peers.
 - By default (0 s) the NACK suppression of a reliable writer wakes the timer thread after each sample, which then waits
@@ -46,11 +47,13 @@ _QUEUE = "8192"
 
 _UDP_BUFFER = str(4 * 1024 * 1024)
 
-_NACK_SUPPRESSION_NS = "250000000"
+_HEARTBEAT_NS = "500000000"
+"""Nanoseconds between a writer's heartbeats while samples are not acknowledged: a lost one is resent after the next."""
+
+_NACK_SUPPRESSION_NS = "100000000"
 """Nanoseconds after a sample during which a NACK for it is ignored, and the timer thread sleeps.
 
-Only on this machine: readers report a lost sample after the writer's heartbeat, every 3 s, and repeat an ignored report
-after the next one. So a network that loses packets would deliver up to a twelfth of the lost samples 3 s later.
+The reader repeats an ignored NACK after the next heartbeat.
 """
 
 
@@ -96,8 +99,7 @@ class FastDdsProfile:
         self._builtin(ET.SubElement(rtps, "builtin"))
         _add_texts(rtps, participantID=str(participant_number(self.prefix)))
         _set_prefix(rtps, self.prefix)
-        if self.localhost_only:
-            self._writers(profiles)
+        self._writers(profiles)
         return ET.tostring(root, encoding="unicode", xml_declaration=True)
 
     def _shared_memory(self, descriptor: ET.Element) -> None:
@@ -115,8 +117,9 @@ class FastDdsProfile:
 
     def _writers(self, profiles: ET.Element) -> None:
         writer = ET.SubElement(profiles, "data_writer", profile_name="midspan_writer", is_default_profile="true")
-        suppression = ET.SubElement(ET.SubElement(writer, "times"), current().nack_suppression)
-        _add_texts(suppression, sec="0", nanosec=_NACK_SUPPRESSION_NS)
+        times = ET.SubElement(writer, "times")
+        for name, nanoseconds in zip(current().writer_times, (_HEARTBEAT_NS, _NACK_SUPPRESSION_NS), strict=True):
+            _add_texts(ET.SubElement(times, name), sec="0", nanosec=nanoseconds)
 
     def _builtin(self, builtin: ET.Element) -> None:
         discovery = ET.SubElement(builtin, "discovery_config")

@@ -48,9 +48,11 @@ class Release:
         return ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")[self.fast_dds_major - 2 :]
 
     @property
-    def nack_suppression(self) -> str:
-        """The profile's element for the duration of a writer's NACK suppression, as Fast DDS spells it."""
-        return "nackSupressionDuration" if self.fast_dds_major == 2 else "nack_supression_duration"
+    def writer_times(self) -> tuple[str, str]:
+        """The profile's elements for a writer's heartbeat period and NACK suppression, as Fast DDS spells them."""
+        if self.fast_dds_major == 2:
+            return "heartbeatPeriod", "nackSupressionDuration"
+        return "heartbeat_period", "nack_supression_duration"
 
     @property
     def library(self) -> str:
