@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -48,6 +49,29 @@ def test_the_image_has_the_ros_1_packages_that_set_up_installs() -> None:
     wanted = set(re.search(r'^ros1="([^"]*)"', setup, re.MULTILINE)[1].split())  # type: ignore[index]
     installed = {name for _, arguments in instructions() for name in arguments.split() if name.startswith("python3-")}
     assert wanted - installed == {"python3-roslaunch", "python3-rosnode", "python3-rosparam"}
+
+
+@pytest.mark.parametrize("installed", [True, False])
+def test_messages_are_built_only_if_pip_installed_ros_2(tmp_path: Path, installed: bool) -> None:
+    """On arm64 it installs none: `midspan interfaces build` fails there, and must not stop the build."""
+    (line,) = [arguments for _, arguments in instructions() if "interfaces build" in arguments]
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    for name in ("python3", "pip", "midspan"):
+        shows = f'case "$*" in show*) exit {int(not installed)};; esac'
+        (programs / name).write_text(f'#!/bin/sh\necho "{name} $*" >>"{tmp_path}/calls"\n{shows}\n')
+        (programs / name).chmod(0o755)
+    line = line.replace("/opt/midspan/bin/", f"{programs}/")
+    subprocess.run(["sh", "-c", line], env={"PATH": f"{programs}:/usr/bin:/bin"}, check=True)
+    calls = (tmp_path / "calls").read_text().splitlines()
+    assert ("midspan interfaces build" in calls) is installed
+    assert any(call.startswith("pip install") and ".[ros2,web]" in call for call in calls)
+
+
+def test_no_instruction_names_a_processor() -> None:
+    """The same file builds the image for x86-64 and arm64."""
+    words = re.findall(r"x86[-_]64|amd64|aarch64|arm64|--platform", " ".join(map(" ".join, instructions())))
+    assert words == []
 
 
 @pytest.fixture
