@@ -1,4 +1,4 @@
-"""A time limit that ends while a failure is being reported does not end the run."""
+"""Time limits: one that ends while a failure is being reported does not end the run; a slow machine has longer ones."""
 
 from __future__ import annotations
 
@@ -37,19 +37,43 @@ def test_next(): ...
 """
 
 
-def test_time_limit_that_ends_during_a_report(tmp_path: Path) -> None:
-    (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = timeout")
-    (tmp_path / "conftest.py").write_text(CONFTEST)
-    (tmp_path / "test_it.py").write_text(TESTS)
-    run = subprocess.run(
+LIMITED = """
+import pytest
+from tests.support.wait import until
+
+@pytest.mark.timeout(2)
+def test_limits(request, monkeypatch):
+    assert request.node.get_closest_marker("timeout").args == (20,)
+    monkeypatch.setattr("time.monotonic", iter((0.0, 49.9, 50.1)).__next__)
+    with pytest.raises(AssertionError, match="not within 50 s: never"):
+        until(lambda: False, "never", 5)
+"""
+
+
+def run_tests(folder: Path, **environ: str) -> subprocess.CompletedProcess[str]:
+    """Run the tests of a folder."""
+    (folder / "pytest.ini").write_text("[pytest]\nmarkers = timeout")
+    return subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:randomly", "-p", "tests.support.time_limit"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTEST_ADDOPTS": ""},
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTEST_ADDOPTS": "", **environ},
         capture_output=True,
         text=True,
         check=False,
         timeout=100,
     )
+
+
+def test_time_limit_that_ends_during_a_report(tmp_path: Path) -> None:
+    (tmp_path / "conftest.py").write_text(CONFTEST)
+    (tmp_path / "test_it.py").write_text(TESTS)
+    run = run_tests(tmp_path)
     assert "2 failed, 1 passed" in run.stdout, run.stdout + run.stderr
     assert "Timeout" in run.stdout
     assert run.returncode == 1
+
+
+def test_limits_are_longer_on_a_slow_machine(tmp_path: Path) -> None:
+    (tmp_path / "test_it.py").write_text(LIMITED)
+    run = run_tests(tmp_path, MIDSPAN_TEST_SLOWNESS="10")
+    assert run.returncode == 0, run.stdout + run.stderr

@@ -31,7 +31,7 @@ from tests.support.hidden import as_on, is_windows_name
 from tests.support.missing import has_ros1
 from tests.support.ports import free_port
 from tests.support.rosbags_messages import Messages
-from tests.support.wait import until
+from tests.support.wait import SLOWNESS, until
 
 SYSTEMS = os.environ.get("MIDSPAN_TEST_SYSTEMS", "windows,macos").split(",")
 MIDSPAN = [sys.executable, "-P", "-m", "bridge.cli.main"]
@@ -73,7 +73,9 @@ class OtherOs:
     def midspan(self, *words: str) -> subprocess.CompletedProcess[str]:
         """Run a command."""
         command = [*MIDSPAN, *words, "--config", str(self.file)]
-        return subprocess.run(command, env=self.env, capture_output=True, text=True, timeout=100, check=False)
+        return subprocess.run(
+            command, env=self.env, capture_output=True, text=True, timeout=100 * SLOWNESS, check=False
+        )
 
     def output(self) -> str:
         """Return the daemon's log."""
@@ -109,7 +111,7 @@ class OtherOs:
         if self.process.poll() is None:
             self.interrupt()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(10)
+                self.process.wait(10 * SLOWNESS)
             self.process.kill()
             self.process.wait()
         for pid in [*self.pids("router")[-1:], *self.pids("ros1_master")[-1:]]:
@@ -194,7 +196,7 @@ def assert_stops(other: OtherOs) -> None:
     """Ctrl-C stops all workers in order, and leaves no socket."""
     workers = [other.pids(worker)[-1] for worker in WORKERS]
     other.interrupt()
-    assert other.process.wait(30) == 0
+    assert other.process.wait(30 * SLOWNESS) == 0
     assert [pid for pid in workers if psutil.pid_exists(pid)] == []
     stops = re.findall(r" (\w+): stopping: (?:requested by the daemon|SIGTERM)", other.output())
     assert set(WORKERS) <= set(stops), "each was asked, and none only killed"

@@ -1,6 +1,7 @@
-"""Hold pytest-timeout's timer while a report is made: an error there ends the whole run with INTERNALERROR.
+"""Time limits of tests: they are longer on a slow machine, and hold while a report is made.
 
-The report of a failed test reads source files, which takes seconds on a busy machine.
+pytest-timeout's timer must not fire during a report, where an error ends the whole run with INTERNALERROR. The report
+of a failed test reads source files, which takes seconds on a busy machine.
 """
 
 from __future__ import annotations
@@ -11,8 +12,18 @@ from typing import Any
 
 import pytest
 
+from tests.support.wait import SLOWNESS
+
 _LEAST_SECONDS = 10.0
 """Time for what follows the report outside of any test, before the teardown's own protection begins."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Extend the limits of single tests; the common one is an option of pytest-timeout."""
+    for item in items if SLOWNESS > 1 else ():
+        mark = item.get_closest_marker("timeout")
+        if mark is not None and mark.args:
+            item.add_marker(pytest.mark.timeout(mark.args[0] * SLOWNESS), append=False)
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
