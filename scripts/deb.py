@@ -100,7 +100,7 @@ def stage(release: Release, wheels: Sequence[Path], root: Path, arch: str = "amd
     site = root / PRIVATE / "lib" / f"python3.{release.python}" / "site-packages"
     components = []
     for wheel in (*_download(release, got, arch), *wheels):
-        _unpack(wheel, site, root / PRIVATE)
+        unpack(wheel, site, root / PRIVATE)
         components.append(sbom.with_digest(sbom.of_wheel(wheel), wheel))
     shutil.rmtree(got)
     foreign = [file.name for file in site.rglob("*.cpython-*.so") if f".cpython-3{release.python}-" not in file.name]
@@ -139,7 +139,7 @@ def download(release: Release, to: Path, arch: str, wanted: Sequence[str]) -> li
     return sorted(to.glob("*.whl"))
 
 
-def _unpack(wheel: Path, site: Path, prefix: Path) -> None:
+def unpack(wheel: Path, site: Path, prefix: Path) -> None:
     """Install a wheel like pip into an environment of another machine, without its programs.
 
     https://packaging.python.org/en/latest/specifications/binary-distribution-format/. Pip's own ``--target`` drops the
