@@ -79,13 +79,13 @@ def _of_side(side: Side) -> WorkerKind:
     )
 
 
-def _of(descriptor: WorkerDescriptor) -> WorkerKind:
+def _kind_of(descriptor: WorkerDescriptor) -> WorkerKind:
     return WorkerKind(**{field.name: getattr(descriptor, field.name) for field in fields(descriptor)})
 
 
 def worker_kinds(environ: Mapping[str, str] = os.environ) -> dict[str, WorkerKind]:
     """Return all workers by name, in the order in which they start: those that outlive it, the sides, all others."""
-    workers = [_of(descriptor) for descriptor in all_workers()]
+    workers = [_kind_of(descriptor) for descriptor in all_workers()]
     first, others = ([kind for kind in workers if kind.outlives is outlives] for outlives in (True, False))
     kinds = {kind.name: kind for kind in (*first, *map(_of_side, all_sides()), *others)}
     for entry in environ.get(VARIABLE, "").split(","):

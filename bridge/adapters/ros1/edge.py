@@ -234,7 +234,7 @@ class Ros1Edge(SideEdge):
             self._actions.seen(state)
             links = publishers | state.subscribers | state.servers if state else frozenset()
             self._names.learn({k.topic for k in links} | self._actions.names())
-            self._pool.forget({k.uri for k in publishers | (state.servers if state else frozenset())})
+            self._pool.retain({k.uri for k in publishers | (state.servers if state else frozenset())})
         self._topics.take_up(self._publishers)
         self._services.seen(state)
         self._actions.looked()

@@ -40,17 +40,17 @@ class PeerPool:
             if line.talking == AT_ONCE:
                 return
             line.talking += 1
-        self._go_on(address, line)
+        self._start_next(address, line)
 
-    def _go_on(self, address: str, line: _PeerJobs) -> None:
+    def _start_next(self, address: str, line: _PeerJobs) -> None:
         if self._is_doubtful(address):
-            self._doubtful.submit(lambda: self._talk(address, line))
+            self._doubtful.submit(lambda: self._run_next(address, line))
         else:
             self._fresh.submit(
-                lambda: self._go_on(address, line) if self._is_doubtful(address) else self._talk(address, line)
+                lambda: self._start_next(address, line) if self._is_doubtful(address) else self._run_next(address, line)
             )
 
-    def _talk(self, address: str, line: _PeerJobs) -> None:
+    def _run_next(self, address: str, line: _PeerJobs) -> None:
         with self._lock:
             job = line.jobs.popleft() if line.jobs else lambda: None  # another thread took it
         try:
@@ -65,7 +65,7 @@ class PeerPool:
                 if not line.talking:
                     del self._lines[address]
             if more:
-                self._go_on(address, line)
+                self._start_next(address, line)
 
     def failed(self, address: str) -> None:
         """Mark an address as failed."""
@@ -77,7 +77,7 @@ class PeerPool:
         with self._lock:
             self._failed.discard(address)
 
-    def forget(self, alive: set[str]) -> None:
+    def retain(self, alive: set[str]) -> None:
         """Drop the marks of addresses that left the graph."""
         with self._lock:
             self._failed &= alive

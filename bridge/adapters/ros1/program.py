@@ -268,7 +268,7 @@ class Ros1ActionClient:
             self._executor.submit(lambda: self._client.lost(reason))
         if servers and not self._server:
             self._server = servers[0]
-            self._executor.submit(self._client.found)
+            self._executor.submit(self._client.discovered)
             self._executor.submit(self._client.connected)
         return bool(self._server)
 

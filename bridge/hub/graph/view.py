@@ -255,7 +255,7 @@ class HubGraph:
         # not read back from zenoh, which drops a client's tokens when it loses its router
         with self._lock:
             changed = self._put_token(key)
-        self._tell(changed)
+        self._notify(changed)
 
         def withdraw() -> None:
             with self._lock:
@@ -263,7 +263,7 @@ class HubGraph:
                 token = self._own.pop(key, None)
             if token is not None:
                 undeclare(token)
-            self._tell(changed)
+            self._notify(changed)
 
         return withdraw
 
@@ -273,7 +273,7 @@ class HubGraph:
             return
         with self._lock:
             changed = self._delete_token(key) if sample.kind == zenoh.SampleKind.DELETE else self._put_token(key)
-        self._tell(changed)
+        self._notify(changed)
 
     def _put_token(self, key: str) -> bool:
         try:
@@ -301,7 +301,7 @@ class HubGraph:
 
     def _delete_token(self, key: str) -> bool:
         if not key.startswith(MIDSPAN_SPACE):
-            return self._forget(key)
+            return self._remove(key)
         try:
             if key.startswith(self._member_space):
                 return self._delete_member(*parse_member(key))
@@ -427,7 +427,7 @@ class HubGraph:
                 self._unknown.add(policy)
                 _log.warning("%.200s, %s of node %.100s: %s", endpoint.topic, endpoint.kind, endpoint.node, policy)
 
-    def _forget(self, key: str) -> bool:
+    def _remove(self, key: str) -> bool:
         endpoint = self._endpoints.pop(key, None)
         known = endpoint or self._nodes.pop(key, None)
         if known is None:
@@ -453,7 +453,7 @@ class HubGraph:
         self.trouble = f"{why}: {key:.100}"
         _log.log(level, "liveliness token left out, %s: %.200s", why, key)
 
-    def _tell(self, changed: bool) -> None:
+    def _notify(self, changed: bool) -> None:
         if changed:
             for callback in tuple(self._watches.values()):
                 callback()

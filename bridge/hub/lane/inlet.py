@@ -93,7 +93,7 @@ class Inlet:
                 key = self._keys[reader.key] = self._numbers[self._next] = _Key(self._next)
             if reader not in key.readers:
                 key.readers += (reader,)
-            self._tell(HEAD.pack(ON, key.number) + reader.key.encode())
+            self._send(HEAD.pack(ON, key.number) + reader.key.encode())
 
     def fence(self, reader: LaneReader) -> None:
         """Request a fence: `LaneReader.fenced` is called after everything that was sent until now."""
@@ -102,7 +102,7 @@ class Inlet:
             if key is not None:
                 self._next += 1
                 self._fences[self._next] = reader
-                self._tell(HEAD.pack(FENCE, key.number) + TOKEN.pack(self._next))
+                self._send(HEAD.pack(FENCE, key.number) + TOKEN.pack(self._next))
 
     def leave(self, reader: LaneReader) -> None:
         """Stop delivery to the reader."""
@@ -113,7 +113,7 @@ class Inlet:
             key.readers = tuple(other for other in key.readers if other is not reader)
             if not key.readers:
                 del self._keys[reader.key], self._numbers[key.number]
-                self._tell(HEAD.pack(OFF, key.number))
+                self._send(HEAD.pack(OFF, key.number))
 
     def close(self) -> None:
         """Close the connection. Safe to call twice."""
@@ -121,7 +121,7 @@ class Inlet:
         with contextlib.suppress(OSError):
             self._sock.shutdown(socket.SHUT_RDWR)
 
-    def _tell(self, record: bytes) -> None:
+    def _send(self, record: bytes) -> None:
         try:
             self._sock.send(record, socket.MSG_DONTWAIT)
         except OSError as err:  # the writer died, or does not read

@@ -153,7 +153,7 @@ class ReaderLink:
                 del self._queued[outlet]
             self._watch(False)
 
-    def forget(self, outlet: Outlet) -> None:
+    def drop_queue(self, outlet: Outlet) -> None:
         """Drop the queue of a key that the reader released."""
         with self._lock:
             self._queued.pop(outlet, None)

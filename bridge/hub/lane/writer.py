@@ -186,7 +186,7 @@ class LaneWriter:
             outlet = link.outlets.pop(number, None)
             if outlet is not None:
                 self._detach(outlet)
-                link.forget(outlet)
+                link.drop_queue(outlet)
 
     def _detach(self, outlet: Outlet) -> None:
         for publisher in tuple(self._publishers):

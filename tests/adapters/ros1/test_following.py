@@ -64,7 +64,7 @@ class Following(Follower[End]):
         for name in names:
             self._add(End(name))
 
-    def _tell(self, end: End, known: Mapping[Registration, Facts]) -> None:
+    def _notify(self, end: End, known: Mapping[Registration, Facts]) -> None:
         self.told.append((end.name, known))
 
 
@@ -93,7 +93,7 @@ def test_the_topics_of_an_action_that_is_served_here_never_cross_as_topics() -> 
     """A client registers its topics in sequence."""
 
     def handle(*_: Any) -> Any:
-        return SimpleNamespace(close=lambda: None, send=lambda *_: None, forget=lambda *_: None, dropped=0)
+        return SimpleNamespace(close=lambda: None, send=lambda *_: None, dropped=0)
 
     network = ActionNetwork(
         own=lambda: "/midspan", facts=dict, registry=Registry(), clock=lambda: SYSTEM, subscribe=handle, publish=handle,

@@ -19,7 +19,7 @@ class World:
         self.goals, self.cancels, self.states, self.feedbacks = [], [], [], []
         self.now = 100.0
         self.client = ActionlibClient("/act", self, lambda: self.now, EMPTY)
-        self.client.found()
+        self.client.discovered()
         self.client.connected()
 
     def publish(self, part, payload):

@@ -107,7 +107,7 @@ class ActionCaller(ActionTopics):
     # -- ROS 1 ---------------------------------------------------------------------------------------------------------
 
     def _connect(self) -> None:
-        self._client.found()  # a part is opened because a server is on the graph; `_choose` may not know it yet
+        self._client.discovered()  # a part is opened because a server is on the graph; `_choose` may not know it yet
         if not self._open or self._subscriptions:
             return
         self._advertise(discovery.GOAL, self._types.goal, _QUEUE)
@@ -143,7 +143,7 @@ class ActionCaller(ActionTopics):
             self._lose(GONE.format(self._server.node))
         if servers:
             self._server = servers[0]
-            self._client.found()
+            self._client.discovered()
             if self._early is not None:  # a list that arrived before the master's state was read
                 self._newest, self._early = self._early, None
                 self._take_statuses()

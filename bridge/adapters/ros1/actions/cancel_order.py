@@ -104,14 +104,14 @@ class CancelOrder:
             if now < held.since + LONGEST_SECONDS and self._unread(held.client, listed=bool(held.request.id)):
                 held.until = max(held.until, now + CROSSING_SECONDS) if held.request.id else now
             elif now >= held.until:
-                self._let_go(held)
+                self._release(held)
 
     def _hold(self, held: _Held) -> None:
         self._held.append(held)
         if len(self._held) > MAX_HELD:
-            self._let_go(self._held[0])
+            self._release(self._held[0])
 
-    def _let_go(self, held: _Held) -> None:
+    def _release(self, held: _Held) -> None:
         self._held.remove(held)
         # the server remembers the id, as an actionlib server does; requests without an id were forwarded on arrival
         if held.request.id:

@@ -149,7 +149,7 @@ class ActionlibClient:
 
     # -- events of the server ------------------------------------------------------------------------------------------
 
-    def found(self) -> None:
+    def discovered(self) -> None:
         """Accept goals for a discovered server, which may not be connected yet."""
         self._gone = ""
 
@@ -221,7 +221,7 @@ class ActionlibClient:
         if goal is None or goal.whole or goal.result_delivered or goal.refused:
             return
         if goal.result is not None:  # the goal was already ended as lost, but no client has received that result
-            self._goals.forget(goal)
+            self._goals.remove(goal)
             goal.result = None
             self._goals.add(goal)
         self._accept(goal, status)
@@ -276,11 +276,11 @@ class ActionlibClient:
         id_ = status.goal.id
         goal = self._goals.by_id(id_)
         if goal is not None and not goal.ours and goal.state.ended and goal.stamp != status.goal.stamp:
-            self._goals.forget(goal)
+            self._goals.remove(goal)
             goal = None
         ours = goal is not None and goal.lost and goal.ours
         if goal is not None and goal.lost:  # it is reported again
-            self._goals.forget(goal)
+            self._goals.remove(goal)
             goal = None
         if goal is None and not self._goals.full:
             uuid = states.uuid_of(self.name, id_)

@@ -114,7 +114,7 @@ class GoalStore:
         self._ended[goal.uuid] = (now, goal)
         self._bytes += len(goal.result or b"")
 
-    def forget(self, goal: TrackedGoal) -> None:
+    def remove(self, goal: TrackedGoal) -> None:
         """Drop a goal that has expired, or whose id a ROS 1 client reuses."""
         if self._ended.pop(goal.uuid, None) is not None:
             self._bytes -= len(goal.result or b"")
@@ -134,7 +134,7 @@ class GoalStore:
             crowded = len(self._ended) > MAX_ENDED or self._bytes > MAX_ENDED_BYTES
             if ended > now - KEEP_SECONDS and not crowded:
                 return
-            self.forget(goal)
+            self.remove(goal)
 
     def __len__(self) -> int:
         return len(self._by_uuid)

@@ -67,7 +67,7 @@ class ServedAction(ActionTopics):
 
     def send(self, part: str, payload: bytes) -> None:
         """Handle a message of the hub server's status or feedback topic."""
-        self._executor.submit(lambda: self._heard(part, payload))
+        self._executor.submit(lambda: self._on_message(part, payload))
 
     def withdraw(self) -> None:
         """Count a closed publisher."""
@@ -135,7 +135,7 @@ class ServedAction(ActionTopics):
         self._unwatch = self._network.clock().on_jump(lambda: self._executor.submit(self._clock_jumped))
         self._server.open()
         if self._states:
-            self._heard(ros2_action.STATUS, self._states)
+            self._on_message(ros2_action.STATUS, self._states)
         self._subscribe(discovery.GOAL, types.goal, self._on_goal)
         self._subscribe(discovery.CANCEL, types.cancel, self._on_cancel)
 
@@ -180,7 +180,7 @@ class ServedAction(ActionTopics):
         if self._order is not None:
             self._order.cancel(wire.read_goal_id(payload), client, unread=unread)
 
-    def _heard(self, part: str, payload: bytes) -> None:
+    def _on_message(self, part: str, payload: bytes) -> None:
         if part == ros2_action.STATUS:
             self._states = payload
         server = self._server
@@ -191,7 +191,7 @@ class ServedAction(ActionTopics):
         else:
             self._read(discovery.FEEDBACK, lambda: server.feedback(*wire.read_with_uuid(payload)))
 
-    def forget(self, goal: str) -> None:
+    def drop_result(self, goal: str) -> None:
         """Drop a goal's result."""
         self._publishers[discovery.RESULT].drop_source(goal)
 

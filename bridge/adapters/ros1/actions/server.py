@@ -58,7 +58,7 @@ class ServerOutput(Protocol):
     def publish(self, part: str, payload: bytes, source: str = "") -> None:
         """Publish on ``status``, ``feedback`` or ``result``; later subscribers also receive each goal's result."""
 
-    def forget(self, goal: str) -> None:
+    def drop_result(self, goal: str) -> None:
         """Drop a goal's result."""
 
     def call(self, part: str, request: bytes, done: Done) -> None:
@@ -133,7 +133,7 @@ class ActionlibServer:
             self._publish_result(refused, self._empty)
             listed = ""
         else:
-            listed = self._take(goal, body)
+            listed = self._accept(goal, body)
         self._flush()
         return listed
 
@@ -148,7 +148,7 @@ class ActionlibServer:
         """Return whether a goal with this id is listed."""
         return goal in self._entries
 
-    def _take(self, goal: GoalId, body: bytes) -> str:
+    def _accept(self, goal: GoalId, body: bytes) -> str:
         id_, stamp = goal.id or self._new_id(), goal.stamp if goal.stamp != ZERO else self._now()
         entry = _ListedGoal(id_, stamp, Ros1State.PENDING, uuid4().bytes, ours=True)
         self._add(entry)
@@ -348,7 +348,7 @@ class ActionlibServer:
     def _forget_result(self) -> None:
         _, goal, size = self._results.popleft()
         self._result_bytes -= size
-        self._output.forget(goal)
+        self._output.drop_result(goal)
 
     def _flush(self) -> None:
         now = self._clock()

@@ -267,7 +267,7 @@ class _NodeConnection:
             else:
                 before = self._heard
                 with sock, contextlib.suppress(OSError, Ros1ProtocolError):
-                    self._hear(sock)
+                    self._receive(sock)
                 if self._heard != before:
                     # reconnect to a live node at once; a dead one refuses
                     self._closing.wait(_AGAIN_SECONDS)
@@ -289,7 +289,7 @@ class _NodeConnection:
             raise Ros1ProtocolError(header.get("error", "it is another node"))
         return sock
 
-    def _hear(self, sock: DeadlineSocket) -> None:
+    def _receive(self, sock: DeadlineSocket) -> None:
         self._sock = sock
         sock.deadline = float("inf")
         while not self._closing.is_set():

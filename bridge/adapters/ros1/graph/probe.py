@@ -303,7 +303,7 @@ class Follower(ABC, Generic[AnyEnd]):
         self._ends: set[AnyEnd] = set()
 
     @abstractmethod
-    def _tell(self, end: AnyEnd, known: Mapping[Registration, Facts]) -> None:
+    def _notify(self, end: AnyEnd, known: Mapping[Registration, Facts]) -> None:
         """Inform one end."""
 
     def take_up(self, links: frozenset[Registration]) -> None:
@@ -327,7 +327,7 @@ class Follower(ABC, Generic[AnyEnd]):
             for link, facts in self.prober.facts(name).items():
                 known.setdefault(link.topic, {})[link] = facts
             for end in ends:
-                self._tell(end, known.get(end.name, {}))
+                self._notify(end, known.get(end.name, {}))
 
     def _followers(self) -> list[AnyEnd]:
         with self._lock:

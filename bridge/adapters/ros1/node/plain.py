@@ -182,7 +182,7 @@ class PlainNode:
             readers.update(dict.fromkeys(added))
         for reader in filter(None, removed):
             reader.close()
-            self._forget(subscription, reader)
+            self._remove_reader(subscription, reader)
         for uri in added:
             self._pool.submit(partial(self._connect, subscription, topic, uri))
 
@@ -222,10 +222,10 @@ class PlainNode:
         self._events.changed()
 
     def _on_end(self, subscription: _Subscription, uri: str, reader: PublisherConnection) -> None:
-        self._forget(subscription, reader)
+        self._remove_reader(subscription, reader)
         self._retry_later(subscription, uri)
 
-    def _forget(self, subscription: _Subscription, reader: PublisherConnection) -> None:
+    def _remove_reader(self, subscription: _Subscription, reader: PublisherConnection) -> None:
         subscription.entry.remove(reader)
         with self._lock:
             subscription.nodes.pop(reader, None)

@@ -64,7 +64,7 @@ class OfferedNode:
         now = dict(self._all(trees))
         before, self._told = self._told, now
         if before is not None and before != now:
-            self._tell(before, now)
+            self._publish_event(before, now)
 
     def close(self) -> None:
         """Leave the hub. Safe to call twice."""
@@ -98,7 +98,7 @@ class OfferedNode:
     def _read(self) -> dict[str, ParameterValue]:
         return dict(self._all(self._store.watch([rule.ros1 for rule in self.rules])))
 
-    def _tell(self, before: Mapping[str, ParameterValue], now: Mapping[str, ParameterValue]) -> None:
+    def _publish_event(self, before: Mapping[str, ParameterValue], now: Mapping[str, ParameterValue]) -> None:
         message = {
             "stamp": dict(zip(("sec", "nanosec"), divmod(time.time_ns(), 10**9), strict=True)),
             "node": self.node,

@@ -60,13 +60,13 @@ class _Pending:
             return self._done is not None
 
     def finish(self, result: bytes | CallError) -> None:
-        done = self._take()
+        done = self._take_done()
         if done is not None:
             done(result)
 
     def abandon(self) -> None:
         """End the call of a client that left; closing the connection is ROS 1's only signal for that."""
-        if self._take() is not None:
+        if self._take_done() is not None:
             self.cut()
 
     def cut(self) -> None:
@@ -74,7 +74,7 @@ class _Pending:
         if self.connection is not None:
             self.connection.cut()
 
-    def _take(self) -> Done | None:
+    def _take_done(self) -> Done | None:
         with self._lock:
             done, self._done = self._done, None
         if done is not None:
@@ -264,7 +264,7 @@ class Ros1Caller:
             self._calls.discard(pending)
 
     def _begin(self, pending: _Pending) -> None:
-        while (connection := self._take()) is not None:
+        while (connection := self._take_connection()) is not None:
             if connection.begin(pending):
                 return
             if not pending.waits:
@@ -272,7 +272,7 @@ class Ros1Caller:
                 return
         threading.Thread(target=self._begin_anew, args=(pending,), name="midspan-ros1-call", daemon=True).start()
 
-    def _take(self) -> _ServerConnection | None:
+    def _take_connection(self) -> _ServerConnection | None:
         with self._lock:
             return self._free.pop() if self._free else None
 

@@ -50,7 +50,7 @@ class _ClientConnection(ServiceConnection):
 
     def close(self, why: str) -> None:
         """End a pending call with an error, and close."""
-        abandon, turn = self._take()
+        abandon, turn = self._end_wait()
         if abandon is not None:
             abandon()
         if turn:
@@ -95,10 +95,10 @@ class _ClientConnection(ServiceConnection):
 
     def _done(self, turn: int, result: bytes | CallError) -> None:
         """Send a call's reply, from any thread; a second one, or one after the client left, is dropped."""
-        if self._take(turn)[1]:
+        if self._end_wait(turn)[1]:
             self._reply(result)
 
-    def _take(self, turn: int = 0) -> tuple[Abandon | None, int]:
+    def _end_wait(self, turn: int = 0) -> tuple[Abandon | None, int]:
         """End the wait for a reply (of one turn if given); return its abandon function and its turn."""
         with self._state:
             if not self._waits or turn not in (0, self._turn):
@@ -127,7 +127,7 @@ class _ClientConnection(ServiceConnection):
 
     @override
     def _ended(self, trouble: str) -> None:
-        abandon, turn = self._take()
+        abandon, turn = self._end_wait()
         if turn:
             _log.debug("a client of %s %s", self._server.name, trouble)
         if abandon is not None:
@@ -225,7 +225,7 @@ class ServiceServers:
                 f"the md5 sum of {side_type.name} is unknown, ROS 1 clients would reject it",
                 "give the type's .srv folder under types.folders",
             )
-        server = Ros1Server(name, side_type, call, self._gone, self.traffic)
+        server = Ros1Server(name, side_type, call, self._remove_server, self.traffic)
         with self._lock:
             if name in self._servers:
                 raise MessageTypeError(
@@ -276,7 +276,7 @@ class ServiceServers:
         for server in servers:
             server.close()
 
-    def _gone(self, server: Ros1Server) -> None:
+    def _remove_server(self, server: Ros1Server) -> None:
         with self._lock:
             del self._servers[server.name]
         self._changed()

@@ -103,7 +103,7 @@ class Ros1Services(Follower[Ros1Caller]):
         return self._add(Ros1Caller(self._context, name, side_type, self._doubted, self._remove))
 
     @override
-    def _tell(self, end: Ros1Caller, known: Mapping[Registration, Facts]) -> None:
+    def _notify(self, end: Ros1Caller, known: Mapping[Registration, Facts]) -> None:
         natives = [(link, facts) for link, facts in known.items() if facts.native]
         end.follow(natives[-1][0] if natives and natives[-1][1].fits(end.md5) else None)
 

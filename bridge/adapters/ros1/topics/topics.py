@@ -74,7 +74,7 @@ class Ros1Topics(Follower["Ros1Subscription"]):
         return Ros1Publisher(self._context.book, topic, side_type, qos)
 
     @override
-    def _tell(self, end: Ros1Subscription, known: Mapping[Registration, Facts]) -> None:
+    def _notify(self, end: Ros1Subscription, known: Mapping[Registration, Facts]) -> None:
         end.follow(known)
 
 

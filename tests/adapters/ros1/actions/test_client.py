@@ -118,7 +118,7 @@ def test_goals_of_a_lost_server_are_unknown_once_and_no_state_is_published(world
     world.advance(10.0)
     assert world.states == states_before, "neither its end, nor a list without it: it may still be executing"
     assert result(world.ask(2)) == (GoalState.UNKNOWN, EMPTY)
-    world.client.found()
+    world.client.discovered()
     world.client.connected()
     assert not world.send(5)
     assert len(world.goals) == 4
@@ -136,7 +136,7 @@ def test_a_goal_that_is_reported_again_is_followed_to_its_end(world):
     world.send(1)
     world.report((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
     world.client.lost("the server is gone")
-    world.client.found()
+    world.client.discovered()
     world.client.connected()
     assert canceled(world.stop(1)) == (CancelCode.UNKNOWN_GOAL_ID, set())
     assert world.cancels == [GoalId(ZERO, name(1))], "a stop is sent nevertheless"
@@ -158,7 +158,7 @@ def test_the_first_list_of_a_server_is_published_even_if_it_is_empty(world):
     world.report()
     assert world.states == [{}]
     world.client.lost("the server is gone")
-    world.client.found()
+    world.client.discovered()
     assert world.states == [{}]
     world.report()
     assert world.states == [{}, {}]

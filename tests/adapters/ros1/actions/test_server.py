@@ -46,7 +46,7 @@ class World:
         assert status.goal.id == goal
         self.results.append((goal, Ros1State(status.state), body, status.text))
 
-    def forget(self, goal):
+    def drop_result(self, goal):
         self.forgotten.append(goal)
 
     def send_goal(self, request, done):
