@@ -109,6 +109,10 @@ class Writer:
         """Return the number of matched readers."""
         return len(self.end.get_matched_subscriptions())
 
+    def drop(self) -> None:
+        """Close it, while the participant stays."""
+        del self.end
+
 
 class Server:
     """A service: answers each request with the same reply, under the request's header; b"" sends none."""
@@ -174,6 +178,9 @@ class Peer(Commands):
     def publish(self, id: int, payload: str) -> dict[str, Any]:
         self.parts[id].write(bytes.fromhex(payload))
         return {}
+
+    def gid(self, id: int) -> dict[str, Any]:
+        return {"gid": self.parts[id].end.guid.hex}
 
     def wait(self, id: int, count: int, seconds: float) -> dict[str, Any]:
         return {"payloads": [payload.hex() for payload in self.parts[id].record.wait(count, seconds)]}

@@ -21,6 +21,7 @@ from typing import Any
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph import vendors
+from bridge.adapters.ros2.graph.closed import ClosedEndpoints
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
 from bridge.adapters.ros2.participant import Participant, from_rclpy, reply_topic, request_topic, service_type
 from bridge.adapters.ros2.versions import EndpointVersions
@@ -68,6 +69,7 @@ class Ros2Graph:
     ) -> None:  # fmt: skip
         self._participant, self._own, self._changed, self._versions = participant, own_prefix, changed, versions
         self.snapshot = GraphSnapshot()
+        self._closed = ClosedEndpoints()
         self._guard = participant.make_guard_condition()
         self._graph_guard = rcl.graph_guard_condition(participant.pointer)
         self._stopping = threading.Event()
@@ -123,6 +125,7 @@ class Ros2Graph:
             endpoints += [replace(e, obstacle=obstacle) for _, e in service_servers]
             endpoints += self._clients(service, requests)
         prefixes = {gid[:PREFIX_BYTES] for gid in self._participant.participants()}
+        self._closed.retain(prefixes)
         subscribed = frozenset(e.topic for e in endpoints if e.kind is Kind.SUBSCRIPTION)
         return GraphSnapshot(
             tuple(endpoints), publishers, servers, frozenset(prefixes - {self._own}), subscribed, obstacles
@@ -162,8 +165,8 @@ class Ros2Graph:
 
     def clients(self, service: str) -> set[bytes]:
         """Return the GIDs that a service's clients may use in requests; reads the graph."""
-        asking = self._participant.writers(request_topic(service), dds=True)
-        return {bytes(info["endpoint_gid"]) for info in asking} | set(self.reply_readers(service))
+        asking = self._others(service, Kind.CLIENT, self._participant.writers(request_topic(service), dds=True))
+        return {gid for gid, _ in asking} | set(self.reply_readers(service))
 
     def _servers(self, service: str, requests: str) -> list[tuple[bytes, Endpoint]]:
         servers = self._others(service, Kind.SERVER, self._participant.readers(requests, dds=True))
@@ -203,6 +206,7 @@ class Ros2Graph:
     def _others(self, name: str, kind: Kind, infos: Sequence[Mapping[str, Any]]) -> list[tuple[bytes, Endpoint]]:
         gids = [(bytes(info["endpoint_gid"]), info) for info in infos]
         ends = [(gid, _endpoint(name, kind, gid, info)) for gid, info in gids if gid[:PREFIX_BYTES] != self._own]
+        ends = [(gid, end) for gid, end in ends if not self._closed.is_closed(gid, end.node)]
         versions = self._versions
         if versions is None or not any(versions.may_be_humble(end) for _, end in ends):
             return ends
