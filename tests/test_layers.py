@@ -15,7 +15,7 @@ TOOLS |= {"state_file", "state_machine", "status", "text", "worker"}
 """Single modules next to the parts, which import only ``config`` and each other from ``bridge``."""
 
 BELOW = {
-    "config": {"descriptors", "registration", "sides"},
+    "config": {"descriptors", "messages", "registration", "sides"},
     "messages": set[str](),
     "tf": set(),
     "transform_server": {"tf", "client", "clock", "config", "descriptors", "hub", "messages", "modules", "worker"},

@@ -22,7 +22,7 @@ from bridge.text import clean
 if TYPE_CHECKING:
     from bridge.client.session import Client
     from bridge.client.types import Types
-    from bridge.messages.values import ServiceCodec
+    from bridge.messages.services import ServiceCodec
 
 WAIT_SECONDS = 5.0
 _POLL_SECONDS = 0.2

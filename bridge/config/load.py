@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from bridge.config.document import ConfigError, Document, KeyPath, Problem, parse, read
 from bridge.config.listeners import listener_problems
+from bridge.config.mapping_rules import mapping_rule_problems
 from bridge.config.migrate import too_new
 from bridge.config.model import Config
 from bridge.config.problems import key_name, model_of, problems
@@ -73,7 +74,7 @@ def _config(document: Document) -> Config:
     placed: Config = _placed(config, (), document, missing)
     if missing:
         raise ConfigError(missing)
-    if refused := zenoh_problems(document, placed):
+    if refused := zenoh_problems(document, placed) or mapping_rule_problems(document, placed):
         raise ConfigError(refused)
     return placed
 

@@ -24,7 +24,7 @@ from bridge.messages.actions import split
 from bridge.messages.definitions.schema import Schema
 from bridge.messages.definitions.text import full_text
 from bridge.messages.errors import ConversionError, MessageTypeError
-from bridge.messages.values import ServiceCodec
+from bridge.messages.services import ServiceCodec
 from bridge.modules.host import Host
 
 _log = logging.getLogger("midspan.foxglove")

@@ -18,7 +18,8 @@ from typing_extensions import override
 from bridge.messages.definitions.schema import FieldType
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
-from bridge.messages.values import MessageReader, MessageWriter, ServiceCodec, dtype, wrong
+from bridge.messages.services import ServiceCodec
+from bridge.messages.values import MessageReader, MessageWriter, dtype, wrong
 
 OCTETS = frozenset({"uint8", "byte", "char"})  # primitives whose arrays are written as base64
 _NOT_NUMBERS = {"nan": math.nan, "infinity": math.inf, "inf": math.inf, "-infinity": -math.inf, "-inf": -math.inf}

@@ -22,8 +22,10 @@ from bridge.messages.errors import MessageTypeError
 from bridge.messages.mapping.actions import ActionMapping, ActionTopicTypes
 from bridge.messages.mapping.messages import ANY_MD5, MessageMapping
 from bridge.messages.mapping.releases import ReleaseConversions
+from bridge.messages.mapping.rule_check import rule_errors
 from bridge.messages.mapping.rules import Rules
 from bridge.messages.mapping.services import ServiceMapping, ServiceSchema, ros1_service, ros2_service
+from bridge.messages.mapping.version_rules import VersionRules
 from bridge.messages.transcode.conversion import Conversion, Convert, ServiceConversion, SideType, check_cdr
 
 
@@ -62,7 +64,8 @@ class Registry:
         self._lock = threading.RLock()
         versions = TypeVersions(self._ros2, folders, self._sources2)
         self._ros2.versions = versions.of
-        self.releases = ReleaseConversions(self._ros2, versions, self._lock)
+        self._versions, self._version_rules = versions, VersionRules(mapping_rules)
+        self.releases = ReleaseConversions(self._ros2, versions, self._version_rules, self._lock)
         self._answers: dict[tuple[str, str, str], Conversion] = {}
         self._service_answers: dict[tuple[str, str, str], ServiceConversion] = {}
         self._checks: dict[str, Convert] = {}
@@ -74,6 +77,11 @@ class Registry:
     def of(cls, types: _Types) -> Self:
         """Return the registry for a configuration's section ``types``."""
         return cls(types.folders, types.mapping_rules)
+
+    def rule_errors(self) -> list[MessageTypeError]:
+        """Return an error for each of the configuration's rules about versions that cannot apply."""
+        with self._lock:
+            return list(rule_errors(self._version_rules, self._versions))
 
     def ros1(self, name: str) -> SideType:
         """Return the ROS 1 type ``name``; if only ROS 2 has it, the one derived from there."""

@@ -16,8 +16,9 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
+from bridge.messages.services import ServiceCodec
 from bridge.messages.template import MessageTemplate
-from bridge.messages.values import MessageReader, MessageWriter, ServiceCodec
+from bridge.messages.values import MessageReader, MessageWriter
 from bridge.modules.loop import EventLoop
 from bridge.modules.services import ModuleServer, Serve
 from bridge.routing.counters import Counters

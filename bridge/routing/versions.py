@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 
 from bridge.hub.endpoints.variants import REQUEST, RESPONSE, TypeVersions
 from bridge.hub.graph import HubEndpoint
@@ -38,30 +38,40 @@ def note_losses(hub: Hub, edge: Edge, decisions: Iterable[RouteDecision]) -> Non
 
 
 def _text(end: HubEndpoint, versions: TypeVersions) -> str:
-    here = versions.here(end.type_name, end.type_hash)
-    fields = lost_fields(versions, end.kind, end.type_name, end.type_hash, here)
-    return loss_text(end.node, versions.release(end.type_name, end.type_hash), end.type_name, fields)
+    release = versions.release(end.type_name, end.type_hash)
+    return loss_text(versions, end.kind, end.type_name, end.type_hash, f"{end.node} has {release}'s version")
 
 
-def loss_text(node: str, release: str, type_name: str, lost: Iterable[str]) -> str:
-    """Return which fields of a node's type are lost, "" if none is."""
-    fields = list(dict.fromkeys(lost))
-    if not fields:
-        return ""
-    verb = "is" if len(fields) == 1 else "are"
-    return f"{node} has {release}'s version of {type_name}: {', '.join(fields)} {verb} left out"
+def loss_text(versions: TypeVersions, kind: EndpointKind, type_name: str, type_hash: str, whose: str) -> str:
+    """Return which fields messages between an endpoint of another version and this machine lose, "" if none.
+
+    Args:
+        versions: the known versions.
+        kind: of the endpoint.
+        type_name: its type.
+        type_hash: its version.
+        whose: the node and its version, for the text.
+    """
+    left_out: dict[str, None] = {}
+    changed: dict[str, None] = {}
+    for source, target, part in _crossings(kind, type_hash, versions.here(type_name, type_hash)):
+        lost, other = versions.losses(type_name, source, target, part)
+        left_out.update(dict.fromkeys(lost))
+        changed.update(dict.fromkeys(other))
+    verb = "is" if len(left_out) == 1 else "are"
+    texts = [f"{', '.join(left_out)} {verb} left out"] if left_out else []
+    texts += changed
+    return f"{whose} of {type_name}: {'; '.join(texts)}" if texts else ""
 
 
-def lost_fields(versions: TypeVersions, kind: EndpointKind, name: str, theirs: str, here: str) -> Iterator[str]:
-    """Yield the fields that messages between an endpoint of another version and this machine lose."""
+def _crossings(kind: EndpointKind, theirs: str, here: str) -> tuple[tuple[str, str, str], ...]:
+    """Return the versions between which messages of an endpoint are converted, each with the part of a service."""
     match kind:
         case EndpointKind.PUBLISHER:
-            yield from versions.lost(name, theirs, here)
+            return ((theirs, here, ""),)
         case EndpointKind.SUBSCRIPTION:
-            yield from versions.lost(name, here, theirs)
+            return ((here, theirs, ""),)
         case EndpointKind.SERVER:
-            yield from versions.lost(name, here, theirs, REQUEST)
-            yield from versions.lost(name, theirs, here, RESPONSE)
+            return (here, theirs, REQUEST), (theirs, here, RESPONSE)
         case EndpointKind.CLIENT:
-            yield from versions.lost(name, theirs, here, REQUEST)
-            yield from versions.lost(name, here, theirs, RESPONSE)
+            return (theirs, here, REQUEST), (here, theirs, RESPONSE)

@@ -323,8 +323,9 @@ def test_file_that_cannot_be_used(tmp_path: Path) -> None:
 
 
 def test_relative_paths_are_relative_to_the_file(tmp_path: Path) -> None:
-    for name in ("msg", "more", "rules.yaml"):
+    for name in ("msg", "more"):
         (tmp_path / name).mkdir()
+    (tmp_path / "rules.yaml").touch()
     file = tmp_path / "conf" / "midspan.yaml"
     file.parent.mkdir()
     file.write_text(f"state: st\ntypes: {{folders: [../msg, {tmp_path}/more], mapping_rules: [../rules.yaml]}}\n")

@@ -10,7 +10,7 @@ import pytest
 from bridge.adapters.ros1.parameters.values import ParameterType, ParameterValue, UnrepresentableError
 from bridge.foxglove.parameters import value_of_kind
 from bridge.hub.endpoints.calls import Abandon, Done, nothing
-from bridge.messages.values import ServiceCodec
+from bridge.messages.services import ServiceCodec
 from tests.foxglove.conftest import Desk
 from tests.foxglove.test_publishing import DRIVE, wait_for_status
 from tests.peers.browser.foxglove_app import App

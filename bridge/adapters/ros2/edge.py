@@ -43,8 +43,8 @@ from bridge.messages.actions import GET_RESULT, GoalState, split
 from bridge.messages.definitions.hashes import rihs01
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
+from bridge.messages.services import refusal
 from bridge.messages.transcode.conversion import Conversion, Convert, ServiceConversion, SideType
-from bridge.messages.values import refusal
 from bridge.routing.edge import (
     Deliver,
     EdgeCaller,

@@ -19,7 +19,7 @@ from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion, Convert, ServiceConversion, SideType
 from bridge.messages.unchanged import same
 from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
-from bridge.routing.versions import loss_text, lost_fields
+from bridge.routing.versions import loss_text
 
 Notes = Mapping[tuple[str, str, str], list[str]]
 """Texts by ``topic`` or ``service``, direction and name."""
@@ -234,9 +234,8 @@ class EndpointVersions:
         name, version = endpoint.type, endpoint.type_id
         if not self._differs(name, version):
             return ""
-        here = self._releases.here(name, version)
-        fields = lost_fields(self._releases, _KINDS[endpoint.kind], name, version, here)
-        return loss_text(endpoint.node or "a node", self._label(name, version), name, fields)
+        whose = f"{endpoint.node or 'a node'} has {self._label(name, version)}'s version"
+        return loss_text(self._releases, _KINDS[endpoint.kind], name, version, whose)
 
     def _undecodable(self, readers: Mapping[tuple[str, str], list[Endpoint]]) -> Iterable[tuple[str, str]]:
         for (topic, type_name), ends in readers.items():

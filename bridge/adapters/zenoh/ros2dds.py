@@ -29,8 +29,8 @@ from bridge.config.sections.zenoh import Dialect
 from bridge.hub.endpoints.calls import Abandon, Call, CallError, Done
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
+from bridge.messages.services import refusal
 from bridge.messages.transcode.conversion import SideType
-from bridge.messages.values import refusal
 from bridge.routing.edge import Deliver, Endpoint, Kind, MadeBy
 from bridge.routing.limits import combined_qos
 from bridge.routing.rewrites import TF_TYPE

@@ -56,8 +56,10 @@ class TypeVersions(Protocol):
     def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert | None:
         """Return the converter between two versions of a type, or of a service's request or response; None: unknown."""
 
-    def lost(self, type_name: str, source: str, target: str, part: str = "") -> Collection[str]:
-        """Return the fields that are left out between two versions."""
+    def losses(
+        self, type_name: str, source: str, target: str, part: str = ""
+    ) -> tuple[Collection[str], Collection[str]]:
+        """Return the fields that are left out between two versions, and those that may be rounded or refused."""
 
     def release(self, type_name: str, type_hash: str) -> str:
         """Return the first release or folder that has a version, "" if none has it."""
@@ -79,8 +81,10 @@ class OneVersion(TypeVersions):
         return same if NO_HASH in (source, target) else None
 
     @override
-    def lost(self, type_name: str, source: str, target: str, part: str = "") -> Collection[str]:
-        return ()
+    def losses(
+        self, type_name: str, source: str, target: str, part: str = ""
+    ) -> tuple[Collection[str], Collection[str]]:
+        return (), ()
 
     @override
     def release(self, type_name: str, type_hash: str) -> str:

@@ -1,22 +1,23 @@
 """Conversions between two versions of one ROS 2 type, such as those of Jazzy and Lyrical.
 
-Fields correspond by name and type, or by a rule of ``fields.yaml``. An added field gets its default, a removed one is
-left out. Two versions convert even if they have no field in common.
+Fields correspond by name and type, or by a rule (`bridge.messages.mapping.version_rules`). An added field gets its
+default, a removed one is left out. Two versions convert even if they have no field in common.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cache
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
 from threading import RLock
 from typing import Any
 
 from bridge.messages.definitions.library import DefinitionLibrary
 from bridge.messages.definitions.schema import DefaultValue, Definition, Field, FieldType, Schema, Shape
-from bridge.messages.definitions.versions import RELEASES_FOLDER, TypeVersions
+from bridge.messages.definitions.versions import TypeVersions
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.mapping.fields import FieldPath, Fields, field_at
+from bridge.messages.mapping.retyping import RetypingConverter, effect, obstacle
+from bridge.messages.mapping.version_rules import VersionRules
 from bridge.messages.transcode.compiler import compile_pair
 from bridge.messages.transcode.conversion import Convert, make_vm
 from bridge.messages.unchanged import same
@@ -24,31 +25,13 @@ from bridge.messages.unchanged import same
 NO_HASH = ""
 """In place of a hash: the version of Humble, whose endpoints announce none."""
 
+Losses = tuple[tuple[str, ...], tuple[str, ...]]
+"""The fields that are left out between two versions, and those whose values may be rounded or refused."""
+
 _Key = tuple[str, str, str, str]
 """Type, hashes of source and target, and part of a service."""
 
 _MAX_CACHED = 10_000
-
-
-@dataclass(frozen=True, slots=True)
-class VersionRule:
-    """The fields that correspond although their names or types differ, and values of added fields."""
-
-    fields: Mapping[str, str] = field(default_factory=dict)
-    defaults: Mapping[str, DefaultValue] = field(default_factory=dict)
-
-
-@cache
-def version_rules() -> Mapping[tuple[str, str], VersionRule]:
-    """Return the rules by the names of the older and the newer message."""
-    import yaml  # most deployments have one release
-
-    entries: list[dict[str, Any]] = yaml.safe_load((RELEASES_FOLDER / "fields.yaml").read_text(encoding="utf-8"))
-    rules: dict[tuple[str, str], VersionRule] = {}
-    for entry in entries:
-        older, newer = entry.get("messages") or (entry["message"],) * 2
-        rules[older, newer] = VersionRule(entry.get("fields", {}), entry.get("defaults", {}))
-    return rules
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,49 +42,58 @@ class VersionMatch:
         fields: by the names of a message and its counterpart.
         target: the target's schema with the defaults of the rules.
         lost: the source's fields without a counterpart, as ``package/kind/Name.field``.
+        changed: the source's fields whose values may be rounded or refused, each with the reason.
+        retyped: whether a field has another primitive type.
     """
 
     fields: Mapping[tuple[str, str], Fields]
     target: Schema
     lost: tuple[str, ...]
+    changed: tuple[str, ...]
+    retyped: bool
 
 
-def match_versions(source: Schema, target: Schema) -> VersionMatch:
+def match_versions(source: Schema, target: Schema, rules: VersionRules) -> VersionMatch:
     """Match the fields of two versions of a type and of the messages that they nest."""
-    rules, types = version_rules(), dict(target.types)
+    types = dict(target.types)
     table: dict[tuple[str, str], Fields] = {}
     lost: list[str] = []
+    changed: list[str] = []
+    retyped = False
     waiting = [(source.name, target.name)]
     while waiting:
         names = waiting.pop()
         if names in table:
             continue
         one, two = source.sub(names[0]), target.sub(names[1])
-        fields = _fields(one, two)
+        fields = _fields(one, two, rules)
         table[names] = fields
         lost += _unmapped(one, one.root, {path for path, _ in fields}, ())
-        rule = rules.get(names)
-        if rule is not None and rule.defaults:
-            types[two.name] = _with_defaults(types[two.name], rule.defaults)
+        defaults = rules.defaults(*names)
+        if defaults:
+            types[two.name] = _with_defaults(types[two.name], defaults)
         for path1, path2 in fields:
             kind1, kind2 = field_at(one, path1), field_at(two, path2)
-            if kind1 is not None and kind2 is not None and kind1.nested:
+            if kind1 is None or kind2 is None:
+                continue
+            if kind1.nested:
                 waiting.append((kind1.base, kind2.base))
-    return VersionMatch(table, Schema(types[target.name], types), tuple(lost))
+            elif kind1.base != kind2.base:
+                retyped = True
+                text = effect(kind1.base, kind2.base)
+                changed += [f"{'.'.join((one.name, *path1))} {text}"] if text else []
+    return VersionMatch(table, Schema(types[target.name], types), tuple(lost), tuple(changed), retyped)
 
 
-def _fields(one: Schema, two: Schema) -> Fields:
+def _fields(one: Schema, two: Schema, rules: VersionRules) -> Fields:
     """Return the corresponding fields of two messages; rules first, as they are more specific."""
     pairs: list[tuple[FieldPath, FieldPath]] = []
-    rules = version_rules()
-    forth, back = rules.get((one.name, two.name)), rules.get((two.name, one.name))
-    listed = [] if forth is None else list(forth.fields.items())
-    listed += [] if back is None else [(newer, older) for older, newer in back.fields.items()]
-    for name1, name2 in listed:
-        _add(pairs, one, two, tuple(name1.split(".")), tuple(name2.split(".")))
+    for name1, name2, _ in rules.fields(one.name, two.name):
+        _add(pairs, one, two, (tuple(name1.split(".")), tuple(name2.split("."))), fits_by_rule, rules)
     for other in one.root.fields:
-        _add(pairs, one, two, (other.name,), (other.name,))
-    return tuple(pairs)
+        _add(pairs, one, two, ((other.name,), (other.name,)), _fits, rules)
+    order = [other.name for other in one.root.fields]
+    return tuple(sorted(pairs, key=lambda pair: order.index(pair[0][0])))
 
 
 def _unmapped(schema: Schema, definition: Definition, mapped: Collection[FieldPath], at: FieldPath) -> Iterator[str]:
@@ -117,27 +109,37 @@ def _unmapped(schema: Schema, definition: Definition, mapped: Collection[FieldPa
 
 
 def _add(
-    pairs: list[tuple[FieldPath, FieldPath]], one: Schema, two: Schema, path1: FieldPath, path2: FieldPath
+    pairs: list[tuple[FieldPath, FieldPath]],
+    one: Schema,
+    two: Schema,
+    paths: tuple[FieldPath, FieldPath],
+    fits: Callable[[FieldType, FieldType, VersionRules], bool],
+    rules: VersionRules,
 ) -> None:
     """Add a pair of fields, if both exist with fitting types and neither has a counterpart yet."""
-    kind1, kind2 = field_at(one, path1), field_at(two, path2)
-    if kind1 is None or kind2 is None or not _fits(kind1, kind2):
+    kind1, kind2 = field_at(one, paths[0]), field_at(two, paths[1])
+    if kind1 is None or kind2 is None or not fits(kind1, kind2, rules):
         return
-    if not any(_overlap(path1, other1) or _overlap(path2, other2) for other1, other2 in pairs):
-        pairs.append((path1, path2))
+    if not any(overlap(paths[0], other1) or overlap(paths[1], other2) for other1, other2 in pairs):
+        pairs.append(paths)
 
 
-def _overlap(one: FieldPath, two: FieldPath) -> bool:
+def overlap(one: FieldPath, two: FieldPath) -> bool:
+    """Whether two paths are equal, or one is of a field within the other's."""
     length = min(len(one), len(two))
     return one[:length] == two[:length]
 
 
-def _fits(one: FieldType, two: FieldType) -> bool:
-    """Whether the values of one field can be those of the other."""
+def _fits(one: FieldType, two: FieldType, rules: VersionRules) -> bool:
+    """Whether the values of one field can be those of the other without a rule about the field."""
     if one.shape is not two.shape or (one.shape is Shape.ARRAY and one.length != two.length):
         return False
-    rules = version_rules()
-    return one.base == two.base or (one.base, two.base) in rules or (two.base, one.base) in rules
+    return rules.replace(one.base, two.base)
+
+
+def fits_by_rule(one: FieldType, two: FieldType, rules: VersionRules) -> bool:
+    """Whether the values of one field can be those of the other if a rule says so."""
+    return _fits(one, two, rules) or not obstacle(one, two)
 
 
 def _with_defaults(definition: Definition, defaults: Mapping[str, DefaultValue]) -> Definition:
@@ -145,9 +147,11 @@ def _with_defaults(definition: Definition, defaults: Mapping[str, DefaultValue])
     return replace(definition, fields=tuple(fields))
 
 
-def version_converter(source: Schema, target: Schema) -> Convert:
+def version_converter(source: Schema, target: Schema, rules: VersionRules) -> Convert:
     """Return the converter of one version's CDR to the other's; `same` if the bytes do not differ."""
-    match = match_versions(source, target)
+    match = match_versions(source, target, rules)
+    if match.retyped:
+        return RetypingConverter(source, match.target, match.fields).convert
     if _same_layout(source, target, match):
         return same
     return make_vm(compile_pair(source, match.target, lambda one, two: match.fields[one, two])).convert
@@ -172,10 +176,10 @@ def _bounds(one: Field) -> tuple[int, int]:
 class ReleaseConversions:
     """The conversions between all versions of ROS 2 types. Safe to use from any thread."""
 
-    def __init__(self, ros2: DefinitionLibrary, versions: TypeVersions, lock: RLock) -> None:
-        self._ros2, self._versions, self._lock = ros2, versions, lock
+    def __init__(self, ros2: DefinitionLibrary, versions: TypeVersions, rules: VersionRules, lock: RLock) -> None:
+        self._ros2, self._versions, self._rules, self._lock = ros2, versions, rules, lock
         self._converters: dict[_Key, Convert | None] = {}
-        self._lost: dict[_Key, tuple[str, ...]] = {}
+        self._losses: dict[_Key, Losses] = {}
         self._here: dict[tuple[str, str], str] = {}
         self._hashes: dict[str, Collection[str]] = {}
         self._own: dict[str, str] = {}
@@ -259,14 +263,15 @@ class ReleaseConversions:
                 _store(self._converters, key, self._make(key))
             return self._converters[key]
 
-    def lost(self, type_name: str, source: str, target: str, part: str = "") -> tuple[str, ...]:
-        """Return the fields that are left out between two versions; () if either is unknown."""
+    def losses(self, type_name: str, source: str, target: str, part: str = "") -> Losses:
+        """Return the fields that are left out or changed between two versions; none if either is unknown."""
         key = type_name, source, target, part
         with self._lock:
-            if key not in self._lost:
+            if key not in self._losses:
                 pair = self._pair(key)
-                _store(self._lost, key, () if pair is None else match_versions(*pair).lost)
-            return self._lost[key]
+                match = None if pair is None else match_versions(*pair, self._rules)
+                _store(self._losses, key, ((), ()) if match is None else (match.lost, match.changed))
+            return self._losses[key]
 
     def release(self, type_name: str, type_hash: str) -> str:
         """Return the first release or folder that has a version, "" if none has it."""
@@ -291,7 +296,7 @@ class ReleaseConversions:
             if NO_HASH in key[1:3] and self._versions.hashless(key[0]) is None:
                 return same
             pair = self._pair(key)
-            return None if pair is None else version_converter(*pair)
+            return None if pair is None else version_converter(*pair, self._rules)
         except MessageTypeError:
             return None
 

@@ -3,12 +3,13 @@
 The files are those of ros1_bridge (https://github.com/ros2/ros1_bridge/blob/master/doc/index.rst): a YAML list of
 mappings. A rule with ``fields_1_to_2`` maps only these fields; a path such as ``header.stamp`` names a nested field.
 Actions, which ros1_bridge has none of, are written the same way: ``ros1_action_name``, ``ros2_action_name``, and
-``goal_fields_1_to_2``, ``result_fields_1_to_2``, ``feedback_fields_1_to_2``.
+``goal_fields_1_to_2``, ``result_fields_1_to_2``, ``feedback_fields_1_to_2``. Entries about versions of ROS 2's types
+may be in the same files (`bridge.messages.mapping.version_rules`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -153,7 +154,12 @@ def _ruled_ros1(ros2_name: str, rules: Iterable[MappingRule]) -> list[str]:
 
 
 def load_rules(file: Path) -> list[MappingRule]:
-    """Read one mapping-rule file; `MessageTypeError` names the file and the entry that is wrong."""
+    """Read the mapping rules of one file; `MessageTypeError` names the file and the entry that is wrong."""
+    return [_rule(entry, origin) for origin, entry in read_entries(file) if not is_version_entry(entry)]
+
+
+def read_entries(file: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield the entries of a rule file, each with its place; raises `MessageTypeError` for what is no rule file."""
     import yaml  # most configurations name no such file
 
     try:
@@ -161,16 +167,23 @@ def load_rules(file: Path) -> list[MappingRule]:
     except (OSError, RecursionError, ValueError, yaml.YAMLError) as err:
         raise MessageTypeError(f"cannot read the mapping rules {file}: {err}") from None
     if entries is None:
-        return []
+        return
     if not isinstance(entries, list):
         msg = f"the mapping rules {file} are not a list of entries"
         raise MessageTypeError(msg, "write each rule as a list item, as ros1_bridge's documentation shows")
-    return [_rule(entry, f"{file}, entry {number}") for number, entry in enumerate(entries, 1)]
+    for number, entry in enumerate(entries, 1):
+        origin = f"{file}, entry {number}"
+        if not isinstance(entry, dict):
+            raise MessageTypeError(f"{origin}: not a mapping of keys to values")
+        yield origin, entry
 
 
-def _rule(entry: Any, origin: str) -> MappingRule:
-    if not isinstance(entry, dict):
-        raise MessageTypeError(f"{origin}: not a mapping of keys to values")
+def is_version_entry(entry: Mapping[str, Any]) -> bool:
+    """Whether an entry is a rule about the versions of a type (`bridge.messages.mapping.version_rules`)."""
+    return "message" in entry or "messages" in entry
+
+
+def _rule(entry: Mapping[str, Any], origin: str) -> MappingRule:
     unknown = sorted(str(key) for key in entry.keys() - _KEYS)
     if unknown:
         raise MessageTypeError(f"{origin}: unknown key {unknown[0]!r}", f"known keys: {', '.join(sorted(_KEYS))}")

@@ -11,7 +11,7 @@ from typing_extensions import override
 from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError
 from bridge.messages.actions import CANCEL_GOAL, ENDINGS, GET_RESULT, part_name, split
 from bridge.messages.registry import Registry
-from bridge.messages.values import refusal, unknown_result
+from bridge.messages.services import refusal, unknown_result
 from bridge.routing.decision import RouteDecision, RouteKey, native_groups
 from bridge.routing.edge import Endpoint, Kind, MadeBy
 from bridge.routing.gates import EntryGate

@@ -9,7 +9,8 @@ import pytest
 
 from bridge.messages.definitions.versions import RELEASES_FOLDER
 from bridge.messages.errors import ConversionError
-from bridge.messages.mapping.releases import NO_HASH, version_rules
+from bridge.messages.mapping.releases import NO_HASH
+from bridge.messages.mapping.version_rules import built_in
 from bridge.messages.registry import Registry
 from bridge.messages.unchanged import same
 from bridge.messages.values import MessageReader, MessageWriter
@@ -91,7 +92,7 @@ def test_fields_that_a_rule_moves_keep_their_values(registry: Registry) -> None:
     assert (newer["distance_to_goal"], newer["speed"]) == (2.5, 0.5)
     value = {"feedback": {"tracking_feedback": {"distance_to_goal": 1.5, "speed": 0.25, "current_path_index": 3}}}
     assert converted(registry, name, (lyrical, jazzy), value)["feedback"] == {"distance_to_goal": 1.5, "speed": 0.25}
-    lost = registry.releases.lost(name, lyrical, jazzy)
+    lost, _ = registry.releases.losses(name, lyrical, jazzy)
     assert "nav2_msgs/action/FollowPath_Feedback.tracking_feedback.current_path_index" in lost
     assert not any("speed" in field for field in lost)
 
@@ -141,7 +142,7 @@ def test_each_folder_may_have_a_version(tmp_path: Path) -> None:
     assert registry.releases.here(name, second) == first
     assert converted(registry, name, (first, second), {"one": 1, "two": 2}) == {"two": 2, "more": ""}
     assert converted(registry, name, (second, first), {"two": 2, "more": "x"}) == {"one": 0, "two": 2}
-    assert registry.releases.lost(name, second, first) == ("own_msgs/msg/Own.more",)
+    assert registry.releases.losses(name, second, first) == (("own_msgs/msg/Own.more",), ())
     assert registry.releases.release(name, second) == str(tmp_path / "1")
 
 
@@ -154,7 +155,7 @@ def test_every_rule_applies(registry: Registry) -> None:
                 found = registry.releases._schema(part, version)
                 for nested in () if found is None else found.types.values():
                     known.setdefault(nested.name, set()).update(field.name for field in nested.fields)
-    for (older, newer), rule in version_rules().items():
-        assert {path.split(".")[0] for path in rule.fields} <= known[older]
-        assert {path.split(".")[0] for path in rule.fields.values()} <= known[newer]
-        assert rule.defaults.keys() <= known[newer]
+    for rule in built_in():
+        assert {path.split(".")[0] for path in rule.fields} <= known[rule.older]
+        assert {path.split(".")[0] for path in rule.fields.values()} <= known[rule.newer]
+        assert rule.defaults.keys() <= known[rule.newer]

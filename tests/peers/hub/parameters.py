@@ -9,7 +9,7 @@ from typing import Any
 from bridge.hub.endpoints.calls import Abandon, Done
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
-from bridge.messages.values import ServiceCodec
+from bridge.messages.services import ServiceCodec
 
 _KINDS: dict[type, tuple[int, str]] = {
     bool: (1, "bool_value"), int: (2, "integer_value"), float: (3, "double_value"), str: (4, "string_value"),

@@ -6,7 +6,8 @@ import pytest
 
 from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
-from bridge.messages.values import MessageReader, unknown_result
+from bridge.messages.services import unknown_result
+from bridge.messages.values import MessageReader
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from bridge.adapters.ros1_peers import Call, Ros1Error, XmlRpcClient
 from bridge.hub.endpoints.calls import Done
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
-from bridge.messages.values import ServiceCodec
+from bridge.messages.services import ServiceCodec
 
 _TIMEOUT = 2.0
 _STOP_TIMEOUT = 0.5
