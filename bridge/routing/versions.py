@@ -1,4 +1,4 @@
-"""What messages lose between this machine's version of a type and those of other releases' nodes."""
+"""What explain reports on versions of types: what messages lose between them, and servers of a second one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import EndpointKind
 from bridge.hub.session import Hub
 from bridge.routing.decision import RouteDecision
-from bridge.routing.edge import Edge
+from bridge.routing.edge import Edge, Obstacle
 
 _KINDS = {
     ("topic", "in"): EndpointKind.SUBSCRIPTION,
@@ -75,3 +75,25 @@ def _crossings(kind: EndpointKind, theirs: str, here: str) -> tuple[tuple[str, s
             return (here, theirs, REQUEST), (theirs, here, RESPONSE)
         case EndpointKind.CLIENT:
             return (theirs, here, REQUEST), (here, theirs, RESPONSE)
+
+
+def second_version(versions: TypeVersions, name: str, type_name: str, offered: str, other: str) -> Obstacle:
+    """Return why a server is not offered beside one of another version of its type, and the cure.
+
+    Args:
+        versions: the known versions.
+        name: the service.
+        type_name: the type of both.
+        offered: the version that is offered.
+        other: the version that is not.
+    """
+    first, second = (_label(versions, type_name, version) for version in (offered, other))
+    cure = "stop one of the servers, give one another name, or install the same version of the package for both"
+    if not all(versions.release(type_name, version) for version in (offered, other)):
+        cure += "; to use an unknown version, name the folder of its files in types.folders"
+    return Obstacle(f"{name} is already offered with {first} of {type_name}; this server has {second}", cure)
+
+
+def _label(versions: TypeVersions, type_name: str, version: str) -> str:
+    release = versions.release(type_name, version)
+    return f"{release}'s version" if release else f"version {version}"

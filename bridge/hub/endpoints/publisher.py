@@ -135,6 +135,24 @@ class _Matching:
             undeclare(self._listener)
 
 
+class _Version:
+    """The messages of one key in its version of the type."""
+
+    def __init__(self, key: str, convert: Convert) -> None:
+        self._key, self._convert = key, convert
+        self._level = logging.WARNING
+
+    def __call__(self, payload: bytes) -> bytes | None:
+        """Return the converted message; None if it has a value that the version cannot hold, which is logged once."""
+        try:
+            return self._convert(payload)
+        except ConversionError as err:
+            text = "%s: a message is not published in another version of its type: %s; further ones are not logged"
+            _log.log(self._level, text, self._key, err)
+            self._level = logging.DEBUG
+            return None
+
+
 class _PlainSink:
     """A volatile publisher, which caches nothing."""
 
@@ -143,7 +161,7 @@ class _PlainSink:
     def __init__(
         self, context: EndpointContext, key: str, options: PublisherOptions, convert: Convert | None = None
     ) -> None:
-        self._convert = convert
+        self._convert = None if convert is None else _Version(key, convert)
         self._declare = partial(
             context.session.declare_publisher, key, allowed_destination=context.reach, encoding=_encoding(convert)
         )
@@ -159,11 +177,10 @@ class _PlainSink:
 
     def send(self, payload: bytes, attached: bytes) -> None:
         if self._convert is not None:
-            try:
-                payload = self._convert(payload)
-            except ConversionError as err:
-                _log.debug("a message is not published for another release: %s", err)
+            converted = self._convert(payload)
+            if converted is None:
                 return
+            payload = converted
         if len(payload) > LARGE and self._large is None and not self._blocks:
             # later messages use it too, so that none overtakes the large one
             self._large = self._declare(congestion_control=zenoh.CongestionControl.DROP, priority=BEHIND)
@@ -190,7 +207,7 @@ class _LatchedSink:
     def __init__(
         self, context: EndpointContext, key: str, options: PublisherOptions, qos: Qos, convert: Convert | None = None
     ) -> None:
-        self._convert = convert
+        self._convert = None if convert is None else _Version(key, convert)
         reliable = qos.reliability is Reliability.RELIABLE
         depth = cache_depth(qos)
         # zenoh's own buffers, which its cache shares, for keys that are added later
@@ -215,11 +232,10 @@ class _LatchedSink:
     def _send(self, payload: zenoh.ZBytes, attached: bytes) -> None:
         self.stored.append((payload, attached))
         if self._convert is not None:
-            try:
-                payload = zenoh.ZBytes(self._convert(payload.to_bytes()))
-            except ConversionError as err:
-                _log.debug("a message is not published for another release: %s", err)
+            converted = self._convert(payload.to_bytes())
+            if converted is None:
                 return
+            payload = zenoh.ZBytes(converted)
         self._publisher.put(payload, attached)
 
     def restore(self, samples: Iterable[tuple[zenoh.ZBytes, bytes]]) -> None:

@@ -15,7 +15,7 @@ from threading import Lock
 from bridge.messages.definitions.library import DefinitionLibrary
 from bridge.messages.definitions.names import is_ros2_name, split_part
 from bridge.messages.definitions.schema import Schema, World
-from bridge.messages.definitions.sources import DefinitionFolder, DefinitionSource, jazzy_sources
+from bridge.messages.definitions.sources import DefinitionFolder, DefinitionSource, find_first, jazzy_sources
 from bridge.messages.errors import MessageTypeError
 
 RELEASES_FOLDER = Path(__file__).parent / "releases"
@@ -23,18 +23,20 @@ RELEASES_FOLDER = Path(__file__).parent / "releases"
 _CHAINS = {"jazzy": (), "kilted": ("kilted",), "lyrical": ("lyrical", "kilted")}
 """The folders of each release, the newest first; before all of them is Jazzy."""
 
+INSTALLED = "this machine"
+"""Label of the version of a type that neither Midspan nor a folder has, but another package on this machine."""
+
 _HASHLESS = "humble"
 _MAX_CACHED = 10_000
 
 
 def _libraries(rest: Sequence[DefinitionSource]) -> dict[str, DefinitionLibrary]:
     """Return the definitions of each release with hashes; ``rest`` has those of Jazzy."""
-    return {
-        name: DefinitionLibrary(
-            World.ROS2, [*(DefinitionFolder(RELEASES_FOLDER / folder, World.ROS2) for folder in chain), *rest]
-        )
-        for name, chain in _CHAINS.items()
-    }
+    return {name: DefinitionLibrary(World.ROS2, [*_folders_of(name), *rest]) for name in _CHAINS}
+
+
+def _folders_of(release: str) -> list[DefinitionSource]:
+    return [DefinitionFolder(RELEASES_FOLDER / folder, World.ROS2) for folder in _CHAINS[release]]
 
 
 @cache
@@ -82,7 +84,9 @@ class TypeVersions:
         self, installed: DefinitionLibrary, folders: Sequence[Path], sources: Sequence[DefinitionSource]
     ) -> None:
         self._installed = installed
-        rest = [*jazzy_sources(), *sources]
+        shipped = jazzy_sources()
+        rest = [*shipped, *sources]
+        self._shipped = {name: [*_folders_of(name), *shipped] for name in _CHAINS}
         own = {str(folder): [DefinitionFolder(folder, World.ROS2), *sources] for folder in folders}
         self._libraries = _libraries(rest) | {name: DefinitionLibrary(World.ROS2, own[name]) for name in own}
         hashless = [DefinitionFolder(RELEASES_FOLDER / _HASHLESS, World.ROS2), *rest]
@@ -91,15 +95,17 @@ class TypeVersions:
         self._versions: dict[str, Mapping[str, tuple[str, Schema]]] = {}
 
     def of(self, name: str) -> Mapping[str, tuple[str, Schema]]:
-        """Return the versions of a type by hash, each with the first release or folder that has it."""
+        """Return the versions of a type by hash, each with the first release or folder that has it, or `INSTALLED`."""
         if name not in self._versions:
             versions: dict[str, tuple[str, Schema]] = {}
-            if self._varies(name):
-                for label, library in self._libraries.items():
-                    schema = _find(library, name)
-                    if schema is not None:
-                        versions.setdefault(library.fingerprint(schema), (label, schema))
-            self._versions[name] = versions
+            others: dict[str, tuple[str, Schema]] = {}
+            for label, library in self._libraries.items() if self._varies(name) else ():
+                schema = _find(library, name)
+                if schema is not None:
+                    has_it = label not in self._shipped or find_first(self._shipped[label], name, World.ROS2)
+                    known = versions if has_it else others
+                    known.setdefault(library.fingerprint(schema), (label if has_it else INSTALLED, schema))
+            self._versions[name] = {**versions, **{key: other for key, other in others.items() if key not in versions}}
         return self._versions[name]
 
     def hashless(self, name: str) -> Schema | None:

@@ -15,6 +15,7 @@ from bridge.routing.election import Outcome
 from bridge.routing.gates import ExitGate, may_carry, may_leave
 from bridge.routing.route import RouteSet
 from bridge.routing.services.route import ServiceRoute
+from bridge.routing.versions import second_version
 
 _SERVICE: Final = "service"
 
@@ -70,7 +71,8 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
                 self._refuse_second(key, decision, natives, taken)
             if decision.kind == "bridged":
                 self._keep(key, servers, decision)
-                taken[decision.topic] = key
+                if key in self._routes:  # a server that cannot cross leaves the name to others
+                    taken[decision.topic] = key
                 if decision.topic in barred and not decision.refused:
                     also = RouteDecision("out", decision.topic, key.topic, key.type_name, decision.policy, of=_SERVICE)
                     also.bar(barred[decision.topic])
@@ -106,8 +108,12 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
             decision.refuse(f"{natives[name].node} serves {name} there already", cure)
         elif holder.topic != key.topic:
             decision.refuse(f"{holder.topic} is already offered under the name {name}", cure)
-        elif holder != key:
+        elif holder.type_name != key.type_name:
             decision.refuse(f"{name} is already offered with the type {holder.type_name}", cure)
+        elif holder != key:
+            versions = self._context.hub.versions
+            second = second_version(versions, name, key.type_name, holder.type_id, key.type_id)
+            decision.refuse(second.reason, second.cure)
 
     def _keep(self, key: RouteKey, servers: list[HubEndpoint], decision: RouteDecision) -> None:
         route = self._routes.get(key)

@@ -13,11 +13,12 @@ from bridge.messages.actions import CANCEL_GOAL, ENDINGS, GET_RESULT, part_name,
 from bridge.messages.registry import Registry
 from bridge.messages.services import refusal, unknown_result
 from bridge.routing.decision import RouteDecision, RouteKey, native_groups
-from bridge.routing.edge import Endpoint, Kind, MadeBy
+from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 from bridge.routing.gates import EntryGate
 from bridge.routing.route import RouteSet
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.services.route import ServiceRoute
+from bridge.routing.versions import second_version
 
 _log = logging.getLogger(__name__)
 
@@ -133,14 +134,14 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
         decision = RouteDecision("in", key.topic, hub_name, key.type_name, policy, of=_SERVICE)
         decisions.append(decision)
         route = self._routes.get(key)
-        trouble = self._trouble(key, hub_name, taken) if policy.allowed else ""
-        if route is not None and (not policy.allowed or trouble or route.policy != policy):
+        trouble = self._trouble(key, hub_name, taken) if policy.allowed else None
+        if route is not None and (not policy.allowed or trouble is not None or route.policy != policy):
             self._routes.pop(key).close(f"{key.topic} is no longer bridged")
             taken.pop(hub_name, None)
             route = None
-        if trouble:
-            decision.refuse(trouble, "give one of them another name by a rule with 'rename'")
-        if not policy.allowed or trouble:
+        if trouble is not None:
+            decision.refuse(trouble.reason, trouble.cure)
+        if not policy.allowed or trouble is not None:
             return
         if route is None:
             route = self._make(key, hub_name, servers[0], policy, decision)
@@ -153,19 +154,23 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
         if obstacle is not None and not decision.refused:
             decision.bar(obstacle)
 
-    def _trouble(self, key: RouteKey, hub_name: str, taken: dict[str, RouteKey]) -> str:
-        """Return why the hub cannot offer a service, "" if it can: a call goes to one server."""
+    def _trouble(self, key: RouteKey, hub_name: str, taken: dict[str, RouteKey]) -> Obstacle | None:
+        """Return why the hub cannot offer a service, None if it can: a call goes to one server."""
         holder = taken.get(hub_name, key)
+        cure = "give one of them another name by a rule with 'rename'"
         if holder.topic != key.topic:
-            return f"{holder.topic} is already offered under the name {hub_name}"
+            return Obstacle(f"{holder.topic} is already offered under the name {hub_name}", cure)
+        if holder.type_name != key.type_name:
+            return Obstacle(f"{holder.topic} is already offered with the type {holder.type_name}", cure)
         if holder != key:
-            return f"{holder.topic} is already offered with the type {holder.type_name}"
+            versions = self._context.hub.versions
+            return second_version(versions, key.topic, key.type_name, holder.type_id, key.type_id)
         open_here = key in self._routes and self._routes[key].offered
         for other in self._context.hub.graph.servers(hub_name):
             # of two bridges that start at the same time, both agree on the one that withdraws
             if not other.own and not (open_here and other.origin and self._context.hub.zid < other.zid):
-                return f"{other.node} serves {hub_name} on the hub already"
-        return ""
+                return Obstacle(f"{other.node} serves {hub_name} on the hub already", cure)
+        return None
 
     def _make(
         self, key: RouteKey, hub_name: str, server: Endpoint, policy: RoutePolicy, decision: RouteDecision

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,7 +15,9 @@ from bridge.client.errors import ClientError
 from bridge.hub.endpoints.calls import CallError, Done, nothing
 from bridge.hub.wire.keys import ANY_HASH, pack_attachment
 from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.messages.registry import Registry
 from bridge.messages.values import MessageReader
+from tests.messages.fleet import RULES, WHEEL, write_versions
 from tests.peers.hub.network import HubNetwork
 from tests.peers.hub.node import HubNode
 from tests.peers.zenoh.release_actions import (
@@ -35,6 +39,7 @@ from tests.peers.zenoh.releases import (
     ReleasePublisher,
     ReleaseServer,
     ReleaseSubscription,
+    Topic,
 )
 from tests.support.wait import until
 
@@ -237,3 +242,24 @@ def test_a_client_of_lyrical_gets_the_value_of_an_added_field(own: HubNode, node
     client = ReleaseClient(peer.node, peer.topic("/clear", clear))
     (reply,) = client.call(peer.encode(clear, {"plugins": ["obstacles"]}, "Request"))
     assert peer.decode(clear, reply, "Response") == {"success": True}
+
+
+@pytest.mark.parametrize("qos", [Qos(depth=10), replace(LATCHED, depth=5)], ids=["volatile", "latched"])
+def test_a_value_that_another_version_cannot_hold_is_logged_once(
+    network: HubNetwork, node: Nodes, tmp_path: Path, caplog: pytest.LogCaptureFixture, qos: Qos
+) -> None:
+    write_versions(tmp_path)
+    (tmp_path / "rules.yaml").write_text(json.dumps(RULES))
+    registry = Registry([tmp_path / "old", tmp_path / "new"], [tmp_path / "rules.yaml"])
+    newer = Topic("/wheel", WHEEL, list(registry.releases.hashes(WHEEL))[1], qos)
+    with HubNode(network.settings("midspan"), registry) as own:
+        publisher = own.on(lambda: own.node.publisher("/wheel", WHEEL, qos))
+        received = ReleaseSubscription(node(KILTED), newer)
+        until(lambda: (publisher.publish({"code": "1"}), received.samples)[1], "the other version matches", every=0.05)
+        for code in ("two", "three"):
+            publisher.publish({"code": code})
+        count = len(received.samples)
+        until(lambda: (publisher.publish({"code": "4"}), len(received.samples) > count)[1], "later ones arrive")
+    warnings = [record.getMessage() for record in caplog.records if "in another version of its type" in record.msg]
+    assert len(warnings) == 1
+    assert "code is a text with a number, not 'two'" in warnings[0]

@@ -143,7 +143,10 @@ def test_each_folder_may_have_a_version(tmp_path: Path) -> None:
     assert converted(registry, name, (first, second), {"one": 1, "two": 2}) == {"two": 2, "more": ""}
     assert converted(registry, name, (second, first), {"two": 2, "more": "x"}) == {"one": 0, "two": 2}
     assert registry.releases.losses(name, second, first) == (("own_msgs/msg/Own.more",), ())
-    assert registry.releases.release(name, second) == str(tmp_path / "1")
+    assert [registry.releases.release(name, version) for version in (first, second)] == [
+        str(tmp_path / "0"),
+        str(tmp_path / "1"),
+    ]
 
 
 def test_every_rule_applies(registry: Registry) -> None:

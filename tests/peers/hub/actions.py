@@ -7,10 +7,11 @@ import threading
 from typing import Any
 
 from bridge.hub.session import HubSettings
+from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
 from bridge.modules.host import ModuleNode
 from tests.peers.commands import Commands, Record
-from tests.peers.hub.node import HubNode
+from tests.peers.hub.node import REGISTRY, HubNode
 from tests.support.wait import until as wait_until
 
 
@@ -114,9 +115,9 @@ class Sent(PolledGoal):
 class HubActions(Commands):
     """The program."""
 
-    def __init__(self, settings: HubSettings) -> None:
+    def __init__(self, settings: HubSettings, registry: Registry = REGISTRY) -> None:
         super().__init__()
-        self._program = HubNode(settings)
+        self._program = HubNode(settings, registry)
 
     def act(self, **params: Any) -> dict[str, Any]:
         return self.add(Acting(self._program.node, params))

@@ -6,18 +6,24 @@ by the variables that ``setup.bash`` sets.
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+from bridge.interfaces import builder
 from bridge.interfaces.cache import SITE
+from bridge.interfaces.folders import bundled_files
 from bridge.messages.definitions.versions import RELEASES_FOLDER
 from tests.peers.ros2.network import ros2_environment
 from tests.support.missing import KILTED, kilted_prefix, need
 
-_BUILD = "from tests.peers.ros2.kilted import build_action; build_action()"
+Packages = Mapping[str, Mapping[str, str]]
+"""The files of packages, text by path."""
+
+_BUILD = "from tests.peers.ros2.kilted import build_packages; build_packages()"
 _ACTION = "action/NavigateToPose.action"
 _OWN = ("action/NavigateThroughPoses.action", "msg/WaypointStatus.msg")
 """Files of nav2_msgs that differ from those of Jazzy."""
@@ -39,12 +45,18 @@ def source(environ: Mapping[str, str]) -> dict[str, str]:
     }
 
 
-def program_environment() -> dict[str, str]:
-    """Return the environment of a program on Kilted on this process's domain, with two actions of nav2_msgs."""
+def program_environment(packages: Packages | None = None) -> dict[str, str]:
+    """Return the environment of a program on Kilted on this process's domain.
+
+    It has two actions of nav2_msgs, or else the given packages: their files, text by path.
+    """
     sourced = source(ros2_environment())
     command = [sys.executable, "-c", _BUILD]
     root = str(Path(__file__).parents[3])
-    done = subprocess.run(command, env=sourced, cwd=root, capture_output=True, text=True, timeout=300, check=False)
+    given = json.dumps(nav2_actions() if packages is None else packages)
+    done = subprocess.run(
+        command, env=sourced, cwd=root, input=given, capture_output=True, text=True, timeout=300, check=False
+    )
     assert done.returncode == 0, done.stderr
     built = done.stdout.splitlines()[-1]
     return {
@@ -54,13 +66,15 @@ def program_environment() -> dict[str, str]:
     }
 
 
-def build_action() -> None:
-    """Build the two actions of Kilted's nav2_msgs for the sourced ROS 2, unless they are cached; print the prefix."""
-    from bridge.interfaces import builder
-    from bridge.interfaces.folders import bundled_files
-
+def nav2_actions() -> Packages:
+    """Return the two actions of Kilted's nav2_msgs."""
     own = {file: (RELEASES_FOLDER / "kilted" / "nav2_msgs" / file).read_text(encoding="utf-8") for file in _OWN}
-    files = {_ACTION: bundled_files("nav2_msgs")[_ACTION], **own}
+    return {"nav2_msgs": {_ACTION: bundled_files("nav2_msgs")[_ACTION], **own}}
+
+
+def build_packages() -> None:
+    """Build the packages of standard input for the sourced ROS 2, unless they are cached; print the prefix."""
+    packages: Packages = json.load(sys.stdin)
     name = "bundled_files"
-    setattr(builder, name, lambda package: {} if package == "nav2_msgs" else bundled_files(package))
-    print(builder.build({"nav2_msgs": files}))
+    setattr(builder, name, lambda package: {} if package in packages else bundled_files(package))
+    print(builder.build(packages))

@@ -1,0 +1,264 @@
+"""Real programs with two versions of a package at once: ROS 1 and ROS 2 Jazzy have the older one, Kilted the newer one.
+
+Fields were renamed and retyped between them; rules of the configuration relate them (`tests.messages.fleet`).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.hub.wire.qos import Qos
+from bridge.interfaces.builder import build
+from bridge.interfaces.cache import environment
+from bridge.messages.registry import Registry
+from bridge.messages.values import MessageReader, MessageWriter
+from tests.messages.fleet import NEW, OLD, RULES, WHEEL, write_versions
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.hub.actions import HubActions
+from tests.peers.peer import Peer
+from tests.peers.ros2 import kilted
+from tests.peers.ros2.network import ROS2_PEER, ros2_environment, ros2_python
+from tests.peers.zenoh.releases import (
+    JAZZY,
+    KILTED,
+    ReleaseNode,
+    ReleasePublisher,
+    ReleaseSubscription,
+    Topic,
+)
+from tests.support.wait import until
+
+TOPIC_TYPE, SERVICE, ACTION = "fleet_msgs/Wheel", "fleet_msgs/Calibrate", "fleet_msgs/Turn"
+MESSAGES = 5
+
+
+class Rig:
+    """A daemon, programs on ROS 1, Jazzy and Kilted, and nodes of the hub with each version."""
+
+    def __init__(self, deployment: Deployment, folder: Path) -> None:
+        write_versions(folder)
+        rules = folder / "rules.yaml"
+        rules.write_text(json.dumps(RULES))
+        folders = [folder / "old", folder / "new"]
+        self.folder = folder
+        self.deployment, self.registry = deployment, Registry(folders, [rules])
+        deployment.start(types={"folders": [str(path) for path in folders], "mapping_rules": [str(rules)]})
+        env = {**ros2_environment(), **environment([build({"fleet_msgs": OLD})])}
+        self.jazzy: Peer = deployment.keep(Peer(ROS2_PEER, ros2_python(), env, "jazzy"))
+        env = kilted.program_environment({"fleet_msgs": NEW})
+        self.kilted: Peer = deployment.keep(Peer(ROS2_PEER, ros2_python(), env, "kilted"))
+        self.ros1 = deployment.ros1("ros1")
+        self.ros1.ask("define", type=TOPIC_TYPE, definition=self.registry.ros1(TOPIC_TYPE).definition)
+        service = self.registry.service_hub_to_ros1("fleet_msgs/srv/Calibrate").side.definition
+        self.ros1.ask("define", type=SERVICE, definition=service)
+        self.hub = deployment.keep(HubActions(deployment.settings("module"), self.registry))
+        self.hashes = dict(zip(("old", "new"), self.registry.releases.hashes(WHEEL), strict=True))
+
+    def hub_node(self, version: str) -> ReleaseNode:
+        """Return a node of rmw_zenoh with a version of the package."""
+        release, domain = {"old": JAZZY, "new": KILTED}[version], self.deployment.settings("peer").domain
+        node = ReleaseNode(self.deployment.endpoint, domain, f"hub_{version}", release)
+        self.deployment.keep(_Closing(node))
+        return node
+
+    def topic(self, name: str, version: str) -> Topic:
+        """Return a topic of the hub with a version of the type."""
+        return Topic(name, WHEEL, self.hashes[version], Qos(depth=100))
+
+    def encode(self, version: str, message: dict[str, Any]) -> bytes:
+        return MessageWriter(self.registry.schema(WHEEL, self.hashes[version])).message(message)
+
+    def loads(self, version: str, subscription: ReleaseSubscription) -> list[tuple[int, float]]:
+        """Return number and speed of the messages that a subscription of the hub has received."""
+        schema = self.registry.schema(WHEEL, self.hashes[version])
+        read = [MessageReader(schema, sample.payload).message() for sample in subscription.samples]
+        return [(m["load"], m["rpm" if version == "old" else "speed"]) for m in read if m["name"]]
+
+    def explained(self, name: str) -> str:
+        return "\n".join(decision["why"] for decision in self.deployment.explain(name))
+
+
+class _Closing:
+    def __init__(self, node: ReleaseNode) -> None:
+        self.stop = node.close
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    folder = tmp_path_factory.mktemp("versions")
+    with Deployment(folder) as deployment:
+        yield Rig(deployment, folder)
+
+
+def numbered(messages: list[dict[str, Any]]) -> list[tuple[int, float]]:
+    """Return number and speed of the messages after the first contact."""
+    return [(m["load"], m["rpm"] if "rpm" in m else m["speed"]) for m in messages if m["name"]]
+
+
+def test_publishers_of_two_versions_on_one_topic(rig: Rig) -> None:
+    name, old, new = "/wheels", rig.hub_node("old"), rig.hub_node("new")
+    ros1 = rig.ros1.subscribe(name, TOPIC_TYPE)
+    hub = {
+        "old": ReleaseSubscription(old, rig.topic(name, "old")),
+        "new": ReleaseSubscription(new, rig.topic(name, "new")),
+    }
+    peers = {"rpm": rig.jazzy, "speed": rig.kilted}
+    code: dict[str, Any] = {"rpm": "7", "speed": 7}
+    ends = {field: peer.advertise(name, TOPIC_TYPE) for field, peer in peers.items()}
+
+    def matched(field: str, load: int) -> bool:
+        peers[field].publish(ends[field], {"load": load, "code": code[field]})
+        everybody = rig.ros1.wait(ros1, 1, 0.1)
+        return any(m["load"] == load for m in everybody) and all(
+            any(load == m.get("load") for m in decoded(rig, version, end)) for version, end in hub.items()
+        )
+
+    until(lambda: matched("rpm", 101), "Jazzy's publisher is received by all", 60)
+    until(lambda: matched("speed", 102), "Kilted's publisher is received by all", 60)
+    for number in range(MESSAGES):
+        for at, field in enumerate(peers):
+            peers[field].publish(
+                ends[field], {"name": "n", "load": 2 * number + at, "code": code[field], field: number + 0.5}
+            )
+    expected = [(n, n // 2 + 0.5) for n in range(2 * MESSAGES)]
+    until(lambda: len(numbered(rig.ros1.wait(ros1, 1, 0.1))) >= len(expected), "ROS 1 has received all", 40)
+    for version, end in hub.items():
+        until(lambda v=version, e=end: len(rig.loads(v, e)) >= len(expected), f"the hub's {version} has", 40)
+        assert sorted(rig.loads(version, end)) == expected
+    assert sorted(numbered(rig.ros1.wait(ros1, 1, 0.1))) == expected
+    text = until(lambda: "has" in (t := rig.explained(name)) and t, "explain names the version", 20, every=0.1)
+    folder = next(line for line in str(text).splitlines() if "/kilted" in line)
+    assert f"{WHEEL}.kind is left out; {WHEEL}.speed is rounded to float32" in folder, text
+
+
+def decoded(rig: Rig, version: str, end: ReleaseSubscription) -> list[dict[str, Any]]:
+    schema = rig.registry.schema(WHEEL, rig.hashes[version])
+    return [MessageReader(schema, sample.payload).message() for sample in end.samples]
+
+
+def test_subscriptions_of_two_versions_on_one_topic(rig: Rig) -> None:
+    """DDS delivers each message to both, so that of Kilted decodes wrongly until Jazzy's has left; the hub has both."""
+    name, old, new = "/commands", rig.hub_node("old"), rig.hub_node("new")
+    hub = {
+        "old": ReleaseSubscription(old, rig.topic(name, "old")),
+        "new": ReleaseSubscription(new, rig.topic(name, "new")),
+    }
+    ros1, jazzy, late = (
+        rig.ros1.advertise(name, TOPIC_TYPE),
+        rig.jazzy.subscribe(name, TOPIC_TYPE),
+        rig.kilted.subscribe(name, TOPIC_TYPE),
+    )
+
+    def publish(**message: Any) -> None:
+        rig.ros1.publish(ros1, {"code": "7", **message})
+
+    def matched() -> bool:
+        publish(load=101)
+        return bool(rig.jazzy.wait(jazzy, 1, 0.1)) and all(end.samples for end in hub.values())
+
+    until(matched, "all are matched", 60)
+    for number in range(MESSAGES):
+        publish(name="n", load=number, rpm=number + 0.5)
+    expected = [(number, number + 0.5) for number in range(MESSAGES)]
+    until(lambda: len(numbered(rig.jazzy.wait(jazzy, 1, 0.1))) >= MESSAGES, "Jazzy has received all", 40)
+    for version, end in hub.items():
+        until(lambda v=version, e=end: len(rig.loads(v, e)) >= MESSAGES, f"the hub's {version} has received all", 40)
+        assert rig.loads(version, end) == expected
+    assert numbered(rig.jazzy.wait(jazzy, 1, 0.1)) == expected
+    until(lambda: "/kilted" in rig.explained(name), "explain names Kilted's subscription", 20, every=0.1)
+    (text,) = {line for line in rig.explained(name).splitlines() if "decodes it wrongly" in line}
+    assert "/kilted" in text
+    assert text.count("decodes it wrongly") == 1
+    rig.jazzy.drop(jazzy)
+    before = len(rig.kilted.wait(late, 0, 0.0))
+
+    def received() -> list[tuple[int, float]]:
+        publish(name="n", load=9, rpm=2.5)
+        messages = rig.kilted.wait(late, 1, 0.1, since=before)
+        return [values for values in numbered([m for m in messages if m["name"] == "n"]) if values == (9, 2.5)]
+
+    until(received, "Kilted receives its version", 60)
+
+
+def test_a_service_of_the_newer_version(rig: Rig) -> None:
+    """A client on ROS 1 calls Kilted's server; explain names what is rounded."""
+    served = rig.kilted.ask("serve", service="/of_kilted", type=SERVICE, reply={"offset": 0.5})["id"]
+    rig.deployment.until_route("ros1", "/of_kilted", "out", state="active")
+    rig.ros1.ask("await_service", service="/of_kilted", seconds=30)
+    call = rig.ros1.ask("call", service="/of_kilted", type=SERVICE, request={"target": 1.5})["id"]
+    assert rig.ros1.ask("result", id=call, seconds=40)["reply"] == {"offset": 0.5}
+    assert rig.kilted.ask("requests", id=served, count=1, seconds=20)["requests"] == [{"goal": 1.5}]
+    rounded = "fleet_msgs/srv/Calibrate_Response.offset is rounded to float32"
+    until(lambda: rounded in rig.explained("/of_kilted"), "explain names it", 20, every=0.1)
+
+
+def test_clients_of_two_versions_call_one_server(rig: Rig) -> None:
+    served = rig.ros1.ask("serve", service="/of_ros1", type=SERVICE, reply={"offset": 0.25})["id"]
+    for peer, request in ((rig.kilted, {"goal": 1.5}), (rig.jazzy, {"target": 2.5})):
+        call = peer.ask("call", service="/of_ros1", type=SERVICE, request=request)["id"]
+        assert peer.ask("result", id=call, seconds=60)["reply"] == {"offset": 0.25}
+    assert rig.ros1.ask("requests", id=served, count=2)["requests"] == [{"target": 1.5}, {"target": 2.5}]
+
+
+@pytest.mark.parametrize("native", ["server", "client"])
+def test_an_action(rig: Rig, native: str) -> None:
+    server, client = (rig.kilted, rig.hub) if native == "server" else (rig.hub, rig.kilted)
+    sent, received = ("angle", "radians") if native == "server" else ("radians", "angle")
+    name = f"/turn_{native}"
+    served = server.ask("act", action=name, type=ACTION, feedback=[{"at": 0.25}], held=True)["id"]
+    goal = client.ask("send_goal", action=name, type=ACTION, goal={sent: 1.5}, seconds=60)["id"]
+    assert client.ask("goal", id=goal, until={"accepted": True}, seconds=40)["accepted"]
+    server.ask("release", id=served)
+    state = client.ask("goal", id=goal, until={"status": 4}, seconds=40)
+    assert state["status"] == 4, state
+    assert server.ask("goals", id=served, count=1, seconds=20)["goals"] == [{received: 1.5}]
+
+
+def test_servers_of_two_versions_with_one_name(rig: Rig) -> None:
+    """DDS delivers a request to both, so neither is called; the texts name the versions, and the cure."""
+    servers = {"older": rig.jazzy, "newer": rig.kilted}
+    for peer in servers.values():
+        peer.ask("serve", service="/twice", type=SERVICE, reply={"offset": 0.5})
+
+    def refused() -> list[dict[str, Any]]:
+        decisions = [
+            d for d in rig.deployment.explain("/twice") if d["direction"] == "in" and d["decision"] == "refused"
+        ]
+        return decisions if len(decisions) == len(servers) else []
+
+    barred, second = sorted(until(refused, "both are refused", 40, every=0.1), key=lambda d: "already" in d["why"])
+    assert "is served with different versions of fleet_msgs/srv/Calibrate" in barred["why"]
+    folders = rig.folder / "old", rig.folder / "new"
+    assert all(f"{folder}'s version" in second["why"] for folder in folders), second["why"]
+    assert second["cure"].startswith("stop one of the servers")
+
+
+def test_publishers_of_two_versions_on_the_hub(rig: Rig) -> None:
+    """ROS 1 and Jazzy receive the messages of both once, in the older version."""
+    name, nodes = "/hub_wheels", {version: rig.hub_node(version) for version in ("old", "new")}
+    publishers = {version: ReleasePublisher(node, rig.topic(name, version)) for version, node in nodes.items()}
+    peers = {"ROS 1": rig.ros1, "Jazzy": rig.jazzy}
+    ends = {peer: peers[peer].subscribe(name, TOPIC_TYPE) for peer in peers}
+    field = {"old": "rpm", "new": "speed"}
+
+    def put(version: str, **message: Any) -> None:
+        publishers[version].put(rig.encode(version, {"code": "7" if version == "old" else 7, **message}))
+
+    def matched(version: str, load: int) -> bool:
+        put(version, load=load)
+        return all(any(m["load"] == load for m in peers[peer].wait(end, 1, 0.1)) for peer, end in ends.items())
+
+    until(lambda: matched("old", 101), "the older publisher is received", 60)
+    until(lambda: matched("new", 102), "the newer publisher is received", 60)
+    for number in range(MESSAGES):
+        for at, version in enumerate(publishers):
+            put(version, name="n", load=2 * number + at, **{field[version]: number + 0.5})
+    expected = [(n, n // 2 + 0.5) for n in range(2 * MESSAGES)]
+    for peer, end in ends.items():
+        until(lambda p=peer, e=end: len(numbered(peers[p].wait(e, 1, 0.1))) >= len(expected), f"{peer} has all", 40)
+        assert sorted(numbered(peers[peer].wait(end, 1, 0.1))) == expected
