@@ -59,9 +59,13 @@ class TypesSection(Section):
     """Message types beyond those installed."""
 
     folders: tuple[Path, ...] = setting(
-        (), "Folders of .msg files, as `<folder>/<package>/msg/<Name>.msg` or `<package>/<Name>.msg`."
+        (),
+        "Folders of .msg files, as `<folder>/<package>/msg/<Name>.msg` or `<package>/<Name>.msg`; each may have its own"
+        " version of a package.",
     )
-    mapping_rules: tuple[Path, ...] = setting((), "ros1_bridge mapping-rule files (YAML).")
+    mapping_rules: tuple[Path, ...] = setting(
+        (), "Mapping-rule files (YAML) as of ros1_bridge, and of versions of packages; see docs/sides/messages.md."
+    )
 
 
 class LimitsSection(Section):
