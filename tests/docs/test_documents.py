@@ -78,7 +78,13 @@ def configurations() -> list[tuple[str, str]]:
 @pytest.mark.parametrize(("page", "code"), configurations())
 def test_configurations_load(page: str, code: str, tmp_path: Path) -> None:
     # example paths do not exist here; everything else must be valid
-    text = re.sub(r"(?<=[\[\s])/(?:home|etc|opt)/[\w./-]+", str(tmp_path), code)
+    empty = tmp_path / "empty"
+    empty.touch()
+    text = re.sub(
+        r"(?<=[\[\s])/(?:home|etc|opt)/[\w./-]+",
+        lambda path: str(empty if path[0].endswith(".yaml") else tmp_path),
+        code,
+    )
     assert isinstance(loads(text, tmp_path / "page.md"), Config)
 
 

@@ -176,8 +176,9 @@ def _idl() -> Subject:
 
 
 def _mapping_rules() -> Subject:
-    """ros1_bridge's files of mapping rules."""
+    """Files of mapping rules, as of ros1_bridge and about versions."""
     from bridge.messages.mapping.rules import Rules
+    from bridge.messages.mapping.version_rules import VersionRules
 
     file = scratch() / "rules.yaml"
 
@@ -187,6 +188,7 @@ def _mapping_rules() -> Subject:
         rules.ros2_names("a_msgs/A")
         rules.ros1_names("b_msgs/msg/B")
         rules.fields("a_msgs/A", "b_msgs/msg/B")
+        list(VersionRules([file]).fields("b_msgs/msg/B", "b_msgs/msg/B"))
 
     seeds = texts(
         "-\n  ros1_package_name: a_msgs\n  ros2_package_name: b_msgs\n",
@@ -194,6 +196,8 @@ def _mapping_rules() -> Subject:
         "   fields_1_to_2: {x: y, header.stamp: stamp}}\n",
         "- ros1_package_name: a\n  ros1_service_name: S\n  ros2_package_name: b\n  ros2_service_name: T\n"
         "  request_fields_1_to_2:\n    a: b\n",
+        "- {message: b_msgs/msg/B, fields: {x: y.z}, defaults: {a: [1, 2.5, b]}}\n"
+        "- {messages: [b_msgs/srv/B_Request, b_msgs/srv/C_Request], fields: {}}\n",
         "- {ros1_package_name: a, ros1_action_name: S, ros2_package_name: b, ros2_action_name: T,\n"
         "   goal_fields_1_to_2: {a: b}, result_fields_1_to_2: {}}\n",
     )
