@@ -2,7 +2,7 @@
 
 BIN := .venv/bin
 
-.PHONY: help setup demo mix bench-peers test test-fast test-all test-embedded-master test-everywhere test-arm64 lint types check bench screenshots dist deb lock clean
+.PHONY: help setup demo mix bench-peers test test-fast test-all test-bytecode test-embedded-master test-everywhere test-arm64 lint types check bench screenshots dist deb lock clean
 .DEFAULT_GOAL := help
 
 # each process receives one file at a time; bytecode is cached, otherwise each process would compile all tests and programs
@@ -37,6 +37,9 @@ test-fast: setup ## tests without middlewares, for the edit loop
 
 test-all: setup ## all tests, including fuzzing, packages and a first run in a bare clone
 	@$(forget); $(pytest) -n 5 $(ARGS) || $(go_on); $(again)
+
+test-bytecode: # for .ci/run, after the set-up: one process compiles the tests, which takes three times as long as their import
+	@$(pytest) -n 0 -qq --collect-only
 
 test-embedded-master: setup ## the tests with ROS 1, on Midspan's own master instead of roscore
 	@MIDSPAN_TEST_MASTER=embedded $(pytest) -n 5 tests/contract tests/interop tests/adapters/ros1 $(ARGS)
