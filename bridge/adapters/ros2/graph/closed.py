@@ -3,7 +3,8 @@
 Cyclone DDS announces the end of an endpoint by its GUID in a parameter list, without a key hash. Fast DDS (2.14.5 and
 3.2, ``MessageReceiver.cpp``) reads neither, as the list is longer than a key hash, and lists the endpoint until its
 participant leaves. But a ROS program also announces which endpoints each of its nodes has. So an endpoint that has
-belonged to a node, and no longer does, has closed.
+belonged to a node, and no longer does, has closed. Older versions of rmw_cyclonedds_cpp do not announce that of
+subscriptions (ros2/rmw_cyclonedds #594).
 """
 
 from __future__ import annotations
