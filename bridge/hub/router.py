@@ -10,9 +10,8 @@ import json
 import logging
 import os
 import socket
-import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +29,8 @@ from bridge.hub.identity import ask_identity, identity, identity_key
 from bridge.hub.links import MEMBERS
 from bridge.hub.namesakes import Namesakes
 from bridge.hub.opening import open_session
-from bridge.hub.security.endpoints import closed_endpoints
-from bridge.hub.security.external_router import ExternalRouter, KeyWatch, check_closed, has_tls, key_files
+from bridge.hub.security.external_access import ExternalAccess
+from bridge.hub.security.external_router import check_closed
 from bridge.hub.security.zenoh_log import ZenohLog
 from bridge.hub.zenoh_config import MAX_PAYLOAD, client_session_config, connect_endpoint, make_config, router_tree
 from bridge.status import RouterStatus
@@ -44,10 +43,6 @@ _MAX_MEMBERS = 1000
 
 _ROUTERS = {"router", "zenohd", "rmw_zenohd"}
 """Words in the command lines of routers: Midspan's (`midspan worker router`) and those of others."""
-
-_RETRY_SECONDS = 5.0
-_REOPEN_SECONDS = 0.3
-"""zenoh's routers check their neighbors every 0.1 s; one that replaces another sooner gets no subscriptions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,18 +137,14 @@ class RouterWorker(Worker):
     """Runs a router at ``hub.listen``.
 
     With ``hub.router: auto`` and another router at that address, it stands by and takes over when the other one exits.
-    With ``hub.open`` it also runs the router for other machines (`ExternalRouter`). If that one cannot be opened, this
+    With ``hub.open`` it also runs the router for other machines (`ExternalAccess`). If that one cannot be opened, this
     machine's programs keep their router, and the worker tries again.
     """
 
     def __init__(self, zenoh_log: ZenohLog | None = None) -> None:
         self._zenoh_log = zenoh_log
         self._config: Config | None = None
-        self._external: ExternalRouter | None = None
-        self._keys: KeyWatch | None = None
-        self._external_trouble = ""
-        self._external_since = 0.0
-        self._external_again = 0.0
+        self._external = ExternalAccess(zenoh_log)
         self._session: zenoh.Session | None = None
         self._control: Control | None = None
         self._namesakes: Namesakes | None = None
@@ -181,7 +172,7 @@ class RouterWorker(Worker):
                 ) from None
             self._other = holder_name
             _log.info("%s is at %s already and is used", holder_name, hub.listen)
-        self._open_external(config)
+        self._external.open(config)
 
     @override
     def reload(self, config: Config) -> bool:
@@ -191,36 +182,32 @@ class RouterWorker(Worker):
             return False
         self._config = config
         if config.hub.open != old.hub.open or commands(config.rules) != commands(old.rules):
-            self._reopen_external(config)
+            self._external.reopen(config)
         return True
 
     @override
     def health(self) -> Health:
         """Query the router itself over zenoh."""
         assert self._config is not None
-        if self._external is None and time.monotonic() > self._external_again:
-            self._open_external(self._config)
-        elif self._keys is not None and self._keys.renewed():
-            _log.info("hub.open: reopening with the new certificates")
-            self._reopen_external(self._config)
+        self._external.check(self._config)
         session = self._session
         if session is None:
             session = self._take_over(self._config)
         if session is None:
             warning = self._standby_warning(self._config)
-            return Health("standby", f"{self._other} is used{self._external_text()}{warning}")
+            return Health("standby", f"{self._other} is used{self._external.text()}{warning}")
         if not list(session.get(identity_key(str(session.zid())), timeout=_ANSWER_SECONDS)):
             raise TimeoutError(f"the router does not answer within {_ANSWER_SECONDS:g} s")
         if self._namesakes is not None:
             self._namesakes.check()
         count = len(session.info.transports())
         sessions = "1 session" if count == 1 else f"{count} sessions"
-        return Health("running", f"{sessions} at {self._config.hub.listen}{self._external_text()}")
+        return Health("running", f"{sessions} at {self._config.hub.listen}{self._external.text()}")
 
     @override
     def stop(self) -> None:
         """Close the router; its peers keep their direct links."""
-        self._close_external()
+        self._external.close()
         self._close_watch()
         control, self._control = self._control, None
         session, self._session = self._session, None
@@ -230,46 +217,6 @@ class RouterWorker(Worker):
             session.close()  # type: ignore[no-untyped-call]
         if self._zenoh_log is not None:
             self._zenoh_log.release()
-
-    def _open_external(self, config: Config) -> None:
-        if not config.hub.open.opened:
-            return
-        try:
-            self._keys = KeyWatch(key_files(config)) if has_tls(config.hub.open) else None
-            self._external = ExternalRouter(config, self._zenoh_log)
-        except HubError as err:
-            if str(err) != self._external_trouble:
-                _log.error("hub.open: %s", err)
-                self._external_since = time.time()
-            self._external_trouble = str(err)
-            self._external_again = time.monotonic() + _RETRY_SECONDS
-            return
-        self._external_trouble = ""
-        if config.hub.open.insecure:
-            _log.warning(
-                "hub.open.insecure: any program that reaches %s may join the hub", ", ".join(config.hub.open.listen)
-            )
-
-    def _reopen_external(self, config: Config) -> None:
-        if self._external is not None:
-            self._close_external()
-            time.sleep(_REOPEN_SECONDS)
-        self._open_external(config)
-
-    def _close_external(self) -> None:
-        external, self._external = self._external, None
-        self._keys = None
-        self._external_trouble, self._external_again = "", 0.0
-        if external is not None:
-            external.close()
-
-    def _external_text(self) -> str:
-        if self._external_trouble:
-            return f"; closed to other machines: {self._external_trouble}"
-        if self._external is None:
-            return ""
-        bad = [f"; {status}" for status in self._external.endpoints() if not status.good]
-        return f"; {len(self._external.machines())} other machines{''.join(bad)}"
 
     def _take_over(self, config: Config) -> zenoh.Session | None:
         if not port_held(config.hub.listen):
@@ -338,7 +285,7 @@ class RouterWorker(Worker):
             listen=config.hub.listen,
             sessions=len(members),
             members=members[:_MAX_MEMBERS],
-            **self._external_status(),
+            **self._external.status(self._config or config),
             routes=[],
             refused=[],
             warnings=self._warnings(),
@@ -346,25 +293,8 @@ class RouterWorker(Worker):
 
     def _warnings(self) -> list[str]:
         namesakes = self._namesakes.warning if self._namesakes is not None else ""
-        external = f"hub.open: {self._external_trouble}" if self._external_trouble else ""
+        external = f"hub.open: {self._external.trouble}" if self._external.trouble else ""
         return [warning for warning in (external, namesakes) if warning]
-
-    def _external_status(self) -> dict[str, Any]:
-        """Return the other machines, the endpoints by which they join, and the commands that need ``trusted``."""
-        external, config = self._external, self._config
-        if config is None:
-            return {"machines": [], "endpoints": []}
-        if external is None:
-            given = config.hub.open
-            closed = closed_endpoints(given.listen, given.connect, self._external_trouble, self._external_since)
-            return {"machines": [], "endpoints": [asdict(status) for status in closed]}
-        return {
-            "door": external.zid,
-            "machines": [asdict(machine) for machine in external.machines()],
-            "endpoints": [asdict(status) for status in external.endpoints()],
-            "refused_connections": external.refused(),
-            "commands": {name: sorted(parts) for name, parts in commands(config.rules).items()},
-        }
 
 
 def _members(session: zenoh.Session, *, peers: bool = False) -> list[str]:

@@ -100,7 +100,7 @@ def test_the_test_leaves_no_session(keys: Path) -> None:
     with Machine("operator1", keys / "a", listen=[place]) as operator:
         for _ in range(3):
             assert looked_at(keys / "a", connect=[place])[-1].result is Result.OK
-        external = operator.router._external
+        external = operator.router._external.router
         assert external is not None
         assert external.machines() == []
         assert external.endpoints()[0].state == "listening"

@@ -2,14 +2,12 @@
 
 Its access rules apply to every session that joins by it. This machine's programs do not discover it: zenoh's gossip
 would make them connect to programs of other machines directly, and bypass the rules. zenoh reads certificates only when
-it opens a session, so the router's worker watches for new files (`KeyWatch`).
+it opens a session; `bridge.hub.security.external_access` opens a new one for new files.
 """
 
 from __future__ import annotations
 
 import json
-import logging
-import ssl
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -179,47 +177,3 @@ def _loopback_interfaces() -> list[str]:
         for name, addresses in psutil.net_if_addrs().items()
         if any(address.address in ("127.0.0.1", "::1") for address in addresses)
     ]
-
-
-_log = logging.getLogger(__name__)
-
-_Stamp = tuple[tuple[int, int, int] | None, ...]
-
-
-class KeyWatch:
-    """Notices that a machine's key files were replaced since it was made."""
-
-    def __init__(self, files: KeyFiles) -> None:
-        self._files = files
-        self._used = self._seen = self._stamp()
-
-    def renewed(self) -> bool:
-        """Whether there are new files that can be used: all are written, and the key fits its certificate."""
-        stamp, before = self._stamp(), self._seen
-        self._seen = stamp
-        if stamp == self._used or stamp != before:  # unchanged, or still being copied
-            return False
-        self._used = stamp
-        trouble = self._trouble()
-        if trouble:
-            _log.error("hub.open: the new certificates cannot be used, the old ones stay in use: %s", trouble)
-        return not trouble
-
-    def _stamp(self) -> _Stamp:
-        stamps: list[tuple[int, int, int] | None] = []
-        for file in (self._files.ca, self._files.certificate, self._files.key):
-            try:
-                status = file.stat()
-                stamps.append((status.st_mtime_ns, status.st_size, status.st_ino))
-            except OSError:
-                stamps.append(None)
-        return tuple(stamps)
-
-    def _trouble(self) -> str:
-        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-        try:
-            context.load_verify_locations(self._files.ca)
-            context.load_cert_chain(self._files.certificate, self._files.key, password="")
-        except (OSError, ssl.SSLError) as err:  # includes a key that does not fit its certificate
-            return f"{self._files.certificate}: {err}"
-        return ""

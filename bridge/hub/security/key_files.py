@@ -1,12 +1,21 @@
-"""The files of a machine's identity, without what reads certificates: the router's process does not import that."""
+"""The files of a machine's identity, and a watch for new ones.
+
+This module does not import what reads certificates, which the router's process does not need.
+"""
 
 from __future__ import annotations
 
+import logging
 import os
+import ssl
 from dataclasses import dataclass
 from pathlib import Path
 
 from bridge.hub.errors import HubConfigError
+
+_log = logging.getLogger(__name__)
+
+_Stamp = tuple[tuple[int, int, int] | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,3 +35,42 @@ class KeyFiles:
                 )
             if not os.access(file, os.R_OK):
                 raise HubConfigError(f"{file} cannot be read by this process's user; give it to that user (chown)")
+
+
+class KeyWatch:
+    """Notices that a machine's key files were replaced since it was made."""
+
+    def __init__(self, files: KeyFiles) -> None:
+        self._files = files
+        self._used = self._seen = self._stamp()
+
+    def renewed(self) -> bool:
+        """Whether there are new files that can be used: all are written, and the key fits its certificate."""
+        stamp, before = self._stamp(), self._seen
+        self._seen = stamp
+        if stamp == self._used or stamp != before:  # unchanged, or still being copied
+            return False
+        self._used = stamp
+        trouble = self._trouble()
+        if trouble:
+            _log.error("hub.open: the new certificates cannot be used, the old ones stay in use: %s", trouble)
+        return not trouble
+
+    def _stamp(self) -> _Stamp:
+        stamps: list[tuple[int, int, int] | None] = []
+        for file in (self._files.ca, self._files.certificate, self._files.key):
+            try:
+                status = file.stat()
+                stamps.append((status.st_mtime_ns, status.st_size, status.st_ino))
+            except OSError:
+                stamps.append(None)
+        return tuple(stamps)
+
+    def _trouble(self) -> str:
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        try:
+            context.load_verify_locations(self._files.ca)
+            context.load_cert_chain(self._files.certificate, self._files.key, password="")
+        except (OSError, ssl.SSLError) as err:  # includes a key that does not fit its certificate
+            return f"{self._files.certificate}: {err}"
+        return ""

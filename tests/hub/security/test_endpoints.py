@@ -59,7 +59,7 @@ class Machine:
         self.router.stop()
 
     def statuses(self) -> list[endpoints.EndpointStatus]:
-        external = self.router._external
+        external = self.router._external.router
         assert external is not None
         return external.endpoints()
 
@@ -89,18 +89,19 @@ def test_connected(keys: Path, port: int) -> None:
 def test_a_foreign_authority_and_recovery(keys: Path, port: int, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "bridge.hub.security")
     place = f"tls/127.0.0.1:{port}"
-    with Machine("operator1", keys / "b", connect=[place]) as operator:
-        with Machine("robot1", keys / "a", listen=[place]):
-            refused = operator.wait(EndpointState.REFUSED)
-            assert "other machine's certificate is from another authority" in refused.reason
-            assert refused.machine == "robot1"
-            assert "midspan keys" in refused.cure
-            health = operator.router.health()
-            assert health.state == "running"
-            assert f"hub.open.connect {place}: refused: the other" in health.text
-            (answer,) = operator_status(operator)
-            assert answer["state"] == "refused"
-            assert answer["since"] == refused.since
+    robot = Machine("robot1", keys / "a", listen=[place])
+    with robot, Machine("operator1", keys / "b", connect=[place]) as operator:
+        refused = operator.wait(EndpointState.REFUSED)
+        assert "other machine's certificate is from another authority" in refused.reason
+        assert refused.machine == "robot1"
+        assert "midspan keys" in refused.cure
+        health = operator.router.health()
+        assert health.state == "running"
+        assert f"hub.open.connect {place}: refused: the other" in health.text
+        (answer,) = operator_status(operator)
+        assert answer["state"] == "refused"
+        assert answer["since"] == refused.since
+        robot.router.stop()
         operator.wait(EndpointState.NOT_ANSWERING)
         with Machine("robot1", keys / "b", listen=[place]):
             assert operator.wait(EndpointState.CONNECTED).machine == "robot1"
@@ -112,7 +113,7 @@ def test_a_foreign_authority_and_recovery(keys: Path, port: int, caplog: pytest.
 
 
 def operator_status(machine: Machine) -> list[dict[str, Any]]:
-    endpoints: list[dict[str, Any]] = machine.router._external_status()["endpoints"]
+    endpoints: list[dict[str, Any]] = machine.router._external.status(machine.config)["endpoints"]
     return endpoints
 
 
@@ -163,7 +164,7 @@ def test_endpoint_without_zenoh(keys: Path, port: int) -> None:
 
 def test_closed_endpoints(keys: Path, tmp_path: Path) -> None:
     with Machine("robot1", tmp_path, listen=["tls/127.0.0.1:0"], connect=["tls/127.0.0.1:1"]) as robot:
-        endpoints = robot.router._external_status()["endpoints"]
+        endpoints = robot.router._external.status(robot.config)["endpoints"]
     assert [(endpoint["way"], endpoint["state"]) for endpoint in endpoints] == [
         ("listen", "closed"),
         ("connect", "closed"),

@@ -1,0 +1,103 @@
+"""Opens the router for other machines, retries if that fails, and opens a new one for new certificates."""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import asdict
+from typing import Any
+
+from bridge.config.model import Config
+from bridge.config.rules import commands
+from bridge.hub.errors import HubError
+from bridge.hub.security.endpoints import closed_endpoints
+from bridge.hub.security.external_router import ExternalRouter, has_tls, key_files
+from bridge.hub.security.key_files import KeyWatch
+from bridge.hub.security.zenoh_log import ZenohLog
+
+_log = logging.getLogger(__name__)
+_RETRY_SECONDS = 5.0
+_REOPEN_SECONDS = 0.3
+"""zenoh's routers check their neighbors every 0.1 s; one that replaces another sooner gets no subscriptions."""
+
+
+class ExternalAccess:
+    """The access of other machines by ``hub.open``; without it, all methods do nothing.
+
+    Attributes:
+        router: the router, None while it cannot be opened.
+        trouble: why it cannot be opened, or "".
+    """
+
+    def __init__(self, zenoh_log: ZenohLog | None) -> None:
+        self.router: ExternalRouter | None = None
+        self.trouble = ""
+        self._zenoh_log = zenoh_log
+        self._keys: KeyWatch | None = None
+        self._since = self._retry_at = 0.0
+
+    def open(self, config: Config) -> None:
+        """Open the router; if that fails, log the reason once, and let `check` try again."""
+        if not config.hub.open.opened:
+            return
+        try:
+            self._keys = KeyWatch(key_files(config)) if has_tls(config.hub.open) else None
+            self.router = ExternalRouter(config, self._zenoh_log)
+        except HubError as err:
+            if str(err) != self.trouble:
+                _log.error("hub.open: %s", err)
+                self._since = time.time()
+            self.trouble = str(err)
+            self._retry_at = time.monotonic() + _RETRY_SECONDS
+            return
+        self.trouble = ""
+        if config.hub.open.insecure:
+            _log.warning(
+                "hub.open.insecure: any program that reaches %s may join the hub", ", ".join(config.hub.open.listen)
+            )
+
+    def check(self, config: Config) -> None:
+        """Try again to open the router, or open a new one if there are new certificates; called every second."""
+        if self.router is None and time.monotonic() > self._retry_at:
+            self.open(config)
+        elif self._keys is not None and self._keys.renewed():
+            _log.info("hub.open: reopening with the new certificates")
+            self.reopen(config)
+
+    def reopen(self, config: Config) -> None:
+        """Replace the router by one with this configuration."""
+        if self.router is not None:
+            self.close()
+            time.sleep(_REOPEN_SECONDS)
+        self.open(config)
+
+    def close(self) -> None:
+        """Close the router. Safe to call twice."""
+        router, self.router = self.router, None
+        self._keys = None
+        self.trouble, self._retry_at = "", 0.0
+        if router is not None:
+            router.close()
+
+    def text(self) -> str:
+        """Return what the state of the router's worker says about other machines, "" without ``hub.open``."""
+        if self.trouble:
+            return f"; closed to other machines: {self.trouble}"
+        if self.router is None:
+            return ""
+        bad = [f"; {status}" for status in self.router.endpoints() if not status.good]
+        return f"; {len(self.router.machines())} other machines{''.join(bad)}"
+
+    def status(self, config: Config) -> dict[str, Any]:
+        """Return the other machines, the endpoints by which they join, and the commands that need ``trusted``."""
+        if self.router is None:
+            section = config.hub.open
+            closed = closed_endpoints(section.listen, section.connect, self.trouble, self._since)
+            return {"machines": [], "endpoints": [asdict(status) for status in closed]}
+        return {
+            "door": self.router.zid,
+            "machines": [asdict(machine) for machine in self.router.machines()],
+            "endpoints": [asdict(status) for status in self.router.endpoints()],
+            "refused_connections": self.router.refused(),
+            "commands": {name: sorted(parts) for name, parts in commands(config.rules).items()},
+        }
