@@ -80,7 +80,7 @@ class ExternalAccess:
             router.close()
 
     def text(self) -> str:
-        """Return what the state of the router's worker says about other machines, "" without ``hub.open``."""
+        """Return the part of the worker's state about other machines, "" without ``hub.open``."""
         if self.trouble:
             return f"; closed to other machines: {self.trouble}"
         if self.router is None:
