@@ -16,7 +16,7 @@ from navigation.constraints import Constraints
 from navigation.goals import MapPlace
 from navigation.pose import Pose, wrapped
 from navigation.robot_path_planner.atlas import Leg
-from navigation.robot_path_planner.ground import Cell, Ground
+from navigation.robot_path_planner.ground import Cell, Clutter, Ground
 from navigation.robot_path_planner.section import RobotPathPlannerSection
 from navigation.status import Fault, PlanError
 from yarp_compat.dev.extras import AreaBehavior
@@ -46,6 +46,14 @@ def is_straight(ground: Ground, first: Pose, second: Pose) -> bool:
     """Whether no wall is between two poses; always true from a cell in which the robot may not be: it is leaving it."""
     start, end = ground.cell(first.x, first.y), ground.cell(second.x, second.y)
     return start is None or end is None or not ground.open[start] or sees(ground.open, start, end)
+
+
+def fits_straight(ground: Ground, closed: NDArray[np.bool_], first: Pose, second: Pose) -> bool:
+    """Whether a robot fits on the line between two poses with a cell to spare, and the line enters no closed cell."""
+    start, end = ground.cell(first.x, first.y), ground.cell(second.x, second.y)
+    if start is None or end is None or not ground.spare[start] or not sees(ground.spare, start, end):
+        return False
+    return not blocked(ground, closed, np.array([first[:2], second[:2]]))
 
 
 def length(places: Places) -> float:
@@ -114,6 +122,15 @@ class Waypoint:
     def is_passed(self, pose: Pose) -> bool:
         """Whether a robot is near enough for the next waypoint to be sent."""
         return pose.distance(self.pose) <= (self.constraints.tolerance_lin or 0.1)
+
+    def has_limits_of(self, other: Waypoint) -> bool:
+        """Whether speed and behavior at obstacles are the same on the path to another waypoint."""
+        own, its = self.constraints, other.constraints
+        return (own.max_lin_speed, own.min_lin_speed, own.on_obstacle) == (
+            its.max_lin_speed,
+            its.min_lin_speed,
+            its.on_obstacle,
+        )
 
     def is_reached(self, pose: Pose) -> bool:
         """Whether a robot is at the waypoint, with its heading if that matters."""
@@ -280,6 +297,9 @@ def _merged(defaults: Constraints, wanted: Constraints, behavior: AreaBehavior, 
     return replace(merged, max_lin_speed=most, min_lin_speed=least, on_obstacle=on_obstacle)
 
 
+_CORNER = 0.4  # meters from a waypoint within which the robot may cut the corner
+
+
 @dataclass
 class DriveTask:
     """An active goal and its progress. Times are in seconds of the caller's clock."""
@@ -320,6 +340,20 @@ class DriveTask:
     def passes(self) -> bool:
         """Whether the robot passes the current goal on its way to the next one, without a stop."""
         return bool(self.further) and self.leg is not None and self.leg.onto is None
+
+    def can_skip(self, ground: Ground, clutter: Clutter, pose: Pose, *, waits: bool) -> bool:
+        """Whether to drive on to the next waypoint: this one is near or blocked, and that one straight on.
+
+        ``waits`` is whether the robot waits for an obstacle. The line must be free, and under the same limits.
+        """
+        if self.last or self.waypoint.waits_for_obstacles:
+            return False
+        after = self.waypoints[self.index + 1]
+        return (
+            (waits or pose.distance(self.waypoint.pose) < _CORNER)
+            and self.waypoint.has_limits_of(after)
+            and fits_straight(ground, clutter.closed(), pose, after.pose)
+        )
 
     @property
     def last(self) -> bool:

@@ -319,6 +319,15 @@ class PathPlanner:
             raise PlanError(Fault.OTHER, f"the local navigator stopped: {reason}")
         elif state is State.ERROR:
             self._wait_for_navigator(task, now, local)
+        elif (
+            self.ground
+            and self.clutter
+            and task.can_skip(
+                self.ground, self.clutter, pose, waits=state is State.WAITING and local.fault is Fault.BLOCKED
+            )
+        ):
+            task.index += 1
+            self._send(task, local)
         else:
             self.status = PlannerStatus(state, local.reason or task.note, local.fault)
             self._count(task, pose)

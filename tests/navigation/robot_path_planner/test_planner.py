@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
+from navigation.constraints import Constraints
 from navigation.goals import MapPlace
 from navigation.pose import Pose, wrapped
 from navigation.robot_path_planner.ground import Ground, Zone
+from navigation.robot_path_planner.path import Waypoint
 from navigation.status import Fault, State
 from tests.navigation.robot_path_planner.test_path import LIFT, Two, area
-from tests.peers.navigation.floors import EAST, KEPT, LOW_DOOR, ROOMS, WEST, Drive, floor, least_room, paint
+from tests.peers.navigation.floors import EAST, KEPT, LOW_DOOR, ROOMS, SETTINGS, WEST, Drive, floor, least_room, paint
 from yarp_compat.dev.extras import AreaBehavior
 from yarp_compat.dev.mapflag import MapFlag
 
@@ -172,6 +175,45 @@ def test_the_robot_waits_in_an_area_with_on_obstacle_wait() -> None:
     assert max(pose.y for pose in drive.track) < 1.5
     drive.local.crates = []
     assert drive.run(30.0).state is State.REACHED
+
+
+@pytest.mark.parametrize(
+    ("wall", "crates", "limits", "skipped"),
+    [
+        ((), (), {}, True),
+        (((2.0, 0.0, 2.2, 2.2),), (), {}, False),
+        ((), ((2.5, 1.7, 0.2),), {}, False),
+        ((), (), {"max_lin_speed": 0.1}, False),
+    ],
+    ids=["free", "a wall is between", "an obstacle is between", "other limits"],
+)
+def test_a_waypoint_on_which_a_person_stands_is_skipped(wall: Any, crates: Any, limits: Any, skipped: bool) -> None:
+    drive = Drive(floor(*wall), WEST, SETTINGS.model_copy(update={"recoveries": 0}))
+    drive.local.patience, drive.laser = 60.0, True
+    drive.local.crates, drive.local.fault = [(1.0, 3.0, 0.4), *crates], Fault.BLOCKED
+    drive.planner.goal(EAST)
+    drive.run(0.2)
+    task = drive.planner.task
+    assert task is not None
+    corner = Waypoint(Pose(1.0, 3.0, 0.0), Constraints(tolerance_lin=0.1, heading=False, through=True, **limits))
+    goal = Waypoint(EAST, Constraints(tolerance_lin=0.1))
+    task.waypoints, task.index = (corner, goal), 0
+    drive.local.send(corner.pose, corner.constraints)
+    drive.run(20.0)
+    assert (drive.local.sent[-1][0] == EAST) == skipped
+
+
+def test_a_corner_is_cut_if_the_robot_can_drive_straight_to_the_next_waypoint() -> None:
+    drive = Drive(floor(), WEST)
+    drive.planner.goal(EAST)
+    drive.run(0.2)
+    task = drive.planner.task
+    assert task is not None
+    corner = Waypoint(Pose(2.5, 1.5, 0.0), Constraints(tolerance_lin=0.05, heading=False, through=True))
+    task.waypoints, task.index = (corner, Waypoint(EAST, Constraints(tolerance_lin=0.1))), 0
+    drive.local.send(corner.pose, corner.constraints)
+    assert drive.run(20.0).state is State.REACHED
+    assert min(pose.distance(corner.pose) for pose in drive.track) > 0.15
 
 
 def test_a_changed_map_triggers_a_new_plan_or_aborts_the_goal() -> None:
