@@ -60,7 +60,7 @@ class GoalSection(DrivenSection):
     """Settings for driving to the goal itself."""
 
     tolerance_lin: float | None = setting(0.05, "Meters.", gt=0.0, le=10.0)
-    tolerance_ang: float | None = setting(0.6, "Degrees.", gt=0.0, le=180.0)
+    tolerance_ang: float | None = setting(2.0, "Degrees.", gt=0.0, le=180.0)
 
 
 class RobotPathPlannerSection(ModuleSection):

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from navigation.constraints import Constraints
 from navigation.ini import laid_under
+from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_path_planner.section import RobotPathPlannerSection
 from navigation.robot_path_planner.settings import MERGED, read_file
 
@@ -107,6 +108,11 @@ def test_a_file_of_2016_has_its_keys_outside_groups(tmp_path: Path) -> None:
     assert (section.robot_radius, section.recoveries, section.base_frame) == (0.35, 5, "mobile_base_body")
     assert len(notes) == 1
     assert "ini:11: 'file_name' is ignored: maps are in the store" in notes[0]
+
+
+def test_the_goals_default_tolerances_are_those_of_robot_goto() -> None:
+    goal, local = RobotPathPlannerSection().goal, RobotGotoSection()
+    assert (goal.tolerance_lin, goal.tolerance_ang) == (local.goal_tolerance_lin, local.goal_tolerance_ang)
 
 
 def test_the_sections_values_override_the_files(tmp_path: Path) -> None:
