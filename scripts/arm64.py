@@ -51,7 +51,7 @@ _PACKAGES = ("bridge", "navigation", "sim", "yarp_compat")
 _COPY, _VENV, _WHEELS = "root/midspan", "opt/midspan", "root/wheels"
 _SECONDS = 3600
 _SLOWNESS = "10"
-"""Factor for the deadlines of tests, as qemu needs 10 to 20 times the processor time."""
+"""Factor for the deadlines of tests, as qemu needs several times the processor time, and the machine may be busy."""
 
 
 class Place:
