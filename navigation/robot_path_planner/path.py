@@ -49,11 +49,15 @@ def is_straight(ground: Ground, first: Pose, second: Pose) -> bool:
 
 
 def fits_straight(ground: Ground, closed: NDArray[np.bool_], first: Pose, second: Pose) -> bool:
-    """Whether a robot fits on the line between two poses with a cell to spare, and the line enters no closed cell."""
+    """Whether a robot fits on the line between two poses with a cell to spare, all of it in the same areas.
+
+    The line also must not enter a closed cell.
+    """
     start, end = ground.cell(first.x, first.y), ground.cell(second.x, second.y)
     if start is None or end is None or not ground.spare[start] or not sees(ground.spare, start, end):
         return False
-    return not blocked(ground, closed, np.array([first[:2], second[:2]]))
+    line = np.array([first[:2], second[:2]])
+    return len(_parts(ground, *line)) == 1 and not blocked(ground, closed, line)
 
 
 def length(places: Places) -> float:

@@ -177,18 +177,24 @@ def test_the_robot_waits_in_an_area_with_on_obstacle_wait() -> None:
     assert drive.run(30.0).state is State.REACHED
 
 
+SLOW = Zone(area(2.0, 0.0, 3.0, 5.0), AreaBehavior(max_speed=0.1))
+
+
 @pytest.mark.parametrize(
-    ("wall", "crates", "limits", "skipped"),
+    ("wall", "crates", "limits", "zones", "skipped"),
     [
-        ((), (), {}, True),
-        (((2.0, 0.0, 2.2, 2.2),), (), {}, False),
-        ((), ((2.5, 1.7, 0.2),), {}, False),
-        ((), (), {"max_lin_speed": 0.1}, False),
+        ((), (), {}, (), True),
+        (((2.0, 0.0, 2.2, 2.2),), (), {}, (), False),
+        ((), ((2.5, 1.7, 0.2),), {}, (), False),
+        ((), (), {"max_lin_speed": 0.1}, (), False),
+        ((), (), {}, (SLOW,), False),
     ],
-    ids=["free", "a wall is between", "an obstacle is between", "other limits"],
+    ids=["free", "a wall is between", "an obstacle is between", "other limits", "a slow area is between"],
 )
-def test_a_waypoint_on_which_a_person_stands_is_skipped(wall: Any, crates: Any, limits: Any, skipped: bool) -> None:
-    drive = Drive(floor(*wall), WEST, SETTINGS.model_copy(update={"recoveries": 0}))
+def test_a_waypoint_on_which_a_person_stands_is_skipped(
+    wall: Any, crates: Any, limits: Any, zones: Any, skipped: bool
+) -> None:
+    drive = Drive(floor(*wall), WEST, SETTINGS.model_copy(update={"recoveries": 0}), zones=list(zones))
     drive.local.patience, drive.laser = 60.0, True
     drive.local.crates, drive.local.fault = [(1.0, 3.0, 0.4), *crates], Fault.BLOCKED
     drive.planner.goal(EAST)
