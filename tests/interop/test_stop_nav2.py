@@ -1,9 +1,7 @@
-"""Stops and goals while a Nav2 server aborts, crashes or is disconnected; the reference is the base's own program."""
+"""Stops and goals while a Nav2 server aborts or crashes; the reference is the base's own program."""
 
 from __future__ import annotations
 
-import os
-import signal
 import time
 
 import pytest
@@ -12,7 +10,7 @@ from tests.peers.daemon.deployment import Deployment
 from tests.peers.navigation.gateway import pose
 from tests.peers.navigation.mix import NAV2, OWN, Mix
 from tests.peers.navigation.mix_clients import COMMAND, ROS1, ROS2, SECONDS, YARP, ZENOH, RosClient, ZenohClient
-from tests.peers.navigation.mix_faults import AWAY, STANDS_SECONDS, UNCONFIRMED, Watch, kill_workers, start_driving
+from tests.peers.navigation.mix_faults import AWAY, STANDS_SECONDS, UNCONFIRMED, Watch, start_driving
 from tests.support.wait import until
 
 ALL = (YARP, ROS1, ROS2, ZENOH)
@@ -190,56 +188,3 @@ def test_bt_navigator_is_not_restarted(deployment: Deployment) -> None:
     assert client.ended_at() - watch.began > PATIENCE - 1.0, watch
     watch.close()
     assert_stops(watch)
-
-
-@pytest.mark.parametrize(
-    ("navigator", "controller"),
-    [
-        pytest.param((), ("--tf-tolerance", "0.5"), id="102"),
-        pytest.param(("--tf-tolerance", "0.5"), ("--tf-tolerance", "inf"), id="202", marks=thorough),
-    ],
-)
-@pytest.mark.parametrize("client", [ZENOH, *(pytest.param(name, marks=thorough) for name in (YARP, ROS1))])
-def test_the_ros2_worker_is_killed_and_transforms_are_missing(
-    deployment: Deployment, client: str, navigator: tuple[str, ...], controller: tuple[str, ...]
-) -> None:
-    """The base is on ROS 1: transforms reach Nav2 through the killed worker."""
-    nav2 = {"navigator": navigator, "controller": controller}
-    assert_continues(drive(deployment, client, base_side="ros1", nav2=nav2, navigation={"patience": 30.0}))
-
-
-@thorough
-@pytest.mark.parametrize("client", [YARP, ZENOH])
-def test_the_ros2_worker_is_killed(deployment: Deployment, client: str) -> None:
-    assert_continues(drive(deployment, client, navigation={"patience": 30.0}))
-
-
-def assert_continues(watch: Watch) -> None:
-    """Kill the ros2 worker; the client's goal continues after its restart."""
-    client, mix = watch.mix.clients[watch.client], watch.mix
-    os.kill(mix.pid("ros2"), signal.SIGKILL)
-    watch.until(lambda: not watch.base.moves or time.monotonic() > watch.began + 3.0, "it is disconnected")
-    progress = client.progress()
-    watch.until(mix.back, "everything is back")
-
-    def drives() -> object:
-        return client.progress() > progress and mix.driving() and watch.base.moves
-
-    watch.until(lambda: client.end() or drives(), "it goes on")
-    assert client.end() == "", f"its goal ended: {client.end()} ({client.why()}); {watch}"
-    wait(watch, time.monotonic() - watch.began + 1.5)
-    assert watch.base.moves, f"it drives; {watch}"
-    assert client.end() == "", f"its goal ended: {client.end()} ({client.why()}); {watch}"
-    watch.close()
-    client.cancel()
-    watch.until(lambda: client.end() == "canceled", "its goal is canceled", STANDS_SECONDS)
-    assert_ends_once(watch)
-
-
-@thorough
-def test_stop_after_the_ros2_worker_was_killed(deployment: Deployment) -> None:
-    watch = drive(deployment, ZENOH)
-    kill_workers("ros2")(watch.mix)
-    wait(watch, 0.3)
-    assert_stops(watch, YARP, ZENOH)
-    assert_ends_once(watch)
