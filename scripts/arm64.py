@@ -40,7 +40,7 @@ TOOLS = ("hypothesis", "pytest", "pytest-randomly", "pytest-timeout", "pytest-xd
 KERNEL_TESTS = (
     "tests/bags/test_split.py", "tests/messages/transcode/test_vm.py", "tests/navigation/algorithms",
     "tests/navigation/maps/test_maps.py", "tests/sim/test_depth_kernel.py", "tests/sim/test_laser.py",
-    "tests/sim/test_laser_kernel.py", "tests/test_kernels.py", "tests/tf/test_buffer.py", "tests/tf/test_kernels.py",
+    "tests/sim/test_laser_kernel.py", "tests/tf/test_buffer.py", "tests/tf/test_kernels.py",
 )  # fmt: skip
 """The tests of all modules in `bridge.kernels` (tests/arm64/test_program.py)."""
 
