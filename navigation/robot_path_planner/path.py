@@ -24,11 +24,13 @@ from yarp_compat.dev.extras import AreaBehavior
 Places = NDArray[np.float64]  # (n, 2) x and y, meters
 
 
-def blocked(ground: Ground, closed: NDArray[np.bool_], places: Places) -> bool:
-    """Whether a line over points, (n, 2) meters, enters closed cells; those that it starts in do not count."""
+def blocked(ground: Ground, closed: NDArray[np.bool_], places: Places, *, inside: bool = False) -> bool:
+    """Whether a line over points, (n, 2) meters, enters closed cells; those that it starts in count with ``inside``."""
     columns, rows = ground.grid.cells_at(sampled(places, ground.grid.resolution / 2)).T
     fits = (rows >= 0) & (rows < closed.shape[0]) & (columns >= 0) & (columns < closed.shape[1])
     on_line = closed[rows[fits], columns[fits]]
+    if inside:
+        return bool(on_line.any())
     free = np.flatnonzero(~on_line)
     return bool(len(free)) and bool(on_line[free[0] :].any())
 

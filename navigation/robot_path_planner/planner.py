@@ -301,7 +301,7 @@ class PathPlanner:
         local.send(task.waypoint.pose, task.waypoint.constraints)
 
     def _drive(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator) -> None:
-        state = local.state
+        state, waits = local.state, _waits_for_obstacle(local)
         task.driven = task.driven or state is not State.ERROR
         if state is State.REACHED or ((task.passes or not task.last) and task.waypoint.is_passed(pose)):
             if task.last:
@@ -319,13 +319,7 @@ class PathPlanner:
             raise PlanError(Fault.OTHER, f"the local navigator stopped: {reason}")
         elif state is State.ERROR:
             self._wait_for_navigator(task, now, local)
-        elif (
-            self.ground
-            and self.clutter
-            and task.can_skip(
-                self.ground, self.clutter, pose, waits=state is State.WAITING and local.fault is Fault.BLOCKED
-            )
-        ):
+        elif self.ground and self.clutter and task.can_skip(self.ground, self.clutter, pose, waits=waits):
             task.index += 1
             self._send(task, local)
         else:
@@ -349,9 +343,7 @@ class PathPlanner:
         if not is_straight(ground, pose, task.waypoint.pose):
             task.replan_reason = "a wall is between the robot and its waypoint"
             return
-        if not (len(clutter.cells) or len(clutter.fixed)) or not blocked(
-            ground, clutter.struck(), cut(self._ahead(pose), _AHEAD)
-        ):
+        if not (len(clutter.cells) or len(clutter.fixed)) or not self._is_path_blocked(ground, clutter, pose, local):
             task.path_blocked_since = None
             return
         task.path_blocked_since = now if task.path_blocked_since is None else task.path_blocked_since
@@ -374,6 +366,13 @@ class PathPlanner:
         task.attempts += 1
         task.recoveries += 1
         self._set_out(task, now, pose, local, alternative)
+
+    def _is_path_blocked(self, ground: Ground, clutter: Clutter, pose: Pose, local: LocalNavigator) -> bool:
+        """Whether obstacles are on the path; also beside it, if the local navigator already waits for one."""
+        ahead = cut(self._ahead(pose), _AHEAD)
+        if _waits_for_obstacle(local):
+            return blocked(ground, clutter.closed(), ahead, inside=True)
+        return blocked(ground, clutter.struck(), ahead)
 
     def _recover(self, task: DriveTask, now: float, pose: Pose, reason: str) -> None:
         """Handle a failure of the local navigator: try another path, or the same path again."""
@@ -488,6 +487,11 @@ class PathPlanner:
         if self._jumps.pose is not None:
             line.insert(0, self._jumps.pose[:2])
         return np.array(line)
+
+
+def _waits_for_obstacle(local: LocalNavigator) -> bool:
+    """Whether the local navigator stands in front of an obstacle."""
+    return local.state is State.WAITING and local.fault is Fault.BLOCKED
 
 
 def _expected(task: DriveTask) -> str:

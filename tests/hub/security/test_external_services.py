@@ -69,7 +69,9 @@ def test_a_machine_answers(machines: Machines, name: str) -> None:
     """Its replies to goal requests pass, too, as the service is its own."""
     with Hub.open(machines.network.settings("robot")) as robot, machines.hub(name) as other:
         for service, type_name in {**QUESTIONS, **COMMANDS}.items():
-            assert called(other, robot, service, type_name) == (b"yes", True)
+            # three routers may announce a server before all have a route to it; such a call reaches no server
+            answered = until(lambda: (end := called(other, robot, service, type_name))[1] and end, service)  # noqa: B023
+            assert answered == (b"yes", True)
 
 
 @pytest.mark.parametrize(("name", "works"), [("friend", True), ("guest", False)])

@@ -141,6 +141,14 @@ def test_a_door_that_closes_during_the_drive_is_bypassed(patience: float) -> Non
     assert drive.now < 50
 
 
+def test_an_obstacle_beside_the_path_that_stops_the_robot_is_bypassed() -> None:
+    """It is between half the radius and the radius from the path."""
+    drive = Drive(floor(), WEST)
+    drive.laser, drive.local.crates = True, [(2.5, 1.2, 0.05)]
+    drive.local.patience, drive.local.fault = math.inf, Fault.BLOCKED
+    assert drive.goto(EAST, 30.0).state is State.REACHED
+
+
 def test_the_robot_drives_through_a_door_that_reopens() -> None:
     drive = Drive(floor((2.4, 0.0, 2.6, 0.6), (2.4, 1.4, 2.6, 5.0)), WEST)
     drive.laser = True
