@@ -11,7 +11,6 @@ from pydantic import BaseModel, ValidationError
 
 from bridge.config.document import ConfigError, Document, KeyPath, Problem, parse, read
 from bridge.config.listeners import listener_problems
-from bridge.config.mapping_rules import mapping_rule_problems
 from bridge.config.migrate import too_new
 from bridge.config.model import Config
 from bridge.config.problems import key_name, model_of, problems
@@ -74,7 +73,7 @@ def _config(document: Document) -> Config:
     placed: Config = _placed(config, (), document, missing)
     if missing:
         raise ConfigError(missing)
-    if refused := zenoh_problems(document, placed) or mapping_rule_problems(document, placed):
+    if refused := zenoh_problems(document, placed) or _mapping_rule_problems(document, placed):
         raise ConfigError(refused)
     return placed
 
@@ -109,3 +108,32 @@ def _placed(value: Any, path: KeyPath, document: Document, missing: list[Problem
     if path not in MADE_BY_US and not absolute.exists():
         missing.append(document.problem(path, f"no such file or folder: {absolute}"))
     return absolute
+
+
+def _mapping_rule_problems(document: Document, config: Config) -> list[Problem]:
+    """Return a problem for each file of ``types.mapping_rules`` that cannot be read, and each entry that is wrong."""
+    files = config.types.mapping_rules
+    if not files:
+        return []
+    from bridge.messages.errors import MessageTypeError
+    from bridge.messages.mapping.rules import load_rules
+    from bridge.messages.mapping.version_rules import load_version_rules
+    from bridge.messages.registry import Registry
+
+    def problem(index: int, err: MessageTypeError) -> Problem:
+        return document.problem(("types", "mapping_rules", index), f"{err}; {err.cure}" if err.cure else str(err))
+
+    problems: list[Problem] = []
+    versioned = False
+    for index, file in enumerate(files):
+        try:
+            load_rules(file)
+            versioned = bool(load_version_rules(file)) or versioned
+        except MessageTypeError as err:
+            problems.append(problem(index, err))
+    if problems or not versioned:
+        return problems
+    for wrong in Registry.of(config.types).rule_errors():
+        index = next((number for number, file in enumerate(files) if str(wrong).startswith(f"{file}, ")), 0)
+        problems.append(problem(index, wrong))
+    return problems

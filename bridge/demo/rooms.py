@@ -180,7 +180,7 @@ class RoomsDemo(DemoRun):
         return RoomDrive(client, room, reached, round(off, 3), round(time.monotonic() - began, 1), output)
 
     def _until(self, ready: Callable[[], object], what: str, course: RobotTracker | None = None) -> None:
-        """Wait for a condition while there is progress; raises `DemoError` if there is none, or a part failed."""
+        """Wait for a condition; raises `DemoError` if progress stops or a part failed."""
         self._progress.begin()
         while not _holds(ready):
             self._wait(f"waiting for {what}", course)

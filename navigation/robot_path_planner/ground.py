@@ -66,9 +66,9 @@ class Ground:
         # meters from a cell's center to the nearest border of a solid or keep-out cell, else infinite
         self.room = (distance_transform(self.solid | self.kept) - 0.5) * np.float32(grid.resolution)
         self.weights = self._weighed(clearance)  # cost of entering a cell; 0 if the robot does not fit
-        # 1 where the robot fits with a cell to spare, so that cells' sizes do not matter on a line between two points
+        # 1: the robot fits with a cell to spare, so that the cells' size does not matter on a line between two points
         self.spare = (self.room >= radius + grid.resolution - 1e-6).astype(np.uint8)
-        self.open = (self.room > radius / 2).astype(np.uint8)  # 1 where a robot may be while it avoids an obstacle
+        self.open = (self.room > radius / 2).astype(np.uint8)  # 1: a robot may be here while it avoids an obstacle
         self.labels, self.behaviors = _labeled(grid, on_map)  # the index of each cell's behavior
         # close to keep-out cells, which a laser does not show: a local navigator must not go around obstacles here
         self.beside = distance_transform(self.kept) < _BESIDE / grid.resolution

@@ -50,16 +50,16 @@ def is_straight(ground: Ground, first: Pose, second: Pose) -> bool:
     return start is None or end is None or not ground.open[start] or sees(ground.open, start, end)
 
 
-def fits_straight(ground: Ground, closed: NDArray[np.bool_], first: Pose, second: Pose) -> bool:
-    """Whether a robot fits on the line between two poses with a cell to spare, all of it in the same areas.
+def fits_straight(ground: Ground, clutter: Clutter, first: Pose, second: Pose) -> bool:
+    """Whether a robot fits on the line between two poses with a cell to spare.
 
-    The line also must not enter a closed cell.
+    The line must have no obstacle, and cross no border of an area with a behavior.
     """
     start, end = ground.cell(first.x, first.y), ground.cell(second.x, second.y)
     if start is None or end is None or not ground.spare[start] or not sees(ground.spare, start, end):
         return False
     line = np.array([first[:2], second[:2]])
-    return len(_parts(ground, *line)) == 1 and not blocked(ground, closed, line)
+    return len(_parts(ground, *line)) == 1 and not blocked(ground, clutter.closed(), line)
 
 
 def length(places: Places) -> float:
@@ -258,7 +258,7 @@ def _simplified(ground: Ground, weights: Weights, cells: Cells, settings: RobotP
 def _waypoints(
     ground: Ground, places: Places, goal: Pose, settings: RobotPathPlannerSection, wanted: Constraints
 ) -> tuple[Waypoint, ...]:
-    """Return waypoints at all corners, and where an area with a behavior begins or ends."""
+    """Return waypoints at all corners, and at the borders of areas with a behavior."""
     waypoints: list[Waypoint] = []
     to_waypoint = Constraints(**settings.waypoint.model_dump(), heading=False, through=True)
     through = replace(wanted, heading=False, through=True, tolerance_lin=None, tolerance_ang=None)
@@ -344,7 +344,7 @@ class DriveTask:
 
     @property
     def passes(self) -> bool:
-        """Whether the robot passes the current goal on its way to the next one, without a stop."""
+        """Whether the robot passes the current goal without a stop and drives on to the next one."""
         return bool(self.further) and self.leg is not None and self.leg.onto is None
 
     def can_skip(self, ground: Ground, clutter: Clutter, pose: Pose, *, waits: bool) -> bool:
@@ -358,7 +358,7 @@ class DriveTask:
         return (
             (waits or pose.distance(self.waypoint.pose) < _CORNER)
             and self.waypoint.has_limits_of(after)
-            and fits_straight(ground, clutter.closed(), pose, after.pose)
+            and fits_straight(ground, clutter, pose, after.pose)
         )
 
     @property

@@ -21,7 +21,6 @@ from typing import Any
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph import vendors
-from bridge.adapters.ros2.graph.closed import ClosedEndpoints
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
 from bridge.adapters.ros2.participant import Participant, from_rclpy, reply_topic, request_topic, service_type
 from bridge.adapters.ros2.versions import EndpointVersions
@@ -69,7 +68,7 @@ class Ros2Graph:
     ) -> None:  # fmt: skip
         self._participant, self._own, self._changed, self._versions = participant, own_prefix, changed, versions
         self.snapshot = GraphSnapshot()
-        self._closed = ClosedEndpoints()
+        self._closed = vendors.ClosedEndpoints()
         self._guard = participant.make_guard_condition()
         self._graph_guard = rcl.graph_guard_condition(participant.pointer)
         self._stopping = threading.Event()

@@ -1,4 +1,4 @@
-"""Nodes on Cyclone DDS, whose requests and replies have another form than those of Fast DDS.
+"""Nodes on Cyclone DDS: their requests and replies have another form than those of Fast DDS.
 
 The first two bytes of a GUID prefix are its vendor's (DDSI-RTPS 2.5, 9.3.1.5): 01 0f is eProsima, whose Fast DDS
 Midspan uses, 01 10 is Eclipse Cyclone DDS. A server on Cyclone DDS would execute a request in Fast DDS's form shifted
@@ -8,9 +8,11 @@ to all servers of a name, so those of a name that has servers of both kinds cann
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import threading
+from collections.abc import Collection, Iterable
 from typing import Any
 
+from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.messages.actions import split
 from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 
@@ -25,6 +27,35 @@ _OF_EACH_NODE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
 def is_cyclone(gid: bytes) -> bool:
     """Return whether a GUID, or its prefix, is of Cyclone DDS."""
     return gid.startswith(_CYCLONE)
+
+
+class ClosedEndpoints:
+    """Detects endpoints on Cyclone DDS that have closed, although Fast DDS still lists them; thread-safe.
+
+    Cyclone DDS announces the end of an endpoint by its GUID in a parameter list, without a key hash. Fast DDS (2.14.5
+    and 3.2, ``MessageReceiver.cpp``) reads neither, as the list is longer than a key hash, and lists the endpoint until
+    its participant leaves. But a ROS program also announces which endpoints each of its nodes has. So an endpoint that
+    has belonged to a node, and no longer does, has closed. Older versions of rmw_cyclonedds_cpp do not announce that of
+    subscriptions (ros2/rmw_cyclonedds #594).
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._of_nodes: set[bytes] = set()
+
+    def is_closed(self, gid: bytes, node: str) -> bool:
+        """Return whether a listed endpoint has closed; ``node`` is the node that it belongs to now, "" for none."""
+        if not is_cyclone(gid):
+            return False
+        with self._lock:
+            if node:
+                self._of_nodes.add(gid)
+            return not node and gid in self._of_nodes
+
+    def retain(self, participants: Collection[bytes]) -> None:
+        """Forget the endpoints of all participants except those with these GUID prefixes."""
+        with self._lock:
+            self._of_nodes = {gid for gid in self._of_nodes if gid[:PREFIX_BYTES] in participants}
 
 
 def _is_cyclone_endpoint(endpoint: Endpoint) -> bool:

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from bridge.adapters.ros2.graph.closed import ClosedEndpoints
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
+from bridge.adapters.ros2.graph.vendors import ClosedEndpoints
 from bridge.routing.edge import Endpoint, Kind
 from tests.adapters.ros2.conftest import RunningEdge
 from tests.peers.ros2.cyclone import CyclonePeer
