@@ -301,7 +301,8 @@ class PathPlanner:
         local.send(task.waypoint.pose, task.waypoint.constraints)
 
     def _drive(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator) -> None:
-        state, waits = local.state, _waits_for_obstacle(local)
+        state, ground, clutter = local.state, self.ground, self.clutter
+        waits = _waits_for_obstacle(local)
         task.driven = task.driven or state is not State.ERROR
         if state is State.REACHED or ((task.passes or not task.last) and task.waypoint.is_passed(pose)):
             if task.last:
@@ -319,7 +320,7 @@ class PathPlanner:
             raise PlanError(Fault.OTHER, f"the local navigator stopped: {reason}")
         elif state is State.ERROR:
             self._wait_for_navigator(task, now, local)
-        elif self.ground and self.clutter and task.can_skip(self.ground, self.clutter, pose, waits=waits):
+        elif ground and clutter and not self.blind and task.can_skip(ground, clutter, pose, waits=waits):
             task.index += 1
             self._send(task, local)
         else:

@@ -217,8 +217,10 @@ def test_a_waypoint_on_which_a_person_stands_is_skipped(
     assert (drive.local.sent[-1][0] == EAST) == skipped
 
 
-def test_a_corner_is_cut_if_the_robot_can_drive_straight_to_the_next_waypoint() -> None:
+@pytest.mark.parametrize(("blind", "cut"), [("", True), ("the laser is silent", False)])
+def test_a_corner_is_cut_if_the_robot_can_drive_straight_to_the_next_waypoint(blind: str, cut: bool) -> None:
     drive = Drive(floor(), WEST)
+    drive.planner.blind = blind
     drive.planner.goal(EAST)
     drive.run(0.2)
     task = drive.planner.task
@@ -227,7 +229,7 @@ def test_a_corner_is_cut_if_the_robot_can_drive_straight_to_the_next_waypoint() 
     task.waypoints, task.index = (corner, Waypoint(EAST, Constraints(tolerance_lin=0.1))), 0
     drive.local.send(corner.pose, corner.constraints)
     assert drive.run(20.0).state is State.REACHED
-    assert min(pose.distance(corner.pose) for pose in drive.track) > 0.15
+    assert (min(pose.distance(corner.pose) for pose in drive.track) > 0.15) == cut
 
 
 def test_a_changed_map_triggers_a_new_plan_or_aborts_the_goal() -> None:
