@@ -10,8 +10,6 @@ of IDL are those that rosbags ships.
 from __future__ import annotations
 
 import ast
-import gc
-import importlib
 import os
 import re
 import site
@@ -33,6 +31,7 @@ from bridge.messages.definitions.parts import (
     with_made,
 )
 from bridge.messages.definitions.schema import Constant, Definition, Field, FieldType, Shape, World
+from bridge.messages.definitions.stores import read_store
 from bridge.messages.definitions.text import MAX_TEXT, parse_definition, parse_full, spell, split_parts
 from bridge.messages.errors import MessageTypeError
 
@@ -297,7 +296,7 @@ def _split(paths: str | None) -> list[Path]:
     return [Path(path) for path in (paths or "").split(os.pathsep) if path]
 
 
-_MODULES = {World.ROS1: "rosbags.typesys.stores.ros1_noetic", World.ROS2: "rosbags.typesys.stores.ros2_jazzy"}
+_STORES = {World.ROS1: "ros1_noetic", World.ROS2: "ros2_jazzy"}
 _TIMES = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
 _IDL_BASES = {"octet": "byte", "boolean": "bool"}
 _BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4  # rosbags.interfaces.Nodetype
@@ -334,14 +333,7 @@ def parse_idl(text: str, name: str) -> dict[str, Definition]:
 
 @cache
 def _store(world: World) -> Mapping[str, Any]:
-    """Return the definitions, without the message classes that rosbags also makes: 3 MB in each worker."""
-    definitions: Mapping[str, Any] = importlib.import_module(_MODULES[world]).FIELDDEFS
-    stores = sys.modules[_MODULES[world].rpartition(".")[0]]
-    for name in [name for name in sys.modules if name.startswith(f"{stores.__name__}.ros")]:
-        del sys.modules[name]  # another import makes the classes again
-        vars(stores).pop(name.rpartition(".")[2], None)
-    gc.collect()
-    return definitions
+    return read_store(_STORES[world])
 
 
 def _definition(key: str, value: Any, world: World) -> Definition:
