@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 STANDING = 0.01
 """m/s; a slower robot is not at fault for a contact, because people walk up to it."""
 
-_LOOK = 5
+_CHECK_TICKS = 5
 """Ticks between two distance checks: 1.5 cm at the R1's speed."""
 
 
@@ -47,13 +47,13 @@ class Judge:
         robot = self._robot
         self._ticks += 1
         touches = bool(robot.simulation.bumps)
-        if not touches and self._ticks % _LOOK:
+        if not touches and self._ticks % _CHECK_TICKS:
             return
         moving = robot.moving > STANDING
         if touches and moving:
             self.contacts += 1
             self._note("touches something")
-        if self._ticks % _LOOK:
+        if self._ticks % _CHECK_TICKS:
             return
         x, y, _, _ = robot.truth
         if moving:
@@ -74,8 +74,8 @@ def nearest(x: float, y: float, segments: Floats, circles: Floats) -> float:
     """Return the distance from a point to the nearest thing, in meters.
 
     Args:
-        x: of the point, meters.
-        y: of the point, meters.
+        x: the point's x, meters.
+        y: the point's y, meters.
         segments: (n, 4) x1, y1, x2, y2.
         circles: (m, 3) x, y, radius.
     """

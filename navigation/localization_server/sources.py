@@ -39,7 +39,7 @@ def start_covariance(section: LocalizationServerSection) -> Floats:
 
 
 class PoseSource(ABC):
-    """A source of the robot's pose. On the module's thread.
+    """A source of the robot's pose; its methods run on the module's thread.
 
     A source that does not come with Midspan is created with the host, the section of LocalizationServer, which has the
     source's ``options``, and the robot's frames on ``/tf``.
@@ -47,14 +47,14 @@ class PoseSource(ABC):
 
     # whether the module passes on start poses from a topic; amcl subscribes to them itself
     accepts_starts = False
-    corrects = False  # whether the module publishes the odometry frame on the map for it
+    corrects = False  # whether the module publishes the source's transform from the map to the odometry frame
 
     @abstractmethod
     def estimate(self) -> PoseEstimate:
         """Return the current estimate, or the reason why the pose is unknown."""
 
     def correction(self) -> Pose | None:
-        """Return the odometry frame on the map if it `corrects`; None if it is unknown."""
+        """Return the pose of the odometry frame in the map's frame, for a source that `corrects`; None if unknown."""
         return None
 
     def cloud(self) -> Floats:
@@ -85,12 +85,12 @@ class PoseSource(ABC):
 
 
 _WIDEST = 1.0
-"""The standard deviation in meters above which amcl is not localized. A start pose of rviz has 0.5 until the robot
-drives."""
+"""The standard deviation in meters above which amcl is not localized. A start pose set in rviz has 0.5, which lasts
+until the robot drives."""
 
 
 class FrameSource(PoseSource):
-    """Any publisher of the odometry frame on the map."""
+    """The pose on /tf, for any localizer that publishes the transform from the map to the odometry frame."""
 
     def __init__(self, host: Host, section: LocalizationServerSection, frames: RobotFrames) -> None:
         self._host, self._section, self._frames = host, section, frames
@@ -243,7 +243,7 @@ class ExternalSource(PoseSource):
         self._correction = self._corrected(pose)
 
     def _corrected(self, pose: Pose) -> Pose | None:
-        """Return the odometry frame on the map by a pose; None if odometry does not cover its time."""
+        """Return the correction that a pose implies; None if odometry does not cover the pose's time."""
         frames = self._frames
         try:
             then = frames.transform(frames.odom_frame, frames.base_frame, pose.stamp_ns, extrapolate=LATE)

@@ -77,7 +77,7 @@ def test_topics_appear_with_their_sides_and_disappear(far: Hub, topics: HubTopic
     assert not topic.latched
     assert changed.is_set()
     publisher.close()
-    until(lambda: key not in topics.refresh(), "it is gone")
+    until(lambda: key not in topics.refresh(), "the topic is removed")
 
 
 def test_messages_arrive_unchanged(far: Hub, topics: HubTopics) -> None:
@@ -85,7 +85,7 @@ def test_messages_arrive_unchanged(far: Hub, topics: HubTopics) -> None:
     publisher = far.publisher(*key, Qos())
     received: list[HubSample] = []
     end = topics.subscribe(wait_for(topics, key), received.append)
-    until(publisher.matched, "it is heard")
+    until(publisher.matched, "a message arrives")
     publisher.put(text("one"), 1_000)
     publisher.put(text("two"), 2_000)
     until(lambda: len(received) == 2, "both came")
@@ -95,7 +95,7 @@ def test_messages_arrive_unchanged(far: Hub, topics: HubTopics) -> None:
     assert {item.gid for item in received} == {publisher.gid}
     assert (end.lost, end.refused, end.trouble) == (0, 0, "")
     topics.unsubscribe(key)
-    until(lambda: not publisher.matched(), "nobody hears it")
+    until(lambda: not publisher.matched(), "the publisher has no subscriber")
 
 
 def test_latched_message_arrives_once_beside_a_volatile_publisher(far: Hub, topics: HubTopics) -> None:
@@ -103,15 +103,15 @@ def test_latched_message_arrives_once_beside_a_volatile_publisher(far: Hub, topi
     plain = far.publisher(*key, Qos())
     received: list[bytes] = []
     topics.subscribe(wait_for(topics, key), lambda sample: received.append(sample.data()))
-    until(plain.matched, "it is heard")
+    until(plain.matched, "a message arrives")
     plain.put(text("plain"))
-    until(lambda: received == [text("plain")], "the plain one came")
+    until(lambda: received == [text("plain")], "the volatile message arrives")
     kept = far.publisher(*key, LATCHED)
-    kept.put(text("kept"))  # which both subscriptions receive: the first one live, the second from the cache
+    kept.put(text("kept"))  # both subscriptions receive it, the first one live, the second from the cache
     wait_for(topics, key, 2)
-    until(lambda: text("kept") in received, "the kept one came")
+    until(lambda: text("kept") in received, "the latched message arrives")
     plain.put(text("last"))
-    until(lambda: text("last") in received, "the last one came")
+    until(lambda: text("last") in received, "the last message arrives")
     assert received == [text("plain"), text("kept"), text("last")]
 
 

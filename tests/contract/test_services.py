@@ -74,7 +74,7 @@ def test_a_slow_server_does_not_delay_others(side: Side, bridge: Bridge, far: Hu
     assert waiting.result()["reply"] == YES
 
 
-def test_a_server_that_leaves_ends_its_calls(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_calls_fail_when_their_server_leaves(side: Side, bridge: Bridge, far: HubSide) -> None:
     peer = side.peer()
     served = peer.ask("serve", service="/do", type=SET, reply=YES, held=True)["id"]
     waiting = far.call("/do", SET)

@@ -51,7 +51,7 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
-def test_tests_that_pages_name_exist() -> None:
+def test_pages_name_only_existing_tests() -> None:
     sources = "".join(file.read_text() for file in (ROOT / "tests").rglob("test_*.py"))
     existing = set(re.findall(r"^def (test_\w+)", sources, re.MULTILINE))
     named = {name for page in PAGES for name in re.findall(r"`(test_\w+)`", page.read_text())}

@@ -98,7 +98,7 @@ def _find(naming: Naming, name: str, role: str) -> PortContact:
 def _command(
     naming: Naming, writer: PortContact, target: str, timeout: float, command: Sequence[Any] = ()
 ) -> list[Any]:
-    """Query a port's connection and send it a command; report one that does not reply to the name server."""
+    """Query a port's connection and send the port a command; if it does not reply, inform the name server."""
     try:
         answer = text_client.admin(writer, [_LIST, _OUT, _name(target)], timeout)
         return text_client.admin(writer, command, timeout) if command else answer

@@ -120,7 +120,7 @@ class NameServer(Openable):
     def __init__(
         self,
         host: str = "127.0.0.1",  # the address that it listens on and registers
-        port: int = DEFAULT_PORT,  # its TCP port number; ports get numbers from two above it on
+        port: int = DEFAULT_PORT,  # its TCP port number; it assigns numbers to ports from ``port + 2`` on
         *,
         namespace: str = DEFAULT_NAMESPACE,  # its port's name, which is the network's name
         # the file of its state; None: after a restart, ports must register again
@@ -195,7 +195,7 @@ class NameServer(Openable):
         return answer
 
     def collect(self, patience: int = 2) -> list[str]:
-        """Remove ports that refuse connections (``patience`` 2: for the second time); return their names."""
+        """Remove ports that refused connections in the last ``patience`` probes, 1 or 2; return their names."""
         with self._lock:
             entries = [
                 e.contact
@@ -217,7 +217,7 @@ class NameServer(Openable):
         return removed
 
     def _publish(self, answer: Command) -> None:
-        """Publish changes; with the lock held for their order, as writing never blocks."""
+        """Publish changes. The caller holds the lock, so that they keep their order; writing never blocks."""
         for event in answer.events:
             self.port.write(encode(event, self._profile), strict=True)
 
@@ -229,7 +229,7 @@ class NameServer(Openable):
             self._wake.set()
 
     def _count(self, answer: Command) -> None:
-        """Count a change; with the lock held, so that a reader of the count also sees the change."""
+        """Count a change. The caller holds the lock, so that a reader of the count also sees the change."""
         self.changes += answer.changed
 
     def _line(self, line: str, address: tuple[str, int]) -> bytes:

@@ -47,7 +47,7 @@ class Announcement:
     """Announces an endpoint, and withdraws the announcement when the endpoint closes.
 
     It is published once the endpoint exists, as others call, publish or query as soon as they receive it. An endpoint
-    that is closed before is not announced. ``announce`` returns the function that withdraws it; the default does
+    that closes before that is not announced. ``announce`` returns the function that withdraws it; the default does
     nothing.
     """
 
@@ -85,7 +85,7 @@ def priority(qos: Qos) -> zenoh.Priority:
 
 
 class PlainSink:
-    """Publishes on a key, with the marked id of the session. Commands (volatile, depth 1) have priority."""
+    """Publishes on a key; commands (volatile, depth 1) have priority. The session's id marks samples as Midspan's."""
 
     def __init__(self, session: zenoh.Session, key: str, qos: Qos, encoding: zenoh.Encoding | None = None) -> None:
         self._encoding = encoding

@@ -150,7 +150,7 @@ def _play(args: argparse.Namespace, client: Client, bags: list[Bag], ended: thre
     wanted = PlayChoice(names.matches, dict(args.remap), args.commands, bool(args.clock))
     chosen, left = choose(bags, registry, client.config, wanted)
     topics = [topic for of_bag in chosen.values() for topic in of_bag]
-    _tell_choice(topics, left, args.rate)
+    _report_choice(topics, left, args.rate)
     source = PlaySource(chosen, PlayPart(args.start, args.duration))
     client.settle()
     output = HubOutput(client.hub, registry, topics, clock=bool(args.clock))
@@ -179,13 +179,13 @@ def _play(args: argparse.Namespace, client: Client, bags: list[Bag], ended: thre
     if args.json:
         print_json(_summary(player, left))
     else:
-        _tell_end(player)
+        _report_end(player)
     if failed is not None:
         raise failed
     return 0
 
 
-def _tell_choice(topics: list[PlayTopic], left: list[LeftOut], rate: float) -> None:
+def _report_choice(topics: list[PlayTopic], left: list[LeftOut], rate: float) -> None:
     from bridge.bags.play.topics import twice
 
     for other in left:
@@ -209,7 +209,7 @@ def _begin(args: argparse.Namespace, output: Any, ended: threading.Event) -> Non
             f"{name} has a publisher already, {', '.join(sorted(set(nodes)))}: subscribers receive both (a live robot?)"
         )
     if output.await_listeners(MATCH_SECONDS, ended):
-        # the workers listen; those on their sides are still connecting to the publishers that the workers made
+        # the workers have subscribed; programs on their sides still have to connect to the workers' publishers
         ended.wait(args.settle)
 
 
@@ -249,7 +249,7 @@ def _summary(player: Player, left: list[LeftOut]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _tell_end(player: Player) -> None:
+def _report_end(player: Player) -> None:
     drops = "".join(f"; {count} {reason} of {clean(name)}" for (name, reason), count in sorted(player.dropped.items()))
     behind = player.timeline.behind
     late = f"; {behind:.1f} s were lost because it could not keep up" if behind else ""

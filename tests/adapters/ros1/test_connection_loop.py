@@ -24,7 +24,7 @@ def frame(payload: bytes) -> bytes:
 
 
 class Listener(PolledConnection):
-    """A connection that only notices its end; it reads ``ahead`` and then pauses, as a busy service connection does."""
+    """A connection that only records when it is closed. It reads ``ahead`` and then pauses, like a busy service."""
 
     def __init__(self, sock: socket.socket, loop: ConnectionLoop) -> None:
         super().__init__(sock)
@@ -156,9 +156,9 @@ def test_a_connection_with_a_large_message_gets_a_separate_thread(crowd: Crowd) 
     """An incomplete large message does not delay other connections."""
     large, small = crowd.add(), crowd.add()
     large.sendall(frame(b"before") + frame(b"x" * 100_000)[:70_000])
-    until(lambda: crowd.received == [(0, b"before")], "the small one", 20)
+    until(lambda: crowd.received == [(0, b"before")], "the small message", 20)
     small.sendall(frame(b"beside"))
-    until(lambda: crowd.received[1:] == [(1, b"beside")], "that of the other connection", 20)
+    until(lambda: crowd.received[1:] == [(1, b"beside")], "the message of the other connection", 20)
     large.sendall(frame(b"x" * 100_000)[70_000:] + frame(b"after"))
     until(lambda: [p for _, p in crowd.received[2:]] == [b"x" * 100_000, b"after"], "the rest", 20)
     assert crowd.threads == {"midspan-ros1-intake", "midspan-ros1-in/t0"}
@@ -181,7 +181,7 @@ def test_a_connection_that_ends_or_fails_does_not_affect_others(crowd: Crowd) ->
 def test_without_a_thread_for_a_large_message_the_connection_ends(
     crowd: Crowd, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is opened again later; see `Ros1Subscription`."""
+    """`Ros1Subscription` opens the connection again later."""
 
     def none_left(_: threading.Thread) -> None:
         msg = "can't start new thread"
@@ -194,7 +194,7 @@ def test_without_a_thread_for_a_large_message_the_connection_ends(
 
 
 def test_the_loop_stops_while_messages_arrive(crowd: Crowd, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its thread notices the stop before it is woken."""
+    """The loop's thread stops after it has read a message, before it is woken."""
     publisher, wake = crowd.add(), crowd.loop.wake
     thread = crowd.thread()
 
@@ -211,7 +211,7 @@ def test_the_loop_stops_while_messages_arrive(crowd: Crowd, monkeypatch: pytest.
 def test_a_connection_that_is_closed_at_its_start_does_not_affect_others(
     crowd: Crowd, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`close` is suspended between checking whether it is read and closing the socket."""
+    """The thread in `close` is suspended after it has checked whether the loop reads the socket."""
     closing, dropping = threading.Event(), threading.Event()
 
     class Slow(socket.socket):
@@ -237,7 +237,7 @@ def test_a_connection_that_is_closed_at_its_start_does_not_affect_others(
     reader.start()
     closer.join()
     staying.sendall(frame(b"on"))
-    until(lambda: crowd.received == [(0, b"on")], "the other one", 20)
+    until(lambda: crowd.received == [(0, b"on")], "a message of the other connection", 20)
 
 
 def test_data_after_the_end_is_not_read(crowd: Crowd) -> None:
@@ -263,7 +263,7 @@ def test_a_paused_connection_is_not_called_until_it_is_read_again(crowd: Crowd) 
         until(lambda: crowd.received == [(0, b"on")], "another one is read")
         assert source.calls == 1
         crowd.loop.listen(source, data=True)
-        crowd.loop.pause(source)  # a thread that was late: it has no effect
+        crowd.loop.pause(source)  # a pause that comes too late has no effect
         until(lambda: source.calls == 2, "it is called again")
     assert source.ended.wait(20)
 

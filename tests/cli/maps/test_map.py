@@ -67,7 +67,7 @@ def moving(network: HubNetwork, registry: Registry, closing: list[Any]) -> Itera
     stop = threading.Event()
     writer = worker.advertise(TF, TF_TYPE)
 
-    def talk() -> None:
+    def publish() -> None:
         while not stop.wait(0.05):
             at = time.time_ns()
             half = np.sqrt(0.5)
@@ -77,7 +77,7 @@ def moving(network: HubNetwork, registry: Registry, closing: list[Any]) -> Itera
             ]
             worker.side.write(writer, write(transforms))
 
-    thread = threading.Thread(target=talk)
+    thread = threading.Thread(target=publish)
     thread.start()
     yield worker
     stop.set()
@@ -111,7 +111,7 @@ def test_the_examples_work(midspan: Midspan, store: Store) -> None:
 
 @needs(OCTOMAP)
 def test_3d_maps_are_imported_and_exported(midspan: Midspan, store: Store) -> None:
-    """What OctoMap's own program wrote comes in, and it reads what goes out."""
+    """Midspan imports files that OctoMap's own program wrote, and that program reads exported ones."""
     Octomap.of(a_tree(2).pruned()).save("ours.ot")
     subprocess.run(["convert_octree", "ours.ot", "house.bt"], check=True, capture_output=True, timeout=60)
     assert midspan("map", "import", "house.bt").out == "map3d house\n"
@@ -141,7 +141,7 @@ def test_3d_maps_are_imported_and_exported(midspan: Midspan, store: Store) -> No
 
 
 def test_a_slice_of_an_octomap_is_drawn_as_a_grid(midspan: Midspan, store: Store) -> None:
-    """A wall in a pruned leaf of 2 cells, one occupied cell, a free row, and a gap of which nothing is known."""
+    """A wall in a pruned leaf of 2 cells, one occupied cell, a free row, and a gap of unknown cells."""
     assert "no 3D map is stored; 'midspan map import" in midspan("map", "show", "--layer", "0.3").err
     cells = [[32_768, 32_768, 32_770], [32_774, 32_769, 32_771], [32_768, 32_771, 32_771], [32_769, 32_771, 32_771]]
     tree = OcTree.of(cells, [1.0, 1.0, -1.0, -1.0], [15, 16, 16, 16], resolution=0.1)
@@ -164,7 +164,7 @@ def test_a_slice_of_an_octomap_is_drawn_as_a_grid(midspan: Midspan, store: Store
         assert message in midspan("map", "show", *arguments).err
 
 
-def test_a_bad_map_in_three_dimensions_is_refused_by_name_and_field(midspan: Midspan, store: Store) -> None:
+def test_the_error_of_an_invalid_3d_map_names_file_and_field(midspan: Midspan, store: Store) -> None:
     Path("bad.bt").write_bytes(Octomap.of(a_tree(1), binary=True).bt()[:-1])
     error = midspan("map", "import", "bad.bt").err
     assert "bad.bt: data: incomplete after" in error

@@ -1,4 +1,4 @@
-"""Nodes of other releases on the hub."""
+"""Nodes of other ROS 2 releases on the hub."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.peers.zenoh.releases import Nodes, Release, ReleaseNode
 
 @pytest.fixture
 def node(network: HubNetwork) -> Iterator[Nodes]:
-    """Opens nodes of releases."""
+    """Yield a function that opens a node of a ROS 2 release."""
     nodes: list[ReleaseNode] = []
 
     def opened(release: Release) -> ReleaseNode:

@@ -29,7 +29,7 @@ ROS1_CORE = Path(__file__).with_name("core.py")
 EMBEDDED_CORE = Path(__file__).with_name("embedded_core.py")
 
 EMBEDDED = os.environ.get("MIDSPAN_TEST_MASTER", "roscore") == "embedded"
-"""Whether tests use Midspan's own master wherever they do not name one; see ``make test-embedded-master``."""
+"""Whether tests that do not name a master use Midspan's own; see ``make test-embedded-master``."""
 
 ROS1_PYTHON = Path("/usr/bin/python3")
 
@@ -73,7 +73,7 @@ class RosMaster:
         self._process: Process | None = None
 
     def start(self, *, forget: bool = False) -> None:
-        """Start roscore, and wait until it replies; ``forget``: without the state that Midspan's own master keeps."""
+        """Start roscore, and wait until it replies; ``forget``: discard the saved state of Midspan's own master."""
         if forget:
             Path(self._folder, "master.json").unlink(missing_ok=True)
         self._process = Process([*self._program, str(self.port)], self.env)

@@ -9,7 +9,7 @@ import random
 
 SECOND = 10**9
 START = 1_000_000 * SECOND
-"""tf2_py converts each time to a double of seconds: with the seconds of 2026 it would be off by up to 120 ns."""
+"""tf2_py converts each time to seconds as a double, whose rounding error for present dates is up to 120 ns."""
 
 
 def rotation(dice, length=1.0):
@@ -59,7 +59,7 @@ def transforms(dice, names):
 
 
 def lookup(dice, names, stamps):
-    """Return a lookup at times that are known, nearly known, or not."""
+    """Return a lookup at the latest time (0), a transform's stamp, or a time within a second of it."""
 
     def stamp() -> int:
         odd = dice.random()

@@ -1,9 +1,11 @@
 """Run by the venv's Python: sample messages encoded and decoded by real rclpy.
 
-Reads one JSON list from standard input: ``{"type", "values", "cdr"}`` with the test's base64 bytes. Writes for each
-``{"bytes", "same"}``: rclpy's own bytes for the same values (with trailing slack), and whether it decodes the given
-bytes to the same message; ``{"missing"}`` for an unknown type; or ``{"error"}``. For ``{"hash"}``, a service, an action
-or a service of an action, ``{"hash"}`` from its type support.
+Reads one JSON list from standard input, and writes a list with one reply for each item:
+
+- ``{"type", "values", "cdr"}``, with the test's bytes in base64: ``{"bytes", "same"}``, which are rclpy's own bytes for
+  the values (trailing padding included), and whether rclpy decodes the test's bytes to the same message;
+- ``{"hash"}``, the name of a service, an action or a service of an action: ``{"hash"}``, its hash in rclpy;
+- ``{"missing"}`` for an unknown type, ``{"error"}`` for a failure.
 """
 
 from __future__ import annotations
@@ -57,7 +59,7 @@ def message_class(name: str) -> Any:
 
 
 def type_hash(name: str) -> str:
-    """Return the hash of the C type support: the address of the function is a word of its structure."""
+    """Return the hash from the C type support, a structure with a pointer to the function that returns it."""
     package, kind, short = name.split("/")
     base, _, part = short.partition("_")
     interface = getattr(importlib.import_module(f"{package}.{kind}"), base)

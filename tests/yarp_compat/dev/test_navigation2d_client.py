@@ -264,7 +264,7 @@ def test_a_stream_yields_messages_until_it_is_closed(make_port: MakePort, naming
 
 
 class Forgetful(ILocalization2DMsgs):
-    """A server like those of 4.0, which sets nothing after an outcome "ok"."""
+    """A server like those of 4.0, which replies "ok" without setting the results."""
 
     def get_current_position2_RPC(self) -> Any:
         return OK, Map2DLocation(), Matrix(3, 3)

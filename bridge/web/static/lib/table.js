@@ -2,11 +2,12 @@
 
 import { button, el, rows, write } from "./dom.js";
 
-const MOST = 400; // rows shown; a search finds the others
+const MAX_ROWS = 400; // a search finds the others
 
 /**
- * A table. `columns`: [{name, label, class, text(item), value(item) to sort by, made(item) -> element}]: `text` is
- * written on each update, `made` is called once per row, then its `update(item)`. `key(item)` names a row.
+ * A table. `key(item)` identifies a row. Each of the `columns` has a `label` and either `text(item)` or
+ * `made(item)`. `made` is called once per row and returns {element, update(item)}; `update` is called on each update.
+ * Optional: `class`, `title(item)`, `mood(item)`, `head` for the rows' headings, `value(item)` to sort by.
  */
 export class Table {
   constructor(label, columns, key) {
@@ -61,7 +62,7 @@ export class Table {
       return words.every((word) => text.includes(word));
     }) : [...items];
     if (this.sorted) found.sort(this.order());
-    const shown = found.slice(0, MOST);
+    const shown = found.slice(0, MAX_ROWS);
     rows(this.body, shown, this.key, (item) => this.row(item), (row, item) => {
       row.item = item;
       if (!row.outOfSight) this.update(row, item); // only visible rows are updated

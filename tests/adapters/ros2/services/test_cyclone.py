@@ -47,13 +47,13 @@ def cyclone() -> Iterator[Callable[[], CyclonePeer]]:
 
 
 def seen(edge: RunningEdge, topic: str, kind: Kind, count: int = 1) -> None:
-    """Wait for endpoints; those of the wheel have no node names."""
+    """Wait for endpoints by topic and kind: those of Cyclone DDS's Python package have no node names."""
     until(lambda: len([e for e in edge.edge.endpoints() if (e.topic, e.kind) == (topic, kind)]) == count, topic)
 
 
 @contextlib.contextmanager
 def calling(caller: EdgeCaller, request: bytes, ends: Ends) -> Iterator[None]:
-    """Call a service all the time, on a thread."""
+    """Call a service continuously, on a thread."""
     stop = threading.Event()
 
     def call() -> None:
@@ -159,7 +159,7 @@ def test_cyclone_server_that_joins_later(
     monkeypatch: pytest.MonkeyPatch,
     known: bool,
 ) -> None:
-    """Calls continue all the time, and the graph thread is late: no server gets a request in the other's form."""
+    """While calls continue and the graph is out of date, no server receives a request in the other DDS's form."""
     if not known:
         monkeypatch.setattr(matching, "_FUNCTIONS", None)
     fast, native = peer("lamp"), cyclone()
@@ -216,7 +216,7 @@ def test_server_replaced_by_one_on_fast_dds(
     assert fast.ask("requests", id=server)["requests"] == [{"data": True}]
 
 
-def test_server_on_cyclone_dds_that_leaves_ends_its_calls(
+def test_calls_fail_when_their_server_on_cyclone_dds_leaves(
     edge: RunningEdge, set_bool: Service, cyclone: Callable[[], CyclonePeer]
 ) -> None:
     native = cyclone()
@@ -319,7 +319,7 @@ def test_topics_cross_both_ways(edge: RunningEdge, cyclone: Callable[[], Cyclone
 
 @pytest.mark.parametrize("latched", [False, True], ids=["volatile", "latched"])
 def test_first_large_message(edge: RunningEdge, cyclone: Callable[[], CyclonePeer], latched: bool) -> None:
-    """It consists of fragments. A latched one is sent before the subscription can have matched."""
+    """A message of 1 MB is sent in fragments; a latched one is sent before the subscription can have matched."""
     native, topic, large = cyclone(), f"/c/large{int(latched)}", "x" * 1_000_000
     subscription = native.subscribe(topic, "std_msgs/String")
     seen(edge, topic, Kind.SUBSCRIPTION)

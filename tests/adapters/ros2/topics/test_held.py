@@ -29,7 +29,7 @@ def later() -> Iterator[DelayedCalls]:
 
 @pytest.fixture
 def published(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
-    """What is published, instead of publishing it."""
+    """Collect the payloads instead of publishing them."""
     messages: list[bytes] = []
     monkeypatch.setattr(rcl, "publish", lambda _pointer, payload: messages.append(payload))
     monkeypatch.setattr(rmw, "publisher_gid", lambda _pointer: b"\1\x0f" + bytes(14))
@@ -49,7 +49,7 @@ def test_latched_messages_wait_and_keep_their_order(later: DelayedCalls, publish
     for payload in (b"1", b"2", b"3"):
         maps.send(payload, "source")
     assert published == []
-    until(lambda: published == [b"2", b"3"], "as many as the depth are published")
+    until(lambda: published == [b"2", b"3"], "the newest messages, up to the history depth, are published")
     maps.send(b"4", "source")
     assert published == [b"2", b"3", b"4"]
 
@@ -61,7 +61,9 @@ def test_other_messages_do_not_wait(later: DelayedCalls, published: list[bytes],
 
 
 @pytest.mark.parametrize("by", ["source", "publisher"])
-def test_waiting_messages_are_published_before_the_end(later: DelayedCalls, published: list[bytes], by: str) -> None:
+def test_waiting_messages_are_published_when_their_source_or_publisher_ends(
+    later: DelayedCalls, published: list[bytes], by: str
+) -> None:
     maps = advertise(later)
     maps.send(b"1", "source")
     if by == "source":
