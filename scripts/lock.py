@@ -4,8 +4,8 @@ Run it on Linux, in the virtual environment, with Python 3.11.
 
 requirements.lock lists the packages that Midspan and its tests need, requirements-ros2.lock the additional ROS 2 wheels
 (not installed if a ROS 2 installation is sourced), requirements-kilted.lock those of ROS 2 Kilted for tests. Newer
-Pythons use the versions of the oldest supported one; the continuous integration verifies that. The files contain
-versions only; pip uses its configured index.
+Pythons use the versions of the oldest supported one; the continuous integration verifies that. A package that newer
+Pythons do not need, such as a backport, has a marker. The files contain versions only; pip uses its configured index.
 
 Both serve every system in SYSTEMS: a line for only some of them has a marker. A package without a wheel for one of them
 needs a marker in pyproject.toml, which leaves it out on that system; `midspan doctor` reports it there.
@@ -19,7 +19,7 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from packaging.utils import canonicalize_name
 ROOT = Path(__file__).resolve().parent.parent
 HEAD = "# Written by scripts/lock.py (`make lock`). Do not edit.\n"
 PYTHON = "3.11"
+NEWER_PYTHONS = ("3.12", "3.13", "3.14")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +50,11 @@ class System:
         """Return whether the requirement's marker matches this system, with one of the requested extras."""
         marker = requirement.marker
         return marker is None or any(marker.evaluate({**self.environment, "extra": e}) for e in ("", *extras))
+
+    def on(self, python: str) -> System:
+        """Return this system with another version of Python."""
+        versions = {"python_version": python, "python_full_version": f"{python}.0"}
+        return replace(self, environment={**self.environment, **versions})
 
 
 def _environment(sys_platform: str, platform_system: str, os_name: str, machine: str) -> dict[str, str]:
@@ -72,7 +78,7 @@ SYSTEMS = (
     System("macosx_14_0_x86_64", _environment("darwin", "Darwin", "posix", "x86_64"), f'{_DARWIN} == "x86_64"'),
 )
 Versions = dict[str, str]
-"""Versions by package name."""
+"""Versions by package name; ``1.8.0 ; python_version < "3.14"`` if newer Pythons do not need the package."""
 
 
 def ask_pip(requirements: Iterable[str], system: System, wheels: Path) -> dict[str, dict[str, Any]]:
@@ -135,8 +141,19 @@ def resolve(requirements: list[str], system: System, wheels: Path) -> Versions:
         metadata = ask_pip([_without_marker(text) for text in (*wanted, *more)], system, wheels)
         versions, missing = reached(wanted, metadata, system)
         if not missing:
-            return versions
+            return marked(versions, wanted, metadata, system)
         more += missing
+
+
+def marked(
+    versions: Versions, requirements: Iterable[str], metadata: Mapping[str, Mapping[str, Any]], system: System
+) -> Versions:
+    """Return the versions with a marker at each package that a newer Python does not need."""
+    for python in reversed(NEWER_PYTHONS):
+        needed, _ = reached(requirements, metadata, system.on(python))
+        plain = {name: version.partition(" ; ")[0] for name, version in versions.items() if name not in needed}
+        versions |= {name: f'{version} ; python_version < "{python}"' for name, version in plain.items()}
+    return versions
 
 
 def _without_marker(text: str) -> str:
@@ -150,18 +167,27 @@ def write(file: str, of_systems: Mapping[System, Versions], own: Mapping[str, st
         for pin in versions.items():
             systems_of.setdefault(pin, []).append(system)
     lines = []
-    for (name, version), systems in sorted(systems_of.items(), key=lambda item: (item[0][0].lower(), item[0][1])):
-        marker = "" if len(systems) == len(SYSTEMS) else " ; " + " or ".join(system.marker for system in systems)
-        marker = own.get(canonicalize_name(name), marker)
-        lines.append(f"{name}=={version}{marker}\n")
+    for (name, text), systems in sorted(systems_of.items(), key=lambda item: (item[0][0].lower(), item[0][1])):
+        version, _, python = text.partition(" ; ")
+        place = "" if len(systems) == len(SYSTEMS) else " or ".join(system.marker for system in systems)
+        if " or " in place and python:
+            place = f"({place})"
+        marker = own.get(canonicalize_name(name), " and ".join(filter(None, (place, python))))
+        lines.append(f"{name}=={version}{marker and f' ; {marker}'}\n")
     (ROOT / file).write_text(HEAD + "".join(lines), encoding="utf-8")
+
+
+def requirements_without_ros2(settings: Mapping[str, Any]) -> list[str]:
+    """Return what requirements.lock pins, from the content of pyproject.toml."""
+    extras, dev = settings["project"]["optional-dependencies"], settings["dependency-groups"]["dev"]
+    return [*settings["project"]["dependencies"], *extras["sim"], *extras["web"], *extras["foxglove"], *dev]
 
 
 def main() -> None:
     """Resolve everything together for each system, then separate the part without ROS 2 wheels."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     extras, dev = settings["project"]["optional-dependencies"], settings["dependency-groups"]["dev"]
-    base = [*settings["project"]["dependencies"], *extras["sim"], *extras["web"], *extras["foxglove"], *dev]
+    base = requirements_without_ros2(settings)
     plain: dict[System, Versions] = {}
     ros2: dict[System, Versions] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -175,7 +201,7 @@ def main() -> None:
             ros2[system] = {name: version for name, version in whole.items() if name not in plain[system]}
         kilted = resolve(settings["dependency-groups"]["kilted"], SYSTEMS[0], Path(folder))
     kept_markers = {
-        str(canonicalize_name(r.name)): f" ; {r.marker}" for r in map(Requirement, [*extras["sim"], *dev]) if r.marker
+        str(canonicalize_name(r.name)): str(r.marker) for r in map(Requirement, [*extras["sim"], *dev]) if r.marker
     }
     write("requirements.lock", plain, kept_markers)
     write("requirements-ros2.lock", ros2, kept_markers)

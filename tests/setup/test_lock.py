@@ -14,9 +14,10 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from scripts import lock
 from tests.setup.machine import ROOT
 
-PIN = re.compile(r"[A-Za-z0-9._-]+==[A-Za-z0-9.]+( ; [a-z0-9_=<. \"]+)?")
+PIN = re.compile(r"[A-Za-z0-9._-]+==[A-Za-z0-9.]+( ; [a-z0-9_=<. \"()]+)?")
 FILES = ("requirements.lock", "requirements-ros2.lock")
 SYSTEMS: dict[str, dict[str, str]] = {
     "Linux": {"sys_platform": "linux", "platform_system": "Linux", "os_name": "posix", "platform_machine": "x86_64"},
@@ -32,14 +33,14 @@ SYSTEMS: dict[str, dict[str, str]] = {
 every_system = pytest.mark.parametrize("system", SYSTEMS)
 
 
-def pins(*files: str, system: str = "Linux") -> dict[str, str]:
-    """Return the version of each package that the files pin for a system."""
+def pins(*files: str, system: str = "Linux", python: str = "3.11") -> dict[str, str]:
+    """Return the version of each package that the files pin for a system and a version of Python."""
     lines = [line for file in files for line in (ROOT / file).read_text(encoding="utf-8").splitlines()]
     lines = [line for line in lines if not line.startswith("#")]
     assert [line for line in lines if not PIN.fullmatch(line)] == []
     locked: dict[str, str] = {}
     for requirement in map(Requirement, lines):
-        if requirement.marker is None or requirement.marker.evaluate(SYSTEMS[system]):
+        if requirement.marker is None or requirement.marker.evaluate({**SYSTEMS[system], "python_version": python}):
             name = canonicalize_name(requirement.name)
             assert name not in locked, f"{name} has two versions for {system}"
             locked[name] = str(requirement.specifier).removeprefix("==")
@@ -84,6 +85,31 @@ def test_requirements_of_locked_packages_are_locked(system: str) -> None:
     met = [name for name, version in locked.items() if installed(name) == version]
     assert len(met) > 50
     assert [f"{n} needs {r}" for n in met for r in lacking(importlib.metadata.requires(n) or (), locked, system)] == []
+
+
+@pytest.mark.parametrize("python", lock.NEWER_PYTHONS)
+def test_newer_pythons_get_nothing_that_they_do_not_need(python: str) -> None:
+    """A backport, for example, has no wheel for the Python that has its module."""
+    metadata = {
+        canonicalize_name(d.name): {"name": d.name, "version": d.version, "requires_dist": d.requires or ()}
+        for d in importlib.metadata.distributions()
+    }
+    needed, _ = lock.reached(lock.requirements_without_ros2(settings()), metadata, lock.SYSTEMS[0].on(python))
+    names = {canonicalize_name(name) for name in needed}
+    assert sorted(pins("requirements.lock", python=python).keys() - names) == []
+
+
+def test_a_package_that_newer_pythons_do_not_need_gets_a_marker() -> None:
+    metadata = {
+        "bags": {"name": "bags", "version": "2", "requires_dist": ["zstd ; python_version < '3.13'", "plain"]},
+        "zstd": {"name": "zstd", "version": "1.8"},
+        "plain": {"name": "plain", "version": "3"},
+    }
+    linux = lock.SYSTEMS[0]
+    versions, missing = lock.reached(["bags"], metadata, linux)
+    assert missing == []
+    marker = '1.8 ; python_version < "3.13"'
+    assert lock.marked(versions, ["bags"], metadata, linux) == {"bags": "2", "zstd": marker, "plain": "3"}
 
 
 def test_development_dependencies_are_groups_and_no_extras() -> None:
