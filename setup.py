@@ -163,8 +163,10 @@ class BuildKernels(build_ext):
 
 
 MODULES = () if os.environ.get("MIDSPAN_PURE") else (kernels.SHARED, *kernels.C_MODULES, *kernels.KERNELS)
-setup(
-    ext_modules=[_extension(module) for module in MODULES],
-    cmdclass={"build_ext": BuildKernels},
-    options={"build_ext": {"parallel": 2}, "bdist_wheel": {"py_limited_api": "cp311"}},
-)
+
+if __name__ == "__main__":  # Cython's processes import this file, except where they are forked
+    setup(
+        ext_modules=[_extension(module) for module in MODULES],
+        cmdclass={"build_ext": BuildKernels},
+        options={"build_ext": {"parallel": 2}, "bdist_wheel": {"py_limited_api": "cp311"}},
+    )

@@ -54,7 +54,6 @@ def test_a_kernel_that_cannot_be_compiled_is_left_out(tmp_path: Path, monkeypatc
     """Cython makes a new `Extension` for each kernel, without ``optional``, which lets the build continue."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "kernels", kernels)
-    monkeypatch.setattr("setuptools.setup", lambda **_: None)
     monkeypatch.setattr(
         "Cython.Build.cythonize", lambda made, **_: [Extension(extension.name, extension.sources) for extension in made]
     )
@@ -65,9 +64,18 @@ def test_a_kernel_that_cannot_be_compiled_is_left_out(tmp_path: Path, monkeypatc
     assert [extension.optional for extension in build.extensions] == [True]
 
 
+@pytest.mark.parametrize(("name", "calls"), [("__main__", 1), ("__mp_main__", 0)])
+def test_only_the_script_itself_builds(name: str, calls: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cython's processes import it where they are not forked: on macOS, Windows, and with Python 3.14."""
+    monkeypatch.setitem(sys.modules, "kernels", kernels)
+    called: list[object] = []
+    monkeypatch.setattr("setuptools.setup", lambda **settings: called.append(settings))
+    runpy.run_path(str(kernels.ROOT / "setup.py"), run_name=name)
+    assert len(called) == calls
+
+
 def test_equal_sources_are_compiled_once_with_a_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "kernels", kernels)
-    monkeypatch.setattr("setuptools.setup", lambda **_: None)
     monkeypatch.setattr("setuptools.command.build_ext.build_ext.run", pretend_to_compile)
     monkeypatch.setenv("MIDSPAN_KERNEL_CACHE", str(tmp_path / "cache"))
     script = runpy.run_path(str(kernels.ROOT / "setup.py"))
