@@ -32,6 +32,8 @@ class DefinitionLibrary:
         self._learned: dict[str, dict[str, Schema]] = {}
         self._nested: dict[str, Definition] = {}
         self._found: dict[str, Schema] = {}
+        self._own: dict[str, Definition] = {}
+        """Definitions of this machine that others nest; like those in ``_found``, they are read only once."""
         self._room = MAX_LEARNED
 
     def fingerprint(self, schema: Schema) -> str:
@@ -164,5 +166,9 @@ class DefinitionLibrary:
     def _own_definition(self, name: str) -> Definition | None:
         if name in self._found:
             return self._found[name].root
-        definition = find_first(self._sources, name, self.world)
-        return self._nested.get(name) if definition is None else definition[name]
+        if name not in self._own:
+            definition = find_first(self._sources, name, self.world)
+            if definition is None:
+                return self._nested.get(name)
+            self._own[name] = definition[name]
+        return self._own[name]

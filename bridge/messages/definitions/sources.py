@@ -38,6 +38,7 @@ from bridge.messages.errors import MessageTypeError
 Found = dict[str, Definition]
 
 _OWN = Path(__file__).parent
+_MAX_CACHED = 10_000
 
 _FULL_TEXT = re.compile(r'^  _full_text = (r?"""(?:[^"\\]|\\.|"(?!""))*""")', re.MULTILINE | re.DOTALL)
 
@@ -218,6 +219,30 @@ class RosbagsTypes:
         return store_names(package, self.world) if kind == "msg" else []
 
 
+class ShippedTypes:
+    """A source that Midspan ships. It does not change while Midspan runs, so each type is read and parsed only once.
+
+    The versions of a type in the releases, and all types that nest it, share the result. Safe to use from any thread.
+    """
+
+    def __init__(self, source: DefinitionSource) -> None:
+        self._source = source
+        self._found: dict[str, Found | None] = {}
+
+    def find(self, name: str) -> Found | None:
+        try:
+            return self._found[name]
+        except KeyError:
+            found = self._source.find(name)
+        if len(self._found) >= _MAX_CACHED:
+            self._found.clear()
+        self._found[name] = found
+        return found
+
+    def names(self, package: str, kind: str = "msg") -> list[str]:
+        return self._source.names(package, kind)
+
+
 def find_first(sources: Iterable[DefinitionSource], name: str, world: World) -> Found | None:
     """Return the first source's definitions; None if no source has ``name`` or the name is invalid."""
     # The parts of ROS 1's services have names as ROS 2's.
@@ -238,8 +263,7 @@ def ros1_sources(folders: Sequence[Path], packages: Path | None) -> list[Definit
         *(DefinitionFolder(folder, World.ROS1) for folder in folders),
         *(GenpyPackages(folder) for folder in python if folder.is_dir()),
         *(DefinitionFolder(folder, World.ROS1) for folder in shares if folder.is_dir()),
-        DefinitionFolder(_OWN / "ros1", World.ROS1),
-        RosbagsTypes(World.ROS1),
+        *_noetic_sources(),
     ]
 
 
@@ -254,14 +278,23 @@ def ros2_sources(folders: Sequence[Path], prefixes: Sequence[Path]) -> list[Defi
     ]
 
 
-def jazzy_sources() -> list[DefinitionSource]:
+@cache
+def jazzy_sources() -> tuple[DefinitionSource, ...]:
     """Return the definitions of Jazzy that Midspan and rosbags ship."""
     bundled = Path(__file__).parents[2] / "interfaces" / "definitions"
-    return [
-        DefinitionFolder(bundled, World.ROS2),
-        DefinitionFolder(_OWN / "ros2", World.ROS2),
-        RosbagsTypes(World.ROS2),
-    ]
+    folders = [shipped_folder(folder) for folder in (bundled, _OWN / "ros2")]
+    return *folders, ShippedTypes(RosbagsTypes(World.ROS2))
+
+
+@cache
+def _noetic_sources() -> tuple[DefinitionSource, ...]:
+    return shipped_folder(_OWN / "ros1", World.ROS1), ShippedTypes(RosbagsTypes(World.ROS1))
+
+
+@cache
+def shipped_folder(folder: Path, world: World = World.ROS2) -> ShippedTypes:
+    """Return the definitions in a folder that Midspan ships."""
+    return ShippedTypes(DefinitionFolder(folder, world))
 
 
 def _is_native(definition: Definition) -> bool:

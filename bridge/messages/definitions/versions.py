@@ -15,7 +15,13 @@ from threading import Lock
 from bridge.messages.definitions.library import DefinitionLibrary
 from bridge.messages.definitions.names import is_ros2_name, split_part
 from bridge.messages.definitions.schema import Schema, World
-from bridge.messages.definitions.sources import DefinitionFolder, DefinitionSource, find_first, jazzy_sources
+from bridge.messages.definitions.sources import (
+    DefinitionFolder,
+    DefinitionSource,
+    find_first,
+    jazzy_sources,
+    shipped_folder,
+)
 from bridge.messages.errors import MessageTypeError
 
 RELEASES_FOLDER = Path(__file__).parent / "releases"
@@ -36,7 +42,7 @@ def _libraries(rest: Sequence[DefinitionSource]) -> dict[str, DefinitionLibrary]
 
 
 def _folders_of(release: str) -> list[DefinitionSource]:
-    return [DefinitionFolder(RELEASES_FOLDER / folder, World.ROS2) for folder in _CHAINS[release]]
+    return [shipped_folder(RELEASES_FOLDER / folder) for folder in _CHAINS[release]]
 
 
 @cache
@@ -89,7 +95,7 @@ class TypeVersions:
         self._shipped = {name: [*_folders_of(name), *shipped] for name in _CHAINS}
         own = {str(folder): [DefinitionFolder(folder, World.ROS2), *sources] for folder in folders}
         self._libraries = _libraries(rest) | {name: DefinitionLibrary(World.ROS2, own[name]) for name in own}
-        hashless = [DefinitionFolder(RELEASES_FOLDER / _HASHLESS, World.ROS2), *rest]
+        hashless = [shipped_folder(RELEASES_FOLDER / _HASHLESS), *rest]
         self._hashless = DefinitionLibrary(World.ROS2, hashless)
         self._folders = bool(folders)
         self._versions: dict[str, Mapping[str, tuple[str, Schema]]] = {}
