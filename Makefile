@@ -36,7 +36,7 @@ test-fast: setup ## tests without middlewares, for the edit loop
 	@$(pytest) -n 4 --fast -m 'not thorough and not long and not alone' $(ARGS)
 
 test-all: setup ## all tests, including fuzzing, packages and a first run in a bare clone
-	@$(forget); $(pytest) -n 5 $(ARGS) || $(go_on); $(again)
+	@$(forget); $(pytest) -n 6 $(ARGS) || $(go_on); $(again)
 
 test-bytecode: # for .ci/run, after the set-up: one process compiles the tests, which takes three times as long as their import
 	@$(pytest) -n 0 -qq --collect-only

@@ -1,4 +1,4 @@
-"""Which tests belong to which of `make test-fast`, `make test` and `make test-all`, and which need a core."""
+"""Which tests belong to which of `make test-fast`, `make test` and `make test-all`, and which run last."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_{0}_alone(number): ...
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("processes", ["2", "4"])
-def test_what_is_alone_runs_last_and_has_a_core(tmp_path: Path, processes: str) -> None:
+def test_what_is_alone_runs_last_with_few_others(tmp_path: Path, processes: str) -> None:
     """And the others do run at the same time."""
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = alone")
     (tmp_path / "conftest.py").write_text(CONFTEST)

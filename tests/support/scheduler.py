@@ -1,4 +1,4 @@
-"""Distributes test files to the processes of pytest-xdist; tests that need a whole core run last, two at a time."""
+"""Distributes test files to the processes of pytest-xdist; tests with limits in seconds run last, few at a time."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ _BY_SIDE = "tests/contract/"
 _SHARED = "tests/web/browser/"
 """Folder whose files share an expensive rig, and so are one work unit."""
 
-TOGETHER = min(2, len(os.sched_getaffinity(0)))
-"""Number of concurrent tests once only those with the marker `alone` are left, so that each has a core."""
+TOGETHER = min(3, len(os.sched_getaffinity(0)) + 1)
+"""Number of concurrent tests once only those with the marker `alone` are left: each uses half a core, as it waits for
+programs."""
 
 _FRONT, _LONG = frozenset({"gw0", "gw1"}), frozenset({"gw2", "gw3"})
 """Processes that take files from the front, and those that start with the files of `long` tests, at the end."""
