@@ -22,6 +22,7 @@ from bridge.concurrency import WorkerPool
 from bridge.hub.daemons import DaemonIdentity, read_identity
 from bridge.hub.errors import HubError
 from bridge.hub.graph.tokens import MIDSPAN_SPACE
+from bridge.hub.opening import prepare_to_send
 from bridge.hub.wire.version import WIRE, refusal
 from bridge.hub.zenoh_compat import undeclare
 
@@ -159,6 +160,7 @@ def _params(query: zenoh.Query) -> dict[str, Any]:
 
 
 def _reply(query: zenoh.Query, key: str, answer: bytes) -> None:
+    prepare_to_send(len(answer))
     try:
         with query:
             query.reply(key, answer)

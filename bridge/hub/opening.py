@@ -2,10 +2,12 @@
 
 zenoh 1.10 locks its shared memory into RAM. A session with shared memory does not open if ``/dev/shm`` is full. If a
 session's pool finds no room later, zenoh continues on the network link and never tries again: the pool's file keeps its
-full size, but has almost no memory, which `check_pool` reports. But without its book-keeping, which it creates
-for the first large message, each such message raises a Rust panic. So `open_session` creates that first, once in each
-process. A receiver that may not lock a sender's pool (``RLIMIT_MEMLOCK``) loses messages silently, and must not offer
-shared memory either (all observed with 1.10.2).
+full size, but has almost no memory, which `check_pool` reports. But if the pool exists and its book-keeping finds no
+room, each large message raises a Rust panic. So `prepare_to_send` creates the book-keeping before the pool: if that
+fails, the pool has no room either. A receiver needs neither, but one that may not lock a sender's pool
+(``RLIMIT_MEMLOCK``) loses messages silently, and must not offer shared memory (all observed with 1.10.2).
+
+The book-keeping takes 11 MB of each process that sends or receives a large message, so it is not created earlier.
 """
 
 from __future__ import annotations
@@ -32,39 +34,46 @@ from bridge.hub.zenoh_config import POOL, without_shared_memory
 _log = logging.getLogger(__name__)
 
 _SWITCH = "transport/shared_memory/enabled"
-_POOL_SIZE = "transport/shared_memory/transport_optimization/pool_size"
+_OPTIMIZATION = "transport/shared_memory/transport_optimization"
 
 _BLOCK = 512
 _BOOKS = 2 << 20
-"""Bytes for zenoh's book-keeping in each process (1.3 MB), and for the small files of a session."""
+"""Bytes of ``/dev/shm`` for zenoh's book-keeping in each process (1.3 MB), and for the small files of a session."""
 
 _CHECK_SECONDS = 10.0
 """Time between two checks of the pool; two must agree, as zenoh may be creating it during one."""
 
 _lock = threading.Lock()
 _books = _noted = False
+_needs_books = sys.maxsize
+"""Bytes of the smallest message that needs the book-keeping to be created first."""
 _trouble = ""
 _pool = POOL
 _check_due = 0.0
 _empty_pool: Path | None = None
 
 
-def open_session(config: zenoh.Config) -> zenoh.Session:
+def open_session(config: zenoh.Config, *, prepares: bool = False) -> zenoh.Session:
     """Open a session; switch shared memory off in ``config`` if it is enabled but unusable, and log the reason.
 
-    Raises `zenoh.ZError` if the session does not open without shared memory either.
+    With ``prepares`` the caller promises to call `prepare_to_send` before each message that may be large. Raises
+    `zenoh.ZError` if the session does not open without shared memory either.
     """
     if not json.loads(config.get_json(_SWITCH)):
         return zenoh.open(config)
-    global _pool
-    _pool = int(json.loads(config.get_json(_POOL_SIZE)))
+    global _pool, _needs_books
+    optimization = json.loads(config.get_json(_OPTIMIZATION))
+    _pool = int(optimization["pool_size"])
     size = _pool + _BOOKS
     reason = room_trouble(size)
     if not reason and (lock := lock_trouble(size)):
         _note(lock, logging.INFO)  # the default of many systems, and no trouble of this one
         return zenoh.open(without_shared_memory(config))
-    reason = reason or _books_trouble()
+    if not reason and not prepares:
+        reason = _books_trouble()
     if not reason:
+        if not _books:
+            _needs_books = min(_needs_books, int(optimization["message_size_threshold"]))
         try:
             return zenoh.open(config)
         except zenoh.ZError as err:
@@ -73,6 +82,15 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
             reason = zenoh_reason(err)
     _note(reason, logging.WARNING)
     return zenoh.open(without_shared_memory(config))
+
+
+def prepare_to_send(size: int) -> None:
+    """Create zenoh's book-keeping if a message of ``size`` bytes is the first that needs it.
+
+    It takes a few milliseconds, once. If it fails, the reason is logged, and zenoh uses the network link.
+    """
+    if size >= _needs_books and (reason := _books_trouble()):
+        _note(reason, logging.WARNING)
 
 
 def trouble() -> str:
@@ -153,19 +171,23 @@ def lock_trouble(size: int) -> str:
 
 
 def _books_trouble() -> str:
-    """Create zenoh's book-keeping in this process; returns the reason if that fails."""
-    global _books
+    """Create zenoh's book-keeping in this process; returns the reason if that fails, once."""
+    global _books, _needs_books
     with _lock:
         if _books or sys.platform != "linux":
+            _needs_books = sys.maxsize
             return ""
+        before = _mapped_files()
         try:
             zenoh.shm.ShmProvider.default_backend(4096).alloc(64)
         except BaseException as err:
             if not isinstance(err, zenoh.ZError) and type(err).__name__ != "PanicException":  # Rust's, no Exception
                 raise
             return zenoh_reason(Exception(str(err)))
+        finally:
+            _needs_books = sys.maxsize
         _books = True
-        atexit.register(_remove, _mapped_files())
+        atexit.register(_remove, [file for file in _mapped_files() if file not in before])
     return ""
 
 

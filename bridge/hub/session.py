@@ -162,7 +162,7 @@ class HubSession:
             _log.info("no lane: zenoh's configuration restricts messages")
             settings = replace(settings, lane=None)
         try:
-            session = open_session(config)
+            session = open_session(config, prepares=True)
         except zenoh.ZError as err:
             raise HubError(f"cannot join the hub: {zenoh_reason(err)}") from None
         try:

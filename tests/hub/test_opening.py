@@ -139,10 +139,10 @@ def test_a_verbs_session_never_uses_shared_memory() -> None:
 PROGRAM = """
 import json, os, sys, threading
 from bridge.hub import opening
-from bridge.hub.opening import check_pool, open_session, trouble
+from bridge.hub.opening import check_pool, open_session, prepare_to_send, trouble
 from bridge.hub.zenoh_config import make_config, session_tree
 
-case, endpoint = sys.argv[1:]
+case, prepares, endpoint = sys.argv[1], sys.argv[2] == "prepares", sys.argv[3]
 
 def fill(left):
     with open("/dev/shm/fill", "ab", 0) as file:
@@ -155,7 +155,7 @@ def fill(left):
 def join(key):
     config = make_config(session_tree(None, shared_memory=True, max_payload=1 << 28), None)
     config.insert_json5(f"{key}/endpoints", json.dumps([endpoint]))
-    return open_session(config)
+    return open_session(config, prepares=prepares)
 
 if case == "full":
     fill(0)
@@ -166,8 +166,12 @@ if case == "filled later":
     fill(17_000_000)  # room for a pool, and none for its book-keeping
 if case == "filled before the pool":
     fill(1_000_000)
+if case == "filled before anything":
+    fill(0)
 received = 0
 for _ in range(200):
+    if prepares:
+        prepare_to_send(1_000_000)
     publisher.put(bytes(1_000_000))
     received += arrived.acquire(timeout=0.1)
     if received == 20:  # zenoh creates its pool while it sends the first ones
@@ -181,19 +185,22 @@ sender.close(), receiver.close()
 
 
 @pytest.mark.parametrize(
-    ("case", "trouble"),
+    ("case", "how", "trouble"),
     [
-        ("full", "/dev/shm has less room"),
-        ("filled later", ""),
-        ("filled before the pool", "/dev/shm had no room for the 17 MB"),
-        ("plenty of room", ""),
+        ("full", "prepares", "/dev/shm has less room"),
+        ("filled later", "at once", ""),
+        ("filled later", "prepares", "/dev/shm had no room for the 17 MB"),
+        ("filled before the pool", "at once", "/dev/shm had no room for the 17 MB"),
+        ("filled before anything", "prepares", "OS error 12"),
+        ("plenty of room", "prepares", ""),
     ],
 )
-def test_large_messages_arrive_with_a_full_folder(case: str, trouble: str) -> None:
+def test_large_messages_arrive_with_a_full_folder(case: str, how: str, trouble: str) -> None:
+    """``how``: whether the book-keeping is created when the session opens, or before the first large message."""
     if not shutil.which("unshare"):
         pytest.skip("needs unshare")
     mount = 'mount -t tmpfs -o size=40m tmpfs /dev/shm || exit 97; exec "$@"'
-    program = [sys.executable, "-c", PROGRAM, case, f"tcp/127.0.0.1:{free_port()}"]
+    program = [sys.executable, "-c", PROGRAM, case, how, f"tcp/127.0.0.1:{free_port()}"]
     ended = subprocess.run(
         ["unshare", "--mount", "sh", "-c", mount, "sh", *program],
         cwd=ROOT, capture_output=True, text=True, timeout=60, check=False,

@@ -10,6 +10,7 @@ from typing import Any
 import zenoh
 
 from bridge.hub.endpoints.calls import LEFT, MAX_ERROR, REFUSED_ENCODING, Abandon, Call, CallError, UnsentCallError
+from bridge.hub.opening import prepare_to_send
 from bridge.hub.zenoh_compat import answer, keep_thread_state, undeclare
 
 _log = logging.getLogger(__name__)
@@ -177,6 +178,7 @@ class CallServer:
             result = CallError(f"the reply has {len(result)} bytes, limits.message allows {self._limit}")
 
         def reply(query: zenoh.Query, payload: bytes) -> None:
+            prepare_to_send(len(payload))
             query.reply(self._reply_key(query), payload, encoding=self.encoding, attachment=self._attached(pending))
 
         if isinstance(result, UnsentCallError) and result.reply:

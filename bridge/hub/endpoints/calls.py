@@ -17,6 +17,7 @@ import zenoh
 
 from bridge.concurrency import DelayedCalls, SerialExecutor
 from bridge.hub.errors import zenoh_reason
+from bridge.hub.opening import prepare_to_send
 from bridge.hub.zenoh_compat import keep_thread_state, undeclare
 
 
@@ -188,6 +189,7 @@ class CallClient:
         replied, over = partial(self._on_reply, number), partial(self._on_over, number)
         handler = zenoh.handlers.Callback(replied, over, indirect=False)
         pending.sent = time.monotonic()
+        prepare_to_send(len(pending.request))
         try:
             querier.get(
                 handler,

@@ -16,6 +16,7 @@ from typing import Any
 import zenoh
 
 from bridge.hub.errors import HubClosedError, HubError, zenoh_reason
+from bridge.hub.opening import prepare_to_send
 from bridge.hub.zenoh_compat import BEHIND, answer, follow_tokens, keep_thread_state, source_infos, subscribe, undeclare
 
 _log = logging.getLogger(__name__)
@@ -59,6 +60,7 @@ class KeyQuery:
         """Send one of several values."""
         stamp = _timestamp(item)
         key, attached = f"{self._prefix}/{item.key}", item.attached or None
+        prepare_to_send(len(item.body or b""))
         with self._nobody_waits():
             if item.body is None:
                 self._query.reply_del(key, timestamp=stamp, attachment=attached)
@@ -111,6 +113,7 @@ class KeySpace:
             "priority": BEHIND,
             "allowed_destination": zenoh.Locality.REMOTE,
         }
+        prepare_to_send(len(item.body or b""))
         try:
             # Without source numbers zenoh's advanced subscriber compares time stamps, and drops a value that is older
             # than the last one of the same writer, also under another key.

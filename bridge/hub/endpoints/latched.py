@@ -20,6 +20,7 @@ import zenoh
 from zenoh import ext
 
 from bridge.concurrency import DelayedCalls, SerialExecutor
+from bridge.hub.opening import prepare_to_send
 from bridge.hub.zenoh_compat import BEHIND, SOURCE_NUMBERS, follow_tokens, subscribe, undeclare
 
 HEARTBEAT = 0.5
@@ -73,6 +74,7 @@ class LatchedPublisher:
 
     def put(self, payload: bytes | zenoh.ZBytes, attachment: bytes | None = None) -> None:
         """Publish; one at a time. Raises `zenoh.ZError` if the session is closed."""
+        prepare_to_send(len(payload))
         self._publisher.put(payload, attachment=attachment)
         self._put += 1
         if self._heartbeats is not None:

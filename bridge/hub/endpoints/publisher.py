@@ -24,6 +24,7 @@ from bridge.hub.lane.joining import flush_joined
 from bridge.hub.lane.lane import Lane
 from bridge.hub.lane.outlet import Outlet
 from bridge.hub.lane.writer import LaneWriter
+from bridge.hub.opening import prepare_to_send
 from bridge.hub.wire.keys import key_type, key_variant, pack_attachment
 from bridge.hub.wire.qos import History, Qos, Reliability
 from bridge.hub.zenoh_compat import BEHIND, keep_thread_state, source_infos, undeclare
@@ -187,6 +188,7 @@ class _PlainSink:
             self._put = self._large.put
         if self._blocks:
             flush_joined()
+        prepare_to_send(len(payload))
         self._put(payload, attachment=attached, source_info=next(self._infos))
 
     def matched(self) -> bool:
