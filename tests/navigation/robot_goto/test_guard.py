@@ -7,7 +7,7 @@ import pytest
 
 from bridge.messages.scan import Turn
 from navigation.pose import Pose
-from navigation.robot_goto.guard import Guard
+from navigation.robot_goto.guard import FollowCheck, Guard
 from navigation.robot_goto.local_grid import LocalGrid
 from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.steering import STILL, DriveCommand
@@ -60,3 +60,15 @@ def test_cells_are_unseen_after_the_memory_time(guard):
     assert not guard.unseen
     assert guard.allowed(SETTINGS, 30.0, Pose(0.1, 0.0, 0.0), FORWARD).vx < 0.1
     assert guard.unseen
+
+
+@pytest.mark.parametrize(("follows", "fault"), [(True, False), (False, True)])
+def test_a_base_that_turns_back_as_commanded_follows(follows, fault):
+    check, theta = FollowCheck(), 0.0
+    for step, omega in enumerate([0.5] * 10 + [-0.5] * 12):  # 0.5 rad, and back
+        theta += 0.1 * omega if follows else 0.0
+        check.add(0.1 * step, 0.1, np.array((0.0, 0.0, omega)), Pose(0.0, 0.0, theta))
+    assert check.since is None
+    for step in range(30):
+        check.add(2.2 + 0.1 * step, 0.1, np.array((0.1, 0.0, 0.0)), Pose(0.01 * step * follows, 0.0, theta))
+    assert (check.since is not None) == fault
