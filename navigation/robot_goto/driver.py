@@ -276,7 +276,7 @@ class Driver:
                 return self._reached(through=task.constraints.through)
             task.waiting_since = None
             self._on(DriverEvent.GO)
-            if self._stuck(step.now, task, task.progress.best, abs(turn)):
+            if self._stuck(step.now, task, task.progress.best, task.progress.nearest, abs(turn)):
                 return STILL
             return DriveCommand(omega=limits.turn(limits.ang_gain * turn))
         moved = step.moved
@@ -284,7 +284,7 @@ class Driver:
         beta = wrapped(math.atan2(towards.y - moved.y, towards.x - moved.x) - moved.theta)
         if self._blocked(step, task, limits, beta, distance, towards.blocked):
             return STILL
-        if self._stuck(step.now, task, towards.left, math.inf):
+        if self._stuck(step.now, task, towards.left, distance, math.inf):
             return STILL
         ramp = task.obstruction.ramp(step.now)
         wanted = drive(
@@ -342,9 +342,9 @@ class Driver:
         self._on(DriverEvent.GO)
         return False
 
-    def _stuck(self, now: float, task: GotoTask, left: float, turn: float) -> bool:
+    def _stuck(self, now: float, task: GotoTask, left: float, away: float, turn: float) -> bool:
         """Whether there was no progress for too long; ends or pauses the goal then."""
-        missing = task.progress.missing(now, left, turn)
+        missing = task.progress.missing(now, left, away, turn)
         if missing <= self.settings.deadlock_time:
             return False
         reason = f"deadlock: no progress for {missing:.0f} s"

@@ -37,14 +37,22 @@ class TimedMove:
 class GoalProgress:
     """The progress towards a goal."""
 
-    best: float = math.inf  #: the smallest remaining distance so far, meters
+    best: float = math.inf  #: the smallest remaining cost of the path so far, meters of open floor
+    nearest: float = math.inf  #: the smallest straight distance so far, meters: the cost rises when obstacles appear
     best_turn: float = math.inf  #: the same for the heading, radians
     since: float | None = None  #: the time of the last progress, seconds; None before the first step
 
-    def missing(self, now: float, left: float, turn: float) -> float:
-        """Return the seconds since the last progress; ``left`` meters and ``turn`` radians remain."""
-        if self.since is None or left < self.best - _PROGRESS or turn < self.best_turn - _TURN_PROGRESS:
-            self.best, self.best_turn, self.since = left, turn, now
+    def missing(self, now: float, left: float, away: float, turn: float) -> float:
+        """Return the seconds since the last progress in any of the three.
+
+        A path that costs ``left`` meters of open floor remains, ``away`` meters straight, and a turn, radians.
+        """
+        if self.since is None:
+            self.best, self.nearest, self.best_turn, self.since = left, away, turn, now
+        closer = left < self.best - _PROGRESS or away < self.nearest - _PROGRESS
+        if closer or turn < self.best_turn - _TURN_PROGRESS:
+            self.best, self.nearest, self.since = min(left, self.best), min(away, self.nearest), now
+            self.best_turn = turn
         return now - self.since
 
     def excuse(self, seconds: float) -> None:
