@@ -66,7 +66,7 @@ class RobotGotoSection(ModuleSection):
         20.0, "Angle between front and path up to which the robot drives at full speed, degrees.", gt=0.0, le=180.0
     )
     lin_speed_gain: float = setting(1.0, "Meters per second for each meter to go.", gt=0.0, le=100.0)
-    ang_speed_gain: float = setting(1.5, "Degrees per second for each degree to go.", gt=0.0, le=100.0)
+    ang_speed_gain: float = setting(2.0, "Degrees per second for each degree to go.", gt=0.0, le=100.0)
     max_lin_speed: float = setting(0.3, "Meters per second.", gt=0.0, le=3.0)
     max_ang_speed: float = setting(30.0, f"{_DEGREES.capitalize()}.", gt=0.0, le=360.0)
     min_lin_speed: float = setting(0.02, "Meters per second.", ge=0.0, le=3.0)

@@ -14,8 +14,9 @@ from navigation.robot_goto.local_grid import LocalGrid
 from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.steering import STILL, Aim, DriveCommand, GoalLimits, aim, behind, people_speed
 
-CLEAR = 1.0  # seconds for which the path has to be free before the robot drives on
-RAMP = 2.0  # seconds in which it then accelerates to full speed
+CLEAR = 0.3  # seconds for which the path has to be free before the robot drives on
+RAMP = 1.0  # seconds in which it then accelerates to full speed
+_SPARE = 0.05  # meters by which obstacles may be nearer to the goal than the radius: noise, and inexact maps
 _PROGRESS, _TURN_PROGRESS = 0.05, math.radians(2.0)
 _SCAN_TURN, _SCAN_TURNS, _SCAN_AGAIN = 0.5 * math.pi, 2, 0.3  # radians, number of turns, meters
 

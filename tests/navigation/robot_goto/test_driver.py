@@ -152,7 +152,7 @@ def test_with_on_obstacle_wait_the_robot_waits_and_drives_on_slowly():
     assert scene.driver.spoken[-1] == "Obstacles removed, thank you"
     begun = scene.now
     scene.until(lambda: scene.commands[-1][1].speed >= 0.29, 5)
-    assert scene.now - begun > 1.0, "the robot accelerates within two seconds"
+    assert scene.now - begun > 0.7, "the robot accelerates within a second"
     scene.until(lambda: scene.driver.status.state.ended, 30)
     assert scene.driver.status.state is State.REACHED
     assert not scene.touched

@@ -171,7 +171,7 @@ def test_without_avoidance_the_robot_waits_at_a_tables_edge():
     scene.until(lambda: scene.driver.status.fault is Fault.BLOCKED, 20.0)
     scene.run(2.0)
     assert scene.driver.status.reason == "an obstacle is on the path"
-    assert 0.2 < scene.pose.x < 1.0 - 0.3
+    assert 0.1 < scene.pose.x < 1.0 - 0.3
     scene.sim.world.remove("board")
     scene.until(lambda: scene.driver.status.state is State.REACHED, 40.0)
     assert not scene.touched
