@@ -113,7 +113,8 @@ class Obstruction:
             length = max(length, self._length)  # an obstacle that stopped the robot early still counts when it stands
         self._length = length
         radius = settings.robot_radius
-        guard.check_ahead(settings, moved, beta, min(length, distance + radius))
+        reach = distance + radius if limits.avoid else distance  # walls beyond a waypoint never move away
+        guard.check_ahead(settings, moved, beta, min(length, reach))
         if limits.avoid:
             if blocked < max(length, radius + 0.2):
                 return "the path is blocked"
@@ -121,7 +122,9 @@ class Obstruction:
                 return "a person crosses the path"
             if people_speed(settings, guard.ahead[2] - radius - FAST_ROOM) < 0.02:
                 return "a person is too close"
-        elif limits.stop and guard.ahead[0] >= 2:
+        elif limits.stop and (
+            guard.ahead[0] >= 2 or (distance < length and guard.occupies_end(moved, beta, distance, radius - _SPARE))
+        ):
             return "an obstacle is on the path"
         return ""
 

@@ -303,6 +303,7 @@ def _merged(defaults: Constraints, wanted: Constraints, behavior: AreaBehavior, 
     return replace(merged, max_lin_speed=most, min_lin_speed=least, on_obstacle=on_obstacle)
 
 
+_ELSEWHERE = 0.1  # meters from a place at which a robot counts as elsewhere
 _CORNER = 0.4  # meters from a waypoint within which the robot may cut the corner
 
 
@@ -330,6 +331,7 @@ class DriveTask:
     all_blocked_since: float | None = None  #: since when obstacles block every path
     path_blocked_since: float | None = None  #: since when an obstacle is on the current path
     arrived_at: float | None = None  #: when the robot reached the link at the leg's end
+    beside_wall: Pose | None = None  #: where it last waited with a wall beside its line to the waypoint
 
     def set_map(self, map_name: str) -> None:
         """Set the map of the goals that were given without one."""
@@ -341,6 +343,22 @@ class DriveTask:
     def waypoint(self) -> Waypoint:
         """The waypoint that the robot drives to."""
         return self.waypoints[self.index]
+
+    def line(self, pose: Pose | None) -> Places:
+        """Return the remaining waypoints, (n, 2), after the robot's position if it is known."""
+        line = [(waypoint.pose.x, waypoint.pose.y) for waypoint in self.waypoints[self.index :]]
+        if pose is not None:
+            line.insert(0, pose[:2])
+        return np.array(line)
+
+    def passes_wall(self, ground: Ground, pose: Pose) -> bool:
+        """Whether the robot does not fit on the line to its waypoint, as it has left the path; once at each place."""
+        if self.beside_wall is not None and self.beside_wall.distance(pose) < _ELSEWHERE:
+            return False
+        if not blocked(ground, ground.weights == 0, self.line(pose)[:2], inside=True):
+            return False
+        self.beside_wall = pose
+        return True
 
     @property
     def passes(self) -> bool:

@@ -10,8 +10,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from bridge.messages.scan import Turn
 from navigation.constraints import Constraints
 from navigation.goals import MapPlace
@@ -103,7 +101,7 @@ class PathPlanner:
         task = self.task
         if task is None:
             return 0.0
-        return length(self._ahead(pose)) if task.waypoints else pose.distance(task.goal.pose)
+        return length(task.line(pose)) if task.waypoints else pose.distance(task.goal.pose)
 
     def use_map(self, ground: Ground | None) -> None:
         """Plan on another map from now on, or on a new version of this map."""
@@ -119,7 +117,7 @@ class PathPlanner:
                 task.replan_reason = "the map was removed"
         elif before is None or before.name != ground.name:
             task.replan_reason = f"the map changed to {ground.name}"
-        elif task.arrived_at is None and blocked(ground, ground.weights == 0, self._line(task)):
+        elif task.arrived_at is None and blocked(ground, ground.weights == 0, task.line(self._jumps.pose)):
             task.replan_reason = "the map has changed"
 
     def goal(
@@ -188,7 +186,7 @@ class PathPlanner:
         task = self.task
         if task is None or not task.waypoints or task.replan_reason or task.arrived_at is not None:
             return
-        if blocked(self.ground, self.clutter.closed_by_layers, self._line(task)):
+        if blocked(self.ground, self.clutter.closed_by_layers, task.line(self._jumps.pose)):
             task.replan_reason, task.not_before = f"{topic} has changed", -math.inf
 
     def _forget_clutter(self) -> None:
@@ -344,7 +342,11 @@ class PathPlanner:
         if not is_straight(ground, pose, task.waypoint.pose):
             task.replan_reason = "a wall is between the robot and its waypoint"
             return
-        if not (len(clutter.cells) or len(clutter.fixed)) or not self._is_path_blocked(ground, clutter, pose, local):
+        if _waits_for_obstacle(local) and task.passes_wall(ground, pose):
+            task.replan_reason = "a wall is beside the robot's line to its waypoint"
+            return
+        line = task.line(pose)
+        if not (len(clutter.cells) or len(clutter.fixed)) or not _is_path_blocked(ground, clutter, line, local):
             task.path_blocked_since = None
             return
         task.path_blocked_since = now if task.path_blocked_since is None else task.path_blocked_since
@@ -367,13 +369,6 @@ class PathPlanner:
         task.attempts += 1
         task.recoveries += 1
         self._set_out(task, now, pose, local, alternative)
-
-    def _is_path_blocked(self, ground: Ground, clutter: Clutter, pose: Pose, local: LocalNavigator) -> bool:
-        """Whether obstacles are on the path; also beside it, if the local navigator already waits for one."""
-        ahead = cut(self._ahead(pose), _AHEAD)
-        if _waits_for_obstacle(local):
-            return blocked(ground, clutter.closed(), ahead, inside=True)
-        return blocked(ground, clutter.struck(), ahead)
 
     def _recover(self, task: DriveTask, now: float, pose: Pose, reason: str) -> None:
         """Handle a failure of the local navigator: try another path, or the same path again."""
@@ -476,23 +471,18 @@ class PathPlanner:
             local.cancel()
         self.task, self.status = None, status
 
-    def _ahead(self, pose: Pose) -> Places:
-        """Return the robot's position and the remaining waypoints, (n, 2)."""
-        task = self.task
-        left = task.waypoints[task.index :] if task else ()
-        return np.array([(pose.x, pose.y), *((waypoint.pose.x, waypoint.pose.y) for waypoint in left)])
-
-    def _line(self, task: DriveTask) -> Places:
-        """Return the remaining waypoints, (n, 2), after the robot's position if it is known."""
-        line = [(waypoint.pose.x, waypoint.pose.y) for waypoint in task.waypoints[task.index :]]
-        if self._jumps.pose is not None:
-            line.insert(0, self._jumps.pose[:2])
-        return np.array(line)
-
 
 def _waits_for_obstacle(local: LocalNavigator) -> bool:
     """Whether the local navigator stands in front of an obstacle."""
     return local.state is State.WAITING and local.fault is Fault.BLOCKED
+
+
+def _is_path_blocked(ground: Ground, clutter: Clutter, line: Places, local: LocalNavigator) -> bool:
+    """Whether obstacles are on the path; also beside it, if the local navigator already waits for one."""
+    ahead = cut(line, _AHEAD)
+    if _waits_for_obstacle(local):
+        return blocked(ground, clutter.closed(), ahead, inside=True)
+    return blocked(ground, clutter.struck(), ahead)
 
 
 def _expected(task: DriveTask) -> str:

@@ -232,6 +232,20 @@ def test_a_corner_is_cut_if_the_robot_can_drive_straight_to_the_next_waypoint(bl
     assert (min(pose.distance(corner.pose) for pose in drive.track) > 0.15) == cut
 
 
+def test_a_robot_beside_its_path_that_waits_for_a_door_frame_gets_another_path() -> None:
+    drive = Drive(floor(*ROOMS), Pose(1.8, 0.75, 0.0))
+    drive.planner.goal(EAST)
+    drive.run(0.2)
+    task = drive.planner.task
+    assert task is not None
+    waypoint = Waypoint(Pose(3.2, 0.75, 0.0), Constraints(tolerance_lin=0.1, heading=False, through=True))
+    task.waypoints, task.index = (waypoint, Waypoint(EAST, Constraints(tolerance_lin=0.1))), 0
+    drive.local.crates, drive.local.patience, drive.local.fault = [(2.5, 0.55, 0.05)], math.inf, Fault.BLOCKED
+    drive.local.send(waypoint.pose, waypoint.constraints)
+    drive.until(State.WAITING, 10.0)
+    assert drive.run(30.0).state is State.REACHED
+
+
 def test_a_changed_map_triggers_a_new_plan_or_aborts_the_goal() -> None:
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
