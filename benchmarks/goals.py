@@ -36,7 +36,7 @@ from sim.simulation import pose
 
 BASES = ("r1", "ikart_v1")
 NEEDED_FACTOR = 10.0
-ROWS = 9
+ROWS = 10
 """Rows of each case."""
 
 
@@ -109,6 +109,7 @@ def _rows(case: str, drives: list[Drive], judge: Judge, factor: float, fastest: 
         ),
         Row(f"{case}: largest error of the estimate", max(d.lost for d in drives), 0.15, "m"),
         Row(f"{case}: smallest clearance of the hull", judge.room, 0.0, "m", "more"),
+        Row(f"{case}: the same while commanded to move", judge.driving_room, 0.0, "m", "more"),
         Row(f"{case}: real time factor, needed", factor, NEEDED_FACTOR, "x", "more"),
     ]
 

@@ -30,6 +30,7 @@ class Judge:
     Attributes:
         contacts: ticks in which its hull touched something while it was moving.
         room: minimum distance between its hull and the nearest thing while it was moving, meters.
+        driving_room: the same while it was also commanded to move: not while it braked, with people walking up to it.
         entered: distance checks at which its hull was in a keep-out area.
         keep_out_room: minimum distance between its hull and the nearest keep-out area, meters.
         where: time and place of the first contact or entry, for display.
@@ -39,7 +40,7 @@ class Judge:
         self._robot, self._keep_out = robot, tuple(keep_out)
         self._ticks = 0
         self.contacts = self.entered = 0
-        self.room = self.keep_out_room = math.inf
+        self.room = self.driving_room = self.keep_out_room = math.inf
         self.where = ""
 
     def check(self) -> None:
@@ -57,7 +58,10 @@ class Judge:
             return
         x, y, _, _ = robot.truth
         if moving:
-            self.room = min(self.room, nearest(x, y, *robot.simulation.world.seen()) - robot.radius)
+            room = nearest(x, y, *robot.simulation.world.seen()) - robot.radius
+            self.room = min(self.room, room)
+            if robot.commanded > STANDING:
+                self.driving_room = min(self.driving_room, room)
         away = min((_outside(x, y, area) for area in self._keep_out), default=math.inf) - robot.radius
         self.keep_out_room = min(self.keep_out_room, away)
         if away < 0.0:

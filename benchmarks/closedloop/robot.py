@@ -47,6 +47,7 @@ class Robot:
         simulation: the floor with the robot on it.
         odometry: pose estimate of BaseControl, in the odometry frame.
         driven: true driven distance, meters.
+        commanded: speed of the last command, m/s.
     """
 
     def __init__(
@@ -68,7 +69,7 @@ class Robot:
         self._every = round(given.period * 1e9 / TICK_NS)
         self._input = self._base.inputs[_INPUT]
         self._ticks = 0
-        self.driven = 0.0
+        self.driven = self.commanded = 0.0
         self.odometry = Pose(0.0, 0.0, 0.0)
         self._measure()
 
@@ -106,6 +107,7 @@ class Robot:
 
     def command(self, x: float, y: float, turn: float) -> None:
         """Command a velocity as on ``/cmd_vel``, in m/s, m/s and rad/s."""
+        self.commanded = math.hypot(x, y)
         self._input.command(Velocity(x, y, turn), self.now)
 
     def tick(self) -> None:
