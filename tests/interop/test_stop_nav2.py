@@ -1,4 +1,4 @@
-"""Stops and goals while a Nav2 server aborts or crashes; the reference is the base's own program."""
+"""Stops and goals while a Nav2 server crashes, or the robot brakes; the reference is the base's own program."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from tests.peers.daemon.deployment import Deployment
 from tests.peers.navigation.gateway import pose
 from tests.peers.navigation.mix import NAV2, OWN, Mix
-from tests.peers.navigation.mix_clients import COMMAND, ROS1, ROS2, SECONDS, YARP, ZENOH, RosClient, ZenohClient
+from tests.peers.navigation.mix_clients import ROS1, ROS2, SECONDS, YARP, ZENOH, RosClient, ZenohClient
 from tests.peers.navigation.mix_faults import AWAY, STANDS_SECONDS, UNCONFIRMED, Watch, start_driving
 from tests.support.wait import until
 
@@ -19,18 +19,16 @@ NO_NAVIGATOR = 20011
 """The status's code while the planner is unreachable."""
 
 PATH = {"path": {"header": {"frame_id": "map"}, "poses": [pose(AWAY)]}}
-BACKUP = "nav2_msgs/BackUp", {"target": {"x": -AWAY}, "speed": -0.5}
-BEHAVIORS = {
-    "/spin": ("nav2_msgs/Spin", {"target_yaw": 1.0}),
-    "/drive_on_heading": ("nav2_msgs/DriveOnHeading", {"target": {"x": AWAY}, "speed": 0.5}),
-    "/assisted_teleop": ("nav2_msgs/AssistedTeleop", {"time_allowance": {"sec": 60}}),
-}
 thorough = pytest.mark.thorough
 
 
 def drive(deployment: Deployment, client: str, **options: object) -> Watch:
     """Let a client drive with Nav2."""
-    mix = Mix.over(deployment, NAV2, **options)
+    return drive_in(Mix.over(deployment, NAV2, **options), client)
+
+
+def drive_in(mix: Mix, client: str) -> Watch:
+    """Let a client drive with Nav2 in a mix."""
     start_driving(mix, mix.clients[client])
     return Watch(mix, client, own=(NAV2, client) in OWN)
 
@@ -57,31 +55,8 @@ def assert_ends_once(watch: Watch) -> None:
         assert client.ends() == 1, f"its goal had {client.ends()} ends; {watch}"
 
 
-@thorough
-@pytest.mark.parametrize("client", ALL)
-def test_stop_after_bt_navigator_aborted(deployment: Deployment, client: str) -> None:
-    watch = drive(deployment, client)
-    watch.mix.planner.give_up()
-    wait(watch, 0.5)
-    assert_stops(watch, *ALL, COMMAND)
-    assert_ends_once(watch)
-    start_driving(watch.mix, watch.mix.clients[client])  # as without a fault
-    watch.mix.clients[client].cancel()
-    until(lambda: not watch.base.moves, "it stands", STANDS_SECONDS)
-
-
-def test_no_end_is_reported_while_the_base_moves_after_bt_navigator_aborted(deployment: Deployment) -> None:
-    """No client requests a stop; the gateway may stop the controller by itself."""
-    watch = drive(deployment, ZENOH)
-    watch.mix.planner.give_up()
-    wait(watch, 4.0)
-    watch.close()
-    assert_stops(watch)
-
-
-@pytest.mark.parametrize("base", [(), pytest.param(("--no-odometry",), marks=thorough)])
-def test_stop_of_a_path_of_another_client(deployment: Deployment, base: tuple[str, ...]) -> None:
-    mix = Mix.over(deployment, NAV2, base=base)
+def assert_path_stops(mix: Mix) -> None:
+    """Send a path to controller_server, and stop it through the gateway."""
     client = mix.clients[ROS2]
     assert isinstance(client, RosClient)
     client.send("/follow_path", "nav2_msgs/FollowPath", PATH)
@@ -93,26 +68,9 @@ def test_stop_of_a_path_of_another_client(deployment: Deployment, base: tuple[st
     assert client.seen() == "canceled", client.seen()
 
 
-@pytest.mark.parametrize("action", ["/backup", *(pytest.param(name, marks=thorough) for name in BEHAVIORS)])
-def test_stop_of_a_behavior_of_another_client(deployment: Deployment, action: str) -> None:
-    mix = Mix.over(deployment, NAV2)
-    client = mix.clients[ROS2]
-    assert isinstance(client, RosClient)
-    client.send(action, *BEHAVIORS.get(action, BACKUP))
-    if action == "/assisted_teleop":
-        out = client.peer.advertise("/cmd_vel_teleop", "geometry_msgs/Twist")
-
-        def teleoperated() -> bool:
-            client.peer.publish(out, {"linear": {"x": 0.5}})
-            return mix.base.moves
-
-        until(teleoperated, "it moves", SECONDS, 0.2)
-    until(lambda: mix.base.moves, "it moves", SECONDS)
-    until(lambda: mix.state() == "moving", "the status shows that it moves", STANDS_SECONDS)
-    watch = Watch(mix, "")
-    wait(watch, 0.5)
-    assert_stops(watch)
-    assert client.seen() == "canceled", client.seen()
+@thorough
+def test_stop_of_a_path_of_another_client_without_odometry(deployment: Deployment) -> None:
+    assert_path_stops(Mix.over(deployment, NAV2, base=("--no-odometry",)))
 
 
 @pytest.mark.parametrize(

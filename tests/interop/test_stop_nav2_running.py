@@ -1,0 +1,118 @@
+"""Stops while Nav2's servers keep running: bt_navigator aborts, or another client moves the base.
+
+The tests share a daemon and Nav2. Those of `tests.interop.test_stop_nav2` start their own on the same ROS domain, where
+a second daemon would stand by.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+import pytest
+
+from tests.interop.test_stop_nav2 import ALL, assert_ends_once, assert_path_stops, assert_stops, drive_in, wait
+from tests.peers.daemon.deployment import Deployment
+from tests.peers.navigation.mix import NAV2, Mix
+from tests.peers.navigation.mix_clients import COMMAND, ROS2, SECONDS, ZENOH, RosClient
+from tests.peers.navigation.mix_faults import AWAY, STANDS_SECONDS, Watch, start_driving
+from tests.support.wait import until
+
+BACKUP = "nav2_msgs/BackUp", {"target": {"x": -AWAY}, "speed": -0.5}
+BEHAVIORS = {
+    "/spin": ("nav2_msgs/Spin", {"target_yaw": 1.0}),
+    "/drive_on_heading": ("nav2_msgs/DriveOnHeading", {"target": {"x": AWAY}, "speed": 0.5}),
+    "/assisted_teleop": ("nav2_msgs/AssistedTeleop", {"time_allowance": {"sec": 60}}),
+}
+thorough = pytest.mark.thorough
+
+
+class SharedMix:
+    """Nav2 and a daemon for tests that leave both running; after a failed test, the next one starts others."""
+
+    def __init__(self, folders: pytest.TempPathFactory) -> None:
+        self._folders = folders
+        self._stack = contextlib.ExitStack()
+        self._mix: Mix | None = None
+
+    def at_rest(self) -> Mix:
+        """Return the mix once nothing drives."""
+        if self._mix is None:
+            deployment = self._stack.enter_context(Deployment(self._folders.mktemp("shared")))
+            self._mix = Mix.over(deployment, NAV2)
+        mix = self._mix
+        until(
+            lambda: not mix.driving() and mix.state() in ("", "idle", "aborted") and not mix.base.moves,
+            "nothing drives",
+            SECONDS,
+        )
+        return mix
+
+    def close(self) -> None:
+        """Stop all programs."""
+        self._mix = None
+        self._stack.close()
+
+
+@pytest.fixture(scope="module")
+def of_the_file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedMix]:
+    """Started by the first test that uses it."""
+    shared = SharedMix(tmp_path_factory)
+    yield shared
+    shared.close()
+
+
+@pytest.fixture
+def mix(of_the_file: SharedMix, request: pytest.FixtureRequest) -> Iterator[Mix]:
+    """Nav2 at rest, with the default options."""
+    failed = request.session.testsfailed
+    yield of_the_file.at_rest()
+    if request.session.testsfailed > failed:
+        of_the_file.close()
+
+
+@thorough
+@pytest.mark.parametrize("client", ALL)
+def test_stop_after_bt_navigator_aborted(mix: Mix, client: str) -> None:
+    watch = drive_in(mix, client)
+    watch.mix.planner.give_up()
+    wait(watch, 0.5)
+    assert_stops(watch, *ALL, COMMAND)
+    assert_ends_once(watch)
+    start_driving(watch.mix, watch.mix.clients[client])  # as without a fault
+    watch.mix.clients[client].cancel()
+    until(lambda: not watch.base.moves, "it stands", STANDS_SECONDS)
+
+
+def test_no_end_is_reported_while_the_base_moves_after_bt_navigator_aborted(mix: Mix) -> None:
+    """No client requests a stop; the gateway may stop the controller by itself."""
+    watch = drive_in(mix, ZENOH)
+    watch.mix.planner.give_up()
+    wait(watch, 4.0)
+    watch.close()
+    assert_stops(watch)
+
+
+def test_stop_of_a_path_of_another_client(mix: Mix) -> None:
+    assert_path_stops(mix)
+
+
+@pytest.mark.parametrize("action", ["/backup", *(pytest.param(name, marks=thorough) for name in BEHAVIORS)])
+def test_stop_of_a_behavior_of_another_client(mix: Mix, action: str) -> None:
+    client = mix.clients[ROS2]
+    assert isinstance(client, RosClient)
+    client.send(action, *BEHAVIORS.get(action, BACKUP))
+    if action == "/assisted_teleop":
+        out = client.peer.advertise("/cmd_vel_teleop", "geometry_msgs/Twist")
+
+        def teleoperated() -> bool:
+            client.peer.publish(out, {"linear": {"x": 0.5}})
+            return mix.base.moves
+
+        until(teleoperated, "it moves", SECONDS, 0.2)
+    until(lambda: mix.base.moves, "it moves", SECONDS)
+    until(lambda: mix.state() == "moving", "the status shows that it moves", STANDS_SECONDS)
+    watch = Watch(mix, "")
+    wait(watch, 0.5)
+    assert_stops(watch)
+    assert client.seen() == "canceled", client.seen()
