@@ -45,7 +45,7 @@ KERNELS = (
 SHARED = "bridge.shared_kernel_code"
 """Module of the code that all kernels share, so that it is compiled once."""
 
-C_MODULES: tuple[str, ...] = ("bridge.adapters.ros2.service_callbacks",)
+C_MODULES: tuple[str, ...] = ("bridge.adapters.ros2.service_callbacks", "bridge.adapters.ros2.taking")
 """Modules in C, each next to its user; missing without a compiler."""
 
 FLAGS = ("/O2",) if sys.platform == "win32" else ("-O3", "-g0", "-ffp-contract=off")

@@ -22,7 +22,7 @@ from bridge.adapters.ros2.graph.interfaces import InterfaceWatch
 from bridge.adapters.ros2.graph.neighbors import ProcessWatch
 from bridge.adapters.ros2.graph.origins import Origins, new_prefix, participant_number
 from bridge.adapters.ros2.graph.presence import TYPE, PresenceTopic
-from bridge.adapters.ros2.loop import EpollReadLoop, WaitSetReadLoop
+from bridge.adapters.ros2.loop import QueueReadLoop, WaitSetReadLoop
 from bridge.adapters.ros2.participant import Participant, mismatch
 from bridge.adapters.ros2.profile import use_profile
 from bridge.adapters.ros2.releases import current
@@ -108,7 +108,7 @@ class Ros2Edge(SideEdge):
             self._types.prepare_services()
         except MessageTypeError as err:
             _log.warning("%s; %s", err, err.cure)
-        loop = EpollReadLoop() if rcl.has_eventfd() else WaitSetReadLoop(participant)
+        loop = QueueReadLoop() if rcl.is_compiled() else WaitSetReadLoop(participant)
         loop.start()
         graph = Ros2Graph(participant, self._prefix, self._changed, self._versions)
         send_all = partial(spdp.send_all, domain=number, localhost_only=self._localhost_only)

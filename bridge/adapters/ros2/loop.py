@@ -1,18 +1,16 @@
 """One thread that receives the messages of all subscriptions, and all requests and replies.
 
-rcl counts new messages in an eventfd per endpoint, on the middleware's thread and without Python; the thread here waits
-in epoll. So the cost of a message does not depend on the number of subscriptions, whereas a wait set and rclpy's
-executors check all of them for each message.
+rcl reports new messages to a queue in C, on the middleware's thread and without Python; the thread here waits for the
+queue. So the cost of a message does not depend on the number of subscriptions, whereas a wait set and rclpy's executors
+check all of them for each message. Without a compiler the wait set remains, for subscriptions: services do not cross.
 """
 
 from __future__ import annotations
 
 import logging
-import os
-import select
 import threading
 from abc import ABC, abstractmethod
-from collections import Counter, deque
+from collections import deque
 from typing import Any, ClassVar
 
 from typing_extensions import override
@@ -35,21 +33,28 @@ class EndpointReader(ABC):
     """
 
     kind: ClassVar[str] = "subscription"
-    joins: bool = False
-    """Whether serving it takes so little time that earlier messages may wait for it (`bridge.hub.lane.joining`)."""
 
     def __init__(self, participant: Participant, handle: Any) -> None:
         self._participant, self.handle = participant, handle
         handle.__enter__()
         self.pointer = int(handle.pointer)
 
-    def wake(self, descriptor: int | None) -> None:
-        """Count each new message in an eventfd; None stops counting."""
-        rcl.wake_by_eventfd(self.kind, self.pointer, descriptor)
+    @property
+    def taken_from(self) -> int:
+        """The ``rcl_subscription_t *`` whose messages the queue takes for `accept`; 0 if `drain` takes them."""
+        return 0
+
+    def wake(self, waker: rcl.Waker | None) -> None:
+        """Report new messages to a waker; None stops that before returning."""
+        rcl.wake(self.kind, self.pointer, waker)
 
     @abstractmethod
     def drain(self, taker: rcl.Taker, limit: int) -> None:
         """Take and deliver up to ``limit`` messages."""
+
+    def accept(self, payload: bytes, gid: bytes, source_ns: int, sequence: int) -> None:
+        """Deliver a message that the queue has taken, see `rcl.Taken`."""
+        raise NotImplementedError
 
     def destroy(self) -> None:
         """Return the reader to the middleware; nothing may refer to it afterwards."""
@@ -105,23 +110,23 @@ class ReadLoop(ABC):
         """Destroy all readers; the thread has ended."""
 
 
-class EpollReadLoop(ReadLoop):
-    """Waits in epoll, with an eventfd for each reader."""
+class QueueReadLoop(ReadLoop):
+    """Waits for a queue of readers with new messages, which takes the messages of subscriptions itself (``taking.c``).
+
+    Small messages are joined (`bridge.hub.lane.joining`) until the thread waits again, takes a large message or serves
+    another endpoint.
+    """
 
     def __init__(self) -> None:
         super().__init__()
-        self._epoll = select.epoll()
-        self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        self._epoll.register(self._wake, select.EPOLLIN)
+        self._queue = rcl.new_queue()
         self._leaving: deque[EndpointReader] = deque()
 
     @override
     def add(self, reader: EndpointReader) -> None:
-        """Serve a reader, with a new eventfd."""
-        descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        self._readers[descriptor] = reader
-        self._epoll.register(descriptor, select.EPOLLIN)
-        reader.wake(descriptor)
+        data = self._queue.add(reader, reader.taken_from)
+        self._readers[data] = reader
+        reader.wake(rcl.queue_waker(data))
 
     @override
     def remove(self, reader: EndpointReader) -> None:
@@ -130,64 +135,46 @@ class EpollReadLoop(ReadLoop):
 
     @override
     def _wake_up(self) -> None:
-        os.eventfd_write(self._wake, 1)
+        self._queue.wake()
 
     @override
     def _close(self) -> None:
         for reader in list(self._readers.values()):
             self._drop(reader)
-        self._epoll.close()
-        os.close(self._wake)
 
     @override
     def _serve_all(self, taker: rcl.Taker) -> None:
-        joining = Joining()
+        joining, wait, large = Joining(), self._queue.wait, rcl.LARGE
         while not self._stopping:
             joining.flush()
-            for descriptor, _ in self._epoll.poll():
-                if descriptor == self._wake:
-                    os.eventfd_read(descriptor)
-                    while self._leaving:
-                        self._drop(self._leaving.popleft())
-                else:
-                    self._serve(descriptor, taker, joining)
-
-    def _serve(self, descriptor: int, taker: rcl.Taker, joining: Joining) -> None:
-        reader = self._readers.get(descriptor)
-        if reader is None:
-            return
-        if not reader.joins:
-            joining.flush()
-        try:
-            count = os.eventfd_read(descriptor)
-        except BlockingIOError:
-            return
-        # take the counted number rather than until the queue is empty: a failed take costs as much as a successful one
-        limit = min(count, TAKES_PER_TURN)
-        try:
-            reader.drain(taker, limit)
-        except Exception:
-            _log.exception("taking messages failed")
-        if count > limit:
-            os.eventfd_write(descriptor, count - limit)
+            for reader, payload, gid, number, sequence in wait():
+                try:
+                    if payload is None:
+                        joining.flush()
+                        reader.drain(taker, number)
+                        continue
+                    if len(payload) >= large:
+                        joining.flush()
+                    reader.accept(payload, gid, number, sequence)
+                except Exception:
+                    _log.exception("taking messages failed")
+            while self._leaving:
+                self._drop(self._leaving.popleft())
 
     def _drop(self, reader: EndpointReader) -> None:
-        for descriptor, known in list(self._readers.items()):
-            if known is reader:
-                reader.wake(None)
-                del self._readers[descriptor]
-                self._epoll.unregister(descriptor)
-                os.close(descriptor)
-                break
+        data = next((data for data, known in self._readers.copy().items() if known is reader), None)
+        if data is not None:
+            reader.wake(None)
+            del self._readers[data]
+            self._queue.remove(data)
         reader.destroy()
 
 
 _POLL_NS = 1_000_000_000
-_KINDS = ("subscription", "client", "service")
 
 
 class WaitSetReadLoop(ReadLoop):
-    """Waits in rcl's wait set; readers are keyed by their pointers."""
+    """Waits in rcl's wait set; subscriptions are keyed by their pointers."""
 
     def __init__(self, participant: Participant) -> None:
         super().__init__()
@@ -223,16 +210,14 @@ class WaitSetReadLoop(ReadLoop):
             wait_set = self._participant.make_wait_set(1)
             while not self._stopping:
                 if self._apply_changes():
-                    kinds = Counter(reader.kind for reader in self._readers.values())
-                    wait_set = self._participant.make_wait_set(1, *(kinds[kind] for kind in _KINDS))
+                    wait_set = self._participant.make_wait_set(1, len(self._readers))
                 wait_set.clear_entities()
                 for reader in self._readers.values():
-                    getattr(wait_set, f"add_{reader.kind}")(reader.handle)
+                    wait_set.add_subscription(reader.handle)
                 wait_set.add_guard_condition(self._guard)
                 wait_set.wait(_POLL_NS)
-                for kind in _KINDS:
-                    for pointer in wait_set.get_ready_entities(kind):
-                        self._serve(pointer, taker)
+                for pointer in wait_set.get_ready_entities("subscription"):
+                    self._serve(pointer, taker)
 
     def _serve(self, pointer: int, taker: rcl.Taker) -> None:
         try:

@@ -116,9 +116,9 @@ class Participant:
         """Create a guard condition in this participant's context."""
         return _rclpy.GuardCondition(self._context.handle)
 
-    def make_wait_set(self, guard_conditions: int, subscriptions: int = 0, clients: int = 0, services: int = 0) -> Any:
+    def make_wait_set(self, guard_conditions: int, subscriptions: int = 0) -> Any:
         """Create a wait set with these capacities."""
-        return _rclpy.WaitSet(subscriptions, guard_conditions, 0, clients, services, 0, self._context.handle)
+        return _rclpy.WaitSet(subscriptions, guard_conditions, 0, 0, 0, 0, self._context.handle)
 
     def destroy(self, entity: Any) -> None:
         """Destroy an endpoint or a guard condition once it is no longer in use."""

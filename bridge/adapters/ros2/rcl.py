@@ -3,13 +3,12 @@
 Structures as in the headers of all releases of the table (rcutils/types/uint8_array.h, rmw/types.h; see
 `bridge.adapters.ros2.releases`). A call through `_rcl_held` keeps the GIL:
 it is for calls of a few microseconds, for which releasing the GIL would cost more than the call. No Python code runs on
-a thread of the middleware: its only callback is libc's ``eventfd_write``.
+a thread of the middleware: its callbacks are C, in ``taking.c`` and ``service_callbacks.c``.
 """
 
 from __future__ import annotations
 
 import ctypes
-import os
 import struct
 from ctypes import (
     CDLL,
@@ -174,14 +173,41 @@ def _check(call: str, code: int) -> None:
         raise RclError(call, code)
 
 
-def wake_by_eventfd(kind: str, pointer: int, descriptor: int | None) -> None:
-    """Count each new message, reply or request of an endpoint in an eventfd; None stops that before returning.
+def is_compiled() -> bool:
+    """Return whether the extensions in C are compiled, so that messages are taken, and services cross."""
+    return service_callbacks is not None
+
+
+class Waker(NamedTuple):
+    """The address of an ``rcl_event_callback_t``, and its data."""
+
+    callback: int
+    data: int
+
+
+def wake(kind: str, pointer: int, waker: Waker | None) -> None:
+    """Report each new message, reply or request of an endpoint to a waker; None stops that before returning.
 
     ``kind`` is ``subscription``, ``client`` or ``service``; ``pointer`` is ``rcl_subscription_t *``, or that of its
     kind.
     """
-    callback = None if descriptor is None else cast(_libc.eventfd_write, c_void_p)
-    _check(f"waking by the {kind}", _NEW_CALLBACK[kind](pointer, callback, descriptor))
+    _check(f"waking by the {kind}", _NEW_CALLBACK[kind](pointer, *(waker or (None, None))))
+
+
+def new_queue() -> taking.Queue:
+    """Return a queue of readers with new messages; it needs the compiled extensions."""
+    return taking.Queue(_address(_rcl.rcl_take), _address(_rcutils.rcutils_reset_error), LARGE)
+
+
+def queue_waker(data: int) -> Waker:
+    """Return what adds a reader to its queue, by the data that the queue returned for it."""
+    return Waker(taking.ON_NEW_MESSAGES, data)
+
+
+def _address(function: Any) -> int:
+    address = cast(function, c_void_p).value
+    assert address is not None
+    return address
 
 
 def graph_guard_condition(node: int) -> int:
@@ -217,11 +243,6 @@ def host_prefix() -> bytes:
     return bytes(guid)[:4]
 
 
-def has_eventfd() -> bool:
-    """Return whether the system has eventfd (Linux)."""
-    return hasattr(os, "eventfd")
-
-
 # -- requests and replies as bytes -------------------------------------------------------------------------------------
 # rmw has raw topics but no raw services: it passes a C structure to the type support's serializer, and lets its
 # deserializer fill one. Here the structure is a `Wire`, a buffer in memory, and the two functions copy bytes from or to
@@ -232,9 +253,9 @@ def has_eventfd() -> bool:
 # public members of Fast CDR 2's ``Cdr``, and the offset of its iterators, which `end_of` searches for.
 
 try:
-    from bridge.adapters.ros2 import service_callbacks
+    from bridge.adapters.ros2 import service_callbacks, taking
 except ImportError:  # set up without a compiler
-    service_callbacks = None  # type: ignore[assignment]
+    service_callbacks = taking = None  # type: ignore[assignment]
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
 """The header that rmw writes before a message: plain CDR, little-endian."""
@@ -251,9 +272,18 @@ _BEGIN = "_ZN8eprosima7fastcdr3Cdr18get_buffer_pointerEv"
 
 
 class Wire(Structure):
-    """A whole message in memory; for a taken one libc allocates ``capacity`` bytes, which grow as needed."""
+    """A whole message in memory; for a taken one libc allocates ``capacity`` bytes, which grow as needed.
 
-    _fields_ = [("start", c_void_p), ("length", c_size_t), ("capacity", c_size_t)]
+    A taken message of ``exact_length`` bytes goes to ``exact`` instead (``taking.c``).
+    """
+
+    _fields_ = [
+        ("start", c_void_p),
+        ("length", c_size_t),
+        ("capacity", c_size_t),
+        ("exact", c_void_p),
+        ("exact_length", c_size_t),
+    ]
 
 
 def outgoing(payload: bytes) -> Wire:
@@ -287,9 +317,7 @@ class Callbacks:
         if service_callbacks is None:
             raise MessageTypeError(NOT_COMPILED, CURE)
         library = ctypes.CDLL("libfastcdr.so.2")
-        append, begin = (ctypes.cast(getattr(library, name), c_void_p).value for name in (_APPEND, _BEGIN))
-        assert append is not None
-        assert begin is not None
+        append, begin = (_address(getattr(library, name)) for name in (_APPEND, _BEGIN))
         self.serialize, self.deserialize, self.size = service_callbacks.addresses(append, begin)
 
 

@@ -19,7 +19,6 @@ from ctypes import (
     c_ubyte,
     c_uint64,
     c_void_p,
-    cast,
     create_string_buffer,
 )
 from functools import cache
@@ -113,10 +112,9 @@ class RmwSubscription:
         """Destroy it: unlike rclpy's objects it has one user, which calls this last."""
         self._rmw.rmw_destroy_subscription(self._node, self.pointer)
 
-    def wake(self, descriptor: int | None) -> None:
-        """Count each new message in an eventfd; None stops that before returning."""
-        callback: Any = None if descriptor is None else cast(CDLL(None).eventfd_write, c_void_p)
-        code = self._rmw.rmw_subscription_set_on_new_message_callback(self.pointer, callback, descriptor)
+    def wake(self, waker: rcl.Waker | None) -> None:
+        """Report each new message to a waker; None stops that before returning."""
+        code = self._rmw.rmw_subscription_set_on_new_message_callback(self.pointer, *(waker or (None, None)))
         if code != rcl.RET_OK:
             raise rcl.RclError("rmw_subscription_set_on_new_message_callback", code)
 

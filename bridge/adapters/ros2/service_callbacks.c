@@ -17,6 +17,8 @@ typedef struct {
     char *start;
     size_t length;
     size_t capacity;
+    char *exact; /* where to put a message of `exact_length` bytes instead; NULL afterwards */
+    size_t exact_length;
 } Wire;
 
 static void *(*append)(void *cdr, const char *bytes, size_t count); /* Cdr::serialize_array */
@@ -63,6 +65,12 @@ static bool deserialize(void *cdr, void *message)
         return false;
     }
     size_t length = (size_t)(end - first);
+    if (wire->exact != NULL && wire->exact_length == length) {
+        memcpy(wire->exact, first, length);
+        wire->exact = NULL;
+        wire->length = length;
+        return true;
+    }
     if (wire->capacity < length) {
         char *start = realloc(wire->start, length);
         if (start == NULL) {

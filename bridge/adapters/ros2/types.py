@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from typing_extensions import override
 
-from bridge.adapters.ros2.rcl import Callbacks
+from bridge.adapters.ros2.rcl import Callbacks, is_compiled
 from bridge.adapters.ros2.releases import current
 from bridge.messages.errors import MessageTypeError
 
@@ -266,7 +266,7 @@ class TypeSupports:
                 # rclpy reads these from the metaclass; the four functions convert message objects, which raw use never
                 # has.
                 converters = ("_CREATE_ROS_MESSAGE", "_CONVERT_FROM_PY", "_CONVERT_TO_PY", "_DESTROY_ROS_MESSAGE")
-                structures = MessageStructures(self._lender, name)
+                structures = MessageStructures(self._lender, name, Callbacks() if is_compiled() else None)
                 raw_class = self._make(name, type_hash, structures, **dict.fromkeys(converters, True))
             return raw_class
 

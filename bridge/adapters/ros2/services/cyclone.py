@@ -77,8 +77,8 @@ class CycloneCalls(EndpointReader):
         self._matched, self._prepared = (0, frozenset[bytes]()), 0.0
 
     @override
-    def wake(self, descriptor: int | None) -> None:
-        self._reader.wake(descriptor)
+    def wake(self, waker: rcl.Waker | None) -> None:
+        self._reader.wake(waker)
 
     def wait(self, poll: float, servers: Collection[bytes], last: int) -> float:
         """Return the seconds until a request may be sent, 0 for now; ``poll`` while no server has matched.

@@ -85,8 +85,6 @@ class RequestSender:
         return number
 
     def _calls(self) -> CycloneCalls:
-        if not rcl.has_eventfd():
-            raise UnsentCallError(f"{self._name} is served on Cyclone DDS, whose services need Linux")
         if self._cyclone is None:
             try:
                 self._cyclone = self._open()

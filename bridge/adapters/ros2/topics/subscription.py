@@ -179,29 +179,38 @@ class ClassReader(EndpointReader):
     ) -> None:
         super().__init__(participant, handle)
         self._owner, self._class, self.topic = owner, reader_class, owner.topic
-        self._large, self.joins = False, True
+        self._large = False
         self._sequences: dict[str, int] = {}
         self._room = _SEQUENCES
 
+    @property
+    @override
+    def taken_from(self) -> int:
+        return self.pointer
+
     @override
     def drain(self, taker: rcl.Taker, limit: int) -> None:
-        """Deliver messages whose publisher belongs to this class."""
-        owner = self._owner
         for _ in range(limit):
             taken = taker.take(self.pointer, large=self._large)
-            if taken is None or owner.closed:
+            if taken is None:
                 return
-            payload, gid, source_ns, sequence = taken
-            self._large = len(payload) >= rcl.LARGE
-            self.joins = not self._large
-            source = owner.source(gid, self._class)
-            if source is None:
-                continue
-            try:
-                owner.deliver(payload, source, source_ns)
-            except Exception:
-                owner.failed(source)
-            self._count(source, sequence)
+            self._large = len(taken.payload) >= rcl.LARGE
+            self.accept(*taken)
+
+    @override
+    def accept(self, payload: bytes, gid: bytes, source_ns: int, sequence: int) -> None:
+        """Deliver a message if its publisher belongs to this class."""
+        owner = self._owner
+        if owner.closed:
+            return
+        source = owner.source(gid, self._class)
+        if source is None:
+            return
+        try:
+            owner.deliver(payload, source, source_ns)
+        except Exception:
+            owner.failed(source)
+        self._count(source, sequence)
 
     def _count(self, source: str, sequence: int) -> None:
         """Count the messages missing between two of a publisher: overwritten in a full history, or never received."""

@@ -347,26 +347,6 @@ def test_malformed_bytes_are_refused(edge: RunningEdge, peer: Peers, set_bool: S
     assert native.ask("requests", id=server)["requests"] == [{"data": True}]
 
 
-def test_without_eventfd(
-    registry: Registry, tmp_path: Path, peer: Peers, set_bool: Service, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(rcl, "has_eventfd", lambda: False)
-    edge = RunningEdge(registry, tmp_path)
-    try:
-        native, ends = peer(), Ends()
-        serve(native, "/s/wait_set", reply={"success": True})
-        edge.until_seen("/s/wait_set", Kind.SERVER)
-        caller = edge.edge.caller("/s/wait_set", set_bool.type)
-        for _ in range(100):
-            caller.call(set_bool.request(), ends.done)
-        ends.replies(100)
-        edge.edge.serve("/s/wait_set2", set_bool.type, answering(set_bool.response()))
-        called = call(native, "/s/wait_set2", requests=[{}] * 5)
-        assert native.ask("result", id=called)["done"]
-    finally:
-        edge.edge.stop()
-
-
 def test_descriptors_are_released(edge: RunningEdge, set_bool: Service) -> None:
     def churn(count: int) -> int:
         for _ in range(count):

@@ -1,0 +1,418 @@
+/* Takes the messages of all subscriptions on one thread, several of them each time it gets the interpreter's lock.
+ *
+ * rcl reports new messages on the middleware's thread, by a callback that adds the endpoint to a queue and uses no
+ * Python. ROS is not linked: the addresses of its functions are passed in, so that this file compiles without ROS.
+ */
+
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+#include <stdbool.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { BATCH = 16, KEPT = 64 * 1024, TAKE_FAILED = 401, GID_BYTES = 16 };
+
+/* rcl.Wire */
+typedef struct {
+    char *start;
+    size_t length;
+    size_t capacity;
+    char *exact;
+    size_t exact_length;
+} Wire;
+
+/* rmw_message_info_t */
+typedef struct {
+    int64_t source_ns;
+    int64_t received_ns;
+    uint64_t sequence;
+    uint64_t reception_sequence;
+    const char *implementation;
+    char gid[GID_BYTES];
+    bool from_this_process;
+} Info;
+
+typedef struct Queue Queue;
+
+typedef struct Node {
+    struct Node *next; /* in the queue, while it is queued */
+    bool queued;
+    size_t count; /* new messages */
+    Queue *queue;
+    PyObject *reader;
+    void *subscription; /* rcl_subscription_t *; NULL if the reader takes by itself */
+    size_t last;        /* bytes of the last message, if it was large */
+    bool steady;        /* whether the one before had as many */
+} Node;
+
+typedef struct {
+    Node *node;
+    Wire wire;
+    Info info;
+    size_t count; /* messages that the reader has to take itself; then there is no message here */
+    PyObject *payload;
+} Slot;
+
+struct Queue {
+    PyObject_HEAD
+    int32_t (*take)(const void *subscription, void *message, void *info, void *allocation); /* rcl_take */
+    void (*reset_error)(void);                                                              /* rcutils_reset_error */
+    size_t large;
+    PyThread_type_lock lock;   /* guards the following and the nodes; never held while calling ROS or Python */
+    PyThread_type_lock signal; /* a semaphore: released once for each time that `waits` becomes false */
+    bool waits;
+    bool woken;
+    Node *first, *last;
+    Slot slots[BATCH];
+};
+
+static void append(Queue *queue, Node *node)
+{
+    node->next = NULL;
+    node->queued = true;
+    if (queue->last == NULL) {
+        queue->first = node;
+    } else {
+        queue->last->next = node;
+    }
+    queue->last = node;
+}
+
+static void lock(Queue *queue)
+{
+    PyThread_acquire_lock(queue->lock, WAIT_LOCK);
+}
+
+static void unlock(Queue *queue)
+{
+    PyThread_release_lock(queue->lock);
+}
+
+/* Unlocks first: the woken thread would only wait for the lock. */
+static void unlock_and_signal(Queue *queue)
+{
+    bool waits = queue->waits;
+    queue->waits = false;
+    unlock(queue);
+    if (waits) {
+        PyThread_release_lock(queue->signal);
+    }
+}
+
+/* rcl_event_callback_t */
+static void on_new_messages(const void *data, size_t count)
+{
+    Node *node = (Node *)data;
+    Queue *queue = node->queue;
+    lock(queue);
+    node->count += count;
+    if (node->count == 0 || node->queued) {
+        unlock(queue);
+        return;
+    }
+    append(queue, node);
+    unlock_and_signal(queue);
+}
+
+static Node *pop(Queue *queue, size_t *count)
+{
+    Node *node = queue->first;
+    queue->first = node->next;
+    if (queue->first == NULL) {
+        queue->last = NULL;
+    }
+    node->queued = false;
+    *count = node->count;
+    node->count = 0;
+    return node;
+}
+
+/* Queues a node behind the others again, if not all of its messages were taken. */
+static void put_back(Queue *queue, Node *node, size_t count)
+{
+    node->count += count;
+    if (node->count > 0 && !node->queued) {
+        append(queue, node);
+    }
+}
+
+/* Takes one message; returns whether there was one. An unexpected error is left to the reader's own way of taking. */
+static bool take_one(Queue *queue, Node *node, Slot *slot)
+{
+    slot->node = node;
+    slot->count = 0;
+    int32_t code = queue->take(node->subscription, &slot->wire, &slot->info, NULL);
+    if (code == 0) {
+        size_t length = slot->wire.length;
+        node->steady = length >= queue->large && length == node->last;
+        node->last = length >= queue->large ? length : 0;
+        return true;
+    }
+    queue->reset_error();
+    if (code == TAKE_FAILED) {
+        return false;
+    }
+    slot->count = 1;
+    return true;
+}
+
+/* Waits for messages, and takes some; returns the number of filled slots. A large message is the last one, so that none
+ * waits for others. A node whose messages are large and equally long is only returned, in `large`. Runs without the
+ * interpreter's lock. */
+static size_t wait_and_take(Queue *queue, Node **large)
+{
+    size_t filled = 0;
+    *large = NULL;
+    lock(queue);
+    while (queue->first == NULL && !queue->woken) {
+        queue->waits = true;
+        unlock(queue);
+        PyThread_acquire_lock(queue->signal, WAIT_LOCK);
+        lock(queue);
+    }
+    queue->woken = false;
+    while (queue->first != NULL && filled < BATCH && (filled == 0 || queue->first->last == 0)) {
+        size_t count;
+        Node *node = pop(queue, &count);
+        if (node->steady) {
+            put_back(queue, node, count - 1);
+            *large = node;
+            break;
+        }
+        if (node->subscription == NULL) {
+            size_t now = count < BATCH ? count : BATCH;
+            put_back(queue, node, count - now);
+            queue->slots[filled].node = node;
+            queue->slots[filled++].count = now;
+            continue;
+        }
+        unlock(queue);
+        bool took_large = false;
+        while (count > 0 && filled < BATCH && !took_large) {
+            if (!take_one(queue, node, &queue->slots[filled])) {
+                count = 0;
+                break;
+            }
+            filled++;
+            count--;
+            took_large = node->last > 0;
+        }
+        lock(queue);
+        put_back(queue, node, count);
+        if (took_large) {
+            break;
+        }
+    }
+    unlock(queue);
+    return filled;
+}
+
+/* Takes a message into the bytes object that becomes its payload. */
+static bool take_exact(Queue *queue, Node *node, Slot *slot)
+{
+    size_t length = node->last;
+    PyObject *payload = PyBytes_FromStringAndSize(NULL, (Py_ssize_t)length);
+    if (payload == NULL) {
+        PyErr_Clear();
+    } else {
+        slot->wire.exact = PyBytes_AsString(payload);
+        slot->wire.exact_length = length;
+    }
+    bool taken;
+    Py_BEGIN_ALLOW_THREADS
+    taken = take_one(queue, node, slot);
+    Py_END_ALLOW_THREADS
+    bool used = payload != NULL && slot->wire.exact == NULL;
+    slot->wire.exact = NULL;
+    if (used && taken && slot->count == 0) {
+        slot->payload = payload;
+    } else {
+        Py_XDECREF(payload);
+    }
+    return taken;
+}
+
+static PyObject *entry(Slot *slot)
+{
+    PyObject *payload = slot->payload;
+    slot->payload = NULL;
+    if (slot->count > 0) {
+        return Py_BuildValue("(OOy#nn)", slot->node->reader, Py_None, "", (Py_ssize_t)0, (Py_ssize_t)slot->count,
+                             (Py_ssize_t)0);
+    }
+    if (payload == NULL) {
+        payload = PyBytes_FromStringAndSize(slot->wire.start, (Py_ssize_t)slot->wire.length);
+    }
+    if (slot->wire.capacity > KEPT) {
+        free(slot->wire.start);
+        slot->wire.start = NULL;
+        slot->wire.capacity = 0;
+    }
+    if (payload == NULL) {
+        return NULL;
+    }
+    return Py_BuildValue("(ONy#LL)", slot->node->reader, payload, slot->info.gid, (Py_ssize_t)GID_BYTES,
+                         (long long)slot->info.source_ns, (long long)slot->info.sequence);
+}
+
+static PyObject *queue_wait(PyObject *self, PyObject *Py_UNUSED(unused))
+{
+    Queue *queue = (Queue *)self;
+    size_t filled;
+    Node *large;
+    Py_BEGIN_ALLOW_THREADS
+    filled = wait_and_take(queue, &large);
+    Py_END_ALLOW_THREADS
+    if (large != NULL) {
+        filled = take_exact(queue, large, &queue->slots[0]) ? 1 : 0;
+    }
+    PyObject *batch = PyList_New(0);
+    if (batch == NULL) {
+        return NULL;
+    }
+    for (size_t at = 0; at < filled; at++) {
+        PyObject *taken = entry(&queue->slots[at]);
+        if (taken == NULL || PyList_Append(batch, taken) < 0) {
+            PyErr_WriteUnraisable(self); /* no memory: this message is lost, the others are not */
+        }
+        Py_XDECREF(taken);
+    }
+    return batch;
+}
+
+static PyObject *queue_wake(PyObject *self, PyObject *Py_UNUSED(unused))
+{
+    Queue *queue = (Queue *)self;
+    Py_BEGIN_ALLOW_THREADS
+    lock(queue);
+    queue->woken = true;
+    unlock_and_signal(queue);
+    Py_END_ALLOW_THREADS
+    Py_RETURN_NONE;
+}
+
+static PyObject *queue_add(PyObject *self, PyObject *args)
+{
+    PyObject *reader, *subscription;
+    if (!PyArg_ParseTuple(args, "OO", &reader, &subscription)) {
+        return NULL;
+    }
+    void *pointer = PyLong_AsVoidPtr(subscription);
+    if (pointer == NULL && PyErr_Occurred()) {
+        return NULL;
+    }
+    Node *node = calloc(1, sizeof *node);
+    if (node == NULL) {
+        return PyErr_NoMemory();
+    }
+    node->queue = (Queue *)self;
+    node->reader = Py_NewRef(reader);
+    node->subscription = pointer;
+    return PyLong_FromVoidPtr(node);
+}
+
+static PyObject *queue_remove(PyObject *self, PyObject *address)
+{
+    Queue *queue = (Queue *)self;
+    Node *gone = PyLong_AsVoidPtr(address);
+    if (gone == NULL) {
+        return NULL;
+    }
+    Py_BEGIN_ALLOW_THREADS
+    lock(queue);
+    Node *before = NULL;
+    for (Node *node = gone->queued ? queue->first : NULL; node != NULL; before = node, node = node->next) {
+        if (node == gone) {
+            *(before == NULL ? &queue->first : &before->next) = node->next;
+            queue->last = queue->last == node ? before : queue->last;
+            break;
+        }
+    }
+    unlock(queue);
+    Py_END_ALLOW_THREADS
+    Py_DECREF(gone->reader);
+    free(gone);
+    Py_RETURN_NONE;
+}
+
+static int queue_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names))
+{
+    Queue *queue = (Queue *)self;
+    PyObject *take, *reset_error;
+    Py_ssize_t large;
+    if (!PyArg_ParseTuple(args, "OOn", &take, &reset_error, &large)) {
+        return -1;
+    }
+    void *functions[] = {PyLong_AsVoidPtr(take), PyLong_AsVoidPtr(reset_error)};
+    if (PyErr_Occurred()) {
+        return -1;
+    }
+    queue->take = (int32_t (*)(const void *, void *, void *, void *))functions[0];
+    queue->reset_error = (void (*)(void))functions[1];
+    queue->large = (size_t)large;
+    queue->lock = PyThread_allocate_lock();
+    queue->signal = PyThread_allocate_lock();
+    if (queue->lock == NULL || queue->signal == NULL) {
+        PyErr_NoMemory();
+        return -1;
+    }
+    PyThread_acquire_lock(queue->signal, WAIT_LOCK);
+    return 0;
+}
+
+static void queue_dealloc(PyObject *self)
+{
+    Queue *queue = (Queue *)self;
+    PyTypeObject *type = Py_TYPE(self);
+    freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
+    PyThread_type_lock locks[] = {queue->lock, queue->signal};
+    for (int at = 0; at < 2; at++) {
+        if (locks[at] != NULL) {
+            PyThread_free_lock(locks[at]);
+        }
+    }
+    for (size_t at = 0; at < BATCH; at++) {
+        free(queue->slots[at].wire.start);
+    }
+    release(self);
+    Py_DECREF(type);
+}
+
+static PyMethodDef queue_methods[] = {
+    {"wait", queue_wait, METH_NOARGS, "Wait for messages or `wake`; return the messages."},
+    {"wake", queue_wake, METH_NOARGS, "End `wait`."},
+    {"add", queue_add, METH_VARARGS, "Add a reader and its rcl_subscription_t *; return the callback's data."},
+    {"remove", queue_remove, METH_O, "Remove the reader with this data, whose callback is no longer set."},
+    {NULL, NULL, 0, NULL},
+};
+
+static PyType_Slot queue_slots[] = {
+    {Py_tp_init, queue_init}, {Py_tp_new, PyType_GenericNew}, {Py_tp_dealloc, queue_dealloc},
+    {Py_tp_methods, queue_methods}, {0, NULL},
+};
+
+static PyType_Spec queue_spec = {
+    "bridge.adapters.ros2.taking.Queue", sizeof(Queue), 0, Py_TPFLAGS_DEFAULT, queue_slots,
+};
+
+static PyMethodDef methods[] = {
+    {NULL, NULL, 0, NULL},
+};
+
+static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, .m_name = "taking", .m_size = -1, .m_methods = methods};
+
+PyMODINIT_FUNC PyInit_taking(void)
+{
+    PyObject *made = PyModule_Create(&module);
+    PyObject *type = PyType_FromSpec(&queue_spec);
+    PyObject *callback = PyLong_FromVoidPtr((void *)on_new_messages);
+    if (made == NULL || type == NULL || callback == NULL || PyModule_AddObjectRef(made, "Queue", type) < 0 ||
+        PyModule_AddObjectRef(made, "ON_NEW_MESSAGES", callback) < 0) {
+        Py_XDECREF(made);
+        made = NULL;
+    }
+    Py_XDECREF(type);
+    Py_XDECREF(callback);
+    return made;
+}

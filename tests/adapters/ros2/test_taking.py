@@ -1,0 +1,156 @@
+"""The queue of readers with new messages, with functions in place of rcl's."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections import deque
+from typing import Any
+
+import pytest
+
+from bridge.adapters.ros2 import rcl, taking
+
+LARGE = 1000
+BATCH = 16
+GID = bytes(range(16))
+_libc = ctypes.CDLL(None)
+_libc.realloc.restype = ctypes.c_void_p
+_libc.realloc.argtypes = [ctypes.c_void_p, ctypes.c_size_t]
+
+
+class _Info(ctypes.Structure):
+    _fields_ = [
+        ("source_ns", ctypes.c_int64), ("received_ns", ctypes.c_int64), ("sequence", ctypes.c_uint64),
+        ("reception", ctypes.c_uint64), ("implementation", ctypes.c_char_p), ("gid", ctypes.c_ubyte * 16),
+        ("local", ctypes.c_bool),
+    ]  # fmt: skip
+
+
+class Rcl:
+    """Subscriptions by their addresses, with the messages that `take` returns; an int is an error."""
+
+    def __init__(self) -> None:
+        self.messages: dict[int, deque[bytes | int]] = {}
+        self.resets = self.exact = 0
+        take = ctypes.CFUNCTYPE(
+            ctypes.c_int32, ctypes.c_void_p, ctypes.POINTER(rcl.Wire), ctypes.POINTER(_Info), ctypes.c_void_p
+        )
+        self._functions: list[Any] = [take(self._take), ctypes.CFUNCTYPE(None)(self._reset)]
+        addresses = [ctypes.cast(function, ctypes.c_void_p).value or 0 for function in self._functions]
+        self.queue = taking.Queue(*addresses, LARGE)
+        self._report = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_size_t)(taking.ON_NEW_MESSAGES)
+
+    def _take(self, subscription: int, wire: Any, info: Any, _allocation: int | None) -> int:
+        waiting, target = self.messages[subscription], wire.contents
+        if not waiting:
+            return rcl.RET_TAKE_FAILED
+        message = waiting.popleft()
+        if isinstance(message, int):
+            return message
+        if target.exact and target.exact_length == len(message):
+            ctypes.memmove(target.exact, message, len(message))
+            target.exact = None
+            self.exact += 1
+        else:
+            if target.capacity < len(message):
+                target.start, target.capacity = _libc.realloc(target.start, len(message)), len(message)
+            ctypes.memmove(target.start, message, len(message))
+        target.length = len(message)
+        info.contents.source_ns, info.contents.sequence, info.contents.gid[:] = 5, 7, GID
+        return rcl.RET_OK
+
+    def _reset(self) -> None:
+        self.resets += 1
+
+    def add(self, name: str, *messages: bytes | int, count: int | None = None) -> int:
+        """Add a reader with messages, and report ``count`` new ones; return its data."""
+        subscription = len(self.messages) + 1
+        self.messages[subscription] = deque(messages)
+        reader: Any = name
+        data = self.queue.add(reader, subscription)
+        self.report(data, len(messages) if count is None else count)
+        return data
+
+    def report(self, data: int, count: int) -> None:
+        self._report(data, count)
+
+    def wait(self) -> list[tuple[Any, bytes | None]]:
+        """Return readers and payloads."""
+        return [(reader, payload) for reader, payload, *_ in self.queue.wait()]
+
+
+@pytest.fixture
+def fake() -> Rcl:
+    return Rcl()
+
+
+def test_messages_of_several_readers_come_at_once_with_their_info(fake: Rcl) -> None:
+    fake.add("a", b"1", b"2")
+    fake.add("b", b"3")
+    assert list(fake.queue.wait()) == [("a", b"1", GID, 5, 7), ("a", b"2", GID, 5, 7), ("b", b"3", GID, 5, 7)]
+
+
+def test_a_burst_is_divided_and_lets_others_in_between(fake: Rcl) -> None:
+    messages = [b"%d" % number for number in range(BATCH + 3)]
+    fake.add("burst", *messages)
+    fake.add("other", b"x")
+    first, rest = fake.wait(), fake.wait()
+    assert first == [("burst", message) for message in messages[:BATCH]]
+    assert rest == [("other", b"x"), *(("burst", message) for message in messages[BATCH:])]
+
+
+def test_fewer_messages_than_reported(fake: Rcl) -> None:
+    fake.add("a", b"1", count=9)
+    assert fake.wait() == [("a", b"1")]
+    assert fake.resets == 1
+
+
+def test_an_unexpected_error_is_left_to_the_reader(fake: Rcl) -> None:
+    fake.add("a", 1)
+    (entry,) = fake.queue.wait()
+    assert entry == ("a", None, b"", 1, 0)
+    assert fake.resets == 1
+
+
+def test_an_endpoint_that_takes_by_itself_receives_the_number(fake: Rcl) -> None:
+    reader: Any = "service"
+    fake.report(fake.queue.add(reader, 0), 3)
+    assert list(fake.queue.wait()) == [("service", None, b"", 3, 0)]
+
+
+def test_equal_large_messages_are_taken_into_their_payload(fake: Rcl) -> None:
+    large = [bytes([number]) * LARGE for number in range(4)]
+    messages = [*large, b"z" * (LARGE + 1), b"small", b"small too"]
+    fake.add("large", *messages)
+    fake.add("other", b"x")
+    received: list[tuple[Any, bytes | None]] = []
+    while len(received) < len(messages) + 1:
+        received += fake.wait()
+    assert [payload for reader, payload in received if reader == "large"] == messages
+    assert ("other", b"x") in received
+    assert fake.exact == 2
+
+
+def test_large_messages_are_taken_one_at_a_time(fake: Rcl) -> None:
+    messages = [bytes(LARGE + number) for number in range(3)]
+    fake.add("large", *messages)
+    assert [fake.wait() for _ in messages] == [[("large", message)] for message in messages]
+
+
+def test_a_removed_reader_is_no_longer_queued(fake: Rcl) -> None:
+    first, middle, last = (fake.add(name, name.encode()) for name in ("a", "b", "c"))
+    fake.queue.remove(middle)
+    fake.queue.remove(last)
+    fake.add("d", b"d")
+    assert fake.wait() == [("a", b"a"), ("d", b"d")]
+    fake.queue.remove(first)
+
+
+def test_wake_ends_waiting(fake: Rcl) -> None:
+    received: list[Any] = []
+    thread = threading.Thread(target=lambda: received.append(fake.wait()))
+    thread.start()
+    fake.queue.wake()
+    thread.join(20.0)
+    assert received == [[]]
