@@ -34,6 +34,11 @@ from bridge.adapters.ros2.tracing import allow_tracing_if_room
 from bridge.kernels import CURE
 from bridge.messages.errors import MessageTypeError
 
+try:
+    from bridge.adapters.ros2 import service_callbacks, taking
+except ImportError:  # set up without a compiler
+    service_callbacks = taking = None  # type: ignore[assignment]
+
 RET_OK = 0
 RET_TAKE_FAILED = 401
 """``RCL_RET_SUBSCRIPTION_TAKE_FAILED``: the subscription has no message."""
@@ -70,6 +75,12 @@ _rcutils = CDLL("librcutils.so")
 _libc = CDLL(None)
 
 
+def _address(function: Any) -> int:
+    address = cast(function, c_void_p).value
+    assert address is not None
+    return address
+
+
 def _declare(function: Any, result: Any, *arguments: Any) -> None:
     function.restype, function.argtypes = result, arguments
 
@@ -91,6 +102,9 @@ _NEW_CALLBACK = {
 }
 for _function in _NEW_CALLBACK.values():
     _declare(_function, c_int32, c_void_p, c_void_p, c_void_p)
+
+
+_PUBLISH = _address(_rcl.rcl_publish_serialized_message)
 
 
 def reset_error() -> None:
@@ -153,11 +167,19 @@ class Taker:
 
 def publish(publisher: int, payload: bytes) -> None:
     """Publish CDR bytes through ``rcl_publisher_t *``."""
+    code = _publish(_PUBLISH, publisher, payload, LARGE)
+    if code != RET_OK:
+        raise RclError("rcl_publish_serialized_message", code)
+
+
+def _publish_by_ctypes(_function: int, publisher: int, payload: bytes, large: int) -> int:
+    """Publish as `taking.publish` does."""
     size = len(payload)
-    content = _Content(payload, size, size)
-    library = _rcl if size >= LARGE else _rcl_held
-    code = library.rcl_publish_serialized_message(publisher, byref(content), None)
-    _check("rcl_publish_serialized_message", code)
+    library = _rcl if size >= large else _rcl_held
+    return int(library.rcl_publish_serialized_message(publisher, byref(_Content(payload, size, size)), None))
+
+
+_publish = _publish_by_ctypes if taking is None else taking.publish
 
 
 def reader_count(publisher: int) -> int:
@@ -204,12 +226,6 @@ def queue_waker(data: int) -> Waker:
     return Waker(taking.ON_NEW_MESSAGES, data)
 
 
-def _address(function: Any) -> int:
-    address = cast(function, c_void_p).value
-    assert address is not None
-    return address
-
-
 def graph_guard_condition(node: int) -> int:
     """Return the ``rcl_guard_condition_t *`` of ``rcl_node_t *`` that triggers when the graph changes."""
     pointer = _rcl.rcl_node_get_graph_guard_condition(node)
@@ -251,11 +267,6 @@ def host_prefix() -> bytes:
 #
 # The functions' signatures are those of rosidl_typesupport_fastrtps_cpp/message_type_support.h (Jazzy). They use the
 # public members of Fast CDR 2's ``Cdr``, and the offset of its iterators, which `end_of` searches for.
-
-try:
-    from bridge.adapters.ros2 import service_callbacks, taking
-except ImportError:  # set up without a compiler
-    service_callbacks = taking = None  # type: ignore[assignment]
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
 """The header that rmw writes before a message: plain CDR, little-endian."""

@@ -1,4 +1,5 @@
-/* Takes the messages of all subscriptions on one thread, several of them each time it gets the interpreter's lock.
+/* Takes the messages of all subscriptions on one thread, several of them each time it gets the interpreter's lock, and
+ * publishes messages.
  *
  * rcl reports new messages on the middleware's thread, by a callback that adds the endpoint to a queue and uses no
  * Python. ROS is not linked: the addresses of its functions are passed in, so that this file compiles without ROS.
@@ -396,7 +397,41 @@ static PyType_Spec queue_spec = {
     "bridge.adapters.ros2.taking.Queue", sizeof(Queue), 0, Py_TPFLAGS_DEFAULT, queue_slots,
 };
 
+/* rcutils_uint8_array_t */
+typedef struct {
+    const char *buffer;
+    size_t length;
+    size_t capacity;
+    void *allocator[5];
+} Bytes;
+
+/* Keeps the interpreter's lock for a small message: releasing it would cost more than the call. */
+static PyObject *publish(PyObject *Py_UNUSED(module), PyObject *args)
+{
+    unsigned long long function, publisher;
+    const char *payload;
+    Py_ssize_t size, large;
+    if (!PyArg_ParseTuple(args, "KKy#n", &function, &publisher, &payload, &size, &large)) {
+        return NULL;
+    }
+    typedef int32_t (*Publish)(const void *publisher, const Bytes *message, void *allocation);
+    Publish call = (Publish)(uintptr_t)function; /* rcl_publish_serialized_message */
+    Bytes message = {payload, (size_t)size, (size_t)size, {NULL}};
+    int32_t code;
+    if (size < large) {
+        code = call((const void *)(uintptr_t)publisher, &message, NULL);
+    } else {
+        Py_BEGIN_ALLOW_THREADS
+        code = call((const void *)(uintptr_t)publisher, &message, NULL);
+        Py_END_ALLOW_THREADS
+    }
+    return PyLong_FromLong(code);
+}
+
 static PyMethodDef methods[] = {
+    {"publish", publish, METH_VARARGS,
+     "Call rcl_publish_serialized_message, whose address is passed, with an rcl_publisher_t * and CDR bytes; return its "
+     "code. From a length on, without the interpreter's lock."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -17,7 +17,7 @@ from bridge.hub.lane.joining import send_later
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.routing.edge import Kind
-from tests.adapters.ros2.conftest import RunningEdge, text
+from tests.adapters.ros2.conftest import RunningEdge, string, text
 from tests.peers.hub.lane import Link
 from tests.peers.peer import Peer
 from tests.support.wait import until
@@ -169,6 +169,7 @@ def test_without_a_compiler(
     registry: Registry, peer: Callable[..., Peer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rcl, "service_callbacks", None)
+    monkeypatch.setattr(rcl, "_publish", rcl._publish_by_ctypes)
     edge = RunningEdge(registry, tmp_path)
     try:
         closed = edge.edge.subscribe("/wait_set", edge.type(STRING), Qos(), lambda _p, _s, _t: None)
@@ -181,6 +182,14 @@ def test_without_a_compiler(
             return len(inbox.messages) > than
 
         until(lambda: more(2), "messages through the wait set")
+        received = native.subscribe("/bare_out", "std_msgs/String")
+        ours = edge.edge.advertise("/bare_out", edge.type(STRING), Qos())
+
+        def published() -> bool:
+            ours.send(string("y"), "hub")
+            return bool(native.wait(received, 1, 0.1))
+
+        until(published, "a message that was published through ctypes")
         closed.close()
         count = len(inbox.messages)
         until(lambda: more(count + 2), "messages after a subscription was closed")

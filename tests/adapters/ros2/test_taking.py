@@ -37,8 +37,8 @@ class Rcl:
             ctypes.c_int32, ctypes.c_void_p, ctypes.POINTER(rcl.Wire), ctypes.POINTER(_Info), ctypes.c_void_p
         )
         self._functions: list[Any] = [take(self._take), ctypes.CFUNCTYPE(None)(self._reset)]
-        addresses = [ctypes.cast(function, ctypes.c_void_p).value or 0 for function in self._functions]
-        self.queue = taking.Queue(*addresses, LARGE)
+        take_address, reset_address = (ctypes.cast(f, ctypes.c_void_p).value or 0 for f in self._functions)
+        self.queue = taking.Queue(take_address, reset_address, LARGE)
         self._report = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_size_t)(taking.ON_NEW_MESSAGES)
 
     def _take(self, subscription: int, wire: Any, info: Any, _allocation: int | None) -> int:
