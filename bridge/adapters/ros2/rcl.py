@@ -218,7 +218,12 @@ def wake(kind: str, pointer: int, waker: Waker | None) -> None:
 
 def new_queue() -> taking.Queue:
     """Return a queue of readers with new messages; it needs the compiled extensions."""
-    return taking.Queue(_address(_rcl.rcl_take), _address(_rcutils.rcutils_reset_error), LARGE)
+    functions = (
+        _rcl.rcl_take_serialized_message, _rcl.rcl_take, _rcutils.rcutils_reset_error,
+        _rcutils.rcutils_get_default_allocator,
+    )  # fmt: skip
+    take_serialized, take, reset_error, default_allocator = map(_address, functions)
+    return taking.Queue(take_serialized, take, reset_error, default_allocator, LARGE)
 
 
 def queue_waker(data: int) -> Waker:

@@ -23,6 +23,19 @@ typedef struct {
     size_t exact_length;
 } Wire;
 
+/* rcutils_allocator_t; by default its functions are libc's */
+typedef struct {
+    void *functions[5];
+} Allocator;
+
+/* rcutils_uint8_array_t */
+typedef struct {
+    char *buffer;
+    size_t length;
+    size_t capacity;
+    Allocator allocator;
+} Bytes;
+
 /* rmw_message_info_t */
 typedef struct {
     int64_t source_ns;
@@ -34,6 +47,7 @@ typedef struct {
     bool from_this_process;
 } Info;
 
+typedef int32_t (*Take)(const void *subscription, void *message, void *info, void *allocation);
 typedef struct Queue Queue;
 
 typedef struct Node {
@@ -49,7 +63,7 @@ typedef struct Node {
 
 typedef struct {
     Node *node;
-    Wire wire;
+    Bytes bytes;
     Info info;
     size_t count; /* messages that the reader has to take itself; then there is no message here */
     PyObject *payload;
@@ -57,8 +71,9 @@ typedef struct {
 
 struct Queue {
     PyObject_HEAD
-    int32_t (*take)(const void *subscription, void *message, void *info, void *allocation); /* rcl_take */
-    void (*reset_error)(void);                                                              /* rcutils_reset_error */
+    Take take_serialized; /* rcl_take_serialized_message */
+    Take take;            /* rcl_take */
+    void (*reset_error)(void); /* rcutils_reset_error */
     size_t large;
     PyThread_type_lock lock;   /* guards the following and the nodes; never held while calling ROS or Python */
     PyThread_type_lock signal; /* a semaphore: released once for each time that `waits` becomes false */
@@ -138,14 +153,30 @@ static void put_back(Queue *queue, Node *node, size_t count)
     }
 }
 
-/* Takes one message; returns whether there was one. An unexpected error is left to the reader's own way of taking. */
-static bool take_one(Queue *queue, Node *node, Slot *slot)
+/* Takes a large message with one copy: as a structure, whose deserializer (service_callbacks.c) copies the bytes. Fast DDS
+ * drops a message that is no CDR before that, so that it would not be counted; small messages are taken serialized. */
+static int32_t take_large(Queue *queue, Node *node, Slot *slot, char **exact, size_t exact_length)
+{
+    Wire wire = {slot->bytes.buffer, 0, slot->bytes.capacity, *exact, exact_length};
+    int32_t code = queue->take(node->subscription, &wire, &slot->info, NULL);
+    slot->bytes.buffer = wire.start;
+    slot->bytes.length = wire.length;
+    slot->bytes.capacity = wire.capacity;
+    *exact = wire.exact;
+    return code;
+}
+
+/* Takes one message; returns whether there was one. It is in `exact`, which is NULL then, if it has that length. An
+ * unexpected error is left to the reader's own way of taking. */
+static bool take_one(Queue *queue, Node *node, Slot *slot, char **exact, size_t exact_length)
 {
     slot->node = node;
     slot->count = 0;
-    int32_t code = queue->take(node->subscription, &slot->wire, &slot->info, NULL);
+    int32_t code = node->last > 0
+                       ? take_large(queue, node, slot, exact, exact_length)
+                       : queue->take_serialized(node->subscription, &slot->bytes, &slot->info, NULL);
     if (code == 0) {
-        size_t length = slot->wire.length;
+        size_t length = slot->bytes.length;
         node->steady = length >= queue->large && length == node->last;
         node->last = length >= queue->large ? length : 0;
         return true;
@@ -191,7 +222,8 @@ static size_t wait_and_take(Queue *queue, Node **large)
         unlock(queue);
         bool took_large = false;
         while (count > 0 && filled < BATCH && !took_large) {
-            if (!take_one(queue, node, &queue->slots[filled])) {
+            char *none = NULL;
+            if (!take_one(queue, node, &queue->slots[filled], &none, 0)) {
                 count = 0;
                 break;
             }
@@ -214,19 +246,15 @@ static bool take_exact(Queue *queue, Node *node, Slot *slot)
 {
     size_t length = node->last;
     PyObject *payload = PyBytes_FromStringAndSize(NULL, (Py_ssize_t)length);
+    char *exact = payload == NULL ? NULL : PyBytes_AsString(payload);
     if (payload == NULL) {
         PyErr_Clear();
-    } else {
-        slot->wire.exact = PyBytes_AsString(payload);
-        slot->wire.exact_length = length;
     }
     bool taken;
     Py_BEGIN_ALLOW_THREADS
-    taken = take_one(queue, node, slot);
+    taken = take_one(queue, node, slot, &exact, length);
     Py_END_ALLOW_THREADS
-    bool used = payload != NULL && slot->wire.exact == NULL;
-    slot->wire.exact = NULL;
-    if (used && taken && slot->count == 0) {
+    if (taken && slot->count == 0 && exact == NULL) {
         slot->payload = payload;
     } else {
         Py_XDECREF(payload);
@@ -243,12 +271,12 @@ static PyObject *entry(Slot *slot)
                              (Py_ssize_t)0);
     }
     if (payload == NULL) {
-        payload = PyBytes_FromStringAndSize(slot->wire.start, (Py_ssize_t)slot->wire.length);
+        payload = PyBytes_FromStringAndSize(slot->bytes.buffer, (Py_ssize_t)slot->bytes.length);
     }
-    if (slot->wire.capacity > KEPT) {
-        free(slot->wire.start);
-        slot->wire.start = NULL;
-        slot->wire.capacity = 0;
+    if (slot->bytes.capacity > KEPT) {
+        free(slot->bytes.buffer);
+        slot->bytes.buffer = NULL;
+        slot->bytes.capacity = 0;
     }
     if (payload == NULL) {
         return NULL;
@@ -340,17 +368,18 @@ static PyObject *queue_remove(PyObject *self, PyObject *address)
 static int queue_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names))
 {
     Queue *queue = (Queue *)self;
-    PyObject *take, *reset_error;
+    unsigned long long take_serialized, take, reset_error, default_allocator;
     Py_ssize_t large;
-    if (!PyArg_ParseTuple(args, "OOn", &take, &reset_error, &large)) {
+    if (!PyArg_ParseTuple(args, "KKKKn", &take_serialized, &take, &reset_error, &default_allocator, &large)) {
         return -1;
     }
-    void *functions[] = {PyLong_AsVoidPtr(take), PyLong_AsVoidPtr(reset_error)};
-    if (PyErr_Occurred()) {
-        return -1;
+    queue->take_serialized = (Take)(uintptr_t)take_serialized;
+    queue->take = (Take)(uintptr_t)take;
+    queue->reset_error = (void (*)(void))(uintptr_t)reset_error;
+    Allocator (*get_allocator)(void) = (Allocator (*)(void))(uintptr_t)default_allocator;
+    for (int at = 0; at < BATCH; at++) {
+        queue->slots[at].bytes.allocator = get_allocator(); /* rcutils_get_default_allocator */
     }
-    queue->take = (int32_t (*)(const void *, void *, void *, void *))functions[0];
-    queue->reset_error = (void (*)(void))functions[1];
     queue->large = (size_t)large;
     queue->lock = PyThread_allocate_lock();
     queue->signal = PyThread_allocate_lock();
@@ -374,7 +403,7 @@ static void queue_dealloc(PyObject *self)
         }
     }
     for (size_t at = 0; at < BATCH; at++) {
-        free(queue->slots[at].wire.start);
+        free(queue->slots[at].bytes.buffer);
     }
     release(self);
     Py_DECREF(type);
@@ -397,14 +426,6 @@ static PyType_Spec queue_spec = {
     "bridge.adapters.ros2.taking.Queue", sizeof(Queue), 0, Py_TPFLAGS_DEFAULT, queue_slots,
 };
 
-/* rcutils_uint8_array_t */
-typedef struct {
-    const char *buffer;
-    size_t length;
-    size_t capacity;
-    void *allocator[5];
-} Bytes;
-
 /* Keeps the interpreter's lock for a small message: releasing it would cost more than the call. */
 static PyObject *publish(PyObject *Py_UNUSED(module), PyObject *args)
 {
@@ -416,7 +437,7 @@ static PyObject *publish(PyObject *Py_UNUSED(module), PyObject *args)
     }
     typedef int32_t (*Publish)(const void *publisher, const Bytes *message, void *allocation);
     Publish call = (Publish)(uintptr_t)function; /* rcl_publish_serialized_message */
-    Bytes message = {payload, (size_t)size, (size_t)size, {NULL}};
+    Bytes message = {(char *)payload, (size_t)size, (size_t)size, {{NULL}}};
     int32_t code;
     if (size < large) {
         code = call((const void *)(uintptr_t)publisher, &message, NULL);

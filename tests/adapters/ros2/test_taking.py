@@ -27,37 +27,61 @@ class _Info(ctypes.Structure):
     ]  # fmt: skip
 
 
+class _Bytes(ctypes.Structure):
+    _fields_ = [
+        ("buffer", ctypes.c_void_p), ("length", ctypes.c_size_t), ("capacity", ctypes.c_size_t),
+        ("allocator", ctypes.c_void_p * 5),
+    ]  # fmt: skip
+
+
+def _take_type(message: type[ctypes.Structure]) -> Any:
+    pointers = (ctypes.c_void_p, ctypes.POINTER(message), ctypes.POINTER(_Info), ctypes.c_void_p)
+    return ctypes.CFUNCTYPE(ctypes.c_int32, *pointers)
+
+
 class Rcl:
-    """Subscriptions by their addresses, with the messages that `take` returns; an int is an error."""
+    """Subscriptions by their addresses, with the messages that are taken; an int is an error."""
 
     def __init__(self) -> None:
         self.messages: dict[int, deque[bytes | int]] = {}
-        self.resets = self.exact = 0
-        take = ctypes.CFUNCTYPE(
-            ctypes.c_int32, ctypes.c_void_p, ctypes.POINTER(rcl.Wire), ctypes.POINTER(_Info), ctypes.c_void_p
-        )
-        self._functions: list[Any] = [take(self._take), ctypes.CFUNCTYPE(None)(self._reset)]
-        take_address, reset_address = (ctypes.cast(f, ctypes.c_void_p).value or 0 for f in self._functions)
-        self.queue = taking.Queue(take_address, reset_address, LARGE)
+        self.resets = self.exact = self.as_structure = 0
+        functions = [
+            _take_type(_Bytes)(self._take_serialized), _take_type(rcl.Wire)(self._take),
+            ctypes.CFUNCTYPE(None)(self._reset), ctypes.CDLL("librcutils.so").rcutils_get_default_allocator,
+        ]  # fmt: skip
+        self._functions: list[Any] = functions
+        serialized, take, reset, allocator = (ctypes.cast(f, ctypes.c_void_p).value or 0 for f in self._functions)
+        self.queue = taking.Queue(serialized, take, reset, allocator, LARGE)
         self._report = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_size_t)(taking.ON_NEW_MESSAGES)
 
-    def _take(self, subscription: int, wire: Any, info: Any, _allocation: int | None) -> int:
-        waiting, target = self.messages[subscription], wire.contents
-        if not waiting:
-            return rcl.RET_TAKE_FAILED
-        message = waiting.popleft()
+    def _next(self, subscription: int, info: Any) -> bytes | int:
+        waiting = self.messages[subscription]
+        info.contents.source_ns, info.contents.sequence, info.contents.gid[:] = 5, 7, GID
+        return waiting.popleft() if waiting else rcl.RET_TAKE_FAILED
+
+    def _take_serialized(self, subscription: int, target: Any, info: Any, _allocation: int | None) -> int:
+        message = self._next(subscription, info)
+        return message if isinstance(message, int) else self._fill(target.contents, "buffer", message)
+
+    def _take(self, subscription: int, target: Any, info: Any, _allocation: int | None) -> int:
+        message, wire = self._next(subscription, info), target.contents
         if isinstance(message, int):
             return message
-        if target.exact and target.exact_length == len(message):
-            ctypes.memmove(target.exact, message, len(message))
-            target.exact = None
-            self.exact += 1
-        else:
-            if target.capacity < len(message):
-                target.start, target.capacity = _libc.realloc(target.start, len(message)), len(message)
-            ctypes.memmove(target.start, message, len(message))
+        self.as_structure += 1
+        if not wire.exact or wire.exact_length != len(message):
+            return self._fill(wire, "start", message)
+        ctypes.memmove(wire.exact, message, len(message))
+        wire.length, wire.exact = len(message), None
+        self.exact += 1
+        return rcl.RET_OK
+
+    @staticmethod
+    def _fill(target: Any, name: str, message: bytes) -> int:
+        if target.capacity < len(message):
+            setattr(target, name, _libc.realloc(getattr(target, name), len(message)))
+            target.capacity = len(message)
+        ctypes.memmove(getattr(target, name), message, len(message))
         target.length = len(message)
-        info.contents.source_ns, info.contents.sequence, info.contents.gid[:] = 5, 7, GID
         return rcl.RET_OK
 
     def _reset(self) -> None:
@@ -129,7 +153,7 @@ def test_equal_large_messages_are_taken_into_their_payload(fake: Rcl) -> None:
         received += fake.wait()
     assert [payload for reader, payload in received if reader == "large"] == messages
     assert ("other", b"x") in received
-    assert fake.exact == 2
+    assert (fake.exact, fake.as_structure) == (2, 5)  # a large message, and what follows it
 
 
 def test_large_messages_are_taken_one_at_a_time(fake: Rcl) -> None:
