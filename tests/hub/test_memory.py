@@ -43,7 +43,7 @@ def test_large_messages_with_and_without_shared_memory(first: bool, second: bool
             payload = bytes([number]) * 6_000_000
             seen = len(subscriber.samples)
             arrived = lambda: any(s.data() == payload for s in subscriber.samples[seen:])  # noqa: B023, E731
-            until(lambda: publisher.put(payload) or arrived(), "heard", every=0.2)  # noqa: B023
+            until(lambda: publisher.put(payload) or arrived(), "a message arrives", every=0.2)  # noqa: B023
         assert {sample.data() for sample in subscriber.samples} == {bytes([n]) * 6_000_000 for n in range(10)}
 
 
@@ -63,7 +63,7 @@ def send_big(network: HubNetwork, number: signal.Signals) -> set[Path]:
             sender.ask("put", id=publisher, text="x" * 1_000_000)
             return bool(listener.ask("wait", id=subscription_id, count=1, seconds=0.2)["texts"])
 
-        until(arrived, "heard")
+        until(arrived, "a message arrives")
         used = segments(sender.pid)
         assert 1 << 20 < max(segment.stat().st_size for segment in used) <= 16 << 20
         sender.signal(number)
@@ -91,7 +91,7 @@ def test_a_small_map_takes_neither_a_pool_nor_book_keeping():
             sender.ask("put", id=publisher, text="x" * 60_000)
             return bool(listener.ask("wait", id=subscription_id, count=1, seconds=0.2)["texts"])
 
-        until(arrived, "heard")
+        until(arrived, "a message arrives")
         assert max((segment.stat().st_size for segment in segments(sender.pid)), default=0) < 1 << 20
 
 
@@ -113,7 +113,7 @@ def test_subscription_forgets_closed_publishers(qos: Qos):
         matched(stays)
         for number in range(400):
             publisher = advertise(a, "/busy", qos, str(number))
-            until(lambda n=number: len(subscriber.samples) > n, "heard")
+            until(lambda n=number: len(subscriber.samples) > n, "a message arrives")
             publisher.close()
         assert len(subscriber.subscription.sources) < 200
         stays.put(b"still")

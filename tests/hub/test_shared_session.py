@@ -77,7 +77,7 @@ def test_each_node_receives_the_others_once_and_not_itself(qos: Qos, one: Hub, t
             publisher.put(f"{name} {number}".encode())
         until(
             lambda number=number: all(len(subscriber.samples) > 2 * number + 1 for _, subscriber in subscribers),
-            f"{number} is heard",
+            f"message {number} arrives",
         )
     for name, subscriber in subscribers:
         subscriber.expect(*(f"{other} {number}" for other in hubs if other != name for number in range(count)))
@@ -282,7 +282,7 @@ def test_stalled_reader_does_not_block_other_nodes(network: HubNetwork) -> None:
             sending.start()
             for number in range(100):
                 odometry.put(b"%d" % number)
-                until(lambda number=number: len(subscriber.samples) > number, f"{number} is heard", 5.0)
+                until(lambda number=number: len(subscriber.samples) > number, f"message {number} arrives", 5.0)
             assert not ended.is_set(), "it was sent: this shows nothing"
         finally:
             read.set()

@@ -105,7 +105,7 @@ def until_heard(peer: Peer, heard: int, wanted: MapGrid2D) -> None:
         result = newest(peer, heard)
         return bool(result["data"]) and np.array_equal(from_grid(result, "").occupancy, wanted.occupancy)
 
-    until(same, f"{wanted.name} is heard", 30, 0.1)
+    until(same, f"{wanted.name} arrives", 30, 0.1)
 
 
 def asked(peer: Peer, service: str, type_: str, *, waits: bool = True, **request: Any) -> dict[str, Any]:

@@ -168,7 +168,7 @@ def test_a_subscriber_of_all_puts_and_deletes_has_the_same_content(hub: QuickHub
         for store, name in ((first_store, "a"), (second_store, "b")):  # again, until the route to the listener is known
             until(
                 lambda store=store, name=name: store.store.put(LOCATION, name, KITCHEN) or f"location/{name}" in held,
-                "it hears",
+                "the listener receives it",
                 SECONDS,
             )
         first_store.store.put(MAP, "m1", grid())

@@ -123,6 +123,6 @@ def test_only_subscriptions_to_any_hash_receive_another_hash(hub: Hub, sdk: Peer
     hub.subscription("/chatter", STRING, STRING_HASH, STREAM, same.append)
     hub.subscription("/chatter", STRING, "*", STREAM, every.append)
     talker = sdk.advertise("/chatter", "std_msgs/String", hash="RIHS01_" + "0" * 63 + "1")
-    until(lambda: sdk.publish(talker, {"data": "x"}) or every, "heard")
+    until(lambda: sdk.publish(talker, {"data": "x"}) or every, "a message arrives")
     assert same == []
     assert hub.graph.publishers("/chatter")[0].type_hash.endswith("1")

@@ -30,7 +30,7 @@ def test_samples_arrive_in_order_with_their_metadata(network: HubNetwork):
         matched(publisher)
         for number in range(100):
             publisher.put(b"%d" % number, source_time_ns=1000 + number)
-        until(lambda: len(subscriber.samples) == 100, "all heard")
+        until(lambda: len(subscriber.samples) == 100, "all messages arrive")
         assert subscriber.texts() == [str(n) for n in range(100)]
         assert [s.sequence for s in subscriber.samples] == list(range(1, 101))
         assert [s.source_time_ns for s in subscriber.samples] == list(range(1000, 1100))
@@ -93,7 +93,7 @@ def test_matched_reports_subscribers(network: HubNetwork):
         subscriber = Subscriber(b, "/chatter")
         matched(publisher)
         subscriber.subscription.close()
-        until(lambda: not publisher.matched(), "nobody listens")
+        until(lambda: not publisher.matched(), "the publisher has no subscriber")
         again = Subscriber(b, "/chatter")
         until(lambda: not publisher.pass_over(), "the next listener is noticed")
         again.subscription.close()
@@ -162,7 +162,7 @@ def test_large_message(network: HubNetwork):
         matched(publisher)
         payload = bytes(range(256)) * 40_000
         # it may be dropped on a busy machine
-        until(lambda: publisher.put(payload) or subscriber.samples, "heard", every=0.2)
+        until(lambda: publisher.put(payload) or subscriber.samples, "a message arrives", every=0.2)
         assert subscriber.samples[0].data() == payload
 
 
@@ -285,7 +285,7 @@ def test_sequence_gaps_count_as_lost_samples(network: HubNetwork):
         first, second = b"1" * 16, b"2" * 16
         for gid, sequence in ((first, 1), (first, 2), (second, 7), (first, 5), (second, 8), (first, 6), (second, 10)):
             raw.put(b"x", attachment=pack_attachment(sequence, 1000 + sequence, gid))
-        until(lambda: len(subscriber.samples) == 7, "all heard")
+        until(lambda: len(subscriber.samples) == 7, "all messages arrive")
         assert subscriber.subscription.lost == 2 + 1
         assert "3 from an unknown node" in subscriber.subscription.losses()
 
@@ -310,7 +310,7 @@ def test_publisher_used_by_many_threads_numbers_without_gaps(network: HubNetwork
             thread.start()
         for thread in threads:
             thread.join()
-        until(lambda: len(subscriber.samples) == 800, "all heard")
+        until(lambda: len(subscriber.samples) == 800, "all messages arrive")
         assert [s.sequence for s in subscriber.samples] == list(range(1, 801))
 
 
@@ -333,7 +333,7 @@ def test_priority_on_the_wire(network: HubNetwork, priority: str, expected: zeno
         publisher = advertise(a, "/chatter", priority=priority)
         matched(publisher)
         publisher.put(b"x")
-        until(lambda: samples, "heard")
+        until(lambda: samples, "a message arrives")
         raw.undeclare()
         assert (samples[0].priority, samples[0].express) == (expected, priority == "command")
         assert samples[0].congestion_control == zenoh.CongestionControl.DROP

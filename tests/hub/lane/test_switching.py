@@ -207,7 +207,7 @@ def test_late_publishers_and_subscribers(reader: Hub, writer: Hub) -> None:
     assert sorted(later.texts()) in (["one", "two"], ["at once", "one", "two"])
     later.subscription.close()
     subscriber.subscription.close()
-    until(lambda: not first.matched(), "nobody listens")
+    until(lambda: not first.matched(), "the publisher has no subscriber")
     assert first.pass_over()
 
 
