@@ -141,7 +141,7 @@ def _fields(kind: type) -> set[str]:
 
 
 def _missing(kind: type, name: str, method: str) -> str:
-    """Return the reason for a missing method: a typing error, if a similar name exists, before a method of YARP."""
+    """Return the reason for a missing method: a very similar name, else why the method is absent."""
     import difflib
 
     methods = [name for name in dir(kind) if not name.startswith("_")]

@@ -23,7 +23,7 @@ _OTHERS = {
 }
 
 _MOST_PACKED = 200
-"""How many times larger than its compressed file an unpacked file may be."""
+"""The largest accepted ratio of an unpacked file's size to that of its compressed file."""
 
 
 def unpacked_file(file: Path, stack: ExitStack) -> Path:

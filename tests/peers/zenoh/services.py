@@ -31,7 +31,7 @@ class Wire:
     Args:
         encode: converts a type's fields to bytes.
         decode: converts bytes to a type's fields.
-        failed: a bridge's reply if its server failed with a text; None if it never replies.
+        failed: returns a bridge's reply for the error text of its server; None if bridges do not reply to errors.
         takes: whether a bridge forwards a request.
         attachment: of each request.
     """

@@ -22,7 +22,7 @@ DISCOVERY_SECONDS = 1.5
 
 _KEPT = 64
 _PREDECESSORS = 4
-"""Each one disposed those before it when it started, unless it died at once."""
+"""More are not needed: each participant disposed its predecessors when it started, unless it died at once."""
 _MAX_SEEN = 1000
 """Number of origins whose first sight is remembered; the oldest is dropped, and would count as own again."""
 _FILE = "prefixes"
@@ -98,8 +98,8 @@ _MARK = b"MSPN"
 
 
 _FIRST_NUMBER, _NUMBERS = 32, 30
-"""Above the numbers of participants that count up from 0. The last one's ports are below 65536 even in domain 232, the
-highest; Fast DDS ends the process if they are not."""
+"""Other participants on a host count up from 0 and do not reach the first one. The ports of the last one are below
+65536 even in domain 232, the highest; Fast DDS ends the process if they are not."""
 _RECENT = 8
 
 

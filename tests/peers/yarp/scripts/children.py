@@ -1,4 +1,4 @@
-"""Processes that multiprocessing spawns import yarp like the script."""
+"""A script whose spawned processes (multiprocessing) import yarp as well."""
 
 import multiprocessing
 

@@ -4,9 +4,9 @@ const STILL = 6; // px that a tap may move
 const LINE = 33; // px of a wheel's line
 
 /**
- * Call `target`'s methods for gestures, in CSS pixels of the canvas:
- * `aims()` whether a press sets a heading; `pan(dx, dy)`, `zoom(factor, x, y)`, `tap(x, y)`,
- * `press(x, y)`, `aim(x, y)`, `let(x, y, far)`, `forget()`.
+ * Call `target`'s methods for gestures, in CSS pixels of the canvas: `pan(dx, dy)`, `zoom(factor, x, y)`, `tap(x, y)`.
+ * If `aims()` returns true, a press sets a place and a drag its heading: `press(x, y)`, `aim(x, y)` while dragging,
+ * `let(x, y, far)` on release (`far`: whether it was dragged), or `forget()` if the press is canceled.
  */
 export function gestures(canvas, target) {
   const down = new Map(); // pointer -> its last place
