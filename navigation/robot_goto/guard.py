@@ -125,7 +125,7 @@ class FollowCheck:
         """Drop all observations."""
         self.since: float | None = None  # since when the base does not follow, seconds; None while it does
         self._again = -math.inf
-        self._wanted = self._turn = 0.0
+        self._wanted = np.zeros(3)  # with signs: motions to both sides lead back to the same pose
         self._from: Pose | None = None
 
     def add(self, now: float, passed: float, velocity: NDArray[np.float64], moved: Pose) -> None:
@@ -136,9 +136,8 @@ class FollowCheck:
         if self._from is None:
             self._from = moved
             return
-        self._wanted += passed * math.hypot(velocity[0], velocity[1])
-        self._turn += passed * velocity[2]  # with its sign: turns to both sides lead back to the same heading
-        wanted = self._wanted + _ARM * abs(self._turn)
+        self._wanted += passed * velocity
+        wanted = math.hypot(self._wanted[0], self._wanted[1]) + _ARM * abs(self._wanted[2])
         if wanted < (ENOUGH if self.since is None else TRY):
             return
         went = self._from.distance(moved) + _ARM * abs(wrapped(moved.theta - self._from.theta))
@@ -147,7 +146,7 @@ class FollowCheck:
         else:
             self.since = now if self.since is None else self.since
             self._again = now + PAUSE
-        self._wanted, self._turn, self._from = 0.0, 0.0, moved
+        self._wanted[:], self._from = 0.0, moved
 
     def waits(self, now: float) -> bool:
         """Whether the base does not follow, and the next try is not due yet."""

@@ -62,13 +62,14 @@ def test_cells_are_unseen_after_the_memory_time(guard):
     assert guard.unseen
 
 
+@pytest.mark.parametrize("velocity", [(0.0, 0.0, 0.5), (0.1, 0.0, 0.0)], ids=["turns", "drives"])
 @pytest.mark.parametrize(("follows", "fault"), [(True, False), (False, True)])
-def test_a_base_that_turns_back_as_commanded_follows(follows, fault):
-    check, theta = FollowCheck(), 0.0
-    for step, omega in enumerate([0.5] * 10 + [-0.5] * 12):  # 0.5 rad, and back
-        theta += 0.1 * omega if follows else 0.0
-        check.add(0.1 * step, 0.1, np.array((0.0, 0.0, omega)), Pose(0.0, 0.0, theta))
+def test_a_base_that_moves_back_as_commanded_follows(velocity, follows, fault):
+    check, pose = FollowCheck(), ORIGIN
+    for step, sign in enumerate([1] * 10 + [-1] * 12):  # 0.5 rad or 0.1 m, and back
+        pose = pose @ Pose(*(0.1 * sign * follows * value for value in velocity))
+        check.add(0.1 * step, 0.1, sign * np.array(velocity), pose)
     assert check.since is None
     for step in range(30):
-        check.add(2.2 + 0.1 * step, 0.1, np.array((0.1, 0.0, 0.0)), Pose(0.01 * step * follows, 0.0, theta))
+        check.add(2.2 + 0.1 * step, 0.1, np.array((0.1, 0.0, 0.0)), pose @ Pose(0.01 * step * follows, 0.0, 0.0))
     assert (check.since is not None) == fault
