@@ -75,13 +75,6 @@ class Guard:
             settings.robot_radius, settings.robot_radius, math.radians(settings.frontal_blind_angle), self.ahead,
         )  # fmt: skip
 
-    def occupies_end(self, moved: Pose, direction: float, distance: float, radius: float) -> bool:
-        """Whether an obstacle is within a radius of the point at a distance (meters) in a direction (radians)."""
-        angle = moved.theta + direction
-        x, y = moved.x + distance * math.cos(angle), moved.y + distance * math.sin(angle)
-        points = self._grid.points[: self._grid.count]
-        return int((np.hypot(points[:, 0] - x, points[:, 1] - y) < radius).sum()) >= 2
-
     def allowed(self, settings: RobotGotoSection, now: float, moved: Pose, wanted: DriveCommand) -> DriveCommand:
         """Return the allowed command: slower if the robot could not stop in time. Turning is always allowed."""
         self._scale, self.blocker[2] = 1.0, -1.0

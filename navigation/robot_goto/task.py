@@ -16,7 +16,6 @@ from navigation.robot_goto.steering import STILL, Aim, DriveCommand, GoalLimits,
 
 CLEAR = 0.3  # seconds for which the path has to be free before the robot drives on
 RAMP = 1.0  # seconds in which it then accelerates to full speed
-_SPARE = 0.05  # meters by which obstacles may be nearer to the goal than the radius: noise, and inexact maps
 _PROGRESS, _TURN_PROGRESS = 0.05, math.radians(2.0)
 _SCAN_TURN, _SCAN_TURNS, _SCAN_AGAIN = 0.5 * math.pi, 2, 0.3  # radians, number of turns, meters
 
@@ -113,8 +112,7 @@ class Obstruction:
             length = max(length, self._length)  # an obstacle that stopped the robot early still counts when it stands
         self._length = length
         radius = settings.robot_radius
-        reach = distance + radius if limits.avoid else distance  # walls beyond a waypoint never move away
-        guard.check_ahead(settings, moved, beta, min(length, reach))
+        guard.check_ahead(settings, moved, beta, min(length, distance + radius))
         if limits.avoid:
             if blocked < max(length, radius + 0.2):
                 return "the path is blocked"
@@ -122,9 +120,7 @@ class Obstruction:
                 return "a person crosses the path"
             if people_speed(settings, guard.ahead[2] - radius - FAST_ROOM) < 0.02:
                 return "a person is too close"
-        elif limits.stop and (
-            guard.ahead[0] >= 2 or (distance < length and guard.occupies_end(moved, beta, distance, radius - _SPARE))
-        ):
+        elif limits.stop and guard.ahead[0] >= 2:
             return "an obstacle is on the path"
         return ""
 

@@ -158,18 +158,6 @@ def test_with_on_obstacle_wait_the_robot_waits_and_drives_on_slowly():
     assert not scene.touched
 
 
-@pytest.mark.parametrize(
-    ("obstacle", "state"),
-    [(box(1.4, 0.45), State.REACHED), (box(1.4, 0.0), State.FAILING)],
-    ids=["a door frame beside it", "behind it"],
-)
-def test_with_on_obstacle_wait_only_what_is_too_close_to_the_goal_matters_beyond_it(obstacle, state):
-    scene = Scene(max_waiting_time=1.0)
-    scene.sim.world.spawn(obstacle, "box")
-    assert scene.goto(1.0, 0.0, on_obstacle="wait") is state
-    assert not scene.touched
-
-
 def test_a_wait_that_takes_too_long_fails_with_the_reason():
     scene = Scene(max_waiting_time=2.0)
     scene.sim.world.spawn(box(1.5, 0.0), "box")
