@@ -148,7 +148,7 @@ class HubSession:
         self.graph.announce(wire_key(settings.domain, self.zid))
         self.lane: Lane | None = None
         if settings.lane is not None and possible():
-            self.lane = Lane(Path(settings.lane), self.zid, session, settings.domain)
+            self.lane = Lane(Path(settings.lane), self.zid, session, settings.domain, self.graph.renew)
             self.graph.watch(self.lane.graph_changed)
         self.mesh = Mesh(session, lambda: without_shared_memory(_config(settings)), self._members, self._peers)
         # a process that exits with an open session hangs in zenoh's threads

@@ -94,6 +94,7 @@ class HubGraph:
     """Nodes, endpoints and origins. Safe to use from any thread.
 
     Attributes:
+        epoch: another object after each token that appears or disappears.
         refused: number of tokens left out because they are malformed or too many.
         trouble: the reason for the last of them.
     """
@@ -121,6 +122,7 @@ class HubGraph:
         self._zids: dict[bytes, str] = {}
         self._own: dict[str, zenoh.LivelinessToken] = {}
         self._watches: dict[object, Callable[[], None]] = {}
+        self.epoch = object()
         self.refused = 0
         self.trouble = ""
         self._liveliness = session.liveliness()
@@ -453,7 +455,12 @@ class HubGraph:
         self.trouble = f"{why}: {key:.100}"
         _log.log(level, "liveliness token left out, %s: %.200s", why, key)
 
+    def renew(self) -> None:
+        """Begin a new epoch: another session may have declared subscribers."""
+        self.epoch = object()
+
     def _notify(self, changed: bool) -> None:
+        self.renew()
         if changed:
             for callback in tuple(self._watches.values()):
                 callback()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Any, Protocol
@@ -43,14 +45,17 @@ class Choosing(Protocol):
 
 
 class Lane:
-    """Opened by `Lane.open`; the writing end is None if this session cannot have one.
+    """The writing end is None if this session cannot have one.
+
+    Args:
+        renew: called before the reply to a barrier: another session has declared subscribers.
 
     Attributes:
         writer: sends this session's publications to other sessions.
         why: why this session cannot publish on the lane, else "".
     """
 
-    def __init__(self, path: Path, zid: str, session: zenoh.Session, domain: int) -> None:
+    def __init__(self, path: Path, zid: str, session: zenoh.Session, domain: int, renew: Callable[[], None]) -> None:
         self._folder, self._zid, self._session = path, zid, session
         self._lock = Lock()
         self._inlets: dict[str, Inlet] = {}
@@ -70,7 +75,7 @@ class Lane:
             self.why = f"{path}: {err.strerror or err}"
             _log.warning("this worker has no lane, its messages use zenoh: %s", self.why)
         self.calls = DelayedCalls("hub-lane-calls")
-        self._answering = answer(session, self._barrier_key + zid, _reply)
+        self._answering = answer(session, self._barrier_key + zid, partial(_reply, renew))
         self._thread = Thread(target=self._run, name="hub-lane", daemon=True)
         self._thread.start()
 
@@ -235,7 +240,8 @@ class Lane:
         self._asking.close()
 
 
-def _reply(query: zenoh.Query) -> None:
+def _reply(renew: Callable[[], None], query: zenoh.Query) -> None:
     keep_thread_state()
+    renew()
     with query:
         query.reply(str(query.key_expr), b"")
