@@ -18,25 +18,28 @@ from bridge.routing.processes import has_ended, process_name
 
 
 class Lease:
-    """The time until which messages may cross. It expires while a worker hangs, which then drops its backlog."""
+    """The time ``until`` which messages may cross (monotonic seconds).
 
-    __slots__ = ("_until",)
+    It expires while a worker hangs, which then drops its backlog.
+    """
+
+    __slots__ = ("until",)
 
     def __init__(self) -> None:
-        self._until = 0.0
+        self.until = 0.0
 
     @property
     def over(self) -> bool:
-        """Whether it has expired, and nothing may cross now. Fast enough for a check at each message."""
-        return time.monotonic() > self._until
+        """Whether it has expired, and nothing may cross now. A route that knows the time compares it with ``until``."""
+        return time.monotonic() > self.until
 
     def extend(self, until: float) -> None:
         """Let messages cross until a time on the monotonic clock."""
-        self._until = until
+        self.until = until
 
     def end(self) -> None:
         """Let nothing cross from now on."""
-        self._until = 0.0
+        self.until = 0.0
 
 
 _log = logging.getLogger(__name__)

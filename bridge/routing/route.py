@@ -85,9 +85,10 @@ class Route:
 
     def too_large(self, size: int) -> bool:
         """Return whether a message of ``size`` bytes is too large, and count it as refused."""
-        if size > self._max_payload:
-            self.bad(f"message of {size} bytes, limits.message allows {self._max_payload}", "large")
-        return size > self._max_payload
+        if size <= self._max_payload:
+            return False
+        self.bad(f"message of {size} bytes, limits.message allows {self._max_payload}", "large")
+        return True
 
     def bad(self, error: str, reason: str = "bad") -> None:
         """Count a refused message and log at a limited rate. May be called from any thread."""

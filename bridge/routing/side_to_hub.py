@@ -105,6 +105,7 @@ class SideToHubRoute(TopicRoute):
         self._hold = context.hold
         depth = policy.depth or QUEUE_DEPTH[self._priority]
         name = f"midspan-in{self.side_topic}"
+        self._queues = False  # until the first large message
         self._large = BoundedQueue(name, depth, QUEUE_BYTES, self._carry_large, self.crowded_out)
 
     def update(self, endpoints: Sequence[Endpoint]) -> None:
@@ -200,13 +201,21 @@ class SideToHubRoute(TopicRoute):
             if known is None:
                 self.counters.dropped("unknown")  # the publisher left meanwhile
             elif leased or known.latched:
-                self._pass(known, source, payload, time_ns)
+                self._pass(known, source, payload, time_ns, time.monotonic())
             else:
                 self.counters.dropped("standby")
 
     def deliver(self, payload: bytes, source: str, time_ns: int | None) -> None:
         """Handle a message of one of the side's publishers; the edge calls it, on any thread."""
         known = self._sources.get(source)
+        since = time.monotonic()
+        if known is None or known.latched or since > self._lease.until:
+            self._deliver_rare(known, payload, source, time_ns)
+        else:
+            self._pass(known, source, payload, time_ns, since)
+
+    def _deliver_rare(self, known: _Source | None, payload: bytes, source: str, time_ns: int | None) -> None:
+        """Handle a message that is latched, of an unknown publisher, or arrives without the lease."""
         counters = self.counters
         if self._lease.over:
             # a latched message arrives only once, and the route may continue
@@ -229,24 +238,25 @@ class SideToHubRoute(TopicRoute):
         elif known.latched and (self.pending or self._releasing.locked()):  # in this order
             with self._releasing:
                 self._release()
-                self._pass(known, source, payload, time_ns)
+                self._pass(known, source, payload, time_ns, time.monotonic())
         else:
-            self._pass(known, source, payload, time_ns)
+            self._pass(known, source, payload, time_ns, time.monotonic())
 
     def _blocked(self) -> bool:
         return self._hold is not None and self._hold.held and self.hub_topic in self._hold.topics
 
-    def _pass(self, known: _Source, source: str, payload: bytes, time_ns: int | None) -> None:
-        """Publish a message of a known publisher, unless it must not pass now."""
-        since = time.monotonic()
-        if self._blocked():
+    def _pass(self, known: _Source, source: str, payload: bytes, time_ns: int | None, since: float) -> None:
+        """Publish a message of a known publisher, which arrived at ``since``, unless it must not pass now."""
+        size = len(payload)
+        if self._hold is not None and self._blocked():
             self.counters.dropped("held")
         elif self._priority is Priority.COMMAND and self._stale(known, time_ns):
             self.counters.dropped("stale")
-        elif (self._limit is not None and self.over_rate(latched=known.latched)) or self.too_large(len(payload)):
+        elif (self._limit is not None and self.over_rate(latched=known.latched)) or self.too_large(size):
             return
-        elif len(payload) > BULK or self._large.busy:
-            self._large.put(_Message(payload, known, source, time_ns, since), len(payload))
+        elif size > BULK or (self._queues and self._large.busy):
+            self._queues = True
+            self._large.put(_Message(payload, known, source, time_ns, since), size)
         else:
             self._carry(payload, known, time_ns, since)
 
@@ -261,13 +271,14 @@ class SideToHubRoute(TopicRoute):
         try:
             convert = self.conversion.convert
             data = payload if convert is None else convert(payload)
-            if self.too_large(len(data)):
+            size = len(data)
+            if self.too_large(size):
                 return
             known.put(data, time_ns)
         except (MessageError, HubError, ValueError) as err:
             self.bad(str(err))
             return
-        self.counters.carried(len(data), since)
+        self.counters.carried(size, since)
         if self._tells_time:
             self._context.edge.clock.receive(data)
 

@@ -99,6 +99,13 @@ else:
             sock.setblocking(True)
 
 
+def receiver(sock: socket.socket, count: int) -> Callable[[], bytes]:
+    """Return a function that calls `receive_now`, without a frame of Python if the system allows."""
+    if hasattr(socket, "MSG_DONTWAIT"):
+        return partial(sock.recv, count, socket.MSG_DONTWAIT)
+    return partial(receive_now, sock, count)
+
+
 def is_readable(sock: socket.socket) -> bool:
     """Return whether a socket has data or its end to read."""
     if hasattr(select, "poll"):  # for descriptors of any number

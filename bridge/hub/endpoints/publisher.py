@@ -25,7 +25,7 @@ from bridge.hub.lane.lane import Lane
 from bridge.hub.lane.outlet import Outlet
 from bridge.hub.lane.writer import LaneWriter
 from bridge.hub.opening import prepare_to_send
-from bridge.hub.wire.keys import key_type, key_variant, pack_attachment
+from bridge.hub.wire.keys import ATTACHMENT, GID_SIZE, key_type, key_variant
 from bridge.hub.wire.qos import History, Qos, Reliability
 from bridge.hub.zenoh_compat import BEHIND, keep_thread_state, source_infos, undeclare
 from bridge.hub.zenoh_config import POOL
@@ -42,6 +42,7 @@ LARGE = POOL
 
 
 _log = logging.getLogger(__name__)
+_pack = ATTACHMENT.pack
 
 NO_LANE = "this worker has no lane"
 
@@ -137,7 +138,12 @@ class _Matching:
             )
             # one step of CPython, so that this older state does not replace a change reported meanwhile
             self._told.setdefault("", _matching(self._publisher))
-        return self._told[""] or _matching(self._publisher)
+        if self._told[""]:
+            return True
+        if _matching(self._publisher):
+            self._absent = None
+            return True
+        return False
 
     def _changed(self, status: Any) -> None:
         """Runs on a zenoh thread."""
@@ -350,9 +356,10 @@ class HubPublisher:
         ``source_time_ns`` is the system time of its source, by default now. Raises `HubClosedError` if the publisher or
         its session is closed, and `HubError` if the message is larger than the hub's limit.
         """
-        if len(payload) > self._limit:
-            raise HubError(f"message of {len(payload)} bytes on {self.topic}: the hub's limit is {self._limit}")
-        LARGE_MESSAGES.passed(len(payload))
+        size = len(payload)
+        if size > self._limit:
+            raise HubError(f"message of {size} bytes on {self.topic}: the hub's limit is {self._limit}")
+        LARGE_MESSAGES.passed(size)
         if source_time_ns is None:
             source_time_ns = time.time_ns()
         # the lock is held while sending, so that the numbers arrive in order
@@ -360,7 +367,7 @@ class HubPublisher:
             if not self._sinks:
                 raise HubClosedError(f"publisher of {self.topic} is closed")
             self._sequence += 1
-            attached = pack_attachment(self._sequence, source_time_ns, self.gid)
+            attached = _pack(self._sequence, source_time_ns, GID_SIZE, self.gid)
             if self._outlets:
                 self.by_lane += 1
                 for outlet in self._outlets:

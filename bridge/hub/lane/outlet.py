@@ -7,12 +7,14 @@ import errno
 import socket
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from threading import Lock
 
 from bridge.hub.lane.joining import MAX_JOINED, MAX_JOINED_BYTES, send_later
 from bridge.hub.lane.wire import BOUND, DATA, FENCE, HEAD, MARK, PART, PIECE, SIZE, TOKEN
 from bridge.hub.wire.keys import pack_attachment
 
+_size = SIZE.pack
 _NO_MEMORY = (errno.ENOBUFS, errno.ENOMEM)
 
 MAX_WAITING = 32 << 20
@@ -37,6 +39,8 @@ class Outlet:
         depth: maximum number of queued messages.
         dropped: number of dropped messages.
         fences: number of fences among the queued messages.
+        head: what precedes each of its messages in a record.
+        send: sends, joins (`bridge.hub.lane.joining`) or queues a message, given attachment and payload; never blocks.
     """
 
     def __init__(self, link: ReaderLink, number: int, key: str) -> None:
@@ -44,15 +48,12 @@ class Outlet:
         self.command, self.depth = False, 1
         self.queue: deque[LaneMessage] = deque()
         self.dropped = self.fences = 0
-        self._head = HEAD.pack(DATA, number)
-
-    def send(self, attached: bytes, payload: bytes) -> None:
-        """Send, join (`bridge.hub.lane.joining`) or queue a message; never blocks."""
-        self.link.send(self, attached, payload)
+        self.head = HEAD.pack(DATA, number)
+        self.send: Callable[[bytes, bytes], None] = partial(link.send, self)
 
     def record(self, attached: bytes, payload: bytes) -> bytes:
         """Return a message as it is in a record."""
-        return b"".join((self._head, SIZE.pack(len(payload)), attached, payload))
+        return b"".join((self.head, _size(len(payload)), attached, payload))
 
     def mark(self, gid: bytes, sequence: int) -> None:
         """Send a mark: the publisher's messages after this number are sent here."""
@@ -111,7 +112,10 @@ class ReaderLink:
 
     def _send_joined(self) -> None:
         joined, self._joined = self._joined, []
-        if not self._put(b"".join([outlet.record(attached, payload) for outlet, attached, payload in joined])):
+        parts: list[bytes] = []
+        for outlet, attached, payload in joined:
+            parts += (outlet.head, _size(len(payload)), attached, payload)
+        if not self._put(b"".join(parts)):
             for outlet, attached, payload in () if self._closed else joined:
                 self._wait(outlet, LaneMessage(attached, payload))
 

@@ -107,13 +107,13 @@ def demangle(chunk: str) -> str:
 
 
 GID_SIZE = 16
-_ATTACHMENT = struct.Struct(f"<qqB{GID_SIZE}s")
-ATTACHMENT_SIZE = _ATTACHMENT.size
+ATTACHMENT = struct.Struct(f"<qqB{GID_SIZE}s")
+ATTACHMENT_SIZE = ATTACHMENT.size
 
 
 def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
     """The attachment's bytes."""
-    return _ATTACHMENT.pack(sequence, source_time_ns, GID_SIZE, gid)
+    return ATTACHMENT.pack(sequence, source_time_ns, GID_SIZE, gid)
 
 
 def unpack_attachment(data: bytes) -> tuple[int, int, bytes]:
@@ -127,7 +127,7 @@ def unpack_attachment(data: bytes) -> tuple[int, int, bytes]:
         raise HubWireError(
             f"attachment of {len(data)} bytes instead of {ATTACHMENT_SIZE}: rmw_zenoh before 0.2.4 wrote another form"
         )
-    sequence, time_ns, size, gid = _ATTACHMENT.unpack(data)
+    sequence, time_ns, size, gid = ATTACHMENT.unpack(data)
     if size != GID_SIZE:
         raise HubWireError(f"attachment with a GID of {size} bytes instead of {GID_SIZE}")
     return sequence, time_ns, gid

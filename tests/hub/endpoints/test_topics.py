@@ -111,16 +111,39 @@ def test_a_listed_subscription_of_another_program_misses_nothing(
         publisher, key = advertise(a, "/chatter"), topic_key(network.domain, "/chatter", TYPE, HASH)
         for number in range(joins):
             assert not publisher.matched()
+            publisher.put(b"unheard")
             beside = RmwSubscription(other, key, STREAM)
             node = NodeToken(network.domain, str(other.zid()), "0", "/", "other", BRIDGE_ENCLAVE)
             entity = EndpointToken(node, str(number + 1), EndpointKind.SUBSCRIPTION, "/chatter", TYPE, HASH, STREAM)
             beside.announce(endpoint_key(entity))
             until(lambda: a.graph.subscriptions("/chatter"), "it is listed")
-            assert not publisher.pass_over()
             publisher.put(b"x")
             beside.expect("x")
+            assert not publisher.pass_over()
             beside.close()
             until(lambda: not a.graph.subscriptions("/chatter") and publisher.pass_over(), "it has left")
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_an_unlisted_subscriber_misses_nothing_from_the_match_on(
+    network: HubNetwork, monkeypatch: pytest.MonkeyPatch, late: bool
+) -> None:
+    """A plain zenoh program announces no token. Its match is reported, or ``late`` found by a query."""
+    if late:
+        monkeypatch.setattr(_Matching, "_changed", lambda *_: None)
+    with Hub.open(network.settings("a")) as a, network.program() as other:
+        publisher = advertise(a, "/chatter", STREAM, "unheard", "unheard")
+        texts: list[str] = []
+        key = topic_key(network.domain, "/chatter", TYPE, HASH)
+        subscriber = other.declare_subscriber(key, lambda sample: texts.append(sample.payload.to_string()))
+        (sink,) = publisher._sinks
+        matching = sink._matching  # type: ignore[attr-defined]
+        until(publisher.matched if late else lambda: matching._told[""], "the match is known")
+        for number in range(100):
+            publisher.put(b"%d" % number)
+        until(lambda: len(texts) >= 100, "all heard")
+        assert texts == [str(number) for number in range(100)]
+        subscriber.undeclare()
 
 
 def test_publisher_detects_earlier_subscriptions(network: HubNetwork):

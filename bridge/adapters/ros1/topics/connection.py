@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from typing_extensions import override
 
-from bridge.adapters.ros1.connection_loop import ConnectionLoop, is_readable, receive_now
+from bridge.adapters.ros1.connection_loop import ConnectionLoop, is_readable, receiver
 from bridge.adapters.ros1.topics.bus import TopicConnection
 from bridge.adapters.ros1_peers import DeadlineSocket, Ros1ProtocolError
 
@@ -47,6 +47,7 @@ class PublisherConnection(TopicConnection):
         super().__init__(sock, uri)  # its lock decides which thread closes the socket
         self._deliver, self._ended, self._refused, self._limit = deliver, ended, refused, limit
         self._loop, self._taken = loop, b""
+        self._receive = receiver(self._sock, _CHUNK)
         self._started = self._midway = False
         self._thread = threading.Thread(target=self._run, name=f"midspan-ros1-in{topic}", daemon=True)
 
@@ -133,23 +134,26 @@ class PublisherConnection(TopicConnection):
 
     def _take_small(self) -> bool:
         """Deliver small messages; return whether a large one is next. Raises `BlockingIOError` without data."""
-        more = receive_now(self._sock, _CHUNK)
+        more = self._receive()
         if not more:
             raise ConnectionResetError(_CLOSED)
         self._midway = True
-        buffer, at, small = self._taken + more, 0, min(self._limit, MAX_MESSAGE, _LARGE)
+        buffer, at, small = self._taken + more if self._taken else more, 0, min(self._limit, MAX_MESSAGE, _LARGE)
         end = len(buffer)
-        while end - at >= 4:
+        while (begin := at + 4) <= end:
             (size,) = _LENGTH.unpack_from(buffer, at)
-            if size > small or end - at - 4 < size:
-                self._taken = buffer[at:]
-                self._midway = bool(size > small)
-                return self._midway
-            self._hand_over(buffer[at + 4 : at + 4 + size])
-            at += 4 + size
+            if size > small or end - begin < size:
+                break
+            at = begin + size
+            self.bytes += size + 4
+            self.messages += 1
+            if not self.done:
+                self._deliver(buffer[begin:at])
+        else:
+            size = 0
         self._taken = buffer[at:]
-        self._midway = False
-        return False
+        self._midway = bool(size > small)
+        return self._midway
 
     def _hand_over(self, payload: bytes) -> None:
         self.bytes += len(payload) + 4
