@@ -164,7 +164,7 @@ class BuildKernels(build_ext):
 
 MODULES = () if os.environ.get("MIDSPAN_PURE") else (kernels.SHARED, *kernels.C_MODULES, *kernels.KERNELS)
 
-if __name__ == "__main__":  # Cython's processes import this file, except where they are forked
+if __name__ == "__main__":  # processes of Cython that are not forked import this file
     setup(
         ext_modules=[_extension(module) for module in MODULES],
         cmdclass={"build_ext": BuildKernels},

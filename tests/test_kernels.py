@@ -66,7 +66,7 @@ def test_a_kernel_that_cannot_be_compiled_is_left_out(tmp_path: Path, monkeypatc
 
 @pytest.mark.parametrize(("name", "calls"), [("__main__", 1), ("__mp_main__", 0)])
 def test_only_the_script_itself_builds(name: str, calls: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cython's processes import it where they are not forked: on macOS, Windows, and with Python 3.14."""
+    """Processes of Cython that are not forked import it: on macOS, Windows, and with Python 3.14."""
     monkeypatch.setitem(sys.modules, "kernels", kernels)
     called: list[object] = []
     monkeypatch.setattr("setuptools.setup", lambda **settings: called.append(settings))

@@ -37,7 +37,7 @@ from navigation.status import Fault, PlanError, PlannerStatus, State
 _JUMP = 0.5  # meters; the robot replans if localization moves it by more at once, or by 30 degrees
 _WATCH = 0.5  # seconds between two checks of the path ahead
 _AHEAD = 5.0  # meters of the path that are checked
-_AGAIN = 2.0  # seconds after which planning is repeated if there was no path
+_AGAIN = 2.0  # seconds after which planning is repeated without a path
 _GLITCH = 0.3  # seconds for which a missing pose does not matter
 _NEARER = 0.5  # meters of progress towards the goal that reset the count of attempts
 _PATIENCE_PER_METER, _LONGEST_PATIENCE = 2.0, 20.0

@@ -81,7 +81,7 @@ def publisher_gid(publisher: int) -> bytes:
 class RmwSubscription:
     """A reliable, volatile reader of a DDS topic; ``pointer`` is its ``rmw_subscription_t *``.
 
-    It has the methods of rclpy's inner objects that `bridge.adapters.ros2.loop.EndpointReader` uses. Raises
+    It has those methods of the objects inside rclpy that `bridge.adapters.ros2.loop.EndpointReader` uses. Raises
     `MessageTypeError` if the middleware refuses it.
 
     Args:

@@ -1,7 +1,7 @@
 """The versions of ROS 2 types: those of the releases, and those of the configuration's folders.
 
 A release is a chain of folders: its own, with the definitions that differ from the release before, then those of the
-releases before. Whatever a chain lacks comes from the usual sources. Humble's endpoints announce no hash, so its
+releases before. Types that a chain lacks come from the usual sources. Humble's endpoints announce no hash, so its
 versions have no entry by hash.
 """
 
@@ -83,7 +83,7 @@ class TypeVersions:
     Args:
         installed: the types that this machine uses.
         folders: the configuration's folders, each of which may have its own version of a package.
-        sources: where the installed types are found.
+        sources: sources of the installed types.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The queue of readers with new messages, with functions in place of rcl's."""
+"""The queue of readers with new messages, with stand-ins for the functions of rcl."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def test_a_step_down_is_detected_below_the_floor():
     voxels.add(1.0, np.concatenate((surface(1.0, 0.0, 0.0), surface(1.6, 0.0, -0.12))), EYE, HERE)
     places = voxels.places(1.0)
     assert len(places)
-    # the rays come through the floor's height a little before where they end, and beyond the floor that is voxels
+    # the rays pass the floor's height a little before they end, and beyond the floor that is voxels
     ahead = 0.1 + 1.5 * 1.1 / 1.22
     assert near(places, ahead, 0.0)
     assert places[:, 0].min() > 1.15

@@ -73,7 +73,7 @@ class RosMaster:
         self._process: Process | None = None
 
     def start(self, *, forget: bool = False) -> None:
-        """Start roscore, and wait until it replies; ``forget``: discard the saved state of Midspan's own master."""
+        """Start roscore, and wait until it replies; ``forget``: discard what Midspan's master has saved."""
         if forget:
             Path(self._folder, "master.json").unlink(missing_ok=True)
         self._process = Process([*self._program, str(self.port)], self.env)

@@ -21,7 +21,7 @@ MATCH_POLL = 0.01
 class RequestSender:
     """Sends the requests of one client. Not thread-safe: the client's lock is held.
 
-    Servers on Cyclone DDS get requests in their own form, and their replies arrive at a reader of their own. The form
+    Servers on Cyclone DDS get requests in another form, and their replies arrive at a separate reader. The form
     is decided from the graph before each request, unless no server has matched since the last one.
 
     Args:
