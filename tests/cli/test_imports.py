@@ -62,3 +62,9 @@ def test_worker_loads_no_libraries_of_the_command_line_or_other_sides(worker: st
         others |= {"numpy", "bridge.messages.registry"}
     modules = loaded(f"import bridge.cli.daemon.run, bridge.daemon.worker_main, {_WORKERS[worker]}") & others
     assert not modules
+
+
+def test_the_built_in_rules_need_no_yaml() -> None:
+    """Every worker reads them."""
+    code = "from bridge.messages.mapping.version_rules import built_in; assert len(built_in()) > 5"
+    assert "yaml" not in loaded(code)

@@ -1,12 +1,14 @@
 """Rules for types whose versions differ: renamed, moved or retyped fields, and values of added ones.
 
-The entries are those of ``releases/fields.yaml``; the configuration's files (``types.mapping_rules``) have them next to
-ros1_bridge's. Fields with the same name and type need no rule. A rule applies in both directions, between all versions
-that have its fields; several entries may be about one message.
+The built-in ones are in ``releases/fields.json``, which every worker reads, so that none loads a parser for YAML.
+The configuration's files (``types.mapping_rules``) have entries of the same form next to ros1_bridge's. Fields with the
+same name and type need no rule. A rule applies in both directions, between all versions that have its fields; several
+entries may be about one message.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -73,7 +75,8 @@ class VersionRules:
 @cache
 def built_in() -> tuple[VersionRule, ...]:
     """Return the rules of ROS 2's releases."""
-    return tuple(load_version_rules(RELEASES_FOLDER / "fields.yaml"))
+    entries = json.loads((RELEASES_FOLDER / "fields.json").read_text(encoding="utf-8"))
+    return tuple(_rule(entry, "built in") for entry in entries)
 
 
 def load_version_rules(file: Path) -> list[VersionRule]:
