@@ -60,6 +60,11 @@ def assert_path_stops(mix: Mix) -> None:
     client = mix.clients[ROS2]
     assert isinstance(client, RosClient)
     client.send("/follow_path", "nav2_msgs/FollowPath", PATH)
+    assert_goal_stops(mix, client)
+
+
+def assert_goal_stops(mix: Mix, client: RosClient) -> None:
+    """Stop the base through the gateway once a client's goal moves it; the client's goal is canceled."""
     until(lambda: mix.base.moves, "it moves", SECONDS)
     until(lambda: mix.state() == "moving", "the status shows that it moves", STANDS_SECONDS)
     watch = Watch(mix, "")

@@ -11,11 +11,19 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.interop.test_stop_nav2 import ALL, assert_ends_once, assert_path_stops, assert_stops, drive_in, wait
+from tests.interop.test_stop_nav2 import (
+    ALL,
+    assert_ends_once,
+    assert_goal_stops,
+    assert_path_stops,
+    assert_stops,
+    drive_in,
+    wait,
+)
 from tests.peers.daemon.deployment import Deployment
 from tests.peers.navigation.mix import NAV2, Mix
 from tests.peers.navigation.mix_clients import COMMAND, ROS2, SECONDS, ZENOH, RosClient
-from tests.peers.navigation.mix_faults import AWAY, STANDS_SECONDS, Watch, start_driving
+from tests.peers.navigation.mix_faults import AWAY, STANDS_SECONDS, start_driving
 from tests.support.wait import until
 
 BACKUP = "nav2_msgs/BackUp", {"target": {"x": -AWAY}, "speed": -0.5}
@@ -110,9 +118,4 @@ def test_stop_of_a_behavior_of_another_client(mix: Mix, action: str) -> None:
             return mix.base.moves
 
         until(teleoperated, "it moves", SECONDS, 0.2)
-    until(lambda: mix.base.moves, "it moves", SECONDS)
-    until(lambda: mix.state() == "moving", "the status shows that it moves", STANDS_SECONDS)
-    watch = Watch(mix, "")
-    wait(watch, 0.5)
-    assert_stops(watch)
-    assert client.seen() == "canceled", client.seen()
+    assert_goal_stops(mix, client)
