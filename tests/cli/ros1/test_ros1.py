@@ -25,7 +25,7 @@ def test_a_master_keeps_its_state_and_ends_by_the_shutdown_call(tmp_path: Path):
     env = {name: value for name, value in os.environ.items() if not name.startswith(("MIDSPAN_", "ROS_"))}
 
     def call(method: str, *params: Any) -> Any:
-        with xmlrpc.client.ServerProxy(f"http://127.0.0.1:{port}/") as proxy:
+        with xmlrpc.client.ServerProxy(f"http://{host}:{port}/") as proxy:
             return getattr(proxy, method)("/node", *params)[2]  # type: ignore[index]
 
     def run(*options: str) -> Process:
@@ -33,9 +33,12 @@ def test_a_master_keeps_its_state_and_ends_by_the_shutdown_call(tmp_path: Path):
         until(lambda: _answers(call), "the master answers")
         return process
 
-    for options, value in (((), {}), ((), 5), (("--forget",), {})):
+    for options, host, value in (
+        ((), "127.0.0.1", {}), ((), "127.0.0.1", 5), (("--forget", "--listen", "[::1]:1"), "[::1]", {}),
+    ):  # fmt: skip
         with run(*options) as process:
-            assert call("getUri") == f"http://127.0.0.1:{port}/"
+            assert call("getUri") == f"http://{host}:{port}/"
+            assert call("lookupNode", "/rosout").startswith(f"http://{host}:")
             assert call("subscribeParam", "http://127.0.0.1:1/", "/x") == value
             call("setParam", "/x", 5)
             assert call("shutdown", "done") == 0

@@ -1,6 +1,6 @@
 """Midspan's own ROS 1 master, instead of `core.py`.
 
-Usage: embedded_core.py STATE_FILE PORT
+Usage: embedded_core.py STATE_FILE ADDRESS PORT
 """
 
 import signal
@@ -16,7 +16,7 @@ def main() -> None:
     end = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: end.set())
-    master = EmbeddedMaster("127.0.0.1", int(sys.argv[2]), state=Path(sys.argv[1]), purge=30.0)
+    master = EmbeddedMaster(sys.argv[2], int(sys.argv[3]), state=Path(sys.argv[1]), purge=30.0)
     master.start()
     end.wait()
     master.close()

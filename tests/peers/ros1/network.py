@@ -51,16 +51,20 @@ class RosMaster:
     """A roscore (master, parameters, rosout) on its own port, which stays the same when it is restarted.
 
     The programs run without roscore's launcher, unless ``command`` requests the real command. ``embedded`` selects
-    Midspan's own master instead, which keeps its state over a restart.
+    Midspan's own master instead, which keeps its state over a restart. ``address`` is the host in its URI, and that of
+    its nodes.
     """
 
-    def __init__(self, *, command: bool = False, embedded: bool = EMBEDDED) -> None:
+    def __init__(
+        self, *, command: bool = False, embedded: bool = EMBEDDED, address: str = "127.0.0.1"
+    ) -> None:  # fmt: skip
         need(ROS1)
         self.port = free_port()
-        self.uri = f"http://127.0.0.1:{self.port}/"
+        self.uri = f"http://{f'[{address}]' if ':' in address else address}:{self.port}/"
         self._folder = tempfile.mkdtemp(prefix="midspan-test-ros1-")
         self.env = {
             **ros1_environment(self.uri),
+            "ROS_IP": address,
             "ROS_HOME": self._folder,
             "ROS_LOG_DIR": f"{self._folder}/log",
         }
@@ -69,7 +73,7 @@ class RosMaster:
         if command:
             self._program = [ROS1_PYTHON, "/usr/bin/roscore", "-p"]
         elif self.embedded:
-            self._program = [sys.executable, EMBEDDED_CORE, f"{self._folder}/master.json"]
+            self._program = [sys.executable, EMBEDDED_CORE, f"{self._folder}/master.json", address]
         self._process: Process | None = None
 
     def start(self, *, forget: bool = False) -> None:

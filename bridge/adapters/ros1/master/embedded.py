@@ -14,6 +14,7 @@ from bridge.adapters.ros1.master.node_calls import NodeCalls
 from bridge.adapters.ros1.master.rosout import AGGREGATED, NODE, RosoutNode, is_elsewhere
 from bridge.adapters.ros1.xmlrpc import XmlRpcServer
 from bridge.adapters.ros1.xmlrpc_request import Limits
+from bridge.concurrency import DelayedCalls
 
 _log = logging.getLogger("midspan.ros1.master")
 
@@ -32,6 +33,9 @@ _DISTRIBUTION = {"/rosdistro": "noetic\n", "/rosversion": "1.16.0\n"}
 _ROSCORE = "/roslaunch"
 """The node that sets roscore's parameters."""
 
+_RESPAWN_SECONDS = 1.0
+"""Seconds after the end of the node ``/rosout`` until this master's own starts, as roscore's does."""
+
 
 class EmbeddedMaster:
     """A ROS 1 master of this process.
@@ -42,7 +46,7 @@ class EmbeddedMaster:
         state: file for its state, None if it is not kept.
         purge: seconds without an answer after which a dead node is removed; 0 for never.
         shut_down: is called upon the API's ``shutdown``; None if that is refused.
-        rosout: whether it has the node ``/rosout``, unless another program runs that.
+        rosout: whether it has the node ``/rosout`` while no other program runs that.
 
     Attributes:
         uri: its address.
@@ -66,6 +70,8 @@ class EmbeddedMaster:
         self.uri = self.api.uri = uri or f"http://{host}:{self._server.port}/"
         self._address, self._state, self._has_rosout = address, state, rosout
         self._rosout: RosoutNode | None = None
+        self._rosout_starts = DelayedCalls("midspan-ros1-rosout")
+        self._respawns = False
         self._liveness = Liveness(self.nodes, self.api.set_reachable, self._on_dead, purge)
 
     def start(self) -> None:
@@ -82,16 +88,26 @@ class EmbeddedMaster:
             if not self.api.parameters.has(name):
                 self.api.set_param(_ROSCORE, name, value)
         self._server.start()
-        self._start_rosout()
+        if self._has_rosout:
+            self._start_rosout()
         self.api.report_all()
         self._liveness.start(restored)
 
     def _start_rosout(self) -> None:
-        if not self._has_rosout or is_elsewhere(self.api):
-            return
         stale = self.nodes().get(NODE)
-        if stale is not None:  # of a killed master; another node may have its port now, and is not to be shut down
+        if stale is not None and not is_elsewhere(self.api):
+            # of a killed master; another node may have its port now, and is not to be shut down
             self.api.remove_dead(NODE, stale)
+        self._respawn_rosout()
+        self._respawns = True
+
+    def _respawn_rosout(self) -> None:
+        """Run the node in place of this master's previous one, unless the name is registered."""
+        if NODE in self.nodes():
+            return
+        if self._rosout is not None:
+            self._rosout.close()
+            self._rosout = None
         try:
             self._rosout = RosoutNode(self.api, self.uri, self._address)
         except OSError as err:
@@ -106,6 +122,7 @@ class EmbeddedMaster:
 
     def close(self) -> None:
         """Stop serving, and write the state."""
+        self._rosout_starts.close()
         if self._rosout is not None:
             self._rosout.close()
         self._server.close()
@@ -117,6 +134,8 @@ class EmbeddedMaster:
     def _on_change(self) -> None:
         if self._writer is not None:
             self._writer.changed()
+        if self._respawns and NODE not in self.api.registrations.nodes:
+            self._rosout_starts.after(_RESPAWN_SECONDS, self._respawn_rosout, once=True)
 
     def _on_dead(self, node: str, api: str) -> None:
         if self.api.remove_dead(node, api):

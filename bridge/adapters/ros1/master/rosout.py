@@ -72,10 +72,16 @@ class RosoutNode:
         self._node.subscribe(TOPIC, LOG, self._on_log, _MAX_MESSAGE)
 
     def start(self) -> None:
-        """Register, and connect to all publishers."""
-        for method, topic in (("registerPublisher", AGGREGATED), ("registerSubscriber", TOPIC)):
-            self._api.methods[method](NODE, topic, LOG.name, self.uri)
-        self._node.follow()
+        """Register, and connect to all publishers; close if another program's rosout has registered meanwhile."""
+        with self._api.lock:
+            taken = NODE in self._api.registrations.nodes
+            for method, topic in (("registerPublisher", AGGREGATED), ("registerSubscriber", TOPIC)):
+                if not taken:
+                    self._api.methods[method](NODE, topic, LOG.name, self.uri)
+        if taken:
+            self.close()
+        else:
+            self._node.follow()
 
     def close(self) -> None:
         """Unregister, and close all connections. Safe to call twice."""

@@ -180,13 +180,25 @@ def test_logs_are_collected(network: Network, talker: Peer):
         listener.stop()
 
 
-def test_a_native_rosout_replaces_the_own_one(tmp_path: Path):
-    network = Network(tmp_path)
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
+def test_a_native_rosout_replaces_the_own_one_until_it_ends(tmp_path: Path, end: signal.Signals):
+    network = Network(tmp_path, purge=0.5)
     own = network.master.nodes()["/rosout"]
-    with Process([ROSCPP_NODE, "__name:=rosout"], network.env):
+    with Process([ROSCPP_NODE, "__name:=rosout"], network.env) as process:
         until(lambda: network.master.nodes().get("/rosout", own) != own, "the native node registers")
         until(lambda: not _connects(own), "the own node has ended")
-    network.close()
+        native = network.master.nodes()["/rosout"]
+        until(lambda: network.master.api.registrations.nodes["/rosout"].reachable, "the master has asked the node")
+        process.signal(end)
+        until(lambda: network.master.nodes().get("/rosout", native) != native, "the own node runs again")
+    talker, listener = network.peer("again_talker"), network.peer("again_listener")
+    try:
+        logs = listener.subscribe("/rosout_agg", "rosgraph_msgs/Log")
+        until(lambda: _relayed(talker, listener, logs), "the own node publishes the logs")
+    finally:
+        talker.stop()
+        listener.stop()
+        network.close()
 
 
 def _connects(uri: str) -> bool:

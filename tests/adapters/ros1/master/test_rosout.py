@@ -9,7 +9,7 @@ import pytest
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD, connect
 from bridge.adapters.ros1.master.api import MasterApi
 from bridge.adapters.ros1.master.embedded import EmbeddedMaster
-from bridge.adapters.ros1.master.rosout import is_elsewhere
+from bridge.adapters.ros1.master.rosout import LOG, RosoutNode, is_elsewhere
 from bridge.adapters.ros1.xmlrpc import XmlRpcServer
 from tests.peers.ros1.outbox import RecordedCalls
 
@@ -25,6 +25,15 @@ def test_collected_logs_count_as_native_so_that_they_are_bridged():
     assert header["type"] == "rosgraph_msgs/Log"
     assert header["callerid"] == "/rosout"
     assert ORIGIN_FIELD not in header
+
+
+def test_a_rosout_that_registers_first_keeps_the_name():
+    api = MasterApi("", RecordedCalls())
+    node = RosoutNode(api, "http://127.0.0.1:1/", "127.0.0.1")
+    api.methods["registerSubscriber"]("/rosout", "/rosout", LOG.name, "http://127.0.0.1:2/")
+    node.start()
+    assert api.methods["lookupNode"]("/test", "/rosout")[2] == "http://127.0.0.1:2/"
+    assert api.methods["getSystemState"]("/test")[2] == [[], [["/rosout", ["/rosout"]]], []]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A ROS 1 network on IPv6 only: a real roscore and rospy with ``ROS_IPV6=on``."""
+"""A ROS 1 network on IPv6 only: a real roscore or Midspan's master, and rospy, with ``ROS_IPV6=on``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ from tests.peers.ros1.network import RosMaster, needs_ros1
 
 
 class Master(RosMaster):
-    """A roscore without rosout, as roscpp's cannot use a master with an IPv6 address."""
+    """A master at an IPv6 address; roscore without rosout, as roscpp's cannot use such a master."""
+
+    def __init__(self, *, embedded: bool) -> None:
+        super().__init__(embedded=embedded, address="::1")
+        self.env["ROS_IPV6"] = "on"
 
     def _ready(self) -> bool:
         try:
@@ -23,12 +27,11 @@ class Master(RosMaster):
 
 
 @needs_ros1
-def test_topics_and_a_service_over_ipv6(tmp_path: Path) -> None:
+@pytest.mark.parametrize("embedded", [False, True], ids=["roscore", "embedded"])
+def test_topics_and_a_service_over_ipv6(tmp_path: Path, embedded: bool) -> None:
     """The node of rospy registers ``http://::1:port/``, without brackets, and cannot call services at addresses."""
-    master = Master()
+    master = Master(embedded=embedded)
     variables = {"ROS_IPV6": "on", "ROS_IP": "::1"}
-    master.uri = f"http://[::1]:{master.port}/"
-    master.env |= {"ROS_MASTER_URI": master.uri, **variables}
     with master, EdgeUnderTest(master.uri, tmp_path, variables=variables) as edge, master.peer("six") as peer:
         edge.ask("start")
         edge.joined()

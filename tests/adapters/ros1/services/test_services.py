@@ -75,13 +75,14 @@ def give_back(master, edge, served, name):
 # -- servers on ROS 1 --------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def rosout(master):
     """A roscpp node with services: roscore's rosout, which also replaces the embedded one."""
     if not master.embedded:
         yield
         return
     with Process([ROSOUT, "__name:=rosout"], master.env):
+        until(lambda: "/rosout/set_logger_level" in master.state()["services"], "rosout has registered", SECONDS)
         yield
 
 
