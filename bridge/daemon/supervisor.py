@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from bridge.daemon.worker_process import WorkerProcess
 from bridge.daemon.worker_run import Timing
 from bridge.daemon.workers import worker_kinds
 from bridge.resources import raise_open_files
+from bridge.sides import all_sides
 from bridge.state_file import state_folder
 from bridge.status import DaemonStatus, WorkerReport
 from yarp_compat.selector_loop import SelectorLoop
@@ -36,8 +37,10 @@ STOP_SECONDS = 4.8
 KILLED_SECONDS = 1.0
 """A killed process that still exists after this time hangs in the kernel; not part of `STOP_SECONDS`."""
 
-_TO_EXIT = 1.0
-"""Seconds that are left within `STOP_SECONDS` for the exit of killed processes, and of the daemon itself."""
+_STOP_LIMITS = ((2.8, 2.8, 1.2), (2.9, 1.7, 3.0), (3.9, 1.0, STOP_SECONDS))
+"""For each group of `_stop_order`, in seconds from the start of the stop: its workers are killed at the first, but not
+sooner than the second after they were asked to stop, and the next group is asked when all so far have ended, or at the
+third."""
 
 
 def usable_cores() -> int:
@@ -71,6 +74,18 @@ class ConfigSource:
                 change = f"{key}: changing it from '{old}' to '{new}'"
                 raise RuntimeError(f"{self.file}: {change} needs a restart of the daemon")
         return config
+
+
+def _stop_order(workers: Sequence[WorkerProcess]) -> tuple[list[WorkerProcess], ...]:
+    """Return the workers in three groups, in the order in which they stop.
+
+    The sides stop after the modules, so that a canceled goal and a zero velocity still reach the robot, and the end
+    of a YARP port its name server. Workers that survive a crash of the daemon, such as the router, stop last.
+    """
+    names = {side.name for side in all_sides()}
+    last = [worker for worker in workers if worker.kind.outlives]
+    sides = [worker for worker in workers if worker.name in names]
+    return [worker for worker in workers if worker not in (*last, *sides)], sides, last
 
 
 class Supervisor:
@@ -259,20 +274,20 @@ class Supervisor:
     # -- the end -------------------------------------------------------------------------------------------------------
 
     def _end(self) -> None:
-        """Stop the bridge workers, then those that outlive a crash but not a clean stop, all within `STOP_SECONDS`."""
+        """Stop all workers within `STOP_SECONDS`, in the order of `_stop_order`."""
         self._notify.stopping()
         self._notify.status("stopping")
         begun = time.monotonic()
         for worker in self.workers:
             if worker.is_service:
                 worker.release()
-        bridges = [worker for worker in self.workers if not worker.kind.outlives]
-        last = [worker for worker in self.workers if worker.kind.outlives]
-        for group, until, least in ((bridges, 3.3, 2.8), (last, STOP_SECONDS, 1.0)):
-            seconds = max(least, begun + until - _TO_EXIT - time.monotonic())
+        asked: list[WorkerProcess] = []
+        for group, (killed_after, at_least, next_after) in zip(_stop_order(self.workers), _STOP_LIMITS, strict=True):
+            asked += group
+            seconds = max(at_least, begun + killed_after - time.monotonic())
             for worker in group:
                 worker.stop("the daemon stops", seconds)
-            self._wait_for_end(group, begun + until)
+            self._wait_for_end(asked, begun + next_after)
         self._kill_the_rest()
         logger.info("stopped after %.1f s", time.monotonic() - begun)
 

@@ -11,7 +11,7 @@ import pytest
 
 from bridge.config.model import Config
 from bridge.daemon.query import Phase, ask_daemon
-from bridge.daemon.supervisor import Supervisor
+from bridge.daemon.supervisor import STOP_SECONDS, Supervisor
 from bridge.daemon.worker_process import WorkerProcess
 from bridge.daemon.worker_run import Timing
 from bridge.daemon.workers import worker_kinds
@@ -149,7 +149,7 @@ def test_only_a_running_worker_is_reported_as_running(daemon: Daemon) -> None:
 
 
 class _Slow:
-    """A worker whose killed process exits only after the supervisor has last checked its process group."""
+    """A worker whose killed process exits only after `STOP_SECONDS`."""
 
     name, pid, is_service, phase = "slow", 1, False, Phase.STOPPING
 
@@ -165,7 +165,7 @@ class _Slow:
         pass
 
     def tick(self) -> None:
-        self.idle = self._clock[0] > 3.4
+        self.idle = self._clock[0] > STOP_SECONDS + 0.2
 
     def release(self) -> None:
         raise AssertionError

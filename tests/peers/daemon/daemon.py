@@ -16,7 +16,7 @@ from tests.support.wait import until
 
 ROOT = Path(__file__).parents[3]
 IMPORTS = (*DAEMON_AND_WORKERS, "tests.peers.daemon.fakes")
-FAKES = ",".join(f"{name}=tests.peers.daemon.fakes:{name.capitalize()}" for name in ("router", "ros1", "ros2"))
+FAKES = ",".join(f"{name}=tests.peers.daemon.fakes:{name.capitalize()}" for name in ("router", "ros1", "ros2", "sim"))
 
 
 class Daemon:
@@ -94,7 +94,7 @@ class Daemon:
         for process in self.processes:
             process.signal(signal.SIGCONT)
             process.stop()
-        for worker in ("router", "ros1", "ros2"):
+        for worker in ("router", "ros1", "ros2", "sim"):
             for pid in self.pids(worker):
                 if alive(pid):
                     os.kill(pid, signal.SIGKILL)

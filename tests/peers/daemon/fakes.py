@@ -145,3 +145,9 @@ class Ros2(Fake):
     """Replaces the ros2 worker."""
 
     name = "ros2"
+
+
+class Sim(Fake):
+    """Replaces the simulator, which is enabled by ``sim: {enabled: true}``."""
+
+    name = "sim"
