@@ -17,6 +17,7 @@ from bridge.hub import opening
 from bridge.hub.errors import HubError
 from bridge.messages.errors import MessageError
 from bridge.messages.registry import Registry
+from bridge.modules.failures import FailureReports
 from bridge.modules.host import Host
 from bridge.modules.module import Module, kind_of
 from bridge.modules.ports import ports_stay
@@ -73,6 +74,11 @@ class Running:
         if self._module is None:
             raise RuntimeError(f"{self.name} does not run: {self._trouble or 'stopped'}")
         return self._module
+
+    @property
+    def trouble(self) -> str:
+        """Why the module could not start, "" if it could."""
+        return self._trouble
 
     def start(self) -> None:
         """Start the module; after a failure, `health` retries it later."""
@@ -202,6 +208,8 @@ class ModulesWorker(Worker):
         self._registry: Registry | None = None
         self._shared: Shared | None = None
         self._running: dict[str, Running] = {}
+        self._unusable: dict[str, str] = {}
+        self._failures: FailureReports | None = None
 
     @override
     def start(self, config: Config) -> None:
@@ -210,6 +218,7 @@ class ModulesWorker(Worker):
         self._config = config
         self._registry = Registry.of(config.types)
         self._shared = Shared(config, self._only)
+        self._failures = FailureReports(config.name, self._shared.join)
         for name, section in self._sections(config).items():
             self._start(name, section, config, self._registry, self._shared)
 
@@ -224,6 +233,7 @@ class ModulesWorker(Worker):
         self._config = config
         logging.getLogger().setLevel(config.log.level.upper())
         sections = self._sections(config)
+        self._unusable.clear()
         for name in self._running.keys() - sections.keys():
             self._running.pop(name).stop()
         for name, section in sections.items():
@@ -251,9 +261,14 @@ class ModulesWorker(Worker):
     def health(self) -> Health:
         """Combine the modules' health; the worker is running if any module is."""
         reports = {name: running.health() for name, running in self._running.items()}
+        troubles = {**self._unusable, **{n: running.trouble for n, running in self._running.items() if running.trouble}}
+        reports |= {name: Health("waiting", trouble) for name, trouble in self._unusable.items()}
         store = self._store_health()
         if store is not None:
             reports["store"] = store
+            troubles |= {"store": store.text} if store.state != "running" else {}
+        if self._failures is not None:
+            self._failures.show(troubles)
         if not reports:
             return Health("waiting", "no module is enabled")
         best = min(reports.values(), key=lambda health: health.state != "running")
@@ -267,6 +282,8 @@ class ModulesWorker(Worker):
     def stop(self) -> None:
         while self._running:
             self._running.popitem()[1].stop()
+        if self._failures is not None:
+            self._failures.close()
         if self._shared is not None:
             self._shared.close()
 
@@ -286,6 +303,7 @@ class ModulesWorker(Worker):
             kind = kind_of(name, section)
         except RuntimeError as err:
             _log.error("%s", err)
+            self._unusable[name] = str(err)
             return
         self._running[name] = Running(kind, name, section, config, registry, shared)
         self._running[name].start()

@@ -111,9 +111,11 @@ class RecordFile:
         try:
             self._writer = McapWriter(cast(BinaryIO, self._out), compression)
             self._writer.metadata("midspan", about)
-        except BaseException:
+        except BaseException as err:
             self._out.close()
             path.unlink(missing_ok=True)
+            if isinstance(err, OSError):
+                err.filename = str(path)  # a failed write does not name its file
             raise
         self.safe = self._out.position
 

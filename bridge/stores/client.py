@@ -34,7 +34,10 @@ class StoreClient:
             time.sleep(_FIND_PERIOD)
         copies = sorted((name != daemon, name, zid) for _, _, zid, name in (token.split("/", 3) for token in tokens))
         if not copies:
-            raise StoreError("no daemon on the hub has a store; set store.enabled to true in its configuration")
+            raise StoreError(
+                "no daemon on the hub has a store; set store.enabled to true in its configuration; if it is set,"
+                " 'midspan status' reports why the store is not open"
+            )
         _, self.daemon, self._zid = copies[0]
 
     def keys(self) -> set[tuple[str, str]]:

@@ -197,8 +197,13 @@ def test_a_module_that_cannot_start_does_not_affect_others_and_is_restarted(plac
     health = place.worker.health()
     assert health.state == "running"
     assert "refuses waiting: start refused by its options" in health.text
+    statuses = {name: until(lambda name=name: place.status(name), "it is reported") for name in ("nowhere", "refuses")}
+    assert {status["state"] for status in statuses.values()} == {"waiting"}
+    assert statuses["refuses"]["text"] == "start refused by its options"
+    assert "tests.modules.nowhere" in statuses["nowhere"]["text"]
     assert place.worker.reload(place.config(*bad[:2], echo("refuses"), echo()))
     until(lambda: "start refused" not in place.worker.health().text, "the module has started")
+    assert place.answer("refuses")["state"] == "running"
 
 
 def test_a_worker_for_one_module(place: Place) -> None:

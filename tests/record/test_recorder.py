@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -258,6 +259,16 @@ def test_a_folder_that_cannot_be_created_is_reported_and_retried(
         chat.put(robot.text("after"))
         status = await_written(recorded, 1)
     assert read(Path(status["file"])).texts("/said") == ["after"]
+
+
+def test_a_file_that_cannot_be_written_is_named_and_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(record_file.McapWriter, "metadata", full)
+    with pytest.raises(OSError, match=r"No space left.*one\.mcap"):
+        record_file.RecordFile(tmp_path / "one.mcap", RecordSection().compression, {})
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_full_disk_stops_recording_until_space_is_free(

@@ -79,6 +79,12 @@ def test_a_disabled_store_or_one_in_use_is_reported(place: Place) -> None:
         health = other.health()
         assert health.state == "waiting"
         assert "in use by another process" in health.text
+
+        def shown() -> bool:
+            answers = place.far.hub.ask("status", {}, worker="store")
+            return any("in use by another process" in str(answer.value) for answer in answers)
+
+        until(shown, "the status of the store reports it")
     finally:
         holder.close()
     assert other.health().state == "running"

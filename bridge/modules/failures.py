@@ -1,0 +1,51 @@
+"""The status of modules that cannot start, and so have no node of their own on the hub."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from bridge.hub.errors import HubError
+from bridge.hub.session import Hub
+from bridge.status import ModuleStatus
+from bridge.worker import StatusHead
+
+_log = logging.getLogger(__name__)
+
+
+class FailureReports:
+    """Answers for each failed module under its name, as `bridge.modules.worker.Running` does for a running one.
+
+    Args:
+        daemon: the daemon's name.
+        join: opens a node of the first name on the hub, which uses the second name on the control plane.
+    """
+
+    def __init__(self, daemon: str, join: Callable[[str, str], Hub]) -> None:
+        self._daemon, self._join = daemon, join
+        self._troubles: Mapping[str, str] = {}
+        self._nodes: dict[str, Hub] = {}
+
+    def show(self, troubles: Mapping[str, str]) -> None:
+        """Report these modules with the reasons why they do not run, and no others."""
+        self._troubles = troubles
+        for name in self._nodes.keys() - troubles.keys():
+            self._nodes.pop(name).close()
+        for name in troubles.keys() - self._nodes.keys():
+            try:
+                hub = self._join(name, name)
+            except HubError as err:  # the next call tries again
+                _log.debug("%s cannot report its failure: %s", name, err)
+                continue
+            self._nodes[name] = hub
+            hub.serve("status", lambda _params, name=name, zid=hub.zid: self._status(name, zid))
+
+    def close(self) -> None:
+        """Report none. Safe to call twice."""
+        self.show({})
+
+    def _status(self, name: str, zid: str) -> dict[str, Any]:
+        head = StatusHead({"daemon": self._daemon, "worker": name, "module": True}, uptime=False, costs=False)
+        fields = head.fields("waiting", self._troubles.get(name, ""), refused=[])
+        return ModuleStatus(**fields, zid=zid, routes=[], warnings=[]).document()
