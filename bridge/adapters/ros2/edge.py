@@ -6,6 +6,7 @@ import logging
 import os
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
@@ -31,6 +32,9 @@ from bridge.adapters.ros2.services.endpoint import Ros2Context
 from bridge.adapters.ros2.services.server import Ros2Server
 from bridge.adapters.ros2.topics.publisher import Ros2Publisher
 from bridge.adapters.ros2.topics.subscription import Ros2Subscription
+from bridge.adapters.ros2.topics.version_filter import VersionFilter
+from bridge.adapters.ros2.topics.version_filter import is_available as can_separate
+from bridge.adapters.ros2.topics.versioned import VersionedPublisher
 from bridge.adapters.ros2.types import TypeSupports
 from bridge.adapters.ros2.versions import EndpointVersions, Notes
 from bridge.adapters.side_edge import SideEdge
@@ -38,7 +42,7 @@ from bridge.concurrency import DelayedCalls
 from bridge.config.model import Config
 from bridge.hub.endpoints.calls import Abandon, Call, Done
 from bridge.hub.graph.tokens import Origin
-from bridge.hub.wire.qos import Qos
+from bridge.hub.wire.qos import Qos, Reliability
 from bridge.messages.actions import GET_RESULT, GoalState, split
 from bridge.messages.definitions.hashes import rihs01
 from bridge.messages.errors import MessageTypeError
@@ -63,7 +67,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-_End = TypeVar("_End", Ros2Subscription, Ros2Publisher, Ros2Caller, Ros2Server)
+_End = TypeVar("_End", Ros2Subscription, Ros2Publisher, VersionedPublisher, Ros2Caller, Ros2Server)
 
 _FORGOTTEN = 15.0
 """Seconds of suspension after which others may have dropped this participant: Fast DDS's default lease is 20 s."""
@@ -80,7 +84,7 @@ class Ros2Edge(SideEdge):
         self._state = state
         self._types, self._versions = TypeSupports(), EndpointVersions(registry)
         self._lock = threading.Lock()
-        self._ends: set[Ros2Subscription | Ros2Publisher | Ros2Caller | Ros2Server] = set()
+        self._ends: set[Ros2Subscription | Ros2Publisher | VersionedPublisher | Ros2Caller | Ros2Server] = set()
         self._prefix = b""
         self._neighbors: neighbors.MemoryNeighbors | None = None
         self._interfaces: InterfaceWatch | None = None
@@ -263,20 +267,47 @@ class Ros2Edge(SideEdge):
         """Advertise; the topic is on the graph at once."""
         context = self._started()
         self._check_one_type(topic, side_type.name)
+        others = self._versions.others(side_type.name, side_type.type_id)
+        if others and can_separate() and qos.reliability is Reliability.RELIABLE:
+            versioned = self._kept(self._versioned(topic, side_type, qos, others))
+            versioned.refit()
+            return versioned
         message_class = self._types.message_class(side_type.name, side_type.type_id)
-        for_readers = None
-        if self._versions.varies(side_type.name):
-            for_readers = partial(self._converter_for_readers, topic, side_type)
+        for_readers = partial(self._converter_for_readers, topic, side_type) if others else None
         heard = self.has_subscribers
         publisher = self._kept(Ros2Publisher(topic, message_class, qos, context, self._closed, heard, for_readers))
         publisher.refit()
         return publisher
 
-    def _converter_for_readers(self, topic: str, side_type: SideType) -> Convert | None:
+    def _versioned(
+        self, topic: str, side_type: SideType, qos: Qos, others: Mapping[str, Convert | None]
+    ) -> VersionedPublisher:
+        context, heard = self._started(), self.has_subscribers
+
+        def open_publisher(version: str, only: VersionFilter) -> Ros2Publisher:
+            announced = self._announced(replace(side_type, type_id=version))
+            message_class = self._types.message_class(side_type.name, announced)
+            return Ros2Publisher(topic, message_class, qos, context, lambda _: None, heard, only=only)
+
+        def restricted(*versions: str, only: bool) -> VersionFilter:
+            return VersionFilter(context.participant.pointer, topic, versions, only=only)
+
+        return VersionedPublisher(
+            open_publisher(side_type.type_id, restricted(*others, only=False)),
+            others,
+            lambda version: open_publisher(version, restricted(version, only=True)),
+            lambda: self._versions.of_readers(self._readers(topic, side_type.name)),
+            self._closed,
+        )
+
+    def _readers(self, topic: str, type_name: str) -> list[Endpoint]:
+        """Return the native subscriptions of a topic with a type; reads the graph."""
         context = self._context
         of_topic = context.graph.readers(topic) if context is not None else ()  # a message may arrive during `stop`
-        readers = [r for r in of_topic if r.type == side_type.name and r.made_by is MadeBy.NATIVE]
-        version = self._versions.for_readers(side_type.type_id, readers)
+        return [reader for reader in of_topic if reader.type == type_name and reader.made_by is MadeBy.NATIVE]
+
+    def _converter_for_readers(self, topic: str, side_type: SideType) -> Convert | None:
+        version = self._versions.for_readers(side_type.type_id, self._readers(topic, side_type.name))
         return self._versions.converter(side_type.name, side_type.type_id, version)
 
     def _announced(self, side_type: SideType) -> str:
@@ -286,7 +317,7 @@ class Ros2Edge(SideEdge):
     def _check_one_type(self, topic: str, type_name: str) -> None:
         """Reject a second type for a topic: a DDS participant has only one, and Fast DDS's error omits the reason."""
         with self._lock:
-            topic_ends = [end for end in self._ends if isinstance(end, Ros2Subscription | Ros2Publisher)]
+            topic_ends = [end for end in self._ends if not isinstance(end, Ros2Caller | Ros2Server)]
         other = next((e.type_name for e in topic_ends if e.topic == topic and e.type_name != type_name), None)
         if other is not None:
             raise MessageTypeError(
@@ -381,7 +412,9 @@ class Ros2Edge(SideEdge):
 
     @override
     def version_notes(self) -> Notes:
-        return self._versions.notes(self.endpoints())
+        with self._lock:
+            separated = {end.topic for end in self._ends if isinstance(end, VersionedPublisher)}
+        return self._versions.notes(self.endpoints(), separated)
 
     @override
     def programs(self) -> Mapping[str, str]:
@@ -397,14 +430,17 @@ class Ros2Edge(SideEdge):
         """Return warnings of QoS, of other versions of Fast DDS, of names on two kinds of DDS, and of new addresses."""
         offers: dict[str, set[Qos]] = {}
         advertised: dict[str, str] = {}
+        separated: set[str] = set()
         with self._lock:
             for end in self._ends:
-                if isinstance(end, Ros2Publisher):
+                if isinstance(end, Ros2Publisher | VersionedPublisher):
                     offers.setdefault(end.topic, set()).add(end.qos)
                     advertised[end.topic] = end.type_name
+                if isinstance(end, VersionedPublisher):
+                    separated.add(end.topic)
         cyclone = vendors.report(self.endpoints())
         warnings = [text] if cyclone and (text := vendors.warning(cyclone)) else []
-        warnings += self._over_udp() + self._versions.warnings(self.endpoints(), advertised)
+        warnings += self._over_udp() + self._versions.warnings(self.endpoints(), advertised, separated)
         warnings += [self._interfaces.text] if self._interfaces is not None and self._interfaces.text else []
         for endpoint in self.endpoints():
             if endpoint.kind is Kind.SUBSCRIPTION and endpoint.made_by is MadeBy.NATIVE:

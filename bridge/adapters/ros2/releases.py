@@ -60,10 +60,31 @@ class Release:
         return f"lib{SHARED_MEMORY[self.fast_dds_major]}.so.{self.fast_dds}"
 
     @property
+    def _space(self) -> str:
+        """The namespace of Fast DDS's RTPS layer, as in its symbols."""
+        space = SHARED_MEMORY[self.fast_dds_major]
+        return f"8eprosima{len(space)}{space}4rtps"
+
+    @property
     def new_guid(self) -> str:
         """Symbol of ``RTPSDomainImpl::create_participant_guid(int &, GUID_t &)`` in `library`."""
-        space = SHARED_MEMORY[self.fast_dds_major]
-        return f"_ZN8eprosima{len(space)}{space}4rtps14RTPSDomainImpl23create_participant_guidERiRNS1_6GUID_tE"
+        return f"_ZN{self._space}14RTPSDomainImpl23create_participant_guidERiRNS1_6GUID_tE"
+
+    @property
+    def writer_filter(self) -> tuple[str, str, str, str]:
+        """Symbols in `library` for filtering what a writer sends to a reader.
+
+        The virtual functions of ``StatefulWriter``; its ``reader_data_filter``, as a getter and a setter; and
+        ``RTPSDomainImpl::find_local_writer(const GUID_t &)``.
+        """
+        writer = f"{self._space}14StatefulWriter"
+        base = "NS_7fastdds4rtps17IReaderDataFilterE" if self.fast_dds_major == 2 else "NS1_17IReaderDataFilterE"
+        return (
+            f"_ZTVN{writer}E",
+            f"_ZNK{writer}18reader_data_filterEv",
+            f"_ZN{writer}18reader_data_filterEP{base}",
+            f"_ZN{self._space}14RTPSDomainImpl17find_local_writerERKNS1_6GUID_tE",
+        )
 
 
 SHARED_MEMORY = {2: "fastrtps", 3: "fastdds"}

@@ -2,14 +2,13 @@
 
 DDS matches endpoints by the name of their type, so an endpoint receives, and decodes wrongly, what another version of
 the type publishes. Endpoints announce the hash of their version (those of Humble none). What Midspan receives is
-converted from the version of its publisher or client; what it sends is in the version of its readers or server. One
-topic has one version: if its readers have several, some decode the messages wrongly, as without Midspan.
+converted from the version of its publisher or client; what it sends is in the version of its readers or server.
 """
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 
 from bridge.hub.graph.tokens import EndpointKind
@@ -127,8 +126,22 @@ class EndpointVersions:
             )
         raise MessageTypeError(f"{name}: its server has an unknown version ({version}), this machine has {here}", _CURE)
 
+    def others(self, type_name: str, here: str) -> dict[str, Convert | None]:
+        """Return the other versions of a type, each with the converter of this machine's messages.
+
+        It is None if the bytes are the same. Humble's version is among them as `NO_HASH`, if it differs.
+        """
+        hashless = [NO_HASH] if self._differs(type_name, NO_HASH) else []
+        versions = [v for v in (*self._releases.hashes(type_name), *hashless) if v != here]
+        converters = {version: self._releases.converter(type_name, here, version) for version in versions}
+        return {version: None if convert is same else convert for version, convert in converters.items() if convert}
+
+    def of_readers(self, readers: Iterable[Endpoint]) -> frozenset[str]:
+        """Return the known versions of readers."""
+        return frozenset(version for reader in readers if (version := self._known(reader)) is not None)
+
     def for_readers(self, here: str, readers: Iterable[Endpoint]) -> str:
-        """Return the version in which readers get this machine's messages: theirs, if they have one in common."""
+        """Return the version for a writer that sends to all readers: theirs, if they have one in common."""
         versions = Counter(version for reader in readers if (version := self._known(reader)) is not None)
         if not versions or here in versions:
             return here
@@ -202,8 +215,13 @@ class EndpointVersions:
     def _label(self, type_name: str, version: str) -> str:
         return self._releases.release(type_name, version) or version
 
-    def notes(self, endpoints: Iterable[Endpoint]) -> Notes:
-        """Return what the messages of native endpoints with another version lose, and which cannot decode them."""
+    def notes(self, endpoints: Iterable[Endpoint], separated: Collection[str] = ()) -> Notes:
+        """Return what the messages of native endpoints with another version lose, and which cannot decode them.
+
+        Args:
+            endpoints: all of the graph.
+            separated: the topics that Midspan publishes in each version of their subscriptions.
+        """
         notes: dict[tuple[str, str, str], list[str]] = defaultdict(list)
         readers: dict[tuple[str, str], list[Endpoint]] = defaultdict(list)
         for endpoint in endpoints:
@@ -217,18 +235,26 @@ class EndpointVersions:
                 texts = notes[of, direction, endpoint.topic]
                 if text not in texts:
                     texts.append(text)
-        for topic, text in self._undecodable(readers):
+        for topic, text in self._undecodable(readers, separated):
             notes["topic", "out", topic].append(text)
         return notes
 
-    def warnings(self, endpoints: Iterable[Endpoint], advertised: Mapping[str, str]) -> list[str]:
-        """Return the subscriptions that decode Midspan's messages wrongly; ``advertised`` are its types by topic."""
+    def warnings(
+        self, endpoints: Iterable[Endpoint], advertised: Mapping[str, str], separated: Collection[str] = ()
+    ) -> list[str]:
+        """Return the subscriptions that decode Midspan's messages wrongly.
+
+        Args:
+            endpoints: all of the graph.
+            advertised: the types of Midspan's topics.
+            separated: those of them that it publishes in each version of their subscriptions.
+        """
         readers: dict[tuple[str, str], list[Endpoint]] = defaultdict(list)
         for endpoint in endpoints:
             if endpoint.kind is Kind.SUBSCRIPTION and endpoint.made_by is MadeBy.NATIVE:
                 readers[endpoint.topic, endpoint.type].append(endpoint)
         wanted = {key: ends for key, ends in readers.items() if advertised.get(key[0]) == key[1]}
-        return [f"{topic}: {text}" for topic, text in self._undecodable(wanted)]
+        return [f"{topic}: {text}" for topic, text in self._undecodable(wanted, separated)]
 
     def _loss(self, endpoint: Endpoint) -> str:
         name, version = endpoint.type, endpoint.type_id
@@ -237,16 +263,22 @@ class EndpointVersions:
         whose = f"{endpoint.node or 'a node'} has {self._label(name, version)}'s version"
         return loss_text(self._releases, _KINDS[endpoint.kind], name, version, whose)
 
-    def _undecodable(self, readers: Mapping[tuple[str, str], list[Endpoint]]) -> Iterable[tuple[str, str]]:
+    def _undecodable(
+        self, readers: Mapping[tuple[str, str], list[Endpoint]], separated: Collection[str]
+    ) -> Iterable[tuple[str, str]]:
         for (topic, type_name), ends in readers.items():
             here = self._releases.here_hash(type_name)
             if not here or (all(end.type_id in (here, NO_HASH) for end in ends) and not self.varies(type_name)):
                 continue
-            sent = self.for_readers(here, ends)
+            if topic in separated:
+                sent, decoded = here, {here, *self.others(type_name, here)}
+            else:
+                sent = self.for_readers(here, ends)
+                decoded = {sent}
             wrong = sorted({
                 f"{end.node or 'a node'} ({self._label(type_name, end.type_id)})"
                 for end in ends
-                if self._known(end) != sent
+                if self._known(end) not in decoded
             })  # fmt: skip
             if wrong:
                 decodes = "decodes" if len(wrong) == 1 else "decode"

@@ -12,6 +12,7 @@ from bridge.adapters.ros2 import rcl, rmw
 from bridge.adapters.ros2.graph.heartbeats import MATCH_SECONDS, Heartbeats
 from bridge.adapters.ros2.participant import Participant
 from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context
+from bridge.adapters.ros2.topics.version_filter import VersionFilter
 from bridge.hub.wire.qos import Qos
 from bridge.messages.transcode.conversion import Convert
 
@@ -19,10 +20,13 @@ from bridge.messages.transcode.conversion import Convert
 class _Writer:
     """One DDS writer; `send` and `close` are safe to call concurrently."""
 
-    def __init__(self, participant: Participant, message_class: Any, topic: str, qos: Qos) -> None:
+    def __init__(
+        self, participant: Participant, message_class: Any, topic: str, qos: Qos, only: VersionFilter | None
+    ) -> None:
         self._participant = participant
         self._handle: Any = participant.make_writer(message_class, topic, qos)
         self._pointer = int(self._handle.pointer)
+        self._filter = None if only is None else only.attach(self._pointer)
         self._lock = threading.Lock()
         self._written = self._readers = 0
         self._held: deque[bytes] | None = None
@@ -88,18 +92,28 @@ class Ros2Publisher:
     Volatile: one writer for all sources. Latched: one writer per source, as DDS retains the last messages of each
     writer. So a late joiner receives every source's last message, and the messages of a source disappear with it. The
     initial writer becomes the first source's.
+
+    Args:
+        topic: the ROS topic.
+        message_class: for its type, from `TypeSupports`.
+        qos: of the writers.
+        context: the edge's shared state.
+        closed: called by `close`.
+        heard: whether another participant subscribes to a topic.
+        for_readers: the conversion of all messages, if the writers send to subscriptions of all versions.
+        only: the subscriptions that the writers send to; None for all.
     """
 
     def __init__(
         self, topic: str, message_class: Any, qos: Qos, context: Ros2Context, closed: Closed, heard: Heard,
-        for_readers: ForReaders | None = None,
+        for_readers: ForReaders | None = None, only: VersionFilter | None = None,
     ) -> None:  # fmt: skip
         self.topic, self.qos, self.type_name = topic, qos, str(message_class.type_name)
         self._closed, self._heard, self._for_readers = closed, heard, for_readers
         self._convert = None if for_readers is None else for_readers()
         self._heartbeats, self._later = context.heartbeats, context.later
         self._prepared = self._heartbeats.readers(topic)
-        self._new_writer = partial(_Writer, context.participant, message_class, topic, qos)
+        self._new_writer = partial(_Writer, context.participant, message_class, topic, qos, only)
         self._lock = threading.Lock()
         self._open = True
         self._spare: _Writer | None = self._make()
