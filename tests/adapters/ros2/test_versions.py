@@ -71,6 +71,10 @@ def test_readers_that_cannot_decode_are_named_once(registry: Registry, versions:
     assert versions.warnings(ends, {"/name": EVENT}) == [f"/name: {text}"]
     assert versions.warnings(ends, {}) == []
     assert versions.warnings(ends[1:], {"/name": EVENT}) == []
+    assert not any("decodes" in text for text in versions.notes(ends, {"/name"})["topic", "out", "/name"])
+    assert versions.warnings(ends, {"/name": EVENT}, {"/name"}) == []
+    (text,) = versions.warnings([*ends, end(Kind.SUBSCRIPTION, EVENT, UNKNOWN, "/odd")], {"/name": EVENT}, {"/name"})
+    assert text.startswith(f"/name: /odd ({UNKNOWN}) decodes it wrongly")
     other = end(Kind.SUBSCRIPTION, "std_msgs/msg/String", UNKNOWN)
     (text,) = versions.warnings([other], {"/name": "std_msgs/msg/String"})
     assert UNKNOWN in text

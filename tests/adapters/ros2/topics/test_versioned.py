@@ -1,0 +1,125 @@
+"""Publishing in several versions of a type: which version gets what, and the filters of the writers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from bridge.adapters.ros2.participant import Participant
+from bridge.adapters.ros2.topics.version_filter import is_available
+from bridge.adapters.ros2.topics.versioned import VersionedPublisher
+from bridge.hub.wire.qos import Durability, Qos, Reliability
+from bridge.messages.errors import ConversionError, MessageTypeError
+from tests.adapters.ros2.conftest import RunningEdge
+
+LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=2)
+RANGE = "sensor_msgs/msg/Range"
+
+
+class Recorder:
+    """A publisher that records what it is sent; it stands in for `Ros2Publisher`."""
+
+    topic, type_name, has_subscribers = "/wheels", "fleet_msgs/msg/Wheel", True
+
+    def __init__(self, qos: Qos = LATCHED) -> None:
+        self.qos = qos
+        self.sent: list[tuple[bytes, str]] = []
+        self.closed = False
+
+    def send(self, payload: bytes, source: str) -> None:
+        self.sent.append((payload, source))
+
+    def drop_source(self, source: str) -> None:
+        self.sent = [sent for sent in self.sent if sent[1] != source]
+
+    def refit(self) -> None: ...
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def upper(payload: bytes) -> bytes:
+    """Convert to the version "new", which cannot hold ``bad``."""
+    if payload == b"bad":
+        raise ConversionError("it does not fit")
+    return payload.upper()
+
+
+class Rig:
+    """A publisher with the versions "new", which is converted, and "same", whose bytes are those of this machine."""
+
+    def __init__(self, qos: Qos = LATCHED) -> None:
+        self.wanted: set[str] = set()
+        self.here = Recorder(qos)
+        self.others: dict[str, Recorder] = {}
+        here: Any = self.here
+        converters = {"new": upper, "same": None}
+        self.publisher = VersionedPublisher(here, converters, self._open, lambda: self.wanted, lambda _: None)
+
+    def _open(self, version: str) -> Any:
+        self.others[version] = Recorder(self.here.qos)
+        return self.others[version]
+
+    def follow(self, *versions: str) -> None:
+        self.wanted = set(versions)
+        self.publisher.refit()
+
+
+def test_each_version_gets_its_messages_while_it_has_subscriptions() -> None:
+    rig = Rig(Qos())
+    rig.follow("here", "unknown")
+    rig.publisher.send(b"a", "s")
+    assert not rig.others
+    rig.follow("new", "same")
+    rig.publisher.send(b"b", "s")
+    assert [sent for sent, _ in rig.here.sent] == [b"a", b"b"]
+    assert {version: end.sent for version, end in rig.others.items()} == {"new": [(b"B", "s")], "same": [(b"b", "s")]}
+    rig.follow("same")
+    assert rig.others["new"].closed
+    assert not rig.others["same"].closed
+    rig.publisher.close()
+    assert rig.others["same"].closed
+    rig.follow("new")
+    assert rig.others["new"].closed, "a closed publisher opens none"
+
+
+def test_a_new_version_gets_the_last_latched_messages_of_each_source(caplog: pytest.LogCaptureFixture) -> None:
+    rig = Rig()
+    for payload, source in ((b"a", "s"), (b"b", "s"), (b"bad", "s"), (b"c", "t"), (b"d", "gone")):
+        rig.publisher.send(payload, source)
+    rig.publisher.drop_source("gone")
+    rig.follow("new")
+    assert rig.others["new"].sent == [(b"B", "s"), (b"C", "t")]
+    assert "/wheels: a retained message was not published in another version: it does not fit" in caplog.text
+
+
+def test_a_message_that_one_version_cannot_hold_reaches_the_others() -> None:
+    rig = Rig()
+    rig.follow("new", "same")
+    with pytest.raises(ConversionError, match="does not fit"):
+        rig.publisher.send(b"bad", "s")
+    assert (rig.here.sent, rig.others["same"].sent, rig.others["new"].sent) == ([(b"bad", "s")], [(b"bad", "s")], [])
+
+
+@pytest.mark.parametrize("reliability", Reliability)
+def test_only_reliable_writers_have_a_filter(edge: RunningEdge, reliability: Reliability) -> None:
+    """Fast DDS has another class of writers for best effort; the edge publishes in one version then."""
+    assert is_available()
+    publisher = edge.edge.advertise("/ranges", edge.type(RANGE), Qos(reliability))
+    assert isinstance(publisher, VersionedPublisher) is (reliability is Reliability.RELIABLE)
+
+
+def test_a_writer_that_fast_dds_does_not_filter_is_refused(edge: RunningEdge, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_writer: Callable[..., Any] = Participant.make_writer
+    best_effort = Qos(Reliability.BEST_EFFORT)
+    monkeypatch.setattr(Participant, "make_writer", lambda self, *args: make_writer(self, *args[:2], best_effort))
+    with pytest.raises(MessageTypeError, match="does not filter"):
+        edge.edge.advertise("/ranges", edge.type(RANGE), Qos())
+
+
+def test_without_the_extension_there_is_no_filter(monkeypatch: pytest.MonkeyPatch, edge: RunningEdge) -> None:
+    monkeypatch.setattr("bridge.adapters.ros2.edge.can_separate", lambda: False)
+    publisher = edge.edge.advertise("/ranges", edge.type(RANGE), Qos())
+    assert not isinstance(publisher, VersionedPublisher)
