@@ -154,7 +154,8 @@ static void put_back(Queue *queue, Node *node, size_t count)
 }
 
 /* Takes a large message with one copy: as a structure, whose deserializer (service_callbacks.c) copies the bytes. Fast DDS
- * drops a message that is no CDR before that, so that it would not be counted; small messages are taken serialized. */
+ * drops a message that is no CDR before that, and reports that there is none; it is counted as lost, by the publisher's
+ * numbers. Small messages are taken serialized. */
 static int32_t take_large(Queue *queue, Node *node, Slot *slot, char **exact, size_t exact_length)
 {
     Wire wire = {slot->bytes.buffer, 0, slot->bytes.capacity, *exact, exact_length};
@@ -166,15 +167,22 @@ static int32_t take_large(Queue *queue, Node *node, Slot *slot, char **exact, si
     return code;
 }
 
-/* Takes one message; returns whether there was one. It is in `exact`, which is NULL then, if it has that length. An
- * unexpected error is left to the reader's own way of taking. */
+/* Takes one message; returns whether there was one. It is in `exact`, which is NULL then, if it has that length. If Fast
+ * DDS has dropped one, it takes the next. An unexpected error is left to the reader's own way of taking. */
 static bool take_one(Queue *queue, Node *node, Slot *slot, char **exact, size_t exact_length)
 {
     slot->node = node;
     slot->count = 0;
-    int32_t code = node->last > 0
-                       ? take_large(queue, node, slot, exact, exact_length)
-                       : queue->take_serialized(node->subscription, &slot->bytes, &slot->info, NULL);
+    int32_t code = TAKE_FAILED;
+    if (node->last > 0) {
+        code = take_large(queue, node, slot, exact, exact_length);
+        if (code == TAKE_FAILED) {
+            queue->reset_error();
+        }
+    }
+    if (code == TAKE_FAILED) {
+        code = queue->take_serialized(node->subscription, &slot->bytes, &slot->info, NULL);
+    }
     if (code == 0) {
         size_t length = slot->bytes.length;
         node->steady = length >= queue->large && length == node->last;

@@ -156,6 +156,17 @@ def test_equal_large_messages_are_taken_into_their_payload(fake: Rcl) -> None:
     assert (fake.exact, fake.as_structure) == (2, 5)  # a large message, and what follows it
 
 
+@pytest.mark.parametrize("before", [1, 3], ids=["one large message", "equal large messages"])
+def test_messages_behind_one_that_fast_dds_drops_after_a_large_one(fake: Rcl, before: int) -> None:
+    large = [bytes(LARGE)] * before
+    fake.add("a", *large, rcl.RET_TAKE_FAILED, b"1", b"2", b"3")
+    received: list[tuple[Any, bytes | None]] = []
+    for _ in range(before + 3):
+        fake.queue.wake()
+        received += fake.wait()
+    assert received == [("a", message) for message in (*large, b"1", b"2", b"3")]
+
+
 def test_large_messages_are_taken_one_at_a_time(fake: Rcl) -> None:
     messages = [bytes(LARGE + number) for number in range(3)]
     fake.add("large", *messages)

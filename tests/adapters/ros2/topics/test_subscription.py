@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Self
@@ -14,6 +15,9 @@ from bridge.hub.wire.qos import Qos, Reliability
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import SideType
 from bridge.routing.edge import Endpoint, Kind, MadeBy
+from tests.adapters.ros2.conftest import Inbox, RunningEdge
+from tests.peers.peer import Peer
+from tests.support.wait import until
 
 TYPE = "std_msgs/msg/String"
 RELIABLE, BEST_EFFORT = Qos(), Qos(Reliability.BEST_EFFORT)
@@ -67,3 +71,22 @@ def test_a_publisher_that_appears_during_construction_is_received(tmp_path: Path
     edge._context, edge._types = context, types
     edge.subscribe("/t", SideType(TYPE, "", ""), RELIABLE, lambda *_: None)
     assert request == {Reliability.RELIABLE, Reliability.BEST_EFFORT}
+
+
+def test_a_message_that_fast_dds_drops_after_a_large_one_is_counted(
+    edge: RunningEdge, peer: Callable[..., Peer]
+) -> None:
+    """Fast DDS drops what is no CDR if messages are taken as structures, as after a large one."""
+    inbox, native = Inbox(), peer()
+    subscription = edge.edge.subscribe("/odd", edge.type(TYPE), RELIABLE, inbox.deliver)
+    native_end = native.advertise("/odd", "std_msgs/String")
+
+    def received(text: str) -> bool:
+        native.publish(native_end, {"data": text})
+        return any(text.encode() in payload for payload, _, _ in inbox.messages)
+
+    until(lambda: received("x" * 100_000), "a large message")
+    native.ask("publish_raw", id=native_end, hex=b'{"a": 1}'.hex())
+    until(lambda: received("after"), "the message after it")
+    assert not any(b'"a"' in payload for payload, _, _ in inbox.messages)
+    assert subscription.lost == 1
