@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from bridge.hub.errors import HubError
@@ -39,13 +40,13 @@ class FailureReports:
                 _log.debug("%s cannot report its failure: %s", name, err)
                 continue
             self._nodes[name] = hub
-            hub.serve("status", lambda _params, name=name, zid=hub.zid: self._status(name, zid))
+            hub.serve("status", partial(self._status, name, hub.zid))
 
     def close(self) -> None:
         """Report none. Safe to call twice."""
         self.show({})
 
-    def _status(self, name: str, zid: str) -> dict[str, Any]:
+    def _status(self, name: str, zid: str, _params: dict[str, Any]) -> dict[str, Any]:
         head = StatusHead({"daemon": self._daemon, "worker": name, "module": True}, uptime=False, costs=False)
         fields = head.fields("waiting", self._troubles.get(name, ""), refused=[])
         return ModuleStatus(**fields, zid=zid, routes=[], warnings=[]).document()

@@ -13,6 +13,7 @@ import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
+from bridge.bags.mcap_writer import McapWriter
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED, Durability, Qos
@@ -265,7 +266,7 @@ def test_a_file_that_cannot_be_written_is_named_and_removed(tmp_path: Path, monk
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(record_file.McapWriter, "metadata", full)
+    monkeypatch.setattr(McapWriter, "metadata", full)
     with pytest.raises(OSError, match=r"No space left.*one\.mcap"):
         record_file.RecordFile(tmp_path / "one.mcap", RecordSection().compression, {})
     assert not list(tmp_path.iterdir())
