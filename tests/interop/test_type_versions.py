@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from bridge.hub.wire.qos import Qos
+from bridge.hub.wire.qos import Durability, Qos
 from bridge.interfaces.builder import build
 from bridge.interfaces.cache import environment
 from bridge.messages.registry import Registry
@@ -189,6 +190,21 @@ def test_late_subscriptions_of_two_versions_receive_latched_messages(rig: Rig) -
             assert numbered(peer.wait(subscription, 1, 40)) == [(1, 1.5)], peer
         for peer, subscription in ends.items():
             peer.drop(subscription)
+
+
+def test_latched_publishers_of_two_versions_on_one_topic(rig: Rig) -> None:
+    """Late subscriptions on ROS 1 and the hub receive the last message of both, in their version."""
+    name, values = "/latched_sources", {rig.jazzy: {"rpm": 1.5, "code": "7"}, rig.kilted: {"speed": 2.5, "code": 7}}
+    for load, (peer, fields) in enumerate(values.items(), 1):
+        end = peer.advertise(name, TOPIC_TYPE, latched=True, depth=1)
+        peer.publish(end, {"name": "n", "load": load, **fields})
+    rig.deployment.until_route("ros1", name, "out", state="active")
+    late, expected = rig.ros1.subscribe(name, TOPIC_TYPE), [(1, 1.5), (2, 2.5)]
+    until(lambda: sorted(numbered(rig.ros1.wait(late, 2, 0.1))) == expected, "ROS 1 has received both", 40)
+    for version in ("old", "new"):
+        topic = replace(rig.topic(name, version), qos=Qos(durability=Durability.TRANSIENT_LOCAL, depth=10))
+        hub = ReleaseSubscription(rig.hub_node(version), topic)
+        until(lambda v=version, e=hub: sorted(rig.loads(v, e)) == expected, f"the hub's {version} has both", 40)
 
 
 def test_a_service_of_the_newer_version(rig: Rig) -> None:
