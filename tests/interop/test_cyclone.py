@@ -263,7 +263,8 @@ def cdr_string(value: str) -> bytes:
 
 
 def test_a_node_with_graph_messages_of_humble_is_found_by_its_endpoints(shared: Deployment) -> None:
-    native, ros1, service = cyclone(shared), shared.ros1(), Service(Registry(), SET_BOOL)
+    native, ros1 = shared.keep(CyclonePeer(user_data="enclave=/;")), shared.ros1()
+    service = Service(Registry(), SET_BOOL)
     graph = native.advertise_raw(
         "ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_", latched=True
     )
@@ -289,6 +290,18 @@ def test_a_node_with_graph_messages_of_humble_is_found_by_its_endpoints(shared: 
         return ros1.wait(subscription, 1, 0.2)
 
     assert until(range_received, "a Range of Humble on ROS 1", 30)[0]["range"] == 2.5
+    measured = ros1.advertise("/measured", "sensor_msgs/Range")
+    humble, jazzy = native.subscribe("/measured", "sensor_msgs/Range"), shared.ros2()
+    later = jazzy.subscribe("/measured", "sensor_msgs/Range")
+
+    def both_received() -> bool:
+        ros1.publish(measured, {"range": 2.5})
+        return bool(native.received(humble, 1, 0.1)) and bool(jazzy.wait(later, 1, 0.1))
+
+    until(both_received, "Humble and Jazzy receive a Range", 40)
+    assert {payload[-4:] for payload in native.received(humble, 1)} == {message[-8:-4]}
+    assert {len(payload) for payload in native.received(humble, 1)} == {len(message) - 4}
+    assert {m["range"] for m in jazzy.wait(later, 1)} == {2.5}
 
 
 def test_doctor_names_the_nodes(shared: Deployment) -> None:

@@ -21,13 +21,18 @@ _CONFIG = """<CycloneDDS><Domain>
 
 
 class CyclonePeer(Peer):
-    """A program of `tests.peers.ros2.cyclone_peer` on this test process's domain."""
+    """A program of `tests.peers.ros2.cyclone_peer` on this test process's domain.
 
-    def __init__(self, domain: int | None = None) -> None:
+    Args:
+        domain: another domain.
+        user_data: of its participant; ROS 2 programs name their enclave there.
+    """
+
+    def __init__(self, domain: int | None = None, user_data: str = "") -> None:
         need(CYCLONE)
         number = ros2_domain() if domain is None else domain
         env = ros2_environment(CYCLONEDDS_URI=_CONFIG, ROS_DOMAIN_ID=str(number))
-        super().__init__(PROGRAM, Path(sys.executable), env)
+        super().__init__(PROGRAM, Path(sys.executable), env, user_data)
 
     def serve(self, service: str, type_: str, reply: bytes) -> int:
         """Serve with one reply for all requests; return the server's id."""

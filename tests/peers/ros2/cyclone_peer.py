@@ -9,7 +9,7 @@ id; ``publish`` id, payload; ``wait`` id, count, seconds -> payloads; ``serve`` 
 id -> payloads of all requests as received;
 ``call`` service, type, request -> id, once a server has matched; ``result`` id, seconds -> reply ("" without one);
 ``act`` action, type, result -> id: three services and two topics; each goal is accepted, ``result`` is the reply to
-requests for its result, and a request to cancel is rejected.
+requests for its result, and a request to cancel is rejected. The argument is the participant's user data.
 Types are spelled ``package/Name`` for topics and services alike, ``package/action/Name_Feedback`` for parts of actions.
 """
 # ruff: noqa: A002  # parameters are named as in the commands
@@ -155,9 +155,9 @@ class Client:
 class Peer(Commands):
     """The participant, and the commands that use it."""
 
-    def __init__(self, domain: int) -> None:
+    def __init__(self, domain: int, user_data: str = "") -> None:
         super().__init__()
-        self.participant = DomainParticipant(domain)
+        self.participant = DomainParticipant(domain, qos=Qos(Policy.Userdata(user_data.encode())))
         self._topics: dict[str, Topic] = {}
 
     def topic(self, name: str, type_: str) -> Topic:
@@ -218,7 +218,7 @@ class Peer(Commands):
 def main() -> None:
     """Execute the commands from standard input until it ends."""
     answers = only_answers()
-    serve(Peer(int(os.environ["ROS_DOMAIN_ID"])), answers)
+    serve(Peer(int(os.environ["ROS_DOMAIN_ID"]), *sys.argv[1:]), answers)
 
 
 if __name__ == "__main__":
