@@ -34,6 +34,9 @@ STEP = 0.25
 SUSPENDED_AFTER = 1.0
 """A longer step means that this process or the machine was suspended; workers are not penalized for that time."""
 STOP_SECONDS = 4.8
+AGAIN_SECONDS = 0.5
+"""Requests to stop within this time count as one: ``timeout`` and ``make`` signal the daemon and its process group."""
+
 KILLED_SECONDS = 1.0
 """A killed process that still exists after this time hangs in the kernel; not part of `STOP_SECONDS`."""
 
@@ -114,6 +117,7 @@ class Supervisor:
             for kind in worker_kinds(environ).values()
         ]
         self._stops = 0
+        self._stop_requested = 0.0
         self._reload_wanted = False
         self._refused = ""
         self._begun = self._stepped = time.monotonic()
@@ -126,7 +130,12 @@ class Supervisor:
     # -- from signal handlers and other threads ------------------------------------------------------------------------
 
     def request_stop(self) -> None:
-        """Stop in order; a second request kills the workers at once."""
+        """Stop in order; another request after `AGAIN_SECONDS` kills the workers at once."""
+        now = time.monotonic()
+        if not self._stops:
+            self._stop_requested = now
+        elif now < self._stop_requested + AGAIN_SECONDS:
+            return
         self._stops += 1
         self.loop.wake()
 

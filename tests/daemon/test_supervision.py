@@ -10,7 +10,7 @@ import time
 import psutil
 import pytest
 
-from bridge.daemon.supervisor import STOP_SECONDS
+from bridge.daemon.supervisor import AGAIN_SECONDS, STOP_SECONDS
 from tests.peers.daemon.daemon import Daemon, alive, exited
 from tests.support.wait import until
 
@@ -125,10 +125,21 @@ def test_second_signal_stops_at_once(daemon: Daemon) -> None:
     daemon.wait_ready(process)
     process.signal(signal.SIGINT)
     daemon.expect_output(process, "stopping ros1")
-    process.signal(signal.SIGINT)
+    again = AGAIN_SECONDS + 0.1
+    until(lambda: "ros1 killed" in process.output() or process.signal(signal.SIGINT), "ros1 is killed", every=again)
     assert process.popen.wait(40) == 0
     assert "did not stop in time" not in process.output()
     assert not alive(daemon.wait_started("ros1"))
+
+
+def test_signals_at_once_are_one_request_to_stop(daemon: Daemon) -> None:
+    process = daemon.start()
+    daemon.wait_ready(process)
+    for number in (signal.SIGTERM, signal.SIGINT):  # `timeout` signals the daemon and its group
+        process.signal(number)
+    assert process.popen.wait(40) == 0
+    assert "killed by SIGKILL" not in process.output()
+    assert [len(daemon.events(worker, "stop")) for worker in WORKERS] == [1, 1, 1]
 
 
 def test_workers_exit_with_a_killed_daemon_and_the_next_one_adopts_the_router(daemon: Daemon) -> None:
