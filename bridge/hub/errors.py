@@ -5,7 +5,7 @@
     HubError
      +-- HubConfigError    the zenoh configuration cannot be used
      +-- HubClosedError    the session is closed
-     +-- WireError         bytes or names are not in rmw_zenoh's format
+     +-- HubWireError      bytes or names are not in rmw_zenoh's format
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Self, TypeVar
 
 from bridge.hub.endpoints.variants import TypeVersions
-from bridge.hub.graph.view import HubEndpoint
+from bridge.hub.graph.endpoints import HubEndpoint
 from bridge.messages.actions import split
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.transcode.conversion import Conversion, ServiceConversion

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from bridge.config.sections.navigation import ACTION
-from bridge.hub.graph.view import HubEndpoint
+from bridge.hub.graph.endpoints import HubEndpoint
 from bridge.messages.actions import names
 from bridge.modules.action_server import ActionServer, Goal
 from bridge.modules.host import Host

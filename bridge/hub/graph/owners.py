@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bridge.hub.graph.view import HubEndpoint
+from bridge.hub.graph.endpoints import HubEndpoint
 from bridge.sides import label
 
 

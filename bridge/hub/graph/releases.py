@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 from typing_extensions import override
 
+from bridge.hub.graph.endpoints import HubEndpoint
 from bridge.hub.graph.owners import owner
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
-from bridge.hub.graph.view import HubEndpoint
 from bridge.hub.wire.buffers import BUFFER_TYPES
 from bridge.messages import releases
 from bridge.messages.releases import Release, Releases, release_text

@@ -166,7 +166,7 @@ def test_malformed_tokens_are_left_out(network: HubNetwork, caplog: pytest.LogCa
             good = advertise(b, "/chatter")
             until(lambda: a.graph.publishers("/chatter"), "the good one is seen")
             until(lambda: a.graph.refused == len(bad), "the bad ones are counted")
-        assert len([r for r in caplog.records if r.name == "bridge.hub.graph.view"]) <= 2
+        assert len([r for r in caplog.records if r.name.startswith("bridge.hub.graph")]) <= 2
         assert [e.gid for e in a.graph.endpoints()] == [good.gid]
         for token in tokens:
             token.undeclare()
@@ -186,7 +186,7 @@ def test_camera_of_a_later_release_is_seen(network: HubNetwork, caplog: pytest.L
             7,
         )
         assert a.graph.refused == 0
-        assert not [r for r in caplog.records if r.name == "bridge.hub.graph.view"]
+        assert not [r for r in caplog.records if r.name.startswith("bridge.hub.graph")]
         token.undeclare()
         until(lambda: not a.graph.endpoints(), "gone")
 

@@ -1,0 +1,127 @@
+"""What Midspan's sessions announce about themselves: their origin, their network's members, velocities, versions."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+
+from bridge.hub.errors import HubWireError
+from bridge.hub.graph.tokens import MIDSPAN_SPACE, Origin, parse_member, parse_origin, parse_velocity, parse_wire
+from bridge.hub.wire.version import refusal
+
+_log = logging.getLogger(__name__)
+
+
+class SessionAnnouncements:
+    """The announcements of Midspan's sessions on one graph, whose lock guards them.
+
+    Args:
+        max_tokens: the maximum number of each kind.
+        settle: called with the session (zid) whose origin may have changed.
+
+    Attributes:
+        spaces: the keys of their tokens.
+        origins: the origin of each session that announces one, by zid.
+        velocities: session (zid), hub topic and type of each topic of velocities that a side's own nodes subscribe to.
+    """
+
+    def __init__(self, domain: int, max_tokens: int, settle: Callable[[str], None]) -> None:
+        space = f"{MIDSPAN_SPACE}/{domain}"
+        self._max_tokens, self._settle_endpoints = max_tokens, settle
+        self._member_space, self._velocity_space = f"{space}/member/", f"{space}/velocity/"
+        self._wire_space = f"{space}/wire/"
+        self.spaces = tuple(f"{space}/{kind}/**" for kind in ("wire", "origin", "member", "velocity"))
+        self.origins: dict[str, Origin] = {}
+        self.velocities: set[tuple[str, str, str]] = set()
+        self._tokens: dict[str, dict[str, Origin]] = {}
+        self._members: dict[str, dict[str, None]] = {}
+        self._strangers: set[str] = set()
+
+    def members(self) -> dict[str, frozenset[str]]:
+        """The members of the foreign network of each session that carries messages, by zid."""
+        return {zid: frozenset(members) for zid, members in self._members.items()}
+
+    def put(self, key: str) -> bool:
+        """Add a token; return whether anything changed. Raises `HubWireError` if it is malformed, or one too many."""
+        if key.startswith(self._member_space):
+            return self._put_member(*parse_member(key))
+        if key.startswith(self._velocity_space):
+            velocity = parse_velocity(key)
+            self._check_room(len(self.velocities), "topics of velocities")
+            self.velocities.add(velocity)
+            return True
+        if key.startswith(self._wire_space):
+            return self._put_wire(*parse_wire(key))
+        token = parse_origin(key)
+        if token.zid not in self._tokens:
+            self._check_room(len(self._tokens), "origins")
+        tokens = self._tokens.setdefault(token.zid, {})
+        # the newest of a session's origins is valid; the token that it replaces is removed right after
+        tokens.pop(key, None)
+        tokens[key] = token.origin
+        self._settle(token.zid)
+        return True
+
+    def delete(self, key: str) -> bool:
+        """Remove a token; return whether anything changed. Raises `HubWireError` if it is malformed."""
+        if key.startswith(self._member_space):
+            return self._delete_member(*parse_member(key))
+        if key.startswith(self._velocity_space):
+            velocity = parse_velocity(key)
+            known = velocity in self.velocities
+            self.velocities.discard(velocity)
+            return known
+        if key.startswith(self._wire_space):
+            return self._delete_wire(parse_wire(key)[0])
+        zid = parse_origin(key).zid
+        tokens = self._tokens.get(zid, {})
+        if tokens.pop(key, None) is None:
+            return False
+        if not tokens:
+            del self._tokens[zid]
+        self._settle(zid)
+        return True
+
+    def _put_member(self, zid: str, member: str) -> bool:
+        self._check_room(sum(map(len, self._members.values())), "members of networks")
+        self._members.setdefault(zid, {})[member] = None
+        return True
+
+    def _delete_member(self, zid: str, member: str) -> bool:
+        members = self._members.get(zid, {})
+        if member not in members:
+            return False
+        del members[member]
+        if not members:
+            del self._members[zid]
+        return True
+
+    def _put_wire(self, zid: str, version: str, release: str) -> bool:
+        """Endpoints of a session with an incompatible version stay of unknown origin."""
+        reason = refusal(version)
+        if not reason or zid in self._strangers:
+            return False
+        self._check_room(len(self._strangers), "versions")
+        self._strangers.add(zid)
+        _log.warning("a Midspan %.40s on the hub is refused, session %s: %s", release, zid, reason)
+        self._settle(zid)
+        return True
+
+    def _delete_wire(self, zid: str) -> bool:
+        if zid not in self._strangers:
+            return False
+        self._strangers.remove(zid)
+        self._settle(zid)
+        return True
+
+    def _settle(self, zid: str) -> None:
+        tokens = self._tokens.get(zid)
+        if tokens and zid not in self._strangers:
+            self.origins[zid] = next(reversed(tokens.values()))
+        else:
+            self.origins.pop(zid, None)
+        self._settle_endpoints(zid)
+
+    def _check_room(self, count: int, kind: str) -> None:
+        if count >= self._max_tokens:
+            raise HubWireError(f"more than {self._max_tokens} {kind}")
