@@ -297,7 +297,7 @@ class LaneSubscription(HubSubscription):
         inlets: set[Inlet] = set()
         if not reason:
             for zid in {publisher.zid for publisher in publishers}:
-                connection = self._lane.inlet(zid)
+                connection = self._lane.connections.inlet(zid)
                 if isinstance(connection, str):
                     node = next(publisher.node for publisher in publishers if publisher.zid == zid)
                     reason = f"{node}: {connection}"
@@ -350,7 +350,7 @@ class LaneSubscription(HubSubscription):
         for publisher in missing:
             late = next(inlet for inlet in inlets if inlet.zid == publisher.zid)
             if not late.answered and now - late.since > _UNANSWERED_SECONDS:
-                self._lane.refuse(late, "it does not respond on its lane")
+                self._lane.connections.refuse(late, "it does not respond on its lane")
             elif publisher.gid not in lanes.joined and now - lanes.inlets.get(late, now) > _UNANSWERED_SECONDS:
                 lanes.inlets[late] = now
                 late.join(self)  # once more, for another mark
@@ -371,7 +371,7 @@ class LaneSubscription(HubSubscription):
                 inlet.leave(self)
                 self._drop(inlet)
             elif step is LeavingStep.DECLARED:
-                if self._lane.passed(inlet.zid, self._zenoh.declared):
+                if self._lane.barriers.passed(inlet.zid, self._zenoh.declared):
                     with self._lock:
                         lanes.known(inlet, now)
             else:
