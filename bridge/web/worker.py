@@ -37,6 +37,7 @@ from bridge.web.serving.console import WebServer, hello
 from bridge.web.serving.tls import ServerTls
 from bridge.web.verbs.hold import HOLD_SECONDS, HandDriving
 from bridge.web.verbs.patrol import ANOTHER, STOPPED, Patrol
+from bridge.web.verbs.robot import RobotVerbs
 from bridge.web.verbs.verbs import Verbs
 from bridge.web.views import Parts, all_views
 from bridge.worker import Health, StatusHead, Worker
@@ -134,15 +135,22 @@ class Console:
             host, config.navigation.velocity, most,
             driven=lambda: driving.busy or self._patrol.busy, begins=driving.moved_by_hand,
         )  # fmt: skip
-        self.verbs = Verbs(
+        robot = RobotVerbs(
             host, config, client, known, self._store.client,
             on_planner=driving.on_planner, pause_or_resume=self._patrol.pause_or_resume,
-            before={
+        )  # fmt: skip
+        self.verbs = Verbs(
+            {
+                **robot.verbs(),
+                **self._patrol.verbs(),
+                **{name: verb for offer in offers for name, verb in offer.verbs.items()},
+            },
+            host.loop.post,
+            {
                 **dict.fromkeys(("stop", "halt"), self._stop_robot),
                 **dict.fromkeys(("goto", "goto_place"), lambda: self._patrol.end(ANOTHER)),
             },
-            more={**self._patrol.verbs(), **{name: verb for offer in offers for name, verb in offer.verbs.items()}},
-        )  # fmt: skip
+        )
         self._hello = hello(config.name, __version__, config.navigation.frame, most, HOLD_SECONDS)
 
     def start(self) -> None:
