@@ -12,7 +12,7 @@ import pytest
 
 from bridge.config.sections.navigation import ACTION
 from bridge.modules.action_server import Goal
-from bridge.web.verbs import verbs
+from bridge.web.verbs import robot
 from bridge.web.verbs.hold import HOLD_SECONDS
 from navigation.messages import NAVIGATE
 from tests.peers.browser.page import TestPage
@@ -317,7 +317,7 @@ def test_set_pose_publishes_the_initial_pose(desk: Desk, topic: str) -> None:
 
 
 def test_a_goal_without_a_reply_is_canceled(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(verbs, "GOAL_SECONDS", 0.5)
+    monkeypatch.setattr(robot, "GOAL_SECONDS", 0.5)
     gateway = LateGateway(desk.hubs.settings("gateway"))
     try:
         with TestPage(desk.port) as page:
