@@ -8,6 +8,7 @@ patrol: a stop, a goal of another client, a place that cannot be reached. The pa
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Protocol
 
@@ -49,6 +50,50 @@ def wait_of(value: Any) -> float:
     return 0.0 if type(value) in (int, float) and value == 0 else _seconds_of(value)
 
 
+@dataclass
+class PatrolRoute:
+    """The places of a patrol, and how far the robot is.
+
+    Attributes:
+        wait: seconds at each place, 0 for no stop.
+        at: index of the place that the robot drives to or stands at.
+        round: the current round, from 1.
+        last: index of the last place of the current goal; continues past the last place into the next round.
+        poses: of the next goal's places, as far as they are known.
+    """
+
+    places: Sequence[str]
+    wait: float
+    at: int = 0
+    round: int = 1
+    last: int = 0
+    poses: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def place(self) -> str:
+        """The place that the robot drives to or stands at."""
+        return self.places[self.at]
+
+    @property
+    def wanted(self) -> str:
+        """The next place whose pose is not known yet."""
+        return self.places[(self.at + len(self.poses)) % len(self.places)]
+
+    def advance(self, index: int) -> bool:
+        """Go on to a place of the current goal, indexed like ``last``; return False if the robot is there already."""
+        if index == self.at:
+            return False
+        rounds, self.at = divmod(index, len(self.places))
+        self.last -= rounds * len(self.places)
+        self.round += rounds
+        return True
+
+    def advance_one(self) -> None:
+        """Go on to the next place."""
+        self.at = (self.at + 1) % len(self.places)
+        self.round += not self.at
+
+
 class Gateway(Protocol):
     """The state of the gateway."""
 
@@ -76,10 +121,7 @@ class Patrol:
         self._host, self._gateway, self._publish_state = host, gateway, publish
         self._locate: ServiceClient | None = None
         self._goals: dict[str, ActionClient] = {}  # by the type of goals
-        self._places: Sequence[str] = ()
-        self._wait = USUAL
-        self._at = self._round = self._last = 0  # index of the next place, and of the goal's last one
-        self._poses: list[dict[str, Any]] = []  # of the next goal's places, as far as they are known
+        self._route = PatrolRoute((), USUAL)
         self._step = 0  # increases with each step; callbacks of earlier steps are ignored
         self._active = self._held = self._seen = False
         self._goal: SentGoal | None = None
@@ -132,7 +174,7 @@ class Patrol:
     def _begin(self, places: Sequence[str], wait: float) -> None:
         if self._active:
             raise VerbError("a patrol is active; stop it first")
-        self._places, self._wait, self._at, self._round = places, wait, 0, 1
+        self._route = PatrolRoute(places, wait)
         self._active, self._held, self._seen = True, False, False
         self._host.log.info("patrolling %s", ", ".join(places))
         self._find()
@@ -149,15 +191,14 @@ class Patrol:
 
     def _find(self) -> None:
         """Request the poses of the next goal's places."""
-        self._poses = []
+        self._route.poses = []
         self._find_next()
         self._publish("drives")
 
     def _find_next(self) -> None:
         step = self._next_step()
-        place = self._places[(self._at + len(self._poses)) % len(self._places)]
         self._locate = self._locate or self._host.node.client(_LOCATE, GET_LOCATION)
-        self._locate.call({"name": place}, partial(self._on_pose, step))
+        self._locate.call({"name": self._route.wanted}, partial(self._on_pose, step))
         self._after(ANSWER_SECONDS, lambda: self.end(f"{_LOCATE} has not answered in {ANSWER_SECONDS:g} s"))
 
     def _on_pose(self, step: int, reply: dict[str, Any] | CallError) -> None:
@@ -168,13 +209,14 @@ class Patrol:
         elif not reply["success"]:
             self.end(str(reply["message"]))
         else:
-            self._poses.append(reply["pose"])
-            if self._wait:
+            route = self._route
+            route.poses.append(reply["pose"])
+            if route.wait:
                 self._send(ACTION, NAVIGATE, {"pose": reply["pose"]}, 1)
-            elif len(self._poses) < len(self._places):
+            elif len(route.poses) < len(route.places):
                 self._find_next()
             else:
-                poses = self._poses * max(1, MOST_PASSED // len(self._poses))
+                poses = route.poses * max(1, MOST_PASSED // len(route.poses))
                 self._send(THROUGH_POSES, THROUGH, {"poses": poses}, len(poses))
 
     def _send(self, action: str, kind: str, goal: dict[str, Any], count: int) -> None:
@@ -182,24 +224,19 @@ class Patrol:
         step = self._next_step()
         if action not in self._goals:
             self._goals[action] = self._host.node.action_client(action, kind)
-        self._last = self._at + count - 1
+        self._route.last = self._route.at + count - 1
         self._goal = self._goals[action].send(goal, self._ended, partial(self._on_feedback, step))
         self._newest = self._goal.id
         self._after(ANSWER_SECONDS, self._accepted)
 
     def _on_feedback(self, step: int, feedback: dict[str, Any]) -> None:
-        left = int(feedback.get("number_of_poses_remaining", 0))
-        if step == self._step and 0 < left <= self._last + 1 - self._at:
-            self._set_place(self._last + 1 - left)
+        left, last = int(feedback.get("number_of_poses_remaining", 0)), self._route.last
+        if step == self._step and 0 < left <= last + 1 - self._route.at:
+            self._advance(last + 1 - left)
 
-    def _set_place(self, index: int) -> None:
-        """Set the place that the robot drives to now; ``index`` continues past the last place into the next round."""
-        if index == self._at:
-            return
-        rounds, self._at = divmod(index, len(self._places))
-        self._last -= rounds * len(self._places)
-        self._round += rounds
-        self._publish("held" if self._held else "drives")
+    def _advance(self, index: int) -> None:
+        if self._route.advance(index):
+            self._publish("held" if self._held else "drives")
 
     def _accepted(self) -> None:
         if self._goal is not None and self._goal.accepted is None:
@@ -211,17 +248,16 @@ class Patrol:
         self._goal = None
         if goal.status is not GoalState.SUCCEEDED:
             reason = why or (result or {}).get("error_msg", "") or "the goal was aborted"
-            self.end(f"driving to {self._place}: {reason}")
+            self.end(f"driving to {self._route.place}: {reason}")
             return
         self._next_step()
         self._held = False
-        self._set_place(self._last)
-        self._after(self._wait or SHORTEST, self._next_place)
+        self._advance(self._route.last)
+        self._after(self._route.wait or SHORTEST, self._next_place)
         self._publish("waits")
 
     def _next_place(self) -> None:
-        self._at = (self._at + 1) % len(self._places)
-        self._round += not self._at
+        self._route.advance_one()
         self._find()
 
     # -- status of the gateway -----------------------------------------------------------------------------------------
@@ -242,10 +278,7 @@ class Patrol:
         elif self._seen and self._goal is None and any(of) and of != self._newest:
             self.end(ANOTHER)
 
-    @property
-    def _place(self) -> str:
-        return self._places[self._at]
-
     def _publish(self, state: str, why: str = "") -> None:
-        now = {"state": state, "places": list(self._places), "at": self._at, "round": self._round}
-        self._publish_state({**now, "wait": self._wait, "why": why})
+        route = self._route
+        now = {"state": state, "places": list(route.places), "at": route.at, "round": route.round}
+        self._publish_state({**now, "wait": route.wait, "why": why})
