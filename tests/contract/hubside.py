@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -97,14 +98,16 @@ class HubSide:
 
         until(once, "a message from the hub arrives on the side", 20)
 
-    def publish_until(self, peer: PeerLike, endpoint: int, message: dict[str, Any], heard: Callable[[], Any]) -> None:
-        """Publish repeatedly from a peer on the side until a message arrives on the hub."""
+    def publish_until(self, peer: PeerLike, endpoint: int, message: dict[str, Any], heard: Callable[[], Any]) -> int:
+        """Publish repeatedly from a peer on the side until a message arrives on the hub; return how often."""
+        count = itertools.count(1)
 
         def once() -> Any:
             peer.publish(endpoint, message)
-            return heard()
+            number = next(count)
+            return number if heard() else None
 
-        until(once, "a message from the side arrives on the hub", 20)
+        return int(until(once, "a message from the side arrives on the hub", 20))
 
     def close(self) -> None:
         """Leave the hub."""

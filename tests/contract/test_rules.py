@@ -30,14 +30,15 @@ def test_deny_rename_and_rate(side: Side, far: HubSide, config) -> None:
     far.until_published("/fast_stream")
     peer.publish(secret, {"data": "hidden"})
     far.publish_until(peer, local, {"data": "pose"}, lambda: far.wait(at_robot, 1, 0.2))
-    far.publish_until(peer, fast, {"data": "probe"}, lambda: far.wait(at_fast, 1, 0.2))
+    probes = far.publish_until(peer, fast, {"data": "probe"}, lambda: far.wait(at_fast, 1, 0.2))
     before = until(lambda: _count(far, "/fast_stream", 1), "the probe is counted", 10, every=0.1)
     for n in range(20):
         peer.publish(fast, {"data": str(n)})
     route = until(lambda: _count(far, "/fast_stream", _seen(before) + 20), "all fast messages seen", 10, every=0.1)
     assert route["drops"]["rate"] - before["drops"]["rate"] >= 15
+    # earlier probes than the received one are counted if they preceded the match with the hub's subscription
     until(
-        lambda: far.route("/fast_stream", "in")["messages"] == len(far.wait(at_fast, 0)),
+        lambda: 0 <= far.route("/fast_stream", "in")["messages"] - len(far.wait(at_fast, 0)) < probes,
         "received messages are counted",
         10,
     )
