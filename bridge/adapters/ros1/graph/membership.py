@@ -1,0 +1,100 @@
+"""This node on a ROS 1 network: its name, its entry on the master, and what its predecessors left there."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+
+from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry, is_alive, removal_calls
+from bridge.adapters.ros1.graph.registrations import batches
+from bridge.adapters.ros1.graph.state import MasterReader, MasterState
+from bridge.adapters.ros1.node.node import Ros1Node
+from bridge.adapters.ros1_peers import Ros1Error, XmlRpcClient, ask
+
+_log = logging.getLogger(__name__)
+
+SIM_TIME = "/use_sim_time"
+"""The parameter by which ROS 1 nodes, as they start, decide to run on ``/clock`` (wiki.ros.org/Clock)."""
+
+_SPARE_NAMES = 9
+
+
+class Membership:
+    """Joins the network of a master, and leaves it. Used on one thread.
+
+    Attributes:
+        simulated: whether the network's nodes run on ``/clock``, by `SIM_TIME` at the time of joining.
+    """
+
+    def __init__(
+        self, node: Ros1Node, daemon: str, ledger: Ledger, client: XmlRpcClient, reader: MasterReader, *,
+        simulated: bool,
+    ) -> None:  # fmt: skip
+        self._node, self._daemon, self._ledger = node, daemon, ledger
+        self._client, self._reader = client, reader
+        self.simulated = self._simulated = simulated
+
+    def entry(self) -> NodeEntry:
+        """Return this node's entry."""
+        node = self._node
+        return NodeEntry(self._ledger.owner, self._daemon, node.name, node.uri, os.getpid(), node.port)
+
+    def join(self, state: MasterState) -> None:
+        """Join the network that is in this state: remove dead predecessors, choose a free name, and enter it."""
+        entry = self.entry()
+        dead = [e for e in self._ledger.predecessors(state, entry) if not is_alive(entry.node, e)]
+        for batch in batches(removal_calls(state, dead)):
+            self._client.calls(batch)
+        dead_uris = {e.uri for e in dead}
+        for _ in range(_SPARE_NAMES):
+            name = self._free_name(state, dead_uris)
+            if name != self._node.name:
+                _log.info("the name %s is taken on this ROS 1 network; this node is %s", self._node.name, name)
+                self._node.name = name
+                self._reader.caller = name
+            # Another daemon may be choosing a name, too: the one that then reads the other's entry chooses another
+            # name.
+            entry = self.entry()
+            self._client.calls([("setParam", (entry.node, entry.parameter, entry.as_dict()))])
+            state = self._reader.read()
+            if self._free_name(state, dead_uris) == name:
+                break
+        self._ledger.remember(self.entry())
+        self._agree_on_the_clock()
+        _log.info("joined the ROS 1 network %s as %s", state.network, name)
+
+    def leave(self, client: XmlRpcClient) -> None:
+        """Remove everything that the master lists for this node."""
+        entry = self.entry()
+        state = MasterReader(client, entry.node).read()
+        for batch in batches(removal_calls(state, [entry])):
+            client.calls(batch)
+        self._ledger.remember(None)
+
+    def answers(self, uri: str) -> bool:
+        """Return whether a node responds at this URI. Blocks up to a second."""
+        try:
+            ask(uri, 1.0, "getPid", self._node.name)
+        except Ros1Error:
+            return False
+        return True
+
+    def _agree_on_the_clock(self) -> None:
+        """Make new nodes use ``/clock`` in a simulated run; otherwise read whether they do."""
+        if self._simulated:
+            self._client.calls([("setParam", (self._node.name, SIM_TIME, True))])
+        else:
+            (self.simulated,) = (bool(v) for v in self._client.calls([("getParam", (self._node.name, SIM_TIME))]))
+
+    def _free_name(self, state: MasterState, dead: set[str]) -> str:
+        """Return this node's name, or a variant if a live node has it, which the master would shut down."""
+        first = self._node.name
+        second = f"{first}_{re.sub(r'[^A-Za-z0-9_]', '_', self._daemon)}"
+        for name in (first, second, *(f"{second}_{n}" for n in range(2, 2 + _SPARE_NAMES))):
+            entries = [NodeEntry.parse(entry) for entry in state.presence.values()]
+            uris = {state.uris.get(name), *(e.uri for e in entries if e is not None and e.node == name)}
+            holders = {u for u in uris if u and u != self._node.uri and u not in dead}
+            if not any(self.answers(holder) for holder in holders):
+                return name
+        return f"{second}_{os.getpid()}"

@@ -1,0 +1,99 @@
+"""This node's registrations: the calls by which the master's state becomes what the node wants."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+from bridge.adapters.ros1.graph.presence import NodeEntry
+from bridge.adapters.ros1.graph.state import MasterState, Registration
+from bridge.adapters.ros1.node.node import Ros1Node
+from bridge.adapters.ros1_peers import Call
+
+_log = logging.getLogger(__name__)
+
+_BATCH = 200
+
+
+class _Own(NamedTuple):
+    """This node's topics in one state of the master."""
+
+    state: MasterState
+    published: frozenset[str]
+    subscribed: frozenset[str]
+
+
+class NodeRegistrations:
+    """The registrations of one node. Used on one thread.
+
+    Args:
+        is_dead: returns whether a service's server is known to be dead, so that Midspan may register its name.
+    """
+
+    def __init__(self, node: Ros1Node, is_dead: Callable[[Registration], bool]) -> None:
+        self._node, self._is_dead = node, is_dead
+        self._own: _Own | None = None
+        self._refused: set[str] = set()
+        self._ended: set[str] = set()
+
+    def corrections(self, state: MasterState, entry: NodeEntry) -> list[Call]:
+        """Return the calls that correct this node's registrations, and its entry."""
+        name, uri = self._node.name, self._node.uri
+        self._ended |= self._node.take_removed()
+        published, subscribed = self._node.publications(), self._node.subscriptions()
+        if self._own is None or self._own.state is not state:
+            ends = (state.publishers, state.subscribers)
+            self._own = _Own(
+                state, *(frozenset(r.topic for r in end if (r.node, r.uri) == (name, uri)) for end in ends)
+            )
+        _, has_published, has_subscribed = self._own
+        # A publication that ended and was created again between two reads is unregistered and registered: a rospy
+        # subscriber whose connection broke reconnects only when the master reports a publisher that was not listed.
+        standing = has_published & published.keys() - self._ended
+        calls: list[Call] = [
+            *(("unregisterPublisher", (name, t, uri)) for t in has_published - standing),
+            *(("unregisterSubscriber", (name, t, uri)) for t in has_subscribed - subscribed.keys()),
+            *(("registerPublisher", (name, t, published[t], uri)) for t in published.keys() - standing),
+            *(("registerSubscriber", (name, t, subscribed[t], uri)) for t in subscribed.keys() - has_subscribed),
+            *self._service_calls(state),
+        ]
+        if NodeEntry.parse(state.presence.get(entry.key)) != entry:
+            calls.append(("setParam", (name, entry.parameter, entry.as_dict())))
+        self._refused &= {_what(call) for call in calls}
+        return calls
+
+    def on_replies(self, calls: Sequence[Call], values: Sequence[object]) -> None:
+        """Report the calls that the master rejects, each once."""
+        for call, value in zip(calls, values, strict=True):
+            action = _what(call)
+            if value is None and action not in self._refused:
+                _log.warning("the master rejects %s", action)
+                self._refused.add(action)
+            elif value is not None:
+                self._refused.discard(action)
+
+    def corrected(self) -> None:
+        """Continue after all calls of `corrections` were made."""
+        self._ended.clear()
+
+    def _service_calls(self, state: MasterState) -> list[Call]:
+        """Return the calls for services: a master has one server per name, and the last to register replaces it."""
+        name, uri, wanted = self._node.name, self._node.uri, self._node.services()
+        has = {link.topic: link.uri for link in state.servers if link.node == name}
+        taken = {link.topic for link in state.servers if link.node != name and not self._is_dead(link)}
+        return [
+            *(("unregisterService", (name, s, a)) for s, a in has.items() if a and wanted.get(s) != a),
+            *(("registerService", (name, s, a, uri)) for s, a in wanted.items() if has.get(s) != a and s not in taken),
+        ]
+
+
+def _what(call: Call) -> str:
+    method, params = call
+    return f"{method} {params[1]}"
+
+
+def batches(calls: Sequence[Call]) -> Iterator[Sequence[Call]]:
+    """Yield the calls in parts that fit one request to the master."""
+    for at in range(0, len(calls), _BATCH):
+        yield calls[at : at + _BATCH]
