@@ -20,11 +20,12 @@ from bridge.adapters.yarp.contents import Contents
 from bridge.adapters.yarp.endpoints import PortEndpoints
 from bridge.adapters.yarp.graph import Ros1Ports, YarpContext, YarpGraph
 from bridge.adapters.yarp.network import PRESENCE, PortNames, YarpNetwork, new_id
-from bridge.adapters.yarp.plan import Wanted, make_plan
+from bridge.adapters.yarp.plan import make_plan
 from bridge.adapters.yarp.ports import OwnPorts
 from bridge.adapters.yarp.presence import WorkerPresence
+from bridge.adapters.yarp.routed import RoutedTopics, YarpSubscription
 from bridge.adapters.yarp.services import OfferedService, PortCaller, YarpServices
-from bridge.adapters.yarp.topics import InputPort, TopicOutput, YarpPublisher
+from bridge.adapters.yarp.topics import YarpPublisher
 from bridge.callers import Callers, callers_file
 from bridge.config.model import Config
 from bridge.hub.endpoints.calls import Call
@@ -32,10 +33,8 @@ from bridge.hub.graph.tokens import Origin
 from bridge.hub.wire.qos import Qos
 from bridge.messages.actions import split
 from bridge.messages.definitions.text import full_text
-from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
-from bridge.messages.yarp.codec import has_header
 from bridge.routing.edge import Deliver, EdgeListener, Endpoint
 from bridge.state_file import keep
 from yarp_compat.ports.naming import NamingError
@@ -76,14 +75,12 @@ class YarpEdge(SideEdge):
         self.ports = OwnPorts(context, self._is_alive, Callers(naming, callers_file(state, "worker yarp")))
         self._presence: WorkerPresence = WorkerPresence(context, self._presence_changed)
         self._services = YarpServices(context)
-        self._lock = threading.Lock()
-        self._outputs: dict[str, TopicOutput] = {}
-        self._endpoints = PortEndpoints(context, self.ports, self._services, self._outputs)
-        self._subscriptions: dict[tuple[str, str], _Subscription] = {}
+        self._wake = threading.Event()
+        self._topics = RoutedTopics(registry, self._contents, self.ports, self._wake.set)
+        self._endpoints = PortEndpoints(context, self.ports, self._services, self._topics.outputs)
         self._last_graph: tuple[object, ...] = ()
         self._disconnected = True
         self._mark_until = 0.0
-        self._wake = threading.Event()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="midspan-yarp-names", daemon=True)
 
@@ -151,12 +148,10 @@ class YarpEdge(SideEdge):
 
     def _update_ports(self) -> None:
         """Open the ports that the routes need, and connect them."""
-        with self._lock:
-            outputs, subscriptions = dict(self._outputs), dict(self._subscriptions)
-        served = self._services.served()
+        outputs, served = self._topics.published(), self._services.served()
         plan = make_plan(
-            [self._wanted(topic, output.side_type) for topic, output in outputs.items()],
-            [self._wanted(subscription.topic, subscription.side_type) for subscription in subscriptions.values()],
+            [self._topics.wanted(topic, output.side_type) for topic, output in outputs.items()],
+            self._topics.subscribed(),
             self._contents,
             self._names,
             self._graph,
@@ -164,19 +159,8 @@ class YarpEdge(SideEdge):
         self.ports.apply(plan | self._services.plan(served), outputs, served)
         self.ports.abandon_calls()
         for input_port in self.ports.input_ports():
-            self._connect_subscription(input_port)
+            self._topics.connect(input_port)
         self.ports.connect()
-
-    def _connect_subscription(self, input_port: InputPort) -> None:
-        """Connect an input port with its topic's subscription. Safe to call from several threads."""
-        with self._lock:
-            subscription = self._subscriptions.get((input_port.topic, input_port.type))
-            input_port.deliver_to(None if subscription is None else subscription.deliver)
-        input_port.release()
-
-    def _wanted(self, topic: str, side_type: SideType) -> Wanted:
-        local = self._registry.ros2(side_type.name).type_id
-        return Wanted(topic, side_type.name, "" if side_type.type_id == local else side_type.type_id)
 
     def _wake_up(self) -> None:
         self._wake.set()
@@ -229,7 +213,7 @@ class YarpEdge(SideEdge):
     @override
     def has_subscribers(self, topic: str) -> bool:
         """Return whether a topic has subscribers; readers of its port count, though the graph does not list them."""
-        output = self._outputs.get(topic)
+        output = self._topics.outputs.get(topic)
         return (output is not None and output.has_readers) or super().has_subscribers(topic)
 
     # -- types ---------------------------------------------------------------------------------------------------------
@@ -281,64 +265,13 @@ class YarpEdge(SideEdge):
     # -- own endpoints -------------------------------------------------------------------------------------------------
 
     @override
-    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> _Subscription:
-        subscription = _Subscription(self, topic, side_type, deliver)
-        with self._lock:
-            self._subscriptions[topic, side_type.name] = subscription
-        self._connect_subscriptions(topic, side_type.name)
-        return subscription
-
-    def unsubscribe(self, subscription: _Subscription) -> None:
-        """Remove a closed subscription, and disconnect its ports from it."""
-        key = subscription.topic, subscription.side_type.name
-        with self._lock:
-            if self._subscriptions.get(key) is not subscription:
-                return
-            del self._subscriptions[key]
-        self._connect_subscriptions(*key)
-
-    def _connect_subscriptions(self, topic: str, type_name: str) -> None:
-        for input_port in self.ports.input_ports():
-            if (input_port.topic, input_port.type) == (topic, type_name):
-                self._connect_subscription(input_port)
-        self._wake.set()
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> YarpSubscription:
+        return self._topics.subscribe(topic, side_type, deliver)
 
     @override
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> YarpPublisher:
         """Publish a topic; its ports open as soon as the name server registers them."""
-        content = self._contents.of_topic(topic)
-        wanted = self._wanted(topic, side_type)
-        self._contents.codec(content, side_type.name, wanted.type_hash, content.profile)
-        with self._lock:
-            output = self._outputs.get(topic)
-            if output is None:
-                stamped = has_header(self._registry.schema(side_type.name, wanted.type_hash))
-                output = self._outputs[topic] = TopicOutput(topic, side_type, stamped, self._contents)
-            elif output.side_type != side_type:
-                raise MessageTypeError(
-                    f"{topic} has the type {output.side_type.name} on YARP", "rename one of the topics by a rule"
-                )
-            publisher = output.publisher(qos, self._closed)
-        self._wake.set()
-        return publisher
-
-    def _closed(self, publisher: YarpPublisher) -> None:
-        output = publisher.output
-        with self._lock:
-            if output.remove(publisher) and self._outputs.get(output.topic) is output:
-                del self._outputs[output.topic]
-        self._wake.set()
-
-
-class _Subscription:
-    lost = 0
-
-    def __init__(self, edge: YarpEdge, topic: str, side_type: SideType, deliver: Deliver) -> None:
-        self._edge = edge
-        self.topic, self.side_type, self.deliver = topic, side_type, deliver
-
-    def close(self) -> None:
-        self._edge.unsubscribe(self)
+        return self._topics.advertise(topic, side_type, qos)
 
 
 def _owner(file: Path) -> str:
