@@ -1,36 +1,35 @@
-"""The simulator as a node of the hub: its pace, commands and publishers, and the worker that runs it."""
+"""The simulator as a node of the hub: its commands and services, and the worker that runs it."""
 
 from __future__ import annotations
 
 import logging
-import math
 import time
 from collections.abc import Callable
 from typing import Any
 
 from typing_extensions import override
 
-from bridge.clock import CLOCK_TOPIC, CLOCK_TYPE, DONE_TOPIC, DONE_TYPE
+from bridge.clock import DONE_TOPIC, DONE_TYPE
 from bridge.config.model import Config
 from bridge.config.sections.section import Section
-from bridge.hub.wire.qos import LATCHED, Qos, Reliability
+from bridge.hub.wire.qos import Qos, Reliability
 from bridge.messages.registry import Registry
-from bridge.modules.endpoints import ModulePublisher
-from bridge.modules.host import Host, ModuleNode
+from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.modules.ports import ports_stay
 from bridge.modules.worker import Running
 from bridge.worker import Health, Worker
 from sim import messages
-from sim.base import TICK_NS, BasePose, Twist
+from sim.base import TICK_NS
 from sim.environment import SimError
-from sim.messages import TopicNames, names_of
+from sim.messages import names_of
+from sim.pace import Pace
+from sim.publishers import SimPublishers
 from sim.section import SimSection
 from sim.services import ChangeServices, Stepping, answered
 from sim.simulation import Simulation
 from sim.stamps import WallStamps
 
-_PICTURE = Qos(depth=2)  # large messages, of which only the newest count
 _ALL = Qos(depth=1000)  # every participant acknowledges each tick of a step
 _NEWEST = Qos(Reliability.BEST_EFFORT, depth=1)
 _BUNDLE = 5  # ticks without handling messages, at maximum speed
@@ -52,7 +51,7 @@ class Simulator(Module):
         self._pace = Pace(section.speed) if isinstance(section.speed, float) else None
         names = names_of(section.names, self.simulation.robot)
         node = host.node
-        self._outlets = Outlets(node, names, self.simulation, clock=not self._real)
+        self._publishers = SimPublishers(node, names, self.simulation, clock=not self._real)
         host.clock.source = not self._real
         self._stamps = WallStamps() if self._real else None
         self._stepping = Stepping(host.loop, self._tick, paced=self._real)
@@ -72,7 +71,7 @@ class Simulator(Module):
             from sim.ports import RobotPorts
 
             self._ports = RobotPorts(host, section.yarp, self.simulation)
-        self._outlets.begin(self._now())
+        self._publishers.begin(self._now())
         if self._pace is not None:
             self._pace.begin()
             host.loop.every(TICK_NS / 1e9, self._keep_pace)
@@ -113,7 +112,7 @@ class Simulator(Module):
         at = self.simulation.time_ns
         if self._stamps is not None and self._pace is not None:
             at = self._stamps.stamp(self._pace.moment())
-        self._outlets.publish(at)
+        self._publishers.publish(at)
         if self._ports is not None:
             self._ports.publish(at)
         return at
@@ -179,184 +178,6 @@ class Simulator(Module):
     def _pause(self, request: dict[str, Any]) -> str:
         self._paused = bool(request["data"])
         return "paused" if self._paused else "running"
-
-
-_CATCH_UP = 0.05  # seconds to catch up on at once, before messages are handled
-_EARLY = 0.002  # seconds by which a tick may be early, since timers are not exact
-_FORGIVEN = 0.25  # seconds of delay after which missed ticks are left out, so that a base does not rush
-
-
-class Pace:
-    """Determines how many ticks are due, and when each was due.
-
-    Args:
-        speed: simulated seconds per second.
-    """
-
-    def __init__(self, speed: float) -> None:
-        self._seconds = TICK_NS / 1e9 / speed
-        self._next = -math.inf  # when the next tick is due
-        self._owed = 0  # ticks that `due` has counted and `moment` has not passed
-        self.begin()
-        self.late = 0  # ticks that were late by their duration or more
-        self.left_out = 0  # ticks that were skipped because this process stood still
-        self._stood = -_PILED
-
-    def begin(self) -> None:
-        """Start from now on: after a pause nothing is due."""
-        self._next = max(self._next, time.monotonic() + self._seconds)
-
-    def stood_still(self) -> bool:
-        """Return whether messages that arrive now may have waited while this process stood still."""
-        return time.monotonic() - self._stood < _PILED
-
-    def due(self) -> int:
-        """Return the number of ticks that are due, and count them as done."""
-        now = time.monotonic()
-        behind = now - self._next
-        if behind > _FORGIVEN:
-            missed = int(behind / self._seconds)
-            self.left_out += missed
-            self._stood = now
-            self._next += missed * self._seconds
-            behind = now - self._next
-        count = int(behind / self._seconds) + 1 if behind > -_EARLY else 0
-        count = min(count, max(1, int(_CATCH_UP / self._seconds)))
-        self.late += max(0, min(count, int(behind / self._seconds))) if self._seconds >= _TICK_WAIT else 0
-        self._next += count * self._seconds
-        self._owed = count
-        return count
-
-    def moment(self) -> float:
-        """Return when the next of the ticks that `due` counted was due, in seconds of the monotonic clock.
-
-        That is the earliest time at which a tick may run, so it is never in the future.
-        """
-        moment = self._next - self._owed * self._seconds - _EARLY
-        self._owed -= 1
-        return moment
-
-
-_PILED = 0.5  # seconds after a standstill in which queued messages may still arrive
-_TICK_WAIT = 0.005  # seconds; shorter ticks run in bundles, and are not counted as late
-
-
-_ODOMETRY = 2
-_BUMPER = 10
-_BATTERY = 100  # ticks between two messages: 50 Hz, 10 Hz, 1 Hz
-
-
-class Outlets:
-    """The simulator's publishers.
-
-    Args:
-        clock: whether to publish ``/clock``.
-    """
-
-    def __init__(self, node: ModuleNode, names: TopicNames, simulation: Simulation, *, clock: bool) -> None:
-        self._names, self._simulation = names, simulation
-        section = simulation.section
-        self._drives = section.drive == "velocity"
-        self._joints = node.publisher(names.joints, "sensor_msgs/msg/JointState")
-        self._scan = node.publisher(names.scan, "sensor_msgs/msg/LaserScan")
-        self._truth = node.publisher(names.truth, "nav_msgs/msg/Odometry")
-        self._battery = node.publisher(names.battery, "sensor_msgs/msg/BatteryState")
-        self._bumper = node.publisher(names.bumper, "std_msgs/msg/Bool")
-        self._static = node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED, priority="state")
-        self._odometry = node.publisher(names.odometry, "nav_msgs/msg/Odometry") if self._drives else None
-        self._tf = node.publisher("/tf", "tf2_msgs/msg/TFMessage") if self._drives else None
-        self._clock = node.publisher(CLOCK_TOPIC, CLOCK_TYPE) if clock else None
-        self._view = node.publisher(names.view, "sensor_msgs/msg/Image") if section.view else None
-        self._every_view = max(1, round(1e9 / section.view / TICK_NS)) if section.view else 0
-        self._camera = CameraOutlets(node, simulation) if simulation.section.camera.rate else None
-        self._ticks = 0
-        self._scanned = -1
-        self._bumped = False
-        self._prepare()
-
-    def _prepare(self) -> None:
-        """Encode the frequent messages once, so that later only their numbers are filled in."""
-        names, simulation, still = self._names, self._simulation, Twist(0.0, 0.0, 0.0)
-        place, motion = BasePose(0.0, 0.0, 0.0), ("header.stamp", "pose.pose", "twist.twist")
-        joints = messages.joints(0, simulation.base.names, simulation.wheels.motors.encoders())
-        self._turning = self._joints.template(joints, "header.stamp", "position", "velocity")
-        truth = messages.odometry(0, place, still, names.map_frame, names.base_frame, sure=True)
-        self._true = self._truth.template(truth, *motion)
-        if self._odometry is not None and self._tf is not None:
-            odometry = messages.odometry(0, place, still, names.odom_frame, names.base_frame)
-            self._estimated = self._odometry.template(odometry, *motion)
-            frame = messages.transform(0, names.odom_frame, names.base_frame, place)
-            self._moved = self._tf.template(frame, "transforms[0].header.stamp", "transforms[0].transform")
-
-    def begin(self, time_ns: int) -> None:
-        """Publish the static transforms."""
-        names, robot = self._names, self._simulation.robot
-        middle = robot.wheels.radius if robot.kinematics == "differential" else 0.0
-        camera = None if self._simulation.camera is None else self._simulation.section.camera
-        frames = names.base_frame, names.laser_frame
-        self._static.publish(messages.mount(time_ns, *frames, robot.lasers.height, camera, middle))
-
-    def publish(self, time_ns: int) -> None:
-        """Publish the messages that are due after a tick, with stamps of ``time_ns``."""
-        simulation, names = self._simulation, self._names
-        self._ticks += 1
-        if "encoders_silent" not in simulation.faults:
-            self._joints.offer(
-                lambda: self._turning.fill(*messages.turning(time_ns, simulation.wheels.motors.encoders()))
-            )
-        if self._ticks % _ODOMETRY == 0:
-            self._publish_pose(time_ns)
-        if simulation.scan.time_ns != self._scanned:
-            self._scanned = simulation.scan.time_ns
-            rate = simulation.section.laser.rate
-            scan, frame = simulation.scan, names.laser_frame
-            self._scan.offer(lambda: self._scan.encoded(messages.scan(time_ns, scan, frame, rate)))
-        if self._camera is not None and simulation.pictured == simulation.time_ns:
-            self._camera.publish(time_ns)
-        bumped = bool(simulation.bumps)
-        if bumped != self._bumped or self._ticks % _BUMPER == 0:
-            self._bumped = bumped
-            self._bumper.offer(lambda: self._bumper.encoded({"data": bumped}))
-        if self._ticks % _BATTERY == 0:
-            self._battery.publish(messages.battery(time_ns, simulation.battery.charge))
-        if self._view is not None and self._ticks % self._every_view == 0:
-            self._publish_view(self._view, time_ns)
-        if self._clock is not None:
-            # last, and with the same priority: the measurements of a time arrive before it
-            self._clock.publish({"clock": messages.stamp(time_ns)})
-
-    def _publish_view(self, view: ModulePublisher, time_ns: int) -> None:
-        from sim.export import draw
-
-        view.offer(lambda: view.encoded(messages.image(time_ns, draw(self._simulation))))
-
-    def _publish_pose(self, time_ns: int) -> None:
-        simulation = self._simulation
-        base = simulation.base
-        self._truth.offer(lambda: self._true.fill(*messages.moving(time_ns, base.pose(), base.twist())))
-        if self._odometry is not None and self._tf is not None and "encoders_silent" not in simulation.faults:
-            estimate = simulation.estimate
-            self._odometry.offer(lambda: self._estimated.fill(*messages.moving(time_ns, estimate.pose, estimate.twist)))
-            self._tf.offer(lambda: self._moved.fill(*messages.placed(time_ns, estimate.pose)))
-
-
-class CameraOutlets:
-    """The depth camera's publishers; pictures are computed only for subscribers."""
-
-    def __init__(self, node: ModuleNode, simulation: Simulation) -> None:
-        self._simulation = simulation
-        self._depth = node.publisher(messages.DEPTH, "sensor_msgs/msg/Image", _PICTURE)
-        self._info = node.publisher(messages.DEPTH_INFO, "sensor_msgs/msg/CameraInfo")
-        self._points = node.publisher(messages.DEPTH_POINTS, "sensor_msgs/msg/PointCloud2", _PICTURE)
-
-    def publish(self, time_ns: int) -> None:
-        """Publish the latest picture, with stamps of ``time_ns``."""
-        simulation, camera = self._simulation, self._simulation.camera
-        assert camera is not None
-        depth, info, points, encoding = self._depth, self._info, self._points, simulation.section.camera.encoding
-        info.offer(lambda: info.encoded(messages.camera_info(time_ns, camera.lens, *camera.size)))
-        depth.offer(lambda: depth.encoded(messages.depth(time_ns, simulation.depth(), encoding)))
-        points.offer(lambda: points.encoded(messages.points(time_ns, camera.points(simulation.depth()))))
 
 
 _FIXED = ("name", "state", "hub", "types", "limits", "clock")

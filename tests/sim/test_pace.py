@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from sim import simulator
-from sim.simulator import Pace
+from sim.pace import Pace
 from tests.support.clock import Clock
 
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     fake_clock = Clock()
-    monkeypatch.setattr(simulator, "time", fake_clock)
+    monkeypatch.setattr("sim.pace.time", fake_clock)
     return fake_clock
 
 

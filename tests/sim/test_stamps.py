@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from sim import simulator, stamps
+from sim import stamps
 from sim.base import TICK_NS
-from sim.simulator import Pace
+from sim.pace import Pace
 from sim.stamps import WallStamps
 from tests.sim.test_hub import Place
 from tests.support.clock import Clock
@@ -40,7 +40,7 @@ class Clocks(Clock):
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clocks:
     fake_clocks = Clocks()
-    monkeypatch.setattr(simulator, "time", fake_clocks)
+    monkeypatch.setattr("sim.pace.time", fake_clocks)
     monkeypatch.setattr(stamps, "time", fake_clocks)
     return fake_clocks
 
