@@ -1,8 +1,8 @@
 """ROS 1 to CDR and back: Midspan's converters compared with rosbags', in one process, in turns.
 
 Bulk messages are also compared with a bare copy of their bytes, and conversions between two releases of ROS 2 with a
-copy of the same message by the same machine, which checks it too. Each figure is the median over the rounds of one
-conversion's time.
+checked copy of the message by the same virtual machine. Each figure is the median over the rounds of the time of one
+conversion.
 """
 
 from __future__ import annotations
@@ -121,11 +121,11 @@ RELEASES: dict[str, tuple[str, dict[str, Any]]] = {
         {"goal": {"path": {"poses": POSES}, "controller_id": "FollowPath"}},
     ),
 }
-"""Messages of Jazzy that another release has with other fields; of services, the request."""
+"""Messages whose fields differ between Jazzy and another release; of services, the request."""
 
 
 def compare(ours: Callable[[], object], peer: Callable[[], object], rounds: int) -> tuple[float, float]:
-    """Return the median times of one call of each, in microseconds; they run in turns, and alternate in being first."""
+    """Return the median times of one call of each, in microseconds; each runs first in every other round."""
     calls = [max(1, int(SECONDS_A_ROUND / max(_time(call, 3), 1e-7))) for call in (ours, peer)]
     times: list[list[float]] = [[], []]
     for number in range(rounds):
@@ -166,7 +166,7 @@ def measure_case(case: str, name: str, values: Mapping[str, Any], rounds: int) -
 
 
 def measure_release(case: str, name: str, values: Mapping[str, Any], rounds: int) -> list[Row]:
-    """Measure one message between Jazzy and the newest release that has it with other fields; return the rows."""
+    """Measure one message between Jazzy and the newest release with other fields; return the rows."""
     registry = Registry()
     releases, here, part = registry.releases, registry.schema(name), "Request" if name.endswith("SendGoal") else ""
     own, *_, other = releases.hashes(name)

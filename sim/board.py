@@ -1,4 +1,4 @@
-"""The wheels as a YARP control board, which scripts for a robot's ``/cer/mobile_base`` command (`docs/yarp/boards.md`).
+"""The wheels as a YARP control board, for scripts that command a robot's ``/cer/mobile_base`` (`docs/yarp/boards.md`).
 
 Units are degrees and degrees per second; modes are position, position direct, velocity, PWM and idle. A velocity or
 duty cycle expires after the same time as a command on ``/cmd_vel``; a position is held once reached. While a command to
@@ -91,7 +91,7 @@ class WheelCommands:
         return np.where(driven, 100.0 * self.velocities / self.greatest, 0.0)
 
     def next_velocities(self, seconds: float) -> Floats | None:
-        """Return wheel velocities (radians per second) for the next seconds; None if no command is active."""
+        """Return wheel velocities (radians per second) for the next ``seconds``; None if no command is active."""
         if not any(self._commanded(wheel) for wheel in range(len(self.names))):
             return None
         positions = self.positions()
@@ -115,7 +115,7 @@ class WheelCommands:
         return self.now_ns < self._until[wheel]
 
     def _towards(self, wheel: int, distance: float, seconds: float) -> float:
-        """Return the velocity of a trapezoidal move to a position; in position direct mode that of the fastest one."""
+        """Return the velocity of a trapezoidal move to a position; in position direct mode that of the shortest move."""
         if self.modes[wheel] == modes.VOCAB_CM_POSITION_DIRECT:
             fastest = self.greatest
         else:

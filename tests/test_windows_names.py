@@ -1,4 +1,4 @@
-"""Files that Midspan names after what people chose have names on Windows too, or are refused with a word why."""
+"""Names that users choose become valid file names on Windows, too, or are refused with the reason."""
 
 from __future__ import annotations
 

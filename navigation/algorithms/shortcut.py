@@ -85,8 +85,8 @@ def _choose(
 ) -> cython.Py_ssize_t:
     """Write the waypoints' indices to ``chosen``; return their number. It doubles its steps, then halves them.
 
-    ``sums`` gets the path's cost up to each of its cells. Both arrays have as many numbers as the path has cells, which
-    are checked before use; each waypoint is a later cell.
+    ``sums`` gets the path's cost up to each of its cells. All cells are checked before use. Both arrays are as long as
+    the path, which is enough because each waypoint is a later cell than the one before.
     """
     last: cython.Py_ssize_t = cells.shape[0] - 1
     at: cython.Py_ssize_t = 0

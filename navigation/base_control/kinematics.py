@@ -1,7 +1,7 @@
 """From a base's velocity to its wheels and back, and the odometry of its encoders.
 
-Formulas of robotology/navigation, ``baseControl2`` (``cer_motors.cpp``, ``ikart_motors.cpp``), in SI units. Both are
-linear, so a kind of base is a matrix: wheel velocities = matrix @ (x, y, turn).
+Formulas of robotology/navigation, ``baseControl2`` (``cer_motors.cpp``, ``ikart_motors.cpp``), in SI units. The
+conversions are linear, so each kind of base has a matrix: wheel velocities = matrix @ (x, y, turn).
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class Traveled:
     theta: float = 0.0  #: radians, not wrapped
     velocity: Velocity = STILL  #: in the base's frame
     distance: float = 0.0  #: meters driven since the start or the last reset, forward and backward
-    angle: float = 0.0  #: radians turned, to both sides
+    angle: float = 0.0  #: radians turned, in both directions
 
     @property
     def world_velocity(self) -> tuple[float, float]:

@@ -51,7 +51,7 @@ def test_parameters_are_shared_in_both_directions(deployment: Deployment) -> Non
 
 
 def _ros1_parameters_appear_on_a_node(ros1: Peer, ros2: Peer) -> None:
-    """ROS 1 owns them: a ROS 2 program discovers a node, reads, sets and receives events."""
+    """The parameters are ROS 1's: a ROS 2 program discovers their node, reads and sets them, and receives events."""
     node = "/ns/robot_parameters"
     names = ["speed", "name", "limits.turn", "ranges"]
     assert ros2.ask("get_of", node=node, names=names)["values"] == [1.5, "r1", 2, [1.0, 2.5]]
@@ -80,7 +80,7 @@ def _changed(event: dict[str, Any], node: str, name: str) -> bool:
 
 
 def _node_parameters_appear_in_ros1(ros1: Peer, ros2: Peer) -> None:
-    """A ROS 2 node owns them: rospy reads and sets them; the node may reject values, and changes its own."""
+    """The parameters are a ROS 2 node's: rospy reads and sets them; the node can reject and change values."""
 
     def in_ros1(name: str) -> Any:
         return ros1.ask("get_param", name=f"/nav/controller/{name}")["value"]
@@ -98,7 +98,7 @@ def _node_parameters_appear_in_ros1(ros1: Peer, ros2: Peer) -> None:
 
 
 def _unusual_names_are_reported(deployment: Deployment, ros1: Peer, ros2: Peer) -> None:
-    """ROS 1 sets a parameter that the node has not set, and one that it does not have; a name is also a prefix."""
+    """ROS 1 sets a parameter that the node declares without a value, one that it lacks, and one below another's name."""
     namespace = "/nav/controller"
     assert ros1.ask("get_param", name=f"{namespace}/exposure")["value"] == 7500
     ros1.ask("set_param", name=f"{namespace}/late", value=3)
@@ -118,7 +118,7 @@ def _a_reload_applies_other_rules(deployment: Deployment, ros1: Peer, ros2: Peer
     deployment.hang_up()
     assert ros2.ask("get_of", node="/renamed", names=["speed"])["values"] == [2.5]
     until(lambda: "/ns/robot_parameters" not in ros2.ask("nodes")["names"], "the old node is gone", 30)
-    until(lambda: ros1.ask("get_param", name="/nav/controller/tries")["value"] == 9, "the other rule applies", 30)
+    until(lambda: ros1.ask("get_param", name="/nav/controller/tries")["value"] == 9, "the new rule applies", 30)
 
 
 @pytest.mark.parametrize("owner", ["ros2", "ros1"])

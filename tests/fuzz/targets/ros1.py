@@ -198,7 +198,7 @@ def _graph() -> Subject:
                 entries = others(state, own_node)
                 removal_calls(state, entries)
                 hash((state.publishers, state.subscribers))
-        # also as the answer to a request for the same number of nodes
+        # and the reply to a request for the addresses of three nodes
         reader._nodes = ("/a", "/b", "/c")
         reader.read()
 

@@ -41,6 +41,6 @@ def test_a_node_of_each_release(network: HubNetwork, release: Release) -> None:
             ends.append(ReleasePublisher(node, IMAGE))
             text = BY_IMAGES.get(release.name, "Jazzy or Kilted")
             (image,) = until(lambda: hub.graph.publishers("/image"), "its images are known")
-            assert groups() == known(text), "they exclude more"
+            assert groups() == known(text), "a publisher of images narrows the release down"
             assert f"/camera (zenoh, on the hub itself, ROS 2 {text})" in endpoint_text(image)
             assert native_nodes(hub.graph.endpoints(), {node.zid}) == []

@@ -1,4 +1,4 @@
-"""What waits for a reader that is full: commands first, of each topic as many as it may, the oldest dropped."""
+"""Messages queued for a full reader: commands go first, and the oldest of a full queue are dropped."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_queue_is_bounded_in_bytes_except_the_newest_message(pair: Pair, monkeyp
     assert pair.stream.dropped == 9
 
 
-def test_a_fence_is_neither_dropped_nor_overtakes(pair: Pair) -> None:
+def test_a_fence_is_not_dropped_and_does_not_overtake(pair: Pair) -> None:
     first = pair.fill()
     pair.stream.fence(TOKEN.pack(7))
     for number in range(first + 1, first + 30):
@@ -145,7 +145,7 @@ def test_small_messages_overtake_parts_of_a_large_one(pair: Pair) -> None:
     assert passed == [2], "the command waited for the whole message"
 
 
-def test_messages_of_one_go_are_one_record(pair: Pair, joining: Joining) -> None:
+def test_messages_sent_before_a_flush_share_a_record(pair: Pair, joining: Joining) -> None:
     other = Outlet(pair.link, 3, "0/other/t/h")
     for number in range(1, MAX_JOINED // 2 + 1):
         pair.send(pair.stream, number, 10)
@@ -221,4 +221,4 @@ def test_nothing_is_sent_to_a_closed_reader(pair: Pair) -> None:
     pair.send(pair.stream, 1)
     pair.send(pair.stream, 2)
     assert not pair.stream.queue
-    assert pair.watched == [True], "whoever watches the socket sees its end"
+    assert pair.watched == [True], "the watcher of the socket sees its end"

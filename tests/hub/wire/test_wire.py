@@ -1,4 +1,4 @@
-"""Keys, names, attachments and qualities of service as rmw_zenoh writes them."""
+"""Keys, names, attachments and QoS as rmw_zenoh writes them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ QOS_READ = [
     ("0:0:0,0:0,0:0,0:0,0,0", Qos(depth=0)),
     ("::,:9223372036,854775807:,:1,9223372036,854775807", Qos(depth=42)),
     ("::,:18446744073709551615,0:0,18446744073709551615:,,", Qos(depth=42)),
-    # rmw's BEST_AVAILABLE; a lifespan cannot be that
+    # rmw's BEST_AVAILABLE, which a lifespan cannot be
     ("4::,10:,:,:,,", Qos(Reliability.BEST_AVAILABLE)),
     (":4:,10:,:,:5,,854775806", Qos(durability=Durability.BEST_AVAILABLE)),
     ("::,10:,854775806:,854775806:,,", Qos(deadline_ns=BEST_AVAILABLE_NS)),

@@ -31,7 +31,7 @@ class Counted:
 
 
 def test_shipped_types_are_read_once_for_all_libraries() -> None:
-    """Also those that are missing: each version of a type searches all releases."""
+    """Missing types are cached, too: each version of a type searches all releases."""
     source = Counted()
     shipped = ShippedTypes(source)
     for _ in range(3):

@@ -43,9 +43,9 @@ class Subscriber:
             return [sample.data().decode() for sample in self.samples]
 
     def expect(self, *texts: str, seconds: float = 40.0) -> None:
-        """Wait until exactly these have come, in any order."""
-        until(lambda: len(self.samples) >= len(texts), f"{texts} heard", seconds)
-        assert sorted(self.texts()) == sorted(texts), f"{self.texts()} came, not {texts}"
+        """Wait until exactly these texts have arrived, in any order."""
+        until(lambda: len(self.samples) >= len(texts), f"{texts} arrive", seconds)
+        assert sorted(self.texts()) == sorted(texts), f"{self.texts()} arrived, not {texts}"
 
 
 def advertise(hub: Hub, topic: str, qos: Qos = STREAM, *texts: str, **more: Any) -> HubPublisher:

@@ -1,7 +1,7 @@
 """One daemon with a gateway, a client on each side, and one planner after the other; real middlewares on both ends.
 
 The configuration changes the planner while the daemon runs. "ours" is Midspan's RobotPathPlanner with its RobotGoto;
-their robot has no mass, so that it is fast. move_base and Nav2 are stand-ins, which drive a base of their side.
+their robot has no mass, so that the tests are fast. move_base and Nav2 are stand-ins, which drive a base of their side.
 """
 
 from __future__ import annotations
@@ -227,7 +227,7 @@ class Mix:
         client.peer = self.deployment.ros1("client1")
 
     def released(self, since: float) -> float:
-        """Return when the planner released its goal, from a time on (monotonic); infinity if it has not."""
+        """Return the time (monotonic) of the planner's first release of a goal after ``since``; infinity without one."""
         planner = self.planner.servers["bt_navigator"] if self.kind == NAV2 else self.planner
         return released(planner.output(), since)
 

@@ -182,7 +182,7 @@ def test_writer_of_a_dropped_message_returns(make_port: MakePort, slow: Slow, st
 
 
 def test_message_that_cannot_be_encoded_for_one_reader_reaches_the_others(make_port: MakePort) -> None:
-    """No thread waits for them then, and their connections are free for the next message."""
+    """The writer raises at once; the other connections are free for the next message."""
     got: list[bytes] = []
     make_port("/a", lambda m: got.append(bytes(m.payload)))
     make_port("/b", lambda _: None)
@@ -360,7 +360,7 @@ def test_invalid_acknowledgement_closes_the_connection(make_port: MakePort, slow
 
 
 def test_request_that_is_only_acknowledged_is_an_error(make_port: MakePort, slow: Slow) -> None:
-    """C++ readers that write no reply do so; the connection stays open."""
+    """C++ readers without a reply only acknowledge the request; the connection stays open."""
     client = make_port("/c")
     client.add_output("tcp://slow")
     for _ in range(2):

@@ -41,13 +41,13 @@ class _Listener(TransformClient):
 
 
 def frame_transform_client(options: DeviceOptions) -> OpenDevice:
-    """Open the variant of ``config_name``, by default this program's own transforms; otherwise as `frame_transform`.
+    """Open the variant that ``config_name`` selects: this program's own transforms (the default) or a server's client.
 
-    ``ftc_storage_timeout``: seconds after which this program's own transforms expire.
+    The client has the options of `frame_transform`. ``ftc_storage_timeout``: seconds after which this program's own transforms expire.
     """
     for key in ("custom_config_from", "testxml_from", "testxml_option"):
         if options.has(key):
-            raise DeviceError(f"{key}: a file of devices cannot be read here; set config_name to {_BOTH[0]}")
+            raise DeviceError(f"{key}: files of devices are not supported; set config_name to {_BOTH[0]}")
     config = options.text("config_name", options.text("filexml_option", _LOCAL))
     if config == _LOCAL:
         local = LocalTransforms(options.number("ftc_storage_timeout", LIFETIME))
