@@ -20,7 +20,7 @@ class DaemonIdentity:
     """A daemon, as its workers and its router describe it in their answers.
 
     Attributes:
-        instance: identity of its state folder; only one daemon of a name can use that.
+        instance: identity of its state folder; only one daemon of this name can use it.
         machine: host name.
         folder: its state folder.
     """

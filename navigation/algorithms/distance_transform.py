@@ -37,7 +37,7 @@ def distance_transform(obstacles: NDArray[np.bool_]) -> Distances:
 @cython.boundscheck(False)
 @cython.wraparound(False)
 def _count(obstacles: cython.const[cython.uchar][:, ::1], steps: cython.int[:, ::1]) -> cython.void:
-    """Count steps along the column to the nearest obstacle, ``rows + columns`` without one; the grid must have a row."""
+    """Count steps along the column to the nearest obstacle, ``rows + columns`` without one; needs at least one row."""
     rows: cython.Py_ssize_t = obstacles.shape[0]
     columns: cython.Py_ssize_t = obstacles.shape[1]
     none: cython.int = rows + columns

@@ -186,7 +186,7 @@ def encode_response(result: object) -> bytes:
 
 
 def encode_responses(results: Iterable[object], limits: Limits) -> bytes:
-    """Return the XML of a response that is a list of results, of which no more are computed beyond the limit."""
+    """Return the XML of a list of results; once it exceeds the limit, no further results are computed."""
     parts, size = [], 0
     for result in results:
         part = encode_response(result)[len(_HEAD) : -len(_TAIL)]

@@ -67,14 +67,14 @@ def _ask(client: CliClient, types: Types, verb: str) -> int:
     except ClientError as err:
         if verb != "stop":
             raise
-        return _stop_itself(client, types, str(err))
+        return _stop_without_gateway(client, types, str(err))
     if not reply["success"]:
         raise CliError(clean(reply["message"]) or f"it cannot be done: {verb}")
     print(clean(reply["message"]) or _DONE[verb])
     return 0
 
 
-def _stop_itself(client: CliClient, types: Types, why: str) -> int:
+def _stop_without_gateway(client: CliClient, types: Types, why: str) -> int:
     """Stop the base and cancel the planner's goals without the gateway; raises `CliError` if that is impossible."""
     planner = client.config.navigation.planner
     action = client.config.navigation.at(planner)

@@ -70,7 +70,7 @@ def test_keys_in_each_direction(place: Place) -> None:
     assert cross(place.far, reported, program, hears, {"data": "out"}) == {"data": "out"}
     assert cross(place.far, talk, program, talks, {"data": "there"}) == {"data": "there"}
     assert cross(program, program.advertise("talk"), place.far, talked, {"data": "back"}) == {"data": "back"}
-    # messages of neither side have come back to it
+    # no message has come back to the side that it came from
     assert {m["data"] for m in place.far.wait(talked, 10_000, 0.5)} == {"back"}
     wrong = place.far.advertise("/robot/says", STRING)
     place.far.publish(wrong, {"data": "not published on this key"})

@@ -26,7 +26,7 @@ TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseStamped"
 GOAL = f"0/go/_action/send_goal/nav2_msgs::action::dds_::NavigateToPose_SendGoal_/{HASH}"
 CANCEL = f"0/go/_action/cancel_goal/action_msgs::srv::dds_::CancelGoal_/{HASH}"
 RESULT = f"0/go/_action/get_result/nav2_msgs::action::dds_::NavigateToPose_GetResult_/{HASH}"
-SAID = pack_attachment(1, 1, bytes(16))
+ATTACHMENT = pack_attachment(1, 1, bytes(16))
 
 
 def key(topic: str, type_name: str) -> str:
@@ -91,22 +91,22 @@ def machines(running: Machines) -> Iterator[Machines]:
     running.close()
 
 
-class Ear:
+class RobotProgram:
     """Everything that a program on the robot's machine receives, by any means."""
 
     def __init__(self, session: zenoh.Session) -> None:
-        self.heard: list[tuple[str, str]] = []
+        self.received: list[tuple[str, str]] = []
         self._open = [
             session.declare_subscriber("**", self._on_sample),
             session.declare_queryable("0/**", self._on_query, complete=True),
         ]
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
-        self.heard.append((str(sample.key_expr), sample.payload.to_string()))
+        self.received.append((str(sample.key_expr), sample.payload.to_string()))
 
     def _on_query(self, query: zenoh.Query) -> None:
         with query:
-            self.heard.append((str(query.key_expr), "asked"))
+            self.received.append((str(query.key_expr), "query"))
             query.reply(query.key_expr, b"done")
 
 
@@ -114,21 +114,21 @@ def received_from(
     machines: Machines, name: str, send: Callable[[zenoh.Session], None], mode: str = "client"
 ) -> list[tuple[str, str]]:
     """Return what the robot receives from a machine, up to a harmless last message."""
-    ear = Ear(machines.session(None))
-    mouth = machines.session(name, mode)
+    robot = RobotProgram(machines.session(None))
+    sender = machines.session(name, mode)
     last = key("/last", TYPE)
-    until(lambda: mouth.put(last, b"hello") or ear.heard, "the machine is connected")
-    send(mouth)
-    mouth.put(last, b"end")
-    until(lambda: (last, "end") in ear.heard, "the last word")
-    return [message for message in ear.heard if message[0] != last]
+    until(lambda: sender.put(last, b"hello") or robot.received, "the machine is connected")
+    send(sender)
+    sender.put(last, b"end")
+    until(lambda: (last, "end") in robot.received, "the last message arrives")
+    return [message for message in robot.received if message[0] != last]
 
 
 def put_each(keys: list[str]) -> Callable[[zenoh.Session], None]:
-    def send(mouth: zenoh.Session) -> None:
+    def send(sender: zenoh.Session) -> None:
         for key_expr in keys:
-            mouth.put(key_expr, b"go", attachment=SAID)
-            mouth.delete(key_expr)
+            sender.put(key_expr, b"go", attachment=ATTACHMENT)
+            sender.delete(key_expr)
 
     return send
 
@@ -145,21 +145,21 @@ def test_guest_publishes_everything_but_commands(machines: Machines, mode: str) 
 
 
 def test_a_guest_cannot_borrow_a_name(machines: Machines) -> None:
-    """The sender that a sample names, and the tokens of another session, change nothing."""
+    """Naming another sender in a sample, or declaring tokens of another session, gives no permission."""
     friend = machines.session("friend")
 
-    def send(mouth: zenoh.Session) -> None:
+    def send(sender: zenoh.Session) -> None:
         source = friend.declare_publisher(CMD_VEL)
         token = f"@ros2_lv/0/{friend.zid()}/0/9/MP/%/%/boss/%cmd_vel/geometry_msgs::msg::dds_::Twist_/{HASH}/::,:,:,:,,"
-        tokens = [mouth.liveliness().declare_token(name) for name in (token, f"{CMD_VEL}/@adv/pub/{friend.zid()}/7/_")]
-        mouth.put(CMD_VEL, b"go", attachment=SAID, source_info=zenoh.SourceInfo(source.id, 5))
-        publisher = mouth.declare_publisher(CMD_VEL)
-        publisher.put(b"go", attachment=SAID)
+        tokens = [sender.liveliness().declare_token(name) for name in (token, f"{CMD_VEL}/@adv/pub/{friend.zid()}/7/_")]
+        sender.put(CMD_VEL, b"go", attachment=ATTACHMENT, source_info=zenoh.SourceInfo(source.id, 5))
+        publisher = sender.declare_publisher(CMD_VEL)
+        publisher.put(b"go", attachment=ATTACHMENT)
         advanced = zenoh.ext.declare_advanced_publisher(
-            mouth, CMD_VEL, cache=zenoh.ext.CacheConfig(3), publisher_detection=True
+            sender, CMD_VEL, cache=zenoh.ext.CacheConfig(3), publisher_detection=True
         )
         advanced.put(b"go")
-        mouth.put(f"{CMD_VEL}/@adv/pub/{friend.zid()}/7/_", b"go")
+        sender.put(f"{CMD_VEL}/@adv/pub/{friend.zid()}/7/_", b"go")
         for declared in tokens:
             declared.undeclare()
 
@@ -170,10 +170,10 @@ def test_a_guest_cannot_borrow_a_name(machines: Machines) -> None:
 def test_goals_and_cancels(machines: Machines, name: str, works: bool) -> None:
     answered: list[str] = []
 
-    def ask(mouth: zenoh.Session) -> None:
+    def ask(sender: zenoh.Session) -> None:
         services = [GOAL, CANCEL, key("/stop", "std_srvs/srv/SetBool"), "0/go/_action/**", "0/**"]
         for key_expr in [*services, RESULT, key("/map_server/map", "nav_msgs/srv/GetMap")]:
-            replies = mouth.get(key_expr, target=zenoh.QueryTarget.ALL, timeout=10.0)
+            replies = sender.get(key_expr, target=zenoh.QueryTarget.ALL, timeout=10.0)
             answered.extend(str(reply.ok.key_expr) for reply in replies if reply.ok)
 
     received = [key_expr for key_expr, _ in received_from(machines, name, ask)]

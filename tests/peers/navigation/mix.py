@@ -227,7 +227,7 @@ class Mix:
         client.peer = self.deployment.ros1("client1")
 
     def released(self, since: float) -> float:
-        """Return the time (monotonic) of the planner's first release of a goal after ``since``; infinity without one."""
+        """Return when the planner first released a goal after ``since`` (monotonic); infinity if it has not."""
         planner = self.planner.servers["bt_navigator"] if self.kind == NAV2 else self.planner
         return released(planner.output(), since)
 

@@ -43,7 +43,8 @@ class _Listener(TransformClient):
 def frame_transform_client(options: DeviceOptions) -> OpenDevice:
     """Open the variant that ``config_name`` selects: this program's own transforms (the default) or a server's client.
 
-    The client has the options of `frame_transform`. ``ftc_storage_timeout``: seconds after which this program's own transforms expire.
+    The client has the options of `frame_transform`. ``ftc_storage_timeout``: seconds after which this program's own
+    transforms expire.
     """
     for key in ("custom_config_from", "testxml_from", "testxml_option"):
         if options.has(key):

@@ -2,7 +2,7 @@
 
 The headers are read by the loop that reads all small messages, so that any number of silent peers costs no thread. A
 header must be complete within `_SECONDS`. A peer with a complete header is admitted on a thread, since the reply may
-block for as long.
+block for that long, too.
 """
 
 from __future__ import annotations
