@@ -51,7 +51,7 @@ def _check_scalar(text: str) -> None:
 
 
 def _element(text: str) -> str:
-    """Return an element of an array of strings with everything escaped that stops the generators."""
+    """Return an element of an array of strings, with all characters escaped that the generators cannot read."""
     _check_printable(text)
     return '"' + "".join(char if _PLAIN.fullmatch(char) else _escape(ord(char)) for char in text) + '"'
 

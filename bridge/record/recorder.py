@@ -94,7 +94,7 @@ class Recorder:
         return path
 
     def trigger(self, why: str) -> Future[Path | None]:
-        """Keep the ring's files: results in the folder, None for an empty ring, or `OSError`; returns at once."""
+        """Keep the ring's files. The future gets the folder, None for an empty ring, or an `OSError`; returns at once."""
         return self._post(partial(self._files.keep, why))
 
     def _post(self, action: Callable[[], Any]) -> Future[Any]:
@@ -123,7 +123,8 @@ class Recorder:
             while waiting:
                 self._last_step = time.monotonic()
                 arrival = waiting.popleft()
-                if self._files.file is not None or self._recorded.on or self._ending:  # else received before the pause
+                # otherwise the recording is paused, and the message was received before the pause
+                if self._files.file is not None or self._recorded.on or self._ending:
                     self._files.write(arrival)
                 self._queue.wrote(arrival)
             self._run_commands()

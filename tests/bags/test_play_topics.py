@@ -1,4 +1,4 @@
-"""What moves a robot, and is left out of a play."""
+"""Topics that move a robot, which are left out when a bag is played."""
 
 from __future__ import annotations
 

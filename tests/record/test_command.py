@@ -135,7 +135,7 @@ def test_ctrl_c_ends_a_recording_with_a_summary(robot: Robot, file: Path, tmp_pa
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a thread's priority")
 def test_the_recorder_yields_to_publishers(robot: Robot, file: Path, tmp_path: Path) -> None:
-    """Each of its threads yields; the main one, which reports its health, does not."""
+    """All threads but the main one, which reports the recorder's health, have a lower priority."""
     publisher = robot.publisher("/said")
     program = recorder(file, "/said", "-o", str(tmp_path / "run.mcap"))
     until(lambda: publisher.matched() or program.poll() is not None, "it is subscribed")

@@ -67,7 +67,7 @@ class Vocab(str):
 
 
 class DictKey(str):
-    """A dict's key that is ``value``, not a string, on the wire; it compares as its text.
+    """A dict's key that is not a string but ``value`` on the wire; in Python it compares as its text.
 
     ``value`` is None for an empty list, ``()``: such an entry has neither a key nor values.
     """
@@ -120,7 +120,7 @@ def entries_of(value: dict[Any, Any]) -> list[list[Any]]:
 
 
 def _key_of(key: str) -> tuple[Any, ...]:
-    """Return a key as on the wire; empty for that of an empty list."""
+    """Return a key as on the wire: one value, or none if the key is an empty list."""
     if type(key) is not DictKey:
         return (key,)
     return () if key.value is None else (key.value,)

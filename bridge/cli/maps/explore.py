@@ -41,9 +41,9 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 
 _FIRST_SECONDS = 20.0  # for the first map with free cells, and for the robot's pose
 _NEWER_SECONDS = 3.0  # for a map that is newer than the last goal's end
-_SETTLE_SECONDS = 5.0  # a map without frontiers is looked at again for this time
+_SETTLE_SECONDS = 5.0  # for a map without frontiers, which a newer one may have
 _POLL_SECONDS = 0.1
-_GOAL_SECONDS, _METER_SECONDS, _MOST_SECONDS = 60.0, 20.0, 900.0  # for a goal, each meter of its cost, and both
+_GOAL_SECONDS, _METER_SECONDS, _MOST_SECONDS = 60.0, 20.0, 900.0  # limit of a goal, more per meter of its cost, and in all
 
 COMPLETE, STOPPED, FAILING, LIMIT = "complete", "stopped", "failing", "limit"
 
@@ -314,7 +314,7 @@ class _Explorer:
             self._reached += 1
             self.exploration.reached(goal)
         elif end.status == GoalState.CANCELED and canceled_after:
-            # a stop of the idle gateway would not show now, so that no further goal is sent
+            # no further goal is sent, as the status of an idle gateway would not show that a client stops the robot
             self._late = f"a goal took more than {canceled_after:.0f} s"
         elif end.status == GoalState.CANCELED or fault == Fault.MAY_MOVE:
             self.watch.why = self.watch.why or reason or "the goal was canceled"

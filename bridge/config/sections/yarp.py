@@ -40,7 +40,7 @@ _Field = Annotated[
     matching(_ENTRY, "is not a field: write linear.x, deg(angular.z), position[0], a number, or 'a text'"),
 ]
 
-_OPENS = ("address", "namespace", "ports", "ip", "profile")  # what the ports of modules and the simulator are opened by
+_OPENS = ("address", "namespace", "ports", "ip", "profile")  # keys on which ports of modules and the simulator depend
 _SAY_THE_RELEASE = (
     "set its release, which 'yarp version' prints there: yarp.peers: [{{port: {peer}, release: '3.9'}}] for this port,"
     " or yarp.release: '3.9' for all"
@@ -238,13 +238,13 @@ class YarpSection(SideSection):
 
     @override
     def joins_as(self, other: Section) -> bool:
-        """Whether at most the releases of its programs differ."""
+        """Whether both sections join the same network: they differ at most in the releases of its programs."""
         return isinstance(other, YarpSection) and self == other.model_copy(
             update={"release": self.release, "peers": self.peers}
         )
 
     def opens_as(self, other: YarpSection) -> bool:
-        """Whether ports of modules and the simulator can stay that were opened by another section."""
+        """Whether ports that modules and the simulator opened with another section can stay open."""
         return all(getattr(self, key) == getattr(other, key) for key in _OPENS)
 
     @property

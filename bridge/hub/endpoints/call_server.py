@@ -19,7 +19,7 @@ Refuse = Callable[[zenoh.Query, bytes], None]
 
 
 def reply_error(query: zenoh.Query, error: CallError, refuse: Refuse | None = None) -> None:
-    """Answer a query with zenoh's error reply, a refused one also with ``refuse``; then end it."""
+    """End a query with zenoh's error reply, after which ``refuse`` sends the reply of a refused call, if it has one."""
     refused = isinstance(error, UnsentCallError)
     try:
         with query:

@@ -97,7 +97,7 @@ class SessionAnnouncements:
         return True
 
     def _put_wire(self, zid: str, version: str, release: str) -> bool:
-        """Endpoints of a session with an incompatible version stay of unknown origin."""
+        """Handle a session's version: the origin of endpoints with an incompatible one stays unknown."""
         reason = refusal(version)
         if not reason or zid in self._strangers:
             return False

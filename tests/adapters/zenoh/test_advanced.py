@@ -62,7 +62,7 @@ def test_every_message_of_a_dialect_arrives(place: Place, dialect: dict[str, Any
 
 
 def test_every_beacon_of_the_ros1_dialect_arrives(place: Place) -> None:
-    """Such a program used to receive only the first beacon, and dropped the topic soon after."""
+    """A program would ignore beacons without new source numbers, and drop the topic."""
     reader = Reader(place.router.endpoint, "ros1_discovery_info/**")
     place.bridge({"dialect": "ros1"})
     place.far.advertise("/orders", STRING)

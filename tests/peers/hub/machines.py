@@ -38,7 +38,7 @@ class Machines:
                 "connect_certificate": str(self.folder / f"{name}.pem"),
                 "connect_private_key": str(self.folder / f"{name}.key"),
             }
-        refused = name in ("", "stranger")  # who waits in vain waits briefly
+        refused = name in ("", "stranger")  # an attempt that must fail is given up early
         wait = {"timeout_ms": 1000 if refused else 30_000}
         return {"mode": "client", "connect": wait, "transport": {"link": {"tls": tls}}}
 

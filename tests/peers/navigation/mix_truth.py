@@ -78,7 +78,7 @@ class Base:
         return bool(before) and before[-1]
 
     def stands_after(self, at: float) -> float:
-        """Return when it stood first, from a time on; infinity if it has not since."""
+        """Return when it first stood after a time; infinity if it has moved since then."""
         if not self.moved_at(at):
             return at
         return next((since for moves, since in self.changes(at) if not moves), math.inf)
@@ -163,7 +163,7 @@ def untrue(words: Sequence[Word], base: Base, end: float) -> float:
 
 
 def released(output: str, since: float) -> float:
-    """Return when a planner's stand-in released its goal, from a time on (monotonic); infinity if it has not."""
+    """Return when a planner's stand-in first released a goal after ``since`` (monotonic); infinity if it has not."""
     rows = [line.split() for line in output.splitlines()]
     return min((float(row[1]) for row in rows if row[:1] == ["ended"] and float(row[1]) >= since), default=math.inf)
 

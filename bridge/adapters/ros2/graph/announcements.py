@@ -1,8 +1,8 @@
 """The announcements of other DDS participants, which contain the version of their middleware.
 
 Fast DDS hides them from rmw, so two sockets receive them once more: the multicast that most participants repeat every
-few seconds, and the responses to a prompt (`bridge.adapters.ros2.graph.spdp`), which also those send that do not use
-multicast. Behind a discovery server neither comes, and the versions remain unknown.
+few seconds, and the responses to a prompt (`bridge.adapters.ros2.graph.spdp`), which participants without multicast
+send, too. Behind a discovery server neither arrives, and the versions remain unknown.
 
 Facts, read off the wire: Fast DDS 3.2 announces its version (parameter 0x8000, as RTI Connext does), Fast DDS 2.14 does
 not; Cyclone DDS 0.10 and 11.0 announce a text ``host/version/system/machine`` (parameter 0x8007). Wireshark's
@@ -25,7 +25,7 @@ from bridge.concurrency import DelayedCalls
 _PERIOD = 2.0
 """Seconds between two reads; the kernel buffers some 150 announcements."""
 _PROMPTS = 3
-"""Prompts for the sake of one participant."""
+"""Maximum number of prompts for one participant that has not announced itself."""
 _MOST = 2000
 _BATCH = 1000
 _DATAGRAM = 65536
