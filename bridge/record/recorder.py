@@ -94,7 +94,7 @@ class Recorder:
         return path
 
     def trigger(self, why: str) -> Future[Path | None]:
-        """Keep the ring's files. The future gets the folder, None for an empty ring, or an `OSError`; returns at once."""
+        """Keep the ring's files; returns at once. The future gets the folder, None for an empty ring, or `OSError`."""
         return self._post(partial(self._files.keep, why))
 
     def _post(self, action: Callable[[], Any]) -> Future[Any]:

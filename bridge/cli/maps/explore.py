@@ -43,7 +43,7 @@ _FIRST_SECONDS = 20.0  # for the first map with free cells, and for the robot's 
 _NEWER_SECONDS = 3.0  # for a map that is newer than the last goal's end
 _SETTLE_SECONDS = 5.0  # for a map without frontiers, which a newer one may have
 _POLL_SECONDS = 0.1
-_GOAL_SECONDS, _METER_SECONDS, _MOST_SECONDS = 60.0, 20.0, 900.0  # limit of a goal, more per meter of its cost, and in all
+_GOAL_SECONDS, _METER_SECONDS, _MOST_SECONDS = 60.0, 20.0, 900.0  # of a goal: at least, per meter, at most
 
 COMPLETE, STOPPED, FAILING, LIMIT = "complete", "stopped", "failing", "limit"
 
