@@ -139,15 +139,17 @@ def test_messages_from_and_to_roscpp_programs(master, edge):
 
         until(logged, "a message of a roscpp publisher arrives", every=0.2)
         aggregated = peer.subscribe("/rosout_agg", "rosgraph_msgs/Log")
+
+        def received(text: str) -> bool:
+            return text in [m["msg"] for m in peer.wait(aggregated, 0, 0)]
+
+        until(lambda: peer.ask("log", text="again") and received("again"), "it is connected", every=0.2)
         publisher = edge.ask("advertise", topic="/rosout", type="rosgraph_msgs/Log", latched=True, depth=1)["id"]
         fields = [w.encode() for w in ("/bridged", "over roscpp", "file", "function")]
         strings = [struct.pack("<I", len(w)) + w for w in fields]
         log = struct.pack("<IIII", 0, 1, 2, 0) + b"\x02" + b"".join(strings) + struct.pack("<II", 3, 0)
         edge.ask("send", id=publisher, payload=base64.b64encode(log).decode())
-        until(
-            lambda: "over roscpp" in [m["msg"] for m in peer.wait(aggregated, 0, 0)],
-            "a roscpp subscriber received the adapter's message",
-        )
+        until(lambda: received("over roscpp"), "a roscpp subscriber received the adapter's message")
         edge.drop(publisher)
         edge.drop(inbox)
 

@@ -34,6 +34,7 @@ _CALLS: list[tuple[str, tuple[Any, ...]]] = [
     ("deleteParam", ("/n", "/n/p")),
     ("hasParam", ("/n", "/n/p/a")),
     ("shutdown", ("/n", "why")),
+    *((name, ("/n",)) for name in ("getUri", "getPid", "getParamNames", "getTopicTypes")),
 ]
 
 
@@ -45,6 +46,7 @@ def _api() -> Subject:
 
     api, limits = MasterApi("http://master:1/", RecordedCalls()), Limits(values=500, depth=20)
     seeds = [xmlrpc.client.dumps(params, method).encode() for method, params in _CALLS]
+    assert {method for method, _ in _CALLS} == api.methods.keys()
     for method, params in _CALLS:
         assert len(api.methods[method](*params)) == 3
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from bridge.adapters.ros1.master.registrations import Link
@@ -12,6 +13,7 @@ class RecordedCalls:
 
     def __init__(self) -> None:
         self.calls: list[tuple[Any, ...]] = []
+        self.delayed: list[tuple[float, Callable[[], None]]] = []
 
     def publisher_update(self, api: str, topic: str, publishers: list[str]) -> None:
         self.calls.append((api, "publisherUpdate", topic, list(publishers)))
@@ -21,6 +23,9 @@ class RecordedCalls:
 
     def shut_down(self, api: str, node: str, reason: str) -> None:
         self.calls.append((api, "shutdown", node, reason))
+
+    def after(self, seconds: float, call: Callable[[], None]) -> None:
+        self.delayed.append((seconds, call))
 
     def pop(self) -> list[tuple[Any, ...]]:
         """Return the calls since the previous `pop`."""

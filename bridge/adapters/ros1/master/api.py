@@ -7,11 +7,13 @@ that the wiki leaves open, the replies are those of ``rosmaster`` 1.15; a test c
 from __future__ import annotations
 
 import logging
+import math
 import os
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from functools import partial
+from typing import Any, NamedTuple, Protocol
 
 from bridge.adapters.ros1.master import checks
 from bridge.adapters.ros1.master.checks import Check, InvalidError
@@ -27,6 +29,14 @@ Reply = list[Any]
 REPLACED_SECONDS = 2.0
 """Seconds in which a replaced node cannot register: it may not have noticed yet, and would end its successor."""
 
+NEW_SECONDS = 5.0
+"""Seconds in which a subscriber is new: the update about a publisher may overtake the reply to its registration.
+
+rospy then drops the update, and roscpp disconnects from the publisher. The update is repeated after `REPEAT_SECONDS`.
+"""
+
+REPEAT_SECONDS = 2.0
+
 GRAPH = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
 
 
@@ -41,6 +51,16 @@ class Outbox(Protocol):
 
     def shut_down(self, api: str, node: str, reason: str) -> None:
         """Have a node end."""
+
+    def after(self, seconds: float, call: Callable[[], None]) -> None:
+        """Make a call of the API later."""
+
+
+class _Subscriber(NamedTuple):
+    """A topic, and the address of a node that has subscribed to it."""
+
+    topic: str
+    api: str
 
 
 class MasterApi:
@@ -64,6 +84,10 @@ class MasterApi:
         self._outbox, self._changed, self._shut_down = outbox, changed, shut_down
         self._replaced: dict[Link, float] = {}
         """Nodes that were replaced, with the time when they were."""
+        self._new_subscribers: dict[_Subscriber, float] = {}
+        """New subscribers with the time of their registration, oldest first."""
+        self._repeats: set[_Subscriber] = set()
+        """Subscribers to which the update will be repeated."""
         key, api, any_name = checks.text("key"), checks.address("caller_api"), checks.name("node", root=True)
         topic, kind = checks.name("topic"), checks.type_name("topic_type")
         service, service_api = checks.name("service"), checks.address("service_api")
@@ -215,6 +239,7 @@ class MasterApi:
         """Register a subscriber; return the publishers."""
         self._register(Kind.SUBSCRIBER, topic, caller, api)
         self.registrations.set_type(topic, kind, publisher=False)
+        self._add_new_subscriber(_Subscriber(topic, api))
         self._changed()
         return [1, f"Subscribed to [{topic}]", self.registrations.apis(Kind.PUBLISHER, topic)]
 
@@ -257,11 +282,31 @@ class MasterApi:
             reported = key if kind is Kind.PUBLISHER else ""  # by the caller
             self._report_publishers([topic for topic in removal.topics if topic != reported])
 
+    def _add_new_subscriber(self, subscriber: _Subscriber) -> None:
+        now = time.monotonic()
+        self._new_subscribers.pop(subscriber, None)
+        self._new_subscribers[subscriber] = now
+        while now - self._new_subscribers[oldest := next(iter(self._new_subscribers))] > NEW_SECONDS:
+            del self._new_subscribers[oldest]
+
     def _report_publishers(self, topics: Sequence[str]) -> None:
+        now = time.monotonic()
         for topic in topics:
             publishers = self.registrations.apis(Kind.PUBLISHER, topic)
             for api in self.registrations.apis(Kind.SUBSCRIBER, topic):
                 self._outbox.publisher_update(api, topic, publishers)
+                subscriber = _Subscriber(topic, api)
+                new = now - self._new_subscribers.get(subscriber, -math.inf) <= NEW_SECONDS
+                if new and subscriber not in self._repeats:
+                    self._repeats.add(subscriber)
+                    self._outbox.after(REPEAT_SECONDS, partial(self._repeat, subscriber))
+
+    def _repeat(self, subscriber: _Subscriber) -> None:
+        with self.lock:
+            self._repeats.discard(subscriber)
+            topic, api = subscriber
+            if api in self.registrations.apis(Kind.SUBSCRIBER, topic):
+                self._outbox.publisher_update(api, topic, self.registrations.apis(Kind.PUBLISHER, topic))
 
     def set_reachable(self, node: str, api: str) -> None:
         """Store that a node has answered this master."""

@@ -75,6 +75,10 @@ class NodeCalls:
         call = _Call("shutdown", (CALLER, f"[{node}] Reason: {reason}"), None, "")
         self._put(api, ("shutdown", node), call)
 
+    def after(self, seconds: float, call: Callable[[], None]) -> None:
+        """Make a call of the API later."""
+        self._retries.after(seconds, call)
+
     def drop(self, api: str) -> None:
         """Drop the calls that wait for a dead node."""
         with self._lock:

@@ -86,6 +86,35 @@ def test_publishers_and_subscribers_learn_of_each_other(master: ApiUnderTest):
     assert master.call("lookupNode", "/n", "/pub")[0] == -1
 
 
+def test_a_new_subscribers_update_is_repeated_with_the_current_publishers(
+    master: ApiUnderTest, monkeypatch: pytest.MonkeyPatch
+):
+    """The update may overtake the reply to the subscriber's registration."""
+    master.call("registerPublisher", "/early", "t", STRING, A)
+    master.call("registerSubscriber", "/sub", "t", "*", B)
+    assert master.outbox.delayed == [], "the reply has all publishers"
+    for node, uri in (("/pub", C), ("/pub2", "http://host:4/")):
+        master.call("registerPublisher", node, "t", STRING, uri)
+    master.call("unregisterPublisher", "/pub", "t", C)
+    master.outbox.pop()
+    ((seconds, repeat),) = master.outbox.delayed
+    assert seconds == api.REPEAT_SECONDS
+    repeat()
+    assert master.outbox.pop() == [(B, "publisherUpdate", "/t", [A, "http://host:4/"])]
+    master.call("registerPublisher", "/pub", "t", STRING, C)
+    master.call("unregisterSubscriber", "/sub", "t", B)
+    master.outbox.pop()
+    master.outbox.delayed[1][1]()
+    assert master.outbox.pop() == [], "it has unsubscribed"
+
+    master.call("registerSubscriber", "/sub", "t", "*", B)
+    monkeypatch.setattr(api, "NEW_SECONDS", 0.0)
+    master.call("registerPublisher", "/late", "t", STRING, "http://host:5/")
+    master.call("registerSubscriber", "/sub2", "other", "*", B)
+    assert len(master.outbox.delayed) == 2
+    assert list(master.api._new_subscribers) == [("/other", B)], "older ones are forgotten"
+
+
 def test_a_node_that_is_replaced_is_shut_down_and_loses_its_registrations(master: ApiUnderTest):
     master.call("registerSubscriber", "/sub", "/t", "*", C)
     master.call("registerPublisher", "/node", "/t", STRING, A)

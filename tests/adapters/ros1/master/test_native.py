@@ -130,6 +130,34 @@ def test_rospy_nodes_join_and_leave(network: Network, talker: Peer):
     until(lambda: "/writer" not in network.master.nodes(), "the node has unregistered everything")
 
 
+OVERTAKEN = """
+import rospy
+from rospy.impl.registration import RegManager
+from std_msgs.msg import String
+
+def publisher_update(self, topic, uris):
+    with self.cond:
+        self.updates.append((topic, uris))
+        if topic == "/overtaken" and uris and not overtaken:
+            overtaken.append(topic)
+            self.updates.append((topic, []))  # the reply to the registration, of which the thread has run only now
+        self.cond.notify_all()
+
+overtaken = []
+RegManager.publisher_update = publisher_update
+rospy.init_node("overtaken")
+rospy.Subscriber("/overtaken", String, lambda message: rospy.set_param("/received", message.data))
+publisher = rospy.Publisher("/overtaken", String, latch=True, queue_size=1)
+publisher.publish("hello")
+rospy.spin()
+"""
+
+
+def test_a_rospy_subscriber_connects_though_an_update_overtook_the_reply_to_its_registration(network: Network):
+    with Process([ROS1_PYTHON, "-c", OVERTAKEN], network.env):
+        until(lambda: network.master.api.parameters.has("/received"), "the message of the publisher arrives")
+
+
 def test_a_node_of_the_same_name_replaces_the_first(network: Network):
     first = network.peer("twin")
     uri = until(lambda: network.master.nodes().get("/twin"), "the first node registers")
