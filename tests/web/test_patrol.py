@@ -131,6 +131,12 @@ def gateway(desk: Desk) -> Iterator[FakeGateway]:
     gateway_.close()
 
 
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine the gateway may not answer within 5 s, which ends a patrol."""
+    monkeypatch.setattr(patrol, "ANSWER_SECONDS", 40.0)
+
+
 @pytest.fixture
 def page(desk: Desk, gateway: FakeGateway) -> Iterator[TestPage]:
     with TestPage(desk.port) as page_:

@@ -24,7 +24,7 @@ _TARGET = Path("no-room-for-tracing")
 def allow_tracing_if_room(folder: Path = FOLDER) -> None:
     """Switch LTTng off for this process if the folder is full; call it before rclpy's libraries load.
 
-    The links of a killed worker are removed if there is room again. Raises `RuntimeError` if LTTng's file has no page
+    The links are removed at the process's exit, or by the next worker, if there is room then. Raises `RuntimeError` if LTTng's file has no page
     and cannot be removed.
     """
     if sys.platform != "linux":
@@ -33,7 +33,7 @@ def allow_tracing_if_room(folder: Path = FOLDER) -> None:
     if not _is_full(folder):
         _remove(files)
         return
-    atexit.register(_remove, files)
+    atexit.register(_remove_if_room, folder, files)
     for file in files:
         _replace(file)
 
@@ -72,6 +72,12 @@ def _replace(file: Path) -> None:
 
 def _is_link(file: Path) -> bool:
     return file.is_symlink() and file.readlink() == _TARGET
+
+
+def _remove_if_room(folder: Path, files: Sequence[Path]) -> None:
+    """Remove the links. Without room they stay: LTTng's threads still run, and would end this process by SIGBUS."""
+    if not _is_full(folder):
+        _remove(files)
 
 
 def _remove(files: Sequence[Path]) -> None:

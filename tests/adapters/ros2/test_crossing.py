@@ -202,8 +202,7 @@ def test_full_shared_memory(programs: Programs, own_shm: Callable[[str], int]) -
     assert_crosses(edge, programs.native(), "x" * 1_000_000)
     folder = Path(f"/proc/{edge.pid}/root/dev/shm")
     assert [file.name for file in folder.iterdir() if not file.is_symlink()] == ["fill"]
-    edge.stop()
-    assert [file.name for file in Path(f"/proc/{mounts}/root/dev/shm").iterdir()] == ["fill"]
+    assert edge.stop(40) == 0
 
 
 @pytest.mark.thorough

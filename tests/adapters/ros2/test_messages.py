@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -84,11 +85,12 @@ def test_messages_do_not_wake_the_timer_thread(edge: RunningEdge, peer: Callable
         return bool(native.wait(subscription, 1, 0.1))
 
     until(received, "the native subscription receives a message")
-    count, before = len(native.wait(subscription, 1)), timer_switches()
+    count, before, begun = len(native.wait(subscription, 1)), timer_switches(), time.monotonic()
     for number in range(count + 1, count + 201):
         ours.send(string("next"), "hub")
         native.wait(subscription, number)  # one at a time
-    assert timer_switches() - before < 100  # without the profile at least one per message
+    heartbeats = 5 * (time.monotonic() - begun)  # and other periodic events, which do not depend on the messages
+    assert timer_switches() - before < 100 + heartbeats  # without the profile at least one per message
 
 
 @pytest.mark.parametrize("size", [1_000_000, 6_000_000])

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from bridge.adapters.yarp.topics import stamp
-from tests.adapters.yarp.conftest import Place
+from tests.adapters.yarp.conftest import Place, YarpPort
 from tests.support.wait import until
 from yarp_compat.dev.basecontrol import OdometryData
 from yarp_compat.dev.rangefinder import LaserScan2D
@@ -85,9 +85,15 @@ def test_each_type_in_both_directions(place: Place) -> None:
         assert near(reader.bottles()[0], bottle), name
         subscription = place.far.subscribe(f"/in{number}", name)
         writer.write_to(f"/midspan/in{number}:i")
-        writer.write(bottle if isinstance(bottle[-1], bytes) else _payload(bottle, profile), _envelope(number))
-        received = place.far.wait(subscription, 1)
-        assert received, f"{name} is bridged"
+        payload = bottle if isinstance(bottle[-1], bytes) else _payload(bottle, profile)
+
+        def crossed(
+            writer: YarpPort = writer, payload: Any = payload, number: int = number, subscription: int = subscription
+        ) -> list[dict[str, Any]]:
+            writer.write(payload, _envelope(number))
+            return place.far.wait(subscription, 1, 0.2)
+
+        received = until(crossed, f"{name} is bridged")
         assert near(received[0], message), name
         if "header" in message:
             assert received[0]["header"] == HEADER
