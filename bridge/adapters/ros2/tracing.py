@@ -24,8 +24,8 @@ _TARGET = Path("no-room-for-tracing")
 def allow_tracing_if_room(folder: Path = FOLDER) -> None:
     """Switch LTTng off for this process if the folder is full; call it before rclpy's libraries load.
 
-    The links are removed at the process's exit, or by the next worker, if there is room then. Raises `RuntimeError` if LTTng's file has no page
-    and cannot be removed.
+    The links are removed at the process's exit, or by the next worker, if there is room then. Raises `RuntimeError` if
+    LTTng's file has no page and cannot be removed.
     """
     if sys.platform != "linux":
         return
