@@ -18,7 +18,7 @@ from tests.contract.ownside import OwnSide
 from tests.contract.plainside import PlainSide
 from tests.contract.rmwside import RmwSide
 from tests.contract.ros1side import EmbeddedMasterSide, Ros1AnyOsSide, Ros1Side
-from tests.contract.ros2side import Ros2Side
+from tests.contract.ros2side import KiltedSide, Ros2Side
 from tests.contract.side import CUSTOM_FOLDER, OWN_FOLDER, PEER_FOLDERS, Bridge, Side
 from tests.contract.yarpside import YarpSide
 from tests.contract.zenohside import Ros1KeysSide, Ros2ddsSide
@@ -33,6 +33,7 @@ SIDES: dict[str, type[Any]] = {
     "ros1_embedded_master": EmbeddedMasterSide,
     "ros1_any_os": Ros1AnyOsSide,
     "ros2": Ros2Side,
+    "ros2_kilted": KiltedSide,
     "zenoh_ros2dds": Ros2ddsSide,
     "zenoh_ros1": Ros1KeysSide,
     "yarp": YarpSide,
@@ -47,6 +48,9 @@ def hubs() -> Iterator[HubNetwork]:
     with QuickHub() as network:
         yield network
 
+
+APART = ("ros1_embedded_master", "ros2_kilted")
+"""Sides that only `make test-all` runs."""
 
 IN_TURN = (("ros1", "ros2", "own"), ("zenoh_ros2dds", "zenoh_ros1"))
 """Sides with programs and workers in processes, and dialects of one side: `make test` runs each test on one of each."""
@@ -75,7 +79,7 @@ def _lane_on_any_os(item: pytest.Item) -> bool:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests on the other sides, and on the embedded master, as `thorough`."""
+    """Mark the tests on the other sides as `thorough`."""
     items[:] = [item for item in items if not _lane_on_any_os(item)]
     for item in items:
         if (
@@ -84,7 +88,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             and hasattr(item, "callspec")
         ):
             side, turn = item.callspec.params.get("side"), zlib.crc32(item.originalname.encode())
-            if side == "ros1_embedded_master" or (side == "ros1_any_os" and item.originalname not in ANY_OS):
+            if side in ("ros1_embedded_master", "ros2_kilted") or (
+                side == "ros1_any_os" and item.originalname not in ANY_OS
+            ):
                 item.add_marker(pytest.mark.thorough)
             for sides in IN_TURN:
                 if side in sides and side != sides[turn % len(sides)] and item.originalname not in BASIC:

@@ -1,4 +1,4 @@
-"""The ROS 2 side of the contract suite: real rclpy programs over Fast DDS, on a separate domain."""
+"""The ROS 2 side of the contract suite: real rclpy programs of Jazzy and Kilted over Fast DDS, on a separate domain."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import functools
 import os
 from pathlib import Path
 from typing import Any
+
+from typing_extensions import override
 
 from bridge.adapters.ros2.environment import worker_environment
 from bridge.config.model import Config
@@ -15,6 +17,7 @@ from bridge.interfaces.folders import read_folders
 from tests.contract.side import PEER_FOLDERS, Side, WorkerProcess
 from tests.peers.hub.network import HubNetwork
 from tests.peers.peer import Peer
+from tests.peers.ros2 import kilted
 from tests.peers.ros2.network import ROS2_PEER, SHORT_LEASE, ros2_domain, ros2_environment, ros2_python
 from tests.support.missing import ROS2, need
 
@@ -32,9 +35,13 @@ class Ros2Side(Side):
         need(ROS2)
 
     def peer(self, **more: str) -> Peer:
-        peer = Peer(ROS2_PEER, ros2_python(), _custom_environment() | more, f"peer{next(self._names)}")
+        peer = Peer(ROS2_PEER, ros2_python(), self._environment() | more, f"peer{next(self._names)}")
         self._open.append(peer)
         return peer
+
+    def _environment(self) -> dict[str, str]:
+        """Return the environment of programs."""
+        return _custom_environment()
 
     def mortal(self) -> Peer:
         return self.peer(**SHORT_LEASE)
@@ -51,10 +58,27 @@ class Ros2Side(Side):
         return {"ros2": {"domain": ros2_domain()}}
 
 
+class KiltedSide(Ros2Side):
+    """The same with programs on ROS 2 Kilted (Fast DDS 3); Midspan stays on Jazzy."""
+
+    @override
+    def mortal(self) -> Peer:
+        return self.peer(FASTDDS_DEFAULT_PROFILES_FILE=SHORT_LEASE["FASTRTPS_DEFAULT_PROFILES_FILE"])
+
+    @override
+    def _environment(self) -> dict[str, str]:
+        return _kilted_environment()
+
+
 @functools.cache
 def _custom_prefix() -> Path:
     """Build the suite's message packages like a user of them."""
     return build(read_folders(PEER_FOLDERS))
+
+
+@functools.cache
+def _kilted_environment() -> dict[str, str]:
+    return kilted.program_environment(read_folders(PEER_FOLDERS))
 
 
 def _custom_environment() -> dict[str, str]:
