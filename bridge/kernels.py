@@ -46,9 +46,9 @@ SHARED = "bridge.shared_kernel_code"
 """Module of the code that all kernels share, so that it is compiled once."""
 
 C_MODULES: tuple[str, ...] = (
+    "bridge.adapters.ros2.reader_filter",
     "bridge.adapters.ros2.service_callbacks",
     "bridge.adapters.ros2.taking",
-    "bridge.adapters.ros2.version_filter",
 )
 """Modules in C, each next to its user; missing without a compiler."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import struct
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -32,7 +31,6 @@ ACTION = "nav2_msgs/action/NavigateToPose"
 SEND_GOAL = f"{ACTION}_SendGoal"
 NAVIGATE = "nav2_msgs/NavigateToPose"
 GOAL = {"pose": {"header": {"frame_id": "map"}, "pose": {"position": {"x": 5.0}}}}
-AT_ONCE = 3.0
 
 NODE = "/cyclone_node"
 RULE = {"ros1": "/mirrored", "node": NODE, "owner": "ros2"}
@@ -129,37 +127,25 @@ def test_clients_of_each_side_call_a_service_of_cyclone_dds(shared: Deployment) 
 
 
 def test_name_served_on_two_kinds_of_dds(shared: Deployment) -> None:
-    """Each client gets the reason at once, and neither server a request."""
+    """The server on Fast DDS is called, that on Cyclone DDS gets no request; explain and doctor name them."""
     native, ros2, service = cyclone(shared), shared.ros2(), Service(Registry(), SET_BOOL)
-    server = native.serve("/twice", TYPE, service.response(success=True))
-    fast = ros2.ask("serve", service="/twice", type=TYPE, reply={"success": True})["id"]
-
-    def refused() -> dict[str, Any] | None:
-        lines = [line for line in shared.explain("/twice") if "on another DDS" in line["reason"]]
-        return lines[0] if lines else None
-
-    decision = until(refused, "the name is refused", 30, every=0.1)
-    assert decision is not None
-    assert decision["decision"] == "refused"
-    assert "stop one of them" in decision["cure"]
+    server = native.serve("/twice", TYPE, service.response(success=False))
+    fast = ros2.ask("serve", service="/twice", type=TYPE, reply={"success": True, "message": "lit"})["id"]
+    until(lambda: "calls go to /" in until_explained(shared, "/twice", "bridged")["why"], "explain names it", 30)
     shared.until_route("ros1", "/twice", "out", state="active")
     ros1 = shared.ros1()
     ros1.ask("await_service", service="/twice", seconds=20)
-    began = time.monotonic()
     call = ros1.ask("call", service="/twice", type=TYPE, request={"data": True})["id"]
-    answer = ros1.ask("result", id=call, seconds=20)
-    assert "Cyclone DDS" in answer["error"]
-    assert time.monotonic() - began < AT_ONCE
+    assert ros1.ask("result", id=call, seconds=20)["reply"] == {"success": True, "message": "lit"}
     printed = shared.command("service", "call", "/twice", "{data: true}")
-    assert printed.returncode == 1
-    assert "Cyclone DDS" in printed.stderr
-    assert "cannot cross" in shared.command("explain", "/twice").stdout
+    assert printed.returncode == 0, printed.stderr
+    assert "and not to a node with an unknown name on Cyclone DDS" in shared.command("explain", "/twice").stdout
     findings = json.loads(shared.command("doctor", "--json", seconds=60).stdout)
     (line,) = [finding for finding in findings if finding["check"] == "cyclone"]
     assert line["result"] == "warn"
-    assert "calls are refused: /twice" in line["seen"]
+    assert "also served on another DDS, so they get no calls of /twice" in line["seen"]
     assert native.requests(server) == []
-    assert ros2.ask("requests", id=fast, count=1, seconds=0)["requests"] == []
+    assert ros2.ask("requests", id=fast, count=2, seconds=20)["requests"] == [{"data": True}] * 2
 
 
 def test_actions_of_cyclone_dds(shared: Deployment) -> None:

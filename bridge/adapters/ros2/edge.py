@@ -15,6 +15,8 @@ from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.environment import domain
+from bridge.adapters.ros2.filters import VersionFilter
+from bridge.adapters.ros2.filters import is_available as can_separate
 from bridge.adapters.ros2.graph import middlewares, neighbors, spdp, vendors
 from bridge.adapters.ros2.graph.announcements import Announcements
 from bridge.adapters.ros2.graph.graph import GraphSnapshot, Ros2Graph, is_hidden
@@ -32,8 +34,6 @@ from bridge.adapters.ros2.services.endpoint import Ros2Context
 from bridge.adapters.ros2.services.server import Ros2Server
 from bridge.adapters.ros2.topics.publisher import Ros2Publisher
 from bridge.adapters.ros2.topics.subscription import Ros2Subscription
-from bridge.adapters.ros2.topics.version_filter import VersionFilter
-from bridge.adapters.ros2.topics.version_filter import is_available as can_separate
 from bridge.adapters.ros2.topics.versioned import VersionedPublisher
 from bridge.adapters.ros2.types import TypeSupports
 from bridge.adapters.ros2.versions import EndpointVersions, Notes
@@ -414,7 +414,11 @@ class Ros2Edge(SideEdge):
     def version_notes(self) -> Notes:
         with self._lock:
             separated = {end.topic for end in self._ends if isinstance(end, VersionedPublisher)}
-        return self._versions.notes(self.endpoints(), separated)
+        endpoints = self.endpoints()
+        notes = {key: list(texts) for key, texts in self._versions.notes(endpoints, separated).items()}
+        for name, text in vendors.notes(endpoints).items():
+            notes.setdefault(("service", "in", name), []).append(text)
+        return notes
 
     @override
     def programs(self) -> Mapping[str, str]:

@@ -1,4 +1,4 @@
-"""Which ROS 2 nodes run on Cyclone DDS, and which services cannot be called for that reason?"""
+"""Which ROS 2 nodes run on Cyclone DDS, and which of their services are called on another DDS instead?"""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _finding(daemon: str, cyclone: CycloneNodes) -> Finding:
     seen = f"{listed(cyclone.nodes)} on Cyclone DDS, seen by {daemon}"
     if not cyclone.both:
         return ok(f"{seen}: topics, services and actions cross")
-    return warn(f"{seen}; also served on another DDS, so that calls are refused: {listed(cyclone.both)}", _CURE)
+    return warn(f"{seen}; also served on another DDS, so they get no calls of {listed(cyclone.both)}", _CURE)
 
 
 CHECKS = (Check("cyclone", "ROS 2 nodes on Cyclone DDS", check_nodes),)

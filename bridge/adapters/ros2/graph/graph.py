@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2 import filters, rcl
 from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
 from bridge.adapters.ros2.participant import Participant, from_rclpy, reply_topic, request_topic, service_type
@@ -46,9 +46,9 @@ class GraphSnapshot:
     """The graph at one moment, without Midspan's own endpoints.
 
     ``endpoints`` omits hidden topics except those of actions; ``publishers`` are by topic and GID; ``servers`` are the
-    GIDs of native servers by service; ``participants`` are the GUID prefixes of all other ROS participants;
-    ``subscribed`` has the topics that another participant subscribes to; ``obstacles`` are the reasons why native
-    servers of a service cannot be called, by service.
+    GIDs of the native servers that are called, by service; ``participants`` are the GUID prefixes of all other ROS
+    participants; ``subscribed`` has the topics that another participant subscribes to; ``obstacles`` are the reasons
+    why native servers of a service cannot be called, by service.
     """
 
     endpoints: tuple[Endpoint, ...] = ()
@@ -117,7 +117,8 @@ class Ros2Graph:
         obstacles: dict[str, Obstacle] = {}
         for service, requests in self._participant.service_topics():
             service_servers = self._servers(service, requests)
-            servers[service] = frozenset(gid for gid, server in service_servers if server.made_by is MadeBy.NATIVE)
+            called = {server.id for server in vendors.called(end for _, end in service_servers)}
+            servers[service] = frozenset(gid for gid, server in service_servers if server.id in called)
             obstacle = self.obstacle(service, [e for _, e in service_servers])
             if obstacle is not None:
                 obstacles[service] = obstacle
@@ -136,9 +137,9 @@ class Ros2Graph:
 
     def obstacle(self, service: str, servers: Sequence[Endpoint], expected: str | None = None) -> Obstacle | None:
         """Return why these servers of a service cannot be called, by a client of the ``expected`` version; or None."""
-        obstacle = vendors.of_servers(service, servers)
+        obstacle = None if filters.is_available() else vendors.of_servers(service, servers)
         if obstacle is None and self._versions is not None:
-            obstacle = self._versions.obstacle(service, servers, expected)
+            obstacle = self._versions.obstacle(service, vendors.called(servers), expected)
         return obstacle
 
     def client_types(self, service: str) -> dict[bytes, str]:

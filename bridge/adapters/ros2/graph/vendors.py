@@ -3,7 +3,8 @@
 The first two bytes of a GUID prefix are its vendor's (DDSI-RTPS 2.5, 9.3.1.5): 01 0f is eProsima, whose Fast DDS
 Midspan uses, 01 10 is Eclipse Cyclone DDS. A server on Cyclone DDS would execute a request in Fast DDS's form shifted
 by 16 bytes, which for most types means all zeros (see `bridge.adapters.ros2.services.cyclone`). DDS delivers a request
-to all servers of a name, so those of a name that has servers of both kinds cannot be called.
+to all servers of a name, so the clients here filter it (`bridge.adapters.ros2.filters`): if a name has servers of both
+kinds, those on Cyclone DDS are not called. Without the filter none are.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.messages.actions import split
 from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 
-_CYCLONE = b"\x01\x10"
+CYCLONE = b"\x01\x10"
 _CURE = "stop one of them, or rename one by a remapping of its node"
 _UNNAMED = "a node with an unknown name"
 
@@ -26,7 +27,7 @@ _OF_EACH_NODE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
 
 def is_cyclone(gid: bytes) -> bool:
     """Return whether a GUID, or its prefix, is of Cyclone DDS."""
-    return gid.startswith(_CYCLONE)
+    return gid.startswith(CYCLONE)
 
 
 class ClosedEndpoints:
@@ -59,7 +60,7 @@ class ClosedEndpoints:
 
 
 def _is_cyclone_endpoint(endpoint: Endpoint) -> bool:
-    return endpoint.made_by is MadeBy.NATIVE and endpoint.id.startswith(_CYCLONE.hex())
+    return endpoint.made_by is MadeBy.NATIVE and endpoint.id.startswith(CYCLONE.hex())
 
 
 def _servers(endpoints: Iterable[Endpoint]) -> tuple[list[Endpoint], list[Endpoint]]:
@@ -69,6 +70,26 @@ def _servers(endpoints: Iterable[Endpoint]) -> tuple[list[Endpoint], list[Endpoi
     return cyclone, [server for server in native if server not in cyclone]
 
 
+def called(servers: Iterable[Endpoint]) -> list[Endpoint]:
+    """Return the native servers of a name that get its requests: those on Cyclone DDS only if there are no others."""
+    cyclone, others = _servers(servers)
+    return others or cyclone
+
+
+def notes(endpoints: Iterable[Endpoint]) -> dict[str, str]:
+    """Return which servers are called, by the names that servers on Cyclone DDS and on another DDS serve."""
+    by_name: dict[str, list[Endpoint]] = {}
+    for endpoint in endpoints:
+        if endpoint.kind is Kind.SERVER:
+            by_name.setdefault(endpoint.topic, []).append(endpoint)
+    both = {name: _servers(servers) for name, servers in by_name.items()}
+    return {
+        name: f"calls go to {_nodes(others)}, and not to {_nodes(cyclone)} on Cyclone DDS"
+        for name, (cyclone, others) in both.items()
+        if cyclone and others
+    }
+
+
 def are_cyclone(servers: Iterable[Endpoint]) -> bool:
     """Return whether requests to these servers need Cyclone DDS's form."""
     cyclone, others = _servers(servers)
@@ -76,7 +97,7 @@ def are_cyclone(servers: Iterable[Endpoint]) -> bool:
 
 
 def of_servers(service: str, servers: Iterable[Endpoint]) -> Obstacle | None:
-    """Return why a service with these servers cannot be called; None if it can."""
+    """Return why a service with these servers cannot be called without a filter; None if it can."""
     cyclone, others = _servers(servers)
     if not cyclone or not others:
         return None
@@ -107,10 +128,11 @@ def report(endpoints: Iterable[Endpoint]) -> dict[str, list[str]]:
 
 
 def warning(cyclone: dict[str, Any]) -> str:
-    """Return a one-line warning for the result of `report`, "" without a name that cannot be called."""
+    """Return a one-line warning for the result of `report`, "" without a name that both serve."""
     if not cyclone["both"]:
         return ""
-    return f"{', '.join(cyclone['both'])}: served on Cyclone DDS and on another DDS, so calls are refused; {_CURE}"
+    names = ", ".join(cyclone["both"])
+    return f"{names}: served on Cyclone DDS and on another DDS, so the servers on Cyclone DDS are not called; {_CURE}"
 
 
 def _nodes(endpoints: Iterable[Endpoint]) -> str:

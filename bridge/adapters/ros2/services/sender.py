@@ -6,6 +6,7 @@ from collections.abc import Collection
 from functools import partial
 
 from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.filters import VendorFilter, is_available
 from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.services.cyclone import CycloneCalls, Replied
 from bridge.adapters.ros2.services.endpoint import Ros2Context
@@ -22,7 +23,10 @@ class RequestSender:
     """Sends the requests of one client. Not thread-safe: the client's lock is held.
 
     Servers on Cyclone DDS get requests in another form, and their replies arrive at a separate reader. The form
-    is decided from the graph before each request, unless no server has matched since the last one.
+    is decided from the graph before each request, unless no server has matched or left since the last one. A filter
+    keeps requests from servers that need the other form.
+
+    Raises `MessageTypeError` if the requests cannot be filtered.
 
     Args:
         pointer: the client's ``rcl_client_t *``.
@@ -38,31 +42,35 @@ class RequestSender:
         self._name, self._pointer, self._context, self._type_id = name, pointer, context, type_id
         self._open = partial(CycloneCalls, name, response_support, context, replied)
         self._matches = MatchCounter(pointer, "client")
-        self._verified: int | None = None
+        self._filter = VendorFilter(name, pointer, vendors.CYCLONE) if is_available() else None
+        self._verified: tuple[int | None, frozenset[bytes]] = None, frozenset()
         self._on_cyclone = False
         self._cyclone: CycloneCalls | None = None
         self._written = 0
 
     def obstacle(self) -> CallError | None:
-        """Return why the matched servers cannot be called; the graph is read only after a new match."""
-        known = self._context.graph.snapshot.obstacles.get(self._name)
+        """Return why the matched servers cannot be called; the graph is read only after a change."""
+        snapshot = self._context.graph.snapshot
+        known = snapshot.obstacles.get(self._name)
         if known is not None:
             return refusal(known)
-        matched = self._matches.total()
-        if matched is None or matched != self._verified:
+        matched, present = self._matches.total(), snapshot.servers.get(self._name, frozenset())
+        if matched is None or (matched, present) != self._verified:
             servers = self._context.graph.servers(self._name)
             obstacle = self._context.graph.obstacle(self._name, servers, self._type_id)
             if obstacle is not None:
                 return refusal(obstacle)
             if not any(server.made_by is MadeBy.NATIVE for server in servers):  # it has just left
                 return CallError(f"{self._name} has no server on ROS 2")
-            self._verified, self._on_cyclone = matched, vendors.are_cyclone(servers)
+            self._verified, self._on_cyclone = (matched, present), vendors.are_cyclone(servers)
+            if self._filter is not None:
+                self._filter.restrict(only=self._on_cyclone)
         return None
 
     @property
     def outdated(self) -> bool:
         """Whether another server has matched since `obstacle`, which may need another form."""
-        return self._matches.total() not in (None, self._verified)
+        return self._matches.total() not in (None, self._verified[0])
 
     def wait(self, servers: Collection[bytes]) -> float:
         """Return the seconds until a request may be sent to these servers; raises `UnsentCallError`."""

@@ -20,17 +20,21 @@ def endpoint(vendor: str, kind: Kind = Kind.SERVER, made_by: MadeBy = MadeBy.NAT
 
 def test_servers_on_cyclone_dds_can_be_called_in_their_own_form() -> None:
     servers = [endpoint(CYCLONE), endpoint(CYCLONE)]
+    assert vendors.called(servers) == servers
+    assert vendors.notes(servers) == {}
     assert vendors.of_servers("/lamp", servers) is None
     assert vendors.are_cyclone(servers)
 
 
-def test_servers_on_two_kinds_of_dds_cannot_be_called() -> None:
+def test_servers_on_two_kinds_of_dds_cannot_be_called_without_a_filter() -> None:
     servers = [endpoint(FAST), endpoint(CYCLONE)]
     obstacle = vendors.of_servers("/lamp", servers)
     assert obstacle is not None
     assert "/lamp is served on Cyclone DDS (/of_0110) and on another DDS (/of_010f): " in obstacle.reason
     assert "stop one of them" in obstacle.cure
     assert not vendors.are_cyclone(servers)
+    assert vendors.called(servers) == servers[:1]
+    assert vendors.notes(servers) == {"/lamp": "calls go to /of_010f, and not to /of_0110 on Cyclone DDS"}
 
 
 @pytest.mark.parametrize("vendor", [FAST, *OTHERS])
@@ -67,7 +71,10 @@ def test_report_names_nodes_and_what_is_served_twice() -> None:
         ]
     )
     assert result == {"nodes": ["/of_0110", "a node with an unknown name"], "both": ["/go", "/lamp"]}
-    assert "/go, /lamp: served on Cyclone DDS and on another DDS, so calls are refused" in vendors.warning(result)
+    assert (
+        "/go, /lamp: served on Cyclone DDS and on another DDS, so the servers on Cyclone DDS are not called"
+        in vendors.warning(result)
+    )
     only_nodes = vendors.report([endpoint(CYCLONE)])
     assert only_nodes == {"nodes": ["/of_0110"], "both": []}
     assert vendors.warning(only_nodes) == ""

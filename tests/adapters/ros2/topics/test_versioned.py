@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
+from bridge.adapters.ros2.filters import is_available
 from bridge.adapters.ros2.participant import Participant
-from bridge.adapters.ros2.topics.version_filter import is_available
 from bridge.adapters.ros2.topics.versioned import VersionedPublisher
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.errors import ConversionError, MessageTypeError

@@ -1,7 +1,8 @@
-"""Filters that restrict a topic's writers to the subscriptions of some versions of its type.
+"""Filters that restrict DDS writers to some of the readers that have matched.
 
-DDS matches endpoints by the name of their type, so a writer reaches the subscriptions of all versions. Fast DDS has a
-filter for each writer, which is C here (``version_filter.c``), as it runs on Fast DDS's threads.
+DDS matches endpoints by the name of their type, so a writer reaches the subscriptions of all versions of a type, and a
+client the servers of all vendors. Fast DDS has a filter for each writer, which is C here (``reader_filter.c``), as it
+runs on Fast DDS's threads.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from bridge.messages.errors import MessageTypeError
 from bridge.messages.mapping.releases import NO_HASH
 
 try:
-    from bridge.adapters.ros2 import version_filter
+    from bridge.adapters.ros2 import reader_filter
 except ImportError:  # set up without a compiler
-    version_filter = None  # type: ignore[assignment]
+    reader_filter = None  # type: ignore[assignment]
 
 _HASH_PREFIX = "RIHS01_"
 
@@ -26,7 +27,7 @@ _HASH_PREFIX = "RIHS01_"
 @cache
 def is_available() -> bool:
     """Return whether writers can be restricted: the extension is compiled, and this Fast DDS has the functions."""
-    if version_filter is None:
+    if reader_filter is None:
         return False
     try:
         table, *functions = current().writer_filter
@@ -41,7 +42,7 @@ def is_available() -> bool:
         virtual_functions = addressof(c_char.in_dll(fast_dds, table))
     except (OSError, AttributeError, ValueError):
         return False
-    version_filter.configure(virtual_functions, *(cast(call, c_void_p).value or 0 for call in calls))
+    reader_filter.configure(virtual_functions, *(cast(call, c_void_p).value or 0 for call in calls))
     return True
 
 
@@ -64,7 +65,23 @@ class VersionFilter:
 
         Raises `MessageTypeError` if Fast DDS does not have it as a reliable writer.
         """
-        attached = version_filter.Filter(*self._arguments)
+        attached = reader_filter.VersionFilter(*self._arguments)
         if not attached.attach(rmw.publisher_gid(publisher)):
             raise MessageTypeError(f"{self._topic}: Fast DDS does not filter the messages of its writer by version")
         return attached
+
+
+class VendorFilter:
+    """Restricts the request writer of ``rcl_client_t *`` to servers of a vendor, or to all others, as at first.
+
+    Raises `MessageTypeError` if Fast DDS does not have the writer. Keep it until the client is destroyed.
+    """
+
+    def __init__(self, service: str, client: int, vendor: bytes) -> None:
+        self._filter = reader_filter.VendorFilter(vendor)
+        if not self._filter.attach(rmw.client_gid(client)):
+            raise MessageTypeError(f"{service}: Fast DDS does not filter the requests of its client by vendor")
+
+    def restrict(self, *, only: bool) -> None:
+        """Send the next requests to servers of the vendor only, or to all others."""
+        self._filter.restrict(only)

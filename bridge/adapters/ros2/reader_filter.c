@@ -1,10 +1,10 @@
-/* Chooses the subscriptions to which a DDS writer sends: those of some versions of its type, or all others.
+/* Chooses the readers to which a DDS writer sends: by their version of its type, or by their vendor.
  *
  * Fast DDS calls a writer's filter on its own threads before it sends a message to a reader, and sends a GAP if the
  * filter returns false. The filter is a C++ object with one virtual function (rtps/interfaces/IReaderDataFilter.hpp of
  * Fast DDS 2.14 and 3.2), built here from a table with this function, as in the Itanium C++ ABI. A reader's version is
- * in the graph of rmw before Fast DDS matches it with a writer, so no message goes to a reader of the wrong version. The
- * filter runs without Python, with the writer's lock held; the graph's lock, which it takes, is never held by a thread
+ * in the graph of rmw before Fast DDS matches it with a writer, and its vendor in its GID, so no message goes to a wrong
+ * reader. The filter runs without Python, with the writer's lock held; the graph's lock, which it takes, is never held by a thread
  * that waits for a writer. ROS is not linked: the addresses of its functions are passed in.
  */
 
@@ -16,7 +16,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { GID_BYTES = 16, HASH_BYTES = 32, CACHED = 64, FUNCTIONS = 8 };
+enum { GID_BYTES = 16, HASH_BYTES = 32, CACHED = 64, FUNCTIONS = 8, VENDOR_BYTES = 2 };
 
 /* rcutils_allocator_t */
 typedef struct {
@@ -76,10 +76,15 @@ static int32_t (*free_infos)(Infos *, Allocator *); /* rmw_topic_endpoint_info_a
 static void (*reset_error)(void);
 static Allocator (*default_allocator)(void);
 
+/* The beginning of all filters */
 typedef struct {
     PyObject_HEAD
     CppObject object; /* its address is what Fast DDS gets */
     CppObject *previous; /* Fast DDS's own filter, for subscriptions with a filter by content; NULL if it has none */
+} Filter;
+
+typedef struct {
+    Filter base;
     PyThread_type_lock lock; /* guards `known` */
     Known known[CACHED];
     size_t count;
@@ -89,9 +94,26 @@ typedef struct {
     size_t hash_count;
     bool hashless; /* whether the version of ROS 2 programs that announce no hash is one of them */
     bool only;     /* whether it sends to these versions only, or to all others */
-} Filter;
+} VersionFilter;
 
-static bool is_listed(const Filter *filter, const Info *info)
+typedef struct {
+    Filter base;
+    uint8_t vendor[VENDOR_BYTES];
+    bool only; /* whether it sends to this vendor's readers only, or to all others; the GIL guards changes */
+} VendorFilter;
+
+static Filter *filter_of(const void *object)
+{
+    return (Filter *)((char *)object - offsetof(Filter, object));
+}
+
+static bool passes_previous(const Filter *filter, const void *change, const uint8_t *gid)
+{
+    CppObject *previous = filter->previous;
+    return previous == NULL || previous->table[0](previous, change, gid);
+}
+
+static bool is_listed(const VersionFilter *filter, const Info *info)
 {
     if (info->hash.version != 1) {
         return filter->hashless && (info->node == NULL || strcmp(info->node, "_CREATED_BY_BARE_DDS_APP_") != 0);
@@ -105,7 +127,7 @@ static bool is_listed(const Filter *filter, const Info *info)
 }
 
 /* Reads a reader's version from the graph; returns whether it is there. */
-static bool read_version(const Filter *filter, const uint8_t *gid, bool *relevant)
+static bool read_version(const VersionFilter *filter, const uint8_t *gid, bool *relevant)
 {
     Allocator allocator = default_allocator();
     Infos all = {0, NULL};
@@ -126,7 +148,7 @@ static bool read_version(const Filter *filter, const uint8_t *gid, bool *relevan
     return found;
 }
 
-static bool find_known(Filter *filter, const uint8_t *gid, bool *relevant)
+static bool find_known(VersionFilter *filter, const uint8_t *gid, bool *relevant)
 {
     bool found = false;
     PyThread_acquire_lock(filter->lock, WAIT_LOCK);
@@ -140,7 +162,7 @@ static bool find_known(Filter *filter, const uint8_t *gid, bool *relevant)
     return found;
 }
 
-static void add_known(Filter *filter, const uint8_t *gid, bool relevant)
+static void add_known(VersionFilter *filter, const uint8_t *gid, bool relevant)
 {
     PyThread_acquire_lock(filter->lock, WAIT_LOCK);
     if (filter->count == CACHED) { /* most have left */
@@ -152,18 +174,25 @@ static void add_known(Filter *filter, const uint8_t *gid, bool relevant)
     PyThread_release_lock(filter->lock);
 }
 
-static bool is_relevant(const void *self, const void *change, const uint8_t *gid)
+static bool has_version(const void *self, const void *change, const uint8_t *gid)
 {
-    Filter *filter = (Filter *)((char *)self - offsetof(Filter, object));
+    VersionFilter *filter = (VersionFilter *)filter_of(self);
     bool relevant = !filter->only;
     if (!find_known(filter, gid, &relevant) && read_version(filter, gid, &relevant)) {
         add_known(filter, gid, relevant);
     }
-    CppObject *previous = filter->previous;
-    return relevant && (previous == NULL || previous->table[0](previous, change, gid));
+    return relevant && passes_previous(&filter->base, change, gid);
 }
 
-static const IsRelevant table[FUNCTIONS] = {is_relevant};
+static bool has_vendor(const void *self, const void *change, const uint8_t *gid)
+{
+    const VendorFilter *filter = (VendorFilter *)filter_of(self);
+    bool same = memcmp(gid, filter->vendor, VENDOR_BYTES) == 0;
+    return same == filter->only && passes_previous(&filter->base, change, gid);
+}
+
+static const IsRelevant by_version[FUNCTIONS] = {has_version};
+static const IsRelevant by_vendor[FUNCTIONS] = {has_vendor};
 
 static PyObject *filter_attach(PyObject *self, PyObject *args)
 {
@@ -182,9 +211,9 @@ static PyObject *filter_attach(PyObject *self, PyObject *args)
     Py_RETURN_TRUE;
 }
 
-static int filter_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names))
+static int version_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names))
 {
-    Filter *filter = (Filter *)self;
+    VersionFilter *filter = (VersionFilter *)self;
     unsigned long long node;
     const char *topic, *hashes;
     Py_ssize_t length;
@@ -192,7 +221,7 @@ static int filter_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names
     if (!PyArg_ParseTuple(args, "Ksy#pp", &node, &topic, &hashes, &length, &hashless, &only)) {
         return -1;
     }
-    filter->object.table = table;
+    filter->base.object.table = by_version;
     filter->node = (const void *)(uintptr_t)node;
     filter->hashless = hashless != 0;
     filter->only = only != 0;
@@ -209,34 +238,79 @@ static int filter_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names
     return 0;
 }
 
-static void filter_dealloc(PyObject *self)
+static int vendor_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names))
 {
-    Filter *filter = (Filter *)self;
+    VendorFilter *filter = (VendorFilter *)self;
+    const char *vendor;
+    Py_ssize_t length;
+    if (!PyArg_ParseTuple(args, "y#", &vendor, &length)) {
+        return -1;
+    }
+    if (length != VENDOR_BYTES) {
+        PyErr_SetString(PyExc_ValueError, "a vendor has two bytes");
+        return -1;
+    }
+    filter->base.object.table = by_vendor;
+    memcpy(filter->vendor, vendor, VENDOR_BYTES);
+    return 0;
+}
+
+static PyObject *vendor_restrict(PyObject *self, PyObject *only)
+{
+    int value = PyObject_IsTrue(only);
+    if (value < 0) {
+        return NULL;
+    }
+    ((VendorFilter *)self)->only = value != 0;
+    Py_RETURN_NONE;
+}
+
+static void release_filter(PyObject *self)
+{
     PyTypeObject *type = Py_TYPE(self);
     freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
+    release(self);
+    Py_DECREF(type);
+}
+
+static void version_dealloc(PyObject *self)
+{
+    VersionFilter *filter = (VersionFilter *)self;
     free(filter->topic);
     free(filter->hashes);
     if (filter->lock != NULL) {
         PyThread_free_lock(filter->lock);
     }
-    release(self);
-    Py_DECREF(type);
+    release_filter(self);
 }
 
-static PyMethodDef filter_methods[] = {
-    {"attach", filter_attach, METH_VARARGS,
-     "Filter what the reliable writer with this GID sends, until it is destroyed; return whether there is one."},
+#define ATTACH                                                                                                         \
+    {"attach", filter_attach, METH_VARARGS,                                                                            \
+     "Filter what the reliable writer with this GID sends, until it is destroyed; return whether there is one."}
+
+static PyMethodDef version_methods[] = {ATTACH, {NULL, NULL, 0, NULL}};
+
+static PyMethodDef vendor_methods[] = {
+    ATTACH,
+    {"restrict", vendor_restrict, METH_O, "Send to readers of the vendor only (true), or to all others (false)."},
     {NULL, NULL, 0, NULL},
 };
 
-static PyType_Slot filter_slots[] = {
-    {Py_tp_init, filter_init}, {Py_tp_new, PyType_GenericNew}, {Py_tp_dealloc, filter_dealloc},
-    {Py_tp_methods, filter_methods}, {0, NULL},
+static PyType_Slot version_slots[] = {
+    {Py_tp_init, version_init}, {Py_tp_new, PyType_GenericNew}, {Py_tp_dealloc, version_dealloc},
+    {Py_tp_methods, version_methods}, {0, NULL},
 };
 
-static PyType_Spec filter_spec = {
-    "bridge.adapters.ros2.version_filter.Filter", sizeof(Filter), 0, Py_TPFLAGS_DEFAULT, filter_slots,
+static PyType_Slot vendor_slots[] = {
+    {Py_tp_init, vendor_init}, {Py_tp_new, PyType_GenericNew}, {Py_tp_dealloc, release_filter},
+    {Py_tp_methods, vendor_methods}, {0, NULL},
 };
+
+static PyType_Spec specs[] = {
+    {"bridge.adapters.ros2.reader_filter.VersionFilter", sizeof(VersionFilter), 0, Py_TPFLAGS_DEFAULT, version_slots},
+    {"bridge.adapters.ros2.reader_filter.VendorFilter", sizeof(VendorFilter), 0, Py_TPFLAGS_DEFAULT, vendor_slots},
+};
+static const char *const names[] = {"VersionFilter", "VendorFilter"};
 
 static PyObject *configure(PyObject *Py_UNUSED(module), PyObject *args)
 {
@@ -264,16 +338,17 @@ static PyMethodDef methods[] = {
 };
 
 static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT, .m_name = "version_filter", .m_size = -1, .m_methods = methods};
+    PyModuleDef_HEAD_INIT, .m_name = "reader_filter", .m_size = -1, .m_methods = methods};
 
-PyMODINIT_FUNC PyInit_version_filter(void)
+PyMODINIT_FUNC PyInit_reader_filter(void)
 {
     PyObject *made = PyModule_Create(&module);
-    PyObject *type = PyType_FromSpec(&filter_spec);
-    if (made == NULL || type == NULL || PyModule_AddObjectRef(made, "Filter", type) < 0) {
-        Py_XDECREF(made);
-        made = NULL;
+    for (int at = 0; at < 2 && made != NULL; at++) {
+        PyObject *type = PyType_FromSpec(&specs[at]);
+        if (type == NULL || PyModule_AddObjectRef(made, names[at], type) < 0) {
+            Py_CLEAR(made);
+        }
+        Py_XDECREF(type);
     }
-    Py_XDECREF(type);
     return made;
 }
