@@ -53,6 +53,7 @@ def short() -> Iterator[Path]:
         yield Path(folder)
 
 
+@pytest.mark.timeout(300)  # ten commands, each of which takes up to ten seconds on a busy machine
 @pytest.mark.parametrize(
     "run",
     [pytest.param(["run"], id="daemon"), pytest.param(["worker", "router"], id="service", marks=pytest.mark.thorough)],

@@ -238,11 +238,16 @@ class XmlRpcServer:
         del connection.received[: head.length]
         connection.head, connection.served, connection.persistent = None, True, head.persistent
         connection.deadline = math.inf
+        quick = len(body) <= _SMALL and any(name in body[_METHOD] for name in self._quick)
+        if quick and not connection.received:
+            # before the next call of another connection, which may cause calls that must not precede this response
+            self._on_result(connection, self._serve(connection, body))
+            return
         self._loop.watch(connection.sock)
-        if len(body) <= _SMALL and any(name in body[_METHOD] for name in self._quick):
-            self._serve(connection, body)
+        if quick:
+            self._serve_later(connection, body)
         else:
-            call = self._pool.submit(lambda: self._serve(connection, body))
+            call = self._pool.submit(lambda: self._serve_later(connection, body))
             call.add_done_callback(lambda future: self._on_canceled(connection) if future.cancelled() else None)
 
     def _reject(self, connection: _Connection, status: http.HTTPStatus) -> None:
@@ -287,7 +292,11 @@ class XmlRpcServer:
 
     # -- the threads of the pool; for quick calls, that of the connections ---------------------------------------------
 
-    def _serve(self, connection: _Connection, body: bytes) -> None:
+    def _serve_later(self, connection: _Connection, body: bytes) -> None:
+        response = self._serve(connection, body)
+        self._loop.call_soon(lambda: self._on_result(connection, response))
+
+    def _serve(self, connection: _Connection, body: bytes) -> bytes:
         method = ""
         try:
             method, params = decode_call(body, self._limits)
@@ -299,7 +308,7 @@ class XmlRpcServer:
             response = encode_response(self._fault(method, err))
         option = "" if connection.persistent else "Connection: close\r\n"
         head = f"HTTP/1.1 200 OK\r\n{option}Content-Type: text/xml\r\nContent-Length: {len(response)}\r\n\r\n"
-        self._loop.call_soon(lambda: self._on_result(connection, head.encode() + response))
+        return head.encode() + response
 
     def _call(self, method: str, params: Sequence[Any]) -> object:
         function = self._methods.get(method)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import http.client
 import random
+import select
 import selectors
 import socket
 import threading
@@ -443,6 +444,33 @@ def test_quick_calls_are_answered_while_all_threads_are_busy():
     finally:
         served.release.set()
         served.server.close()
+
+
+def test_a_quick_call_is_answered_before_the_next_call_of_another_connection():
+    """A call that the master makes after the next one must not overtake the response."""
+    holding, go = threading.Event(), threading.Event()
+    socks: list[socket.socket] = []
+    answered: list[int] = []
+
+    def hold() -> int:
+        holding.set()
+        return int(go.wait(20))
+
+    def look() -> int:
+        answered.append(len(select.select(socks, [], [], 0)[0]))
+        return 0
+
+    server = XmlRpcServer({"hold": hold, "look": look}, quick=("hold", "look"))
+    server.start()
+    with contextlib.closing(server), contextlib.ExitStack() as stack:
+        for method in ("hold", "look", "look"):
+            socks.append(stack.enter_context(socket.create_connection(("127.0.0.1", server.port), 20)))
+            body = xmlrpc.client.dumps((), method).encode()
+            socks[-1].sendall(b"POST / HTTP/1.1\r\nContent-Length: %d\r\n\r\n" % len(body) + body)
+            assert holding.wait(20)
+        go.set()
+        until(lambda: len(answered) == 2, "both calls have been made")
+    assert answered == [1, 2]
 
 
 def test_a_client_is_disconnected_if_no_thread_can_make_its_call(
