@@ -51,6 +51,16 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
+def test_bold_text_is_closed() -> None:
+    """An unmatched mark is shown as asterisks, and may make the rest of a paragraph bold."""
+    unmatched = []
+    for page in PAGES:
+        prose = re.sub(r"^ {4}.*|`[^`]+`", "code", BLOCK.sub("", page.read_text()), flags=re.MULTILINE)
+        parts = re.split(r"\n\s*\n|\n(?=\s*(?:-|\||[0-9]+\.) )", prose)
+        unmatched += [(page.name, part[:60]) for part in parts if part.count("**") % 2 or "***" in part]
+    assert unmatched == []
+
+
 def test_pages_name_only_existing_tests() -> None:
     sources = "".join(file.read_text() for file in (ROOT / "tests").rglob("test_*.py"))
     existing = set(re.findall(r"^def (test_\w+)", sources, re.MULTILINE))
