@@ -40,14 +40,14 @@ def test_a_daemon_of_any_name_has_state_files_and_keys(name: str, tmp_path: Path
 
 
 @pytest.mark.parametrize("name", ["CON.mcap", "a:b.mcap", "aux", "run.mcap."])
-def test_a_bag(name: str, tmp_path: Path) -> None:
+def test_a_bag_with_an_invalid_file_name_is_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(BagError, match="not a file name on Windows"), complete_file(tmp_path / name, "mcap"):
         pytest.fail("it is not written")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["CON", "a?b", "floor."])
-def test_maps(name: str, tmp_path: Path) -> None:
+def test_maps_with_invalid_file_names_are_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(MapFileError, match="on Windows"):
         file_name(name)
     with pytest.raises(MapFileError, match="on Windows"):
@@ -69,7 +69,7 @@ def test_a_file_that_a_page_sends() -> None:
         file_of("aux.map")
 
 
-def test_a_certificate(tmp_path: Path) -> None:
+def test_a_certificate_with_an_invalid_file_name_is_refused(tmp_path: Path) -> None:
     authority = Authority(tmp_path)
     authority.make()
     with pytest.raises(CertificateError, match=r"'com1'.*on Windows"):

@@ -35,7 +35,7 @@ def test_points_that_are_abbreviated_or_single() -> None:
         assert values("map", "edit-flags", *arguments).circle == [-1.6, 0.9, 0.5]
 
 
-def test_poses() -> None:
+def test_negative_numbers_are_values_and_not_options() -> None:
     assert values("goto", "-1.6e0", "-.9", "-90").where == ["-1.6e0", "-.9", "-90"]
     assert values("goto", "--frame", "odom", "-1.6", "2").where == ["-1.6", "2"]
     assert values("location", "add", "dock", "-1.5", "-2e-1", "-90").pose == [-1.5, -0.2, -90.0]

@@ -88,7 +88,7 @@ def test_debug_shows_the_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pyte
             main(arguments)
 
 
-def test_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_exits_with_130(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(_args: object) -> int:
         raise KeyboardInterrupt
 
@@ -107,7 +107,7 @@ def test_closed_output_pipe_is_not_an_error() -> None:
     assert (done.stdout, done.stderr) == ("{\n", "")
 
 
-def test_version() -> None:
+def test_version_is_printed() -> None:
     done = midspan("--version")
     assert done.returncode == 0
     assert done.stdout.startswith("midspan ")

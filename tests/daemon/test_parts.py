@@ -126,7 +126,7 @@ def test_pauses_double_up_to_a_limit_and_reset_after_a_long_run() -> None:
         ("<9>what", logging.WARNING, "<9>what"),
     ],
 )
-def test_priorities(line: str, level: int, text: str) -> None:
+def test_a_log_lines_priority_is_split_off(line: str, level: int, text: str) -> None:
     assert log.split_priority(line) == (level, text)
     if line.startswith(f"<{log.priority(level)}>"):
         assert f"<{log.priority(level)}>{text}" == line

@@ -61,7 +61,7 @@ def test_nodes_of_the_planner_that_are_not_active_are_named_with_the_cure() -> N
     assert (finding.result, finding.cure) == (Result.WARN, "midspan nav startup")
 
 
-def test_workers() -> None:
+def test_workers_are_judged_by_their_state() -> None:
     view = hub(
         {"worker": "router", "state": "running"},
         {"worker": "ros1", "state": "waiting"},

@@ -57,7 +57,7 @@ def test_the_quickest_answer_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     ("seconds", "error", "result"),
     [(0.001, 0.001, Result.OK), (0.1, 0.2, Result.OK), (-0.1, 0.01, Result.WARN), (3.0, 0.1, Result.FAIL)],
 )
-def test_clocks(seconds: float, error: float, result: Result) -> None:
+def test_an_offset_between_clocks_is_reported(seconds: float, error: float, result: Result) -> None:
     view = hub(clocks={"robot2/ros1": Offset(9.0, 8.0), "robot2/ros2": Offset(seconds, error)})
     finding = only(machine.check_clocks(around(hub=view)))
     assert finding.result is result
@@ -149,7 +149,7 @@ def test_holders_of_a_shared_file(tmp_path: Path, proc: Path) -> None:
     assert {name for name, f in finding.items() if f.port} == ports
 
 
-def test_litter(tmp_path: Path) -> None:
+def test_files_of_dead_processes_in_shared_memory_are_reported(tmp_path: Path) -> None:
     place = around(shm=tmp_path, proc=PROC)
     shm_file(tmp_path, "fastrtps_port7410", sharedmemory.LITTER_BYTES * 2)  # taken over, thus no litter
     assert only(sharedmemory.check_litter(place)).result is Result.OK

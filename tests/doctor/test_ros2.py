@@ -53,7 +53,9 @@ participant.close()
         ({"ROS_SECURITY_ENABLE": "true"}, {}, Result.OK, ""),
     ],
 )
-def test_environment(environ: dict[str, str], config: dict[str, object], result: Result, words: str) -> None:
+def test_the_environment_of_ros2_is_checked(
+    environ: dict[str, str], config: dict[str, object], result: Result, words: str
+) -> None:
     finding = only(ros2.check_environment(around({"ros2": config}, environ)))
     assert finding.result is result
     assert words in f"{finding.seen} {finding.cure}"
@@ -128,7 +130,7 @@ def test_peers_and_security_of_the_running_daemon() -> None:
         ("rmw_typo_cpp", Result.FAIL),
     ],
 )
-def test_rmw(rmw: str, result: Result) -> None:
+def test_the_middleware_of_the_environment_is_checked(rmw: str, result: Result) -> None:
     assert only(ros2.check_rmw(around(environ={"RMW_IMPLEMENTATION": rmw}))).result is result
 
 

@@ -109,7 +109,7 @@ def test_session_without_shared_memory_opens(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs a folder of shared memory")
-def test_room(tmp_path: Path) -> None:
+def test_missing_room_for_shared_memory_is_reported(tmp_path: Path) -> None:
     assert room_trouble(1 << 10, tmp_path) == ""
     assert "less room than the 1152921504607 MB" in room_trouble(1 << 60, tmp_path)
     assert "No such file" in room_trouble(1, tmp_path / "none")

@@ -19,7 +19,7 @@ def value(config: Any, key: str) -> Any:
     return json.loads(config.get_json(key))
 
 
-def test_defaults():
+def test_the_default_configuration_is_a_peer_of_the_router():
     config = make_config(TREE, None)
     assert value(config, "mode") == "peer"
     assert value(config, "scouting/multicast/enabled") is False

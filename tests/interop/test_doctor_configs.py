@@ -247,7 +247,7 @@ def test_move_base_and_a_robot_on_yarp(fresh: Begin) -> None:
     site.until_all_is_well(ALL_CHECKS)
 
 
-def test_nav2(fresh: Begin) -> None:
+def test_the_nav2_configuration_passes_once_nav2_runs(fresh: Begin) -> None:
     site = fresh(from_file("nav2.yaml"))
     site.until_it_waits(
         "gateway waits: the planner nav2 is not available: no node serves its action /navigate_to_pose on ROS 2"

@@ -72,7 +72,7 @@ def direct() -> Iterator[Direct]:
     direct.close()
 
 
-def test_goals(direct: Direct) -> None:
+def test_goals_end_with_the_codes_of_nav2(direct: Direct) -> None:
     assert direct.end(direct.goto(1.0)) == (SUCCEEDED, 0, "")
     direct.stands()
     assert direct.end(direct.goto(999.0)) == (ABORTED, 208, "")  # a code, and no text
@@ -123,7 +123,7 @@ def test_paths_of_another_client(direct: Direct) -> None:
 
 
 @pytest.mark.parametrize("behavior", BEHAVIORS)
-def test_behaviors(direct: Direct, behavior: str) -> None:
+def test_a_canceled_behavior_stops_the_base(direct: Direct, behavior: str) -> None:
     goal = direct.send(behavior, *BEHAVIORS[behavior])
     direct.moves()
     direct.cancel(goal)
@@ -131,7 +131,7 @@ def test_behaviors(direct: Direct, behavior: str) -> None:
     direct.stands()
 
 
-def test_teleoperation(direct: Direct) -> None:
+def test_assisted_teleop_drives_until_it_is_canceled(direct: Direct) -> None:
     goal = direct.send("assisted_teleop", "AssistedTeleop", {"time_allowance": {"sec": 60}})
     out = direct.peer.advertise("/cmd_vel_teleop", "geometry_msgs/Twist")
 

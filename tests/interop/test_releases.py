@@ -77,7 +77,7 @@ def test_topics_and_latched_data(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("native", ["server", "client"])
-def test_services(rig: Rig, native: str) -> None:
+def test_services_cross_to_nodes_of_other_releases(rig: Rig, native: str) -> None:
     server, client = (rig.ros2, rig.ros1) if native == "server" else (rig.ros1, rig.ros2)
     name, reply = f"/lamp_{native}", {"success": True, "message": "lit"}
     served = server.ask("serve", service=name, type=SERVICE, reply=reply)["id"]
@@ -93,7 +93,7 @@ def test_services(rig: Rig, native: str) -> None:
 
 
 @pytest.mark.parametrize("native", ["server", "client"])
-def test_actions(rig: Rig, native: str) -> None:
+def test_actions_cross_to_nodes_of_other_releases(rig: Rig, native: str) -> None:
     server, client = (rig.ros2, rig.hub) if native == "server" else (rig.hub, rig.ros2)
     name, feedback = f"/go_{native}", [{"distance_remaining": 2.5}]
     served = server.ask("act", action=name, type=ACTION, feedback=feedback, outcome="succeed")["id"]
@@ -132,7 +132,7 @@ def test_actions_whose_fields_differ(rig: Rig, native: str) -> None:
     until(explained, "explain names what is left out", 20, every=0.1)
 
 
-def test_parameters(rig: Rig) -> None:
+def test_parameters_are_shared_with_nodes_of_other_releases(rig: Rig) -> None:
     """A node's are in ROS 1, and ROS 1's are those of a node; each is set from the other side."""
     ros1, ros2 = rig.ros1, rig.ros2
 

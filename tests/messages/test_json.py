@@ -84,7 +84,7 @@ def test_invalid_value_names_its_field(registry: Registry, name: str, value: Any
 
 
 @pytest.mark.parametrize("value", [{"text": "toolong"}, {"numbers": [1, 2, 3]}, {"wide": "four"}])
-def test_bounds(value: dict[str, Any]):
+def test_values_beyond_a_bound_are_refused(value: dict[str, Any]):
     registry = Registry()
     registry.learn_ros2("my_msgs/msg/Bounded", "string<=5 text\nint32[<=2] numbers\nwstring<=3 wide\n")
     with pytest.raises(ConversionError, match="at most"):

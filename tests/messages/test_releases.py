@@ -72,5 +72,5 @@ def test_nodes_with_several_announcements() -> None:
         ("HUMBLE IRON JAZZY KILTED LYRICAL", ""),
     ],
 )
-def test_words(names: str, text: str) -> None:
+def test_several_releases_are_described_in_words(names: str, text: str) -> None:
     assert release_text(frozenset(Release[name] for name in names.split())) == text

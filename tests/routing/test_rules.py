@@ -41,7 +41,9 @@ def rules(*entries: dict, **section: object) -> RuleSet:
         ([{"topic": "/camera/*", "deny": True}], {}, "ros1", "/camera/a/b", True),
     ],
 )
-def test_entering(entries: list[dict], section: dict, side: str, topic: str, allowed: bool) -> None:
+def test_rules_decide_what_enters_the_hub(
+    entries: list[dict], section: dict, side: str, topic: str, allowed: bool
+) -> None:
     assert rules(*entries, **section).enter(side, topic, STRING).allowed is allowed
 
 
@@ -142,7 +144,7 @@ def test_topics_admitted_by_another_daemon_need_an_allow_rule() -> None:
         ({"topic": "/a", "rename": "/z"}, "/a", "/z"),
     ],
 )
-def test_renames(rule: dict, topic: str, name: str) -> None:
+def test_a_rule_renames_a_topic(rule: dict, topic: str, name: str) -> None:
     assert rules(rule).enter("ros1", topic, STRING).name == name
 
 

@@ -79,7 +79,7 @@ ADDRESSES = [
 
 
 @pytest.mark.parametrize(("configured", "environ", "expected"), ADDRESSES)
-def test_addresses(configured, environ, expected):
+def test_the_configured_address_overrides_the_environment(configured, environ, expected):
     env = worker_environment(Config(ros1=Ros1Section(**configured)), environ)
     assert {name: env.get(name) for name in expected} == expected
 

@@ -155,7 +155,9 @@ def test_expect_continue_is_answered(served: Served):
         assert sock.recv(100).startswith(b"HTTP/1.1 200 ")
 
 
-def test_faults(served: Served, proxy: xmlrpc.client.ServerProxy, caplog: pytest.LogCaptureFixture):
+def test_a_failed_call_returns_a_fault_and_is_logged_once_per_method(
+    served: Served, proxy: xmlrpc.client.ServerProxy, caplog: pytest.LogCaptureFixture
+):
     assert "nothing" in fault_of(proxy.nothing).faultString
     assert fault_of(lambda: proxy.fail(7)).faultCode == 7
     assert "broken" in fault_of(lambda: proxy.fail(0)).faultString
@@ -166,7 +168,7 @@ def test_faults(served: Served, proxy: xmlrpc.client.ServerProxy, caplog: pytest
     assert len([r for r in caplog.records if "fail" in r.getMessage()]) == 2  # of each method once: fail, add
 
 
-def test_multicall(proxy: xmlrpc.client.ServerProxy):
+def test_a_multicall_returns_a_result_or_fault_per_call(proxy: xmlrpc.client.ServerProxy):
     calls = xmlrpc.client.MultiCall(proxy)
     calls.add(1, 2)
     calls.nothing()
@@ -409,7 +411,7 @@ def test_a_server_that_was_never_started_can_be_closed():
         socket.create_connection(("127.0.0.1", server.port), 20)
 
 
-def test_ipv6():
+def test_the_server_listens_on_ipv6():
     try:
         server = XmlRpcServer({"add": lambda a, b: a + b}, "::1")
     except OSError:

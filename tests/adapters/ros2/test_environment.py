@@ -97,7 +97,9 @@ def test_the_wheels_are_used_beside_a_sourced_release_for_another_python(tmp_pat
         (None, {"ROS_DOMAIN_ID": ""}, "0"),
     ],
 )
-def test_domain(configured: int | None, environ: dict[str, str], domain: str) -> None:
+def test_the_configured_domain_overrides_the_environment(
+    configured: int | None, environ: dict[str, str], domain: str
+) -> None:
     assert worker_environment(config(domain=configured), environ)["ROS_DOMAIN_ID"] == domain
 
 

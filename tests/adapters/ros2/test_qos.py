@@ -23,7 +23,7 @@ VOLATILE, LATCHED = Durability.VOLATILE, Durability.TRANSIENT_LOCAL
         (Qos(), Qos(deadline_ns=10**9), "deadline"),
     ],
 )
-def test_mismatch(offered: Qos, requested: Qos, why: str) -> None:
+def test_incompatible_policies_are_named(offered: Qos, requested: Qos, why: str) -> None:
     result = mismatch(offered, requested)
     assert why in result
     assert bool(result) == bool(why)

@@ -70,7 +70,9 @@ def test_list_shows_bridged_and_unbridged_topics(midspan: Midspan, worker: Engin
     assert [line.split()[0] for line in listing.splitlines() if STRING in line] == ["/chatter", "/rosout", "/secret"]
 
 
-def test_info(midspan: Midspan, worker: EngineWorker, network: HubNetwork, closing: list[Any]) -> None:
+def test_info_lists_publishers_and_subscribers(
+    midspan: Midspan, worker: EngineWorker, network: HubNetwork, closing: list[Any]
+) -> None:
     worker.advertise("/chatter", STRING, latched=True)
     bridged(worker, 1)
     listener = FakeWorker(network, "listener")
@@ -172,7 +174,7 @@ def test_echo_continues_after_a_bad_message(midspan: Midspan, network: HubNetwor
     assert (done.code, done.out.startswith("# ")) == (0, True), done
 
 
-def test_hz(midspan: Midspan, worker: EngineWorker, registry: Registry) -> None:
+def test_hz_measures_the_rate(midspan: Midspan, worker: EngineWorker, registry: Registry) -> None:
     writer = worker.advertise("/chatter", STRING)
     bridged(worker, 1)
     with talking(worker, writer, from_json(registry, STRING, {"data": "x"})):

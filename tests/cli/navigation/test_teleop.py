@@ -32,7 +32,7 @@ TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStampe
         ("k", 0.0, 0.0, 0.0), (" ", 0.0, 0.0, 0.0), ("%", 0.0, 0.0, 0.0),
     ],
 )  # fmt: skip
-def test_keys(key: str, x: float, y: float, turn: float) -> None:
+def test_each_key_sets_its_velocity(key: str, x: float, y: float, turn: float) -> None:
     keys = Keys(0.2, 0.5)
     keys.press("i", 1.0)
     keys.press(key, 1.1)

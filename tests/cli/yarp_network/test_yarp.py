@@ -81,7 +81,7 @@ def fixture_owners(server: NameServer) -> Iterator[Callable[[str], Owner]]:
         owner.port.close()
 
 
-def test_where(yarp: Yarp, server: NameServer, tmp_path: Path) -> None:
+def test_where_shows_the_name_server(yarp: Yarp, server: NameServer, tmp_path: Path) -> None:
     """Address, file, and whether it responds; exit code 1 and the cure if it does not."""
     done = yarp("where")
     assert (done.code, done.out.splitlines()[0]) == (0, f"/root at 127.0.0.1 port {server.address.port}, responds")
@@ -103,7 +103,7 @@ def test_without_any_name_server(yarp: Yarp, tmp_path: Path, monkeypatch: pytest
     assert done.err.count("\n") == 1
 
 
-def test_names(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -> None:
+def test_ports_are_listed_and_queried(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -> None:
     """list, name, exists, ping."""
     owner, _ = owners("/a/b"), owners("/c")
     assert [line.split()[0] for line in yarp("list").out.splitlines()] == ["/a/b", "/c", "/root"]
@@ -122,7 +122,7 @@ def test_names(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -
     assert (done.code, done.err) == (1, "midspan: port /a is not registered with the name server; did you mean /a/b?\n")
 
 
-def test_connecting(yarp: Yarp, owners: Callable[[str], Owner]) -> None:
+def test_ports_are_connected_and_disconnected(yarp: Yarp, owners: Callable[[str], Owner]) -> None:
     """Connect, check, disconnect; with another carrier; missing ports."""
     writer, _ = owners("/w"), owners("/r")
     assert yarp("exists", "/w", "/r").code == 1
@@ -153,7 +153,7 @@ def test_persistent_connections(yarp: Yarp, owners: Callable[[str], Owner]) -> N
     assert yarp("connect", "/w").out == ""
 
 
-def test_clean(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -> None:
+def test_clean_removes_only_dead_ports(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -> None:
     """Those that are dead, and only those."""
     owners("/live")
     NameClient(server.address).register("/dead", "127.0.0.1", free_port())
@@ -163,7 +163,9 @@ def test_clean(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -
     assert yarp("clean").out == "all registered ports respond\n"
 
 
-def test_writing(yarp: Yarp, owners: Callable[[str], Owner], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_write_sends_messages_to_each_port(
+    yarp: Yarp, owners: Callable[[str], Owner], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """From --message and from the standard input, to one and to several."""
     first, second = owners("/one"), owners("/two")
     second.port.profile = Profile.YARP4
@@ -182,7 +184,7 @@ def test_writing(yarp: Yarp, owners: Callable[[str], Owner], monkeypatch: pytest
     assert "no port is connected" in yarp("write", "/w", "-m", "x").err
 
 
-def test_reading(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -> None:
+def test_read_prints_received_messages(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -> None:
     """What another port writes, with its envelope, as text and as JSON, in either dialect."""
     source = owners("/source")
     stop = threading.Event()
@@ -220,7 +222,9 @@ def test_signal_ends_the_command(server: NameServer) -> None:
         reader.stop()
 
 
-def test_asking(yarp: Yarp, owners: Callable[[str], Owner], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rpc_prints_replies_of_the_owner_and_of_the_port(
+    yarp: Yarp, owners: Callable[[str], Owner], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A port's owner, and the port itself."""
     owners("/p")
     assert yarp("rpc", "/p", "-m", "get 1.5 (a b)").out == "got get 1.5 (a b)\n"

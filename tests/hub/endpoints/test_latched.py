@@ -116,7 +116,7 @@ def test_history_and_live_messages_without_gaps_or_duplicates(network: HubNetwor
 
 
 @pytest.mark.parametrize(("published", "asked", "expected"), [(3, 10, 3), (10, 2, 2), (10, 10, 5)])
-def test_depth(network: HubNetwork, published: int, asked: int, expected: int):
+def test_a_late_subscriber_receives_the_smaller_depth(network: HubNetwork, published: int, asked: int, expected: int):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         texts = [str(n) for n in range(5)]

@@ -55,7 +55,7 @@ def test_nodes_and_endpoints_appear_and_disappear(network: HubNetwork):
         until(lambda: [n.node for n in early.graph.nodes()] == ["early"], "the node is gone")
 
 
-def test_watch(network: HubNetwork):
+def test_a_watch_is_notified_until_it_is_closed(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         until(lambda: len(a.graph.nodes()) == 2, "both nodes seen")
         calls: list[int] = []
@@ -71,7 +71,7 @@ def test_watch(network: HubNetwork):
         assert len(calls) == 2
 
 
-def test_origins(network: HubNetwork):
+def test_a_sessions_origin_applies_to_its_endpoints(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         until(lambda: len(b.graph.nodes()) == 2, "both nodes seen")
         a.set_origin(ROBOT)

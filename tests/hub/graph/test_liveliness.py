@@ -51,7 +51,7 @@ def test_demo_talker_of_rmw_zenoh():
     assert node_key(parse_token(LISTENER)) == LISTENER  # type: ignore[arg-type]
 
 
-def test_gid():
+def test_a_gid_is_the_hash_of_its_token():
     """Stock XXH3-128 of the key, low half first."""
     assert gid_of(LISTENER).hex() == "5bd72f4daf53c0bb00c7394e7fc19547"
     assert gid_of(TALKER).hex() == "eb85fa883b7846dc448a4501890ad062"

@@ -84,7 +84,7 @@ def test_allowed_keys_never_match_commands() -> None:
         ("/image", "sensor_msgs/msg/Image", True),
     ],
 )
-def test_examples(topic: str, type_name: str, may: bool) -> None:
+def test_guests_may_not_publish_commands(topic: str, type_name: str, may: bool) -> None:
     assert allowed(topic, type_name) is may
 
 

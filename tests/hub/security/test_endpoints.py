@@ -74,7 +74,7 @@ def port() -> int:
     return free_port()
 
 
-def test_connected(keys: Path, port: int) -> None:
+def test_a_connection_is_reported_on_both_machines(keys: Path, port: int) -> None:
     with (
         Machine("robot1", keys / "a", listen=[f"tls/127.0.0.1:{port}"]) as robot,
         Machine("operator1", keys / "a", connect=[f"tls/127.0.0.1:{port}"]) as operator,

@@ -73,7 +73,9 @@ def attempted(endpoint: str, own: Identity | None) -> Attempt:
         ("a/robot1", "a/expired", "127.0.0.1", ("does not accept this machine's certificate: it has expired",)),
     ],
 )  # fmt: skip
-def test_certificates(keys: Path, theirs: str, ours: str, host: str, texts: tuple[str, ...]) -> None:
+def test_a_refused_certificate_is_reported_with_its_cure(
+    keys: Path, theirs: str, ours: str, host: str, texts: tuple[str, ...]
+) -> None:
     port = free_port()
     folder, name = theirs.split("/")
     with listener(keys / folder, name, f"tls/127.0.0.1:{port}"):
@@ -101,7 +103,7 @@ def test_a_listener_refuses_the_certificate_after_the_handshake(keys: Path, cert
     assert expected in result.reason.text
 
 
-def test_ipv6(keys: Path) -> None:
+def test_a_handshake_over_ipv6(keys: Path) -> None:
     port = free_port()
     with listener(keys / "a", "robot1", f"tls/[::1]:{port}"):
         result = attempted(f"tls/[::1]:{port}?rel=1#iface=lo", identity(keys / "a", "operator1"))

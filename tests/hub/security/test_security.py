@@ -52,7 +52,7 @@ def session_config(folder: Path, name: str) -> dict[str, object]:
     return {"mode": "client", "transport": {"link": {"tls": tls(folder, name)}}}
 
 
-def test_tls(certificates: Path):
+def test_only_sessions_with_a_certificate_join_over_tls(certificates: Path):
     router = {"transport": {"link": {"protocols": ["tls"], "tls": tls(certificates, "router")}}}
     robot1, robot2 = session_config(certificates, "robot1"), session_config(certificates, "robot2")
     stranger = {**session_config(certificates, "stranger"), "connect": {"timeout_ms": 500}}

@@ -15,7 +15,7 @@ TYPES = [
 
 
 @pytest.mark.parametrize(("ros1", "ros2"), TYPES)
-def test_types(ros1: str, ros2: str):
+def test_ros1_types_get_legal_names_in_ros2(ros1: str, ros2: str):
     assert names.legal_type(ros1) == ros2
     assert ros2 in names.ros2_candidates(ros1)
 

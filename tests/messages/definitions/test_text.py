@@ -30,7 +30,7 @@ TYPES = [
 
 
 @pytest.mark.parametrize(("text", "world", "expected"), TYPES)
-def test_types(text: str, world: World, expected: FieldType):
+def test_types_of_fields_are_parsed(text: str, world: World, expected: FieldType):
     assert parse(f"{text} field", world).fields[0].type == expected
 
 
@@ -48,7 +48,7 @@ DEFAULTS = [
 
 
 @pytest.mark.parametrize(("line", "expected"), DEFAULTS)
-def test_defaults(line: str, expected: object):
+def test_default_values_are_parsed(line: str, expected: object):
     assert parse(line, World.ROS2).fields[0].default == expected
 
 

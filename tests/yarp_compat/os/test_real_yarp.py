@@ -18,7 +18,7 @@ from yarp_compat.wire.profile import Profile
 DATA: dict[str, list[Any]] = json.loads((Path(__file__).parents[1] / "data" / "yarp-3.12.3.json").read_text())
 
 
-def test_texts() -> None:
+def test_bottles_are_parsed_and_printed_as_in_yarp() -> None:
     wrong = []
     for text, printed, wire in DATA["texts"]:
         bottle = Bottle(text)

@@ -47,7 +47,7 @@ def test_message_from_a_form(make_port: MakePort) -> None:
     assert "got (hello 1)" in fetch(make_port("/r", echo), "/form", b"data=hello+1")[1]
 
 
-def test_json(make_port: MakePort) -> None:
+def test_a_request_from_http_gets_json(make_port: MakePort) -> None:
     got: list[object] = []
 
     def ports(message: PortMessage) -> None:

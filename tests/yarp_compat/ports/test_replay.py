@@ -245,7 +245,9 @@ class Stage:
     [("/writer", 10003, ("/reader", 10002), "connect.txt"), ("/w", 10006, ("/r", 10005), "carriers-admin.txt")],
 )
 @pytest.mark.usefixtures("_without_queries")
-def test_writer(name: str, number: int, other: tuple[str, int], file: str, profile: Profile) -> None:
+def test_a_writer_sends_the_recorded_bytes(
+    name: str, number: int, other: tuple[str, int], file: str, profile: Profile
+) -> None:
     """A companion connects the port to another, it writes, it is disconnected: fast_tcp, udp, text and text_ack."""
     left_out = MCAST if number == 10006 else range(0)
     recorded = [t for t in talks(file, number, other[1], without=left_out) if t.steps]

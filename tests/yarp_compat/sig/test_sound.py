@@ -41,7 +41,7 @@ def test_append_and_overwrite(sound: yarp.Sound, caplog: pytest.LogCaptureFixtur
     assert "channels or frequencies" in caplog.text
 
 
-def test_loudness(sound: yarp.Sound) -> None:
+def test_peaks_and_amplification_of_sounds(sound: yarp.Sound) -> None:
     assert sound.findPeakInChannel(0) == (3, 4)
     assert sound.findPeak() == (1, 3, 100)
     sound.amplifyChannel(0, 2.5)

@@ -24,7 +24,7 @@ NAMES = st.text(st.characters(min_codepoint=33, exclude_categories=["Cs"]), min_
 
 
 @pytest.mark.parametrize("name", OPENINGS)
-def test_openings(name: str) -> None:
+def test_the_opening_bytes_of_each_carrier(name: str) -> None:
     carrier = carriers.CARRIERS[name]
     assert carrier.opening == bytes.fromhex(OPENINGS[name])
     data = carriers.opening(carrier, "/w")
@@ -34,7 +34,7 @@ def test_openings(name: str) -> None:
         assert carriers.parse_opening(data[:end]) is None
 
 
-def test_qualifiers() -> None:
+def test_qualifiers_follow_the_senders_name() -> None:
     """They follow the sender's name."""
     carrier, qualifiers = carriers.parse("tcp+recv.portmonitor+type.dll")
     data = carriers.opening(carrier, "/w", qualifiers)
@@ -59,7 +59,7 @@ def test_any_name(carrier: str, name: str) -> None:
     assert (opened.sender, opened.size) == (name, len(data))
 
 
-def test_answers() -> None:
+def test_the_answer_of_each_carrier() -> None:
     def answer(name: str) -> bytes:
         return carriers.answer(Opening(carriers.CARRIERS[name], "/w", "", 0), 10005)
 
@@ -121,7 +121,7 @@ def test_annotated_envelope() -> None:
     st.sampled_from("dDa"),
     st.text(st.characters(min_codepoint=32, exclude_categories=["Cs"]), max_size=40),
 )
-def test_messages(payload: bytes, key: str, envelope: str) -> None:
+def test_messages_are_framed_and_parsed(payload: bytes, key: str, envelope: str) -> None:
     data = framing.prefix(len(payload), key, envelope) + payload
     command, content = framing.parse(data)
     assert (command.key, command.envelope, bytes(content)) == (key, envelope, payload)

@@ -87,7 +87,7 @@ def test_goals_end_in_the_state_that_the_server_reports(master, edge, servers):
     until(lambda: "/end/goal" not in master.state()["publishers"], "the edge's topics are unregistered", SECONDS)
 
 
-def test_cancel(master, edge, servers):
+def test_the_hub_cancels_goals_of_a_ros1_server(master, edge, servers):
     peer = servers
     peer.ask("server", name="/cancel")
     hub = HubClient(edge, "/cancel")

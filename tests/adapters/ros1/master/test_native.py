@@ -69,7 +69,7 @@ def talker(network: Network) -> Iterator[Peer]:
     peer.stop()
 
 
-def test_rosnode(network: Network, talker: Peer):
+def test_rosnode_lists_describes_and_pings_nodes(network: Network, talker: Peer):
     assert "/talker" in network.tool("rosnode", "list").split()
     info = network.tool("rosnode", "info", "/talker")
     for part in ("* /chatter [std_msgs/String]", "* /words", "* /toggle", "Pid:"):
@@ -78,7 +78,7 @@ def test_rosnode(network: Network, talker: Peer):
     assert f"{network.master.nodes()['/talker']}" in network.tool("rosnode", "list", "-a").replace(" \t", "")
 
 
-def test_rostopic(network: Network, talker: Peer):
+def test_rostopic_lists_echoes_and_publishes(network: Network, talker: Peer):
     assert "/chatter" in network.tool("rostopic", "list").split()
     assert network.tool("rostopic", "type", "/chatter").strip() == STRING
     assert "* /talker" in network.tool("rostopic", "info", "/chatter")
@@ -87,14 +87,14 @@ def test_rostopic(network: Network, talker: Peer):
     network.tool("rostopic", "pub", "-1", "/words", STRING, "{data: from a tool}")
 
 
-def test_rosservice(network: Network, talker: Peer):
+def test_rosservice_lists_and_calls_services(network: Network, talker: Peer):
     assert "/toggle" in network.tool("rosservice", "list").split()
     assert network.tool("rosservice", "node", "/toggle").strip() == "/talker"
     assert network.tool("rosservice", "type", "/toggle").strip() == "std_srvs/SetBool"
     assert "success: True" in network.tool("rosservice", "call", "/toggle", "true")
 
 
-def test_rosparam(network: Network, tmp_path: Path):
+def test_rosparam_sets_and_gets_values(network: Network, tmp_path: Path):
     network.tool("rosparam", "set", "/robot/name", "r1")
     network.tool("rosparam", "set", "/robot/wheels", "[1, 2.5, true, {a: b}]")
     assert network.tool("rosparam", "get", "/robot/wheels").split() == [
@@ -247,7 +247,7 @@ def test_rosnode_cleanup_removes_a_killed_node(network: Network):
     assert "/killed" not in network.master.nodes()
 
 
-def test_roslaunch(network: Network, tmp_path: Path):
+def test_roslaunch_sets_parameters_and_starts_nodes(network: Network, tmp_path: Path):
     file = tmp_path / "one.launch"
     file.write_text(
         '<launch><param name="/launched/x" value="5"/><rosparam param="/launched/list">[1, 2]</rosparam>'

@@ -220,7 +220,7 @@ def test_clients_are_served(master, edge):
     give_back(master, edge, served, "/ours/set")
 
 
-def test_rosservice(master, edge):
+def test_rosservice_describes_and_calls_a_service_of_the_hub(master, edge):
     served = edge.ask("serve", service="/tool/set", type=SET_BOOL)["id"]
     registered(master, "/tool/set")
 

@@ -163,7 +163,7 @@ def test_udp_is_preferred_until_the_next_boot(tmp_path: Path) -> None:
     assert not neighbors.prefers_udp(tmp_path / "deeper")
 
 
-def test_mark() -> None:
+def test_new_guid_prefixes_have_the_host_and_the_mark() -> None:
     assert is_marked(OWN)
     assert OWN.startswith(HOST)
     assert is_marked(OWN + bytes(4))

@@ -231,7 +231,7 @@ CONVERSIONS: list[tuple[Value, dict[str, Any]]] = [
 
 
 @pytest.mark.parametrize(("value", "results"), CONVERSIONS, ids=[repr(value) for value, _ in CONVERSIONS])
-def test_conversions(value: Value, results: dict[str, Any]) -> None:
+def test_values_are_converted_as_in_yarp(value: Value, results: dict[str, Any]) -> None:
     assert {name: getattr(value, name)() for name in results} == results
 
 

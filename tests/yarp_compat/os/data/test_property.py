@@ -298,7 +298,7 @@ def test_missing_and_recursive_includes(tmp_path: Path, caplog: pytest.LogCaptur
     assert property_.find("n").asInt32() == 1
 
 
-def test_stamp() -> None:
+def test_a_stamp_is_written_read_and_updated() -> None:
     stamp = Stamp(5, 123.5)
     assert (stamp.getCount(), stamp.getTime(), stamp.isValid()) == (5, 123.5, True)
     assert stamp.to_bytes(Profile.YARP4) == PORTABLES["Stamp"]

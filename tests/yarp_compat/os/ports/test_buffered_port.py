@@ -240,7 +240,7 @@ def test_replier_answers_requests() -> None:
 
 
 @pytest.mark.parametrize("kind", ["Vector", "ImageRgb", "Matrix", "Sound", "Property", "ImageMono"])
-def test_subclasses(kind: str) -> None:
+def test_each_kind_of_data_has_a_buffered_port(kind: str) -> None:
     reader, writer = connected(kind)
     data = writer.prepare()
     if kind in ("Vector", "Matrix"):

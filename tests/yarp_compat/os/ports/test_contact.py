@@ -22,7 +22,7 @@ RECORDED = [
 
 
 @pytest.mark.parametrize("recorded", RECORDED, ids=lambda recorded: recorded[0])
-def test_texts(recorded: tuple[object, ...]) -> None:
+def test_contacts_are_parsed_and_printed_as_in_yarp(recorded: tuple[object, ...]) -> None:
     text, *parts = recorded
     c = yarp.Contact.fromString(text)
     assert parts == [

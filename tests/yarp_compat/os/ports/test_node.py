@@ -86,7 +86,7 @@ def test_ordinary_ports_are_topics_too(name_server: NameServer) -> None:
     assert reader.read().get(0).asInt32() == 5
 
 
-def test_services(name_server: NameServer) -> None:
+def test_a_service_of_a_node_is_called(name_server: NameServer) -> None:
     class Add(yarp.PortReader):
         def read(self, connection: yarp.ConnectionReader) -> bool:
             numbers = yarp.Bottle()
