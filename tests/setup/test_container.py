@@ -105,6 +105,7 @@ def test_the_image_is_healthy_with_a_read_only_root_and_an_unprivileged_user(con
         )
         assert refused.stdout.split() == ["10001", *"-----"]
         assert container.run("midspan", "doctor", "--only", "kernels").returncode == 0
+        assert not (root / "usr/include/boost").exists(), "160 MB that nothing uses"
         assert list((root / "opt/midspan/interfaces/packages").glob(f"{BUILT}-*")), "the image has its own package"
         assert container.stop(20) == 0
         assert "Traceback" not in container.process.output()
