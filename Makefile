@@ -72,7 +72,7 @@ arch = $(if $(ARCH),--arch '$(ARCH)')
 dist: setup ## wheels and source distributions of midspan and yarp-compat, into dist/ (Linux; ARCH=arm64)
 	@$(BIN)/python scripts/dist.py $(arch)
 
-deb: dist ## Debian packages for Debian 12 and Ubuntu 24.04, into dist/ (ARGS=bookworm for one, ARCH=arm64)
+deb: dist ## Debian packages for Debian 12 and 13, Ubuntu 24.04 and 26.04, into dist/ (ARGS=bookworm for one, ARCH=arm64)
 	@$(BIN)/python scripts/deb.py $(arch) $(ARGS)
 
 screenshots: ## update the docs' screenshots of the console; ARGS=FOLDER: all views, for inspection

@@ -57,18 +57,24 @@ class Release:
     glibc: int
 
 
-RELEASES = {"bookworm": Release("~deb12", 11, 36), "noble": Release("~ubuntu24.04", 12, 39)}
+RELEASES = {
+    "bookworm": Release("~deb12", 11, 36),
+    "noble": Release("~ubuntu24.04", 12, 39),
+    "resolute": Release("~ubuntu26.04", 14, 43),
+    "trixie": Release("~deb13", 13, 41),
+}
 
 
-def libraries(arch: str, extras: Sequence[str] = EXTRAS, more: Sequence[str] = ()) -> list[str]:
+def libraries(release: Release, arch: str, extras: Sequence[str] = EXTRAS, more: Sequence[str] = ()) -> list[str]:
     """Return the locked libraries of Midspan and its extras, in the installed versions (tests/setup/test_lock.py).
 
     Args:
+        release: the target release, whose Python may not need all of them.
         arch: Debian's name of the processor.
         extras: Midspan's extras.
         more: names of other packages.
     """
-    linux = lock.SYSTEMS[0]
+    linux = lock.SYSTEMS[0].on(f"3.{release.python}")
     system = replace(linux, environment={**linux.environment, "platform_machine": processor.MACHINES[arch]})
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     wanted = [*project["dependencies"], *(text for extra in extras for text in project["optional-dependencies"][extra])]
@@ -122,7 +128,7 @@ def _runs_on(library: Path, arch: str) -> bool:
 
 
 def _download(release: Release, to: Path, arch: str) -> list[Path]:
-    return download(release, to, arch, libraries(arch))
+    return download(release, to, arch, libraries(release, arch))
 
 
 def download(release: Release, to: Path, arch: str, wanted: Sequence[str]) -> list[Path]:
