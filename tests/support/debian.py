@@ -165,7 +165,7 @@ def inner(process: Process) -> str:
 
     def started() -> list[str]:
         assert process.popen.poll() is None, process.output()
-        return children.read_text().split()
+        return children.read_text(encoding="utf-8").split()
 
     return until(started, "the child has started")[0]
 
@@ -181,6 +181,8 @@ class Tree(Root):
         (folder.parent / "mount").mkdir(exist_ok=True)
         self.chroot("apt-get", "update")
         self.chroot("apt-get", "install", "-y", "--no-install-recommends", "dbus", "systemd", "systemd-sysv")
+        # a container loads no kernel modules, and systemd 259's service for it fails without libkmod
+        self.chroot("systemctl", "mask", "systemd-modules-load.service")
 
     def boot(self) -> None:
         """Start systemd, and wait until all units have started."""
