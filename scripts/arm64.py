@@ -32,7 +32,6 @@ from tests.arm64.results import differences  # noqa: E402
 from tests.support import foreign  # noqa: E402
 
 OUTPUT = ROOT / ".cache" / "arm64"
-RELEASES = {"bookworm": deb.RELEASES["bookworm"], "trixie": deb.Release("~deb13", 13, 41)}
 TITLES = {"bookworm": "Debian 12", "trixie": "Debian 13"}
 PACKAGES = ("libgl1", "python3", "python3-venv")  # the simulator loads libGL
 EXTRAS = ("sim", "web")
@@ -122,20 +121,21 @@ def install(place: Place, own: Sequence[Path], log: Path) -> str:
     names = [".", *(f":(exclude){name}" for name in _PACKAGES)]
     shutil.rmtree(place.copy, ignore_errors=True)
     dist.copy_tracked(names, place.copy)
-    wanted = deb.libraries("arm64", EXTRAS, TOOLS)
+    release = deb.RELEASES[place.name]
+    wanted = deb.libraries(release, "arm64", EXTRAS, TOOLS)
     contents = "".join(hashlib.sha256(wheel.read_bytes()).hexdigest() for wheel in own)
     key, record = f"{wanted} {contents}", root / _VENV / "installed"
     if record.exists() and record.read_text(encoding="utf-8") == key:
         return "installed before"
     for folder in (_VENV, _WHEELS):
         shutil.rmtree(root / folder, ignore_errors=True)
-    deb.download(RELEASES[place.name], root / _WHEELS, "arm64", wanted)
+    deb.download(release, root / _WHEELS, "arm64", wanted)
     for wheel in own:
         shutil.copy(wheel, root / _WHEELS)
     # not by pip: it takes minutes under qemu, and Midspan's programs are not needed
     if place.tree.run(["python3", "-m", "venv", "--without-pip", f"/{_VENV}"], log, _SECONDS):
         raise RuntimeError(f"no virtual environment; {log}")
-    site = root / _VENV / "lib" / f"python3.{RELEASES[place.name].python}" / "site-packages"
+    site = root / _VENV / "lib" / f"python3.{release.python}" / "site-packages"
     files = sorted((root / _WHEELS).glob("*.whl"))
     for wheel in files:
         deb.unpack(wheel, site, root / _VENV)
@@ -179,12 +179,12 @@ def run(place: Place, own: Sequence[Path]) -> bool:
 def main() -> int:
     """Run the releases, and print a table; return 1 if a step failed."""
     parser = argparse.ArgumentParser(description="Test Midspan on arm64 under qemu.")
-    parser.add_argument("release", nargs="*", default=[*RELEASES], help="default: bookworm and trixie")
+    parser.add_argument("release", nargs="*", default=[*TITLES], help="default: bookworm and trixie")
     parser.add_argument("--folder", type=Path, default=ROOT / "dist", help="folder of the wheels; default: dist/")
     args = parser.parse_args()
-    unknown = [name for name in args.release if name not in RELEASES]
+    unknown = [name for name in args.release if name not in TITLES]
     if unknown:
-        parser.error(f"unknown release {unknown[0]}; known: {', '.join(RELEASES)}")
+        parser.error(f"unknown release {unknown[0]}; known: {', '.join(TITLES)}")
     lacks = foreign.missing()
     if lacks:
         sys.exit(f"arm64: this machine lacks {', '.join(lacks)}")
