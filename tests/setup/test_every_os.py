@@ -6,6 +6,7 @@ import plistlib
 import re
 import shlex
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import yaml
 ROOT = Path(__file__).parents[2]
 WORKFLOW = ROOT / ".github/workflows/every_os.yml"
 JOB_KEYS = {"needs", "strategy", "runs-on", "timeout-minutes", "defaults", "steps"}
+HIDING = "tests.support.any_os"
 STEP_KEYS = {"name", "uses", "with", "run", "env"}
 
 
@@ -51,6 +53,7 @@ def test_each_step_uses_an_action_or_runs_a_valid_script(workflow: dict[Any, Any
 
 def test_expressions_name_what_exists(workflow: dict[Any, Any]) -> None:
     matrix = workflow["jobs"]["run"]["strategy"]["matrix"]
+    assert set(workflow["jobs"]["wheels"]["strategy"]["matrix"]["os"]) == {"ubuntu-24.04", "ubuntu-24.04-arm"}
     known = {f"matrix.{name}" for name in matrix} | {"github.ref"}
     expressions = re.findall(r"\$\{\{\s*(.*?)\s*\}\}", WORKFLOW.read_text(encoding="utf-8"))
     assert expressions
@@ -66,6 +69,23 @@ def test_files_and_targets_of_its_commands_exist(workflow: dict[Any, Any]) -> No
     assert [path for path in paths if not (ROOT / path).exists()] == []
     assert re.search(r"^dist:", (ROOT / "Makefile").read_text(), re.MULTILINE)
     assert "MIDSPAN_TEST_SYSTEMS" in (ROOT / "tests/daemon/test_other_os.py").read_text()
+
+
+@pytest.mark.thorough
+@pytest.mark.timeout(600)
+def test_all_its_tests_can_be_collected_without_what_windows_lacks(workflow: dict[Any, Any]) -> None:
+    for words in (shlex.split(step["run"]) for step in steps(workflow) if "-m pytest" in step.get("run", "")):
+        done = subprocess.run(
+            [sys.executable, "-m", "pytest", *words[words.index("pytest") + 1 :], "--collect-only", "-p", HIDING],
+            cwd=ROOT, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stdout[-3000:] + done.stderr
+
+
+def test_set_up_installs_nothing_for_midspans_own_ci(workflow: dict[Any, Any]) -> None:
+    """GitHub sets CI=true, with which set-up ends if anything is unavailable, as rospy is on Ubuntu."""
+    making = [step for step in steps(workflow) if "make" in shlex.split(step.get("run", ""))]
+    assert [step["env"] for step in making] == [{"CI": ""}]
 
 
 def test_launchd_gets_a_valid_file() -> None:

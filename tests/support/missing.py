@@ -66,6 +66,10 @@ def _program(name: str, package: str, folder: str) -> Path | None:
     return Path(program) if program else None
 
 
+def _is_root() -> bool:
+    return hasattr(os, "geteuid") and os.geteuid() == 0  # Windows has no user ids
+
+
 @functools.cache
 def lacking() -> frozenset[str]:
     """Return what this machine lacks, as skip reasons."""
@@ -80,7 +84,7 @@ def lacking() -> frozenset[str]:
         CYCLONE: find_spec("cyclonedds") is not None,
         KILTED: kilted_prefix() is not None,
         OCTOMAP: shutil.which("convert_octree") is not None,
-        DEBIAN: os.geteuid() == 0 and bool(shutil.which("debootstrap") and shutil.which("lintian")),
+        DEBIAN: _is_root() and bool(shutil.which("debootstrap") and shutil.which("lintian")),
     }
     return frozenset(reason for reason, present in available.items() if not present)
 
