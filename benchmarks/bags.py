@@ -150,7 +150,8 @@ def work(what: str, source: Path, target: Path) -> None:
 
 def _peak() -> float:
     """Return this process's peak memory in megabytes; `resource` would include that of its parent."""
-    line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
+    lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
+    line = next(line for line in lines if line.startswith("VmHWM"))
     return int(line.split()[1]) / 1024
 
 

@@ -76,7 +76,7 @@ def run_once(target: str, pytest: Sequence[str], seed: int, log: Path) -> Run:
     with log.open("wb") as file:
         command = ["make", "-C", str(ROOT), "--no-print-directory", target, "STRICT=1", f"ARGS={arguments}"]
         code = subprocess.run(command, stdout=file, stderr=subprocess.STDOUT, check=False).returncode
-    text = log.read_text(errors="replace")
+    text = log.read_text(encoding="utf-8", errors="replace")
     failed = dict.fromkeys(test or left for test, left in _FAILED.findall(text))
     if code and not failed:
         failed = {f"no test: make ended with exit code {code}, see {log}": None}

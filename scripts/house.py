@@ -217,7 +217,8 @@ def described_paths(root: Path) -> dict[str, int]:
     """Return the paths that ARCHITECTURE.md describes, each with its number of files."""
     paths = dict[str, int]()
     page = root / "ARCHITECTURE.md"
-    for title, text in re.findall(r"^## (The path of [^\n]*)\n((?:(?!^## ).*\n?)*)", page.read_text(), re.MULTILINE):
+    content = page.read_text(encoding="utf-8")
+    for title, text in re.findall(r"^## (The path of [^\n]*)\n((?:(?!^## ).*\n?)*)", content, re.MULTILINE):
         paths[title] = len(set(re.findall(r"^\| *\d+ *\| *`([\w/]+\.py)`", text, re.MULTILINE)))
     return paths
 

@@ -55,7 +55,7 @@ BELOW = {
 
 def imported(file: Path) -> set[str]:
     names = set[str]()
-    for node in ast.walk(ast.parse(file.read_text())):
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
             names.add(node.module)
         elif isinstance(node, ast.Import):
@@ -166,7 +166,7 @@ def named(file: Path) -> set[tuple[str, str]]:
     """Return what a file imports from ``bridge``: modules and names."""
     return {
         (node.module.removeprefix("bridge."), alias.name)
-        for node in ast.walk(ast.parse(file.read_text()))
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("bridge.")
         for alias in node.names
     }
@@ -227,7 +227,7 @@ def test_yarp_compat_imports_nothing_of_midspan() -> None:
 
 def every_import(file: Path) -> set[tuple[str, bool]]:
     """Return the modules that a file imports, each with whether it is imported lazily."""
-    tree = ast.parse(file.read_text())
+    tree = ast.parse(file.read_text(encoding="utf-8"))
     at_once = {id(node) for node in _at_once(tree)}
     names = set[tuple[str, bool]]()
     for node in ast.walk(tree):

@@ -39,4 +39,4 @@ def cpu_seconds(pid: int) -> float:
 
 
 def _text(pid: int) -> str:
-    return Path(f"/proc/{pid}/smaps_rollup").read_text()
+    return Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="utf-8")

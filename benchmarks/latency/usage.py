@@ -96,7 +96,7 @@ def daemon_processes(folder: Path) -> dict[str, int]:
 
 
 def _named(folder: Path) -> dict[str, int]:
-    return {_name(Path(f"/proc/{pid}/cmdline").read_text().split("\0")): pid for pid in marked(folder)}
+    return {_name(Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8").split("\0")): pid for pid in marked(folder)}
 
 
 def _name(command: list[str]) -> str:

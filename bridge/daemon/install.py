@@ -70,13 +70,13 @@ class Installation:
         path = self._root / file.path
         if path.exists() and file.kept:
             return f"kept       {path}"
-        old = path.read_text() if path.exists() else None
+        old = path.read_text(encoding="utf-8") if path.exists() else None
         if old == file.text:
             return f"unchanged  {path}"
         if not self._dry_run:
             path.parent.mkdir(parents=True, exist_ok=True)
             new = path.with_name(path.name + ".new")
-            new.write_text(file.text)
+            new.write_text(file.text, encoding="utf-8")
             new.chmod(file.mode)
             new.replace(path)
         action = "written" if old is None else "replaced"

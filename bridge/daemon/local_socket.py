@@ -77,7 +77,7 @@ class LocalListener:
         port = self.sock.getsockname()[1]
         new = self._path.with_name(f"{self._path.name}.new")
         new.unlink(missing_ok=True)
-        with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+        with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
             json.dump([port, first, second], file)
         new.replace(self._path)
         return _Address(port, first.encode(), second.encode())

@@ -51,7 +51,7 @@ def _children() -> list[int]:
     pids = []
     for file in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):  # it has ended
-            if int(file.read_text(errors="replace").rpartition(")")[2].split()[1]) == os.getpid():
+            if int(file.read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()[1]) == os.getpid():
                 pids.append(int(file.parent.name))
     return pids
 

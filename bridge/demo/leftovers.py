@@ -115,7 +115,7 @@ def used_by(pid: int) -> set[Path]:
     """Return the files in shared memory that a process uses."""
     used: set[Path] = set()
     with contextlib.suppress(OSError):
-        used.update(map(Path, _MAPPED.findall(Path(f"/proc/{pid}/maps").read_text())))
+        used.update(map(Path, _MAPPED.findall(Path(f"/proc/{pid}/maps").read_text(encoding="utf-8"))))
     with contextlib.suppress(OSError):
         for descriptor in Path(f"/proc/{pid}/fd").iterdir():
             with contextlib.suppress(OSError):

@@ -102,7 +102,7 @@ class DemoChild(DemoProcess):
 
     def last_output(self) -> str:
         """Return the last complete lines of its error output, and its exit code if it has ended."""
-        text = self._log.read_text(errors="replace").strip() if self._log.exists() else ""
+        text = self._log.read_text(encoding="utf-8", errors="replace").strip() if self._log.exists() else ""
         if len(text) > _MOST_TEXT:
             text = text[-_MOST_TEXT:]
             text = text.partition("\n")[2] or text  # a line truncated differently each time would count as progress

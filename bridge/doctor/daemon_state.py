@@ -208,7 +208,7 @@ def _holder(lock: Path) -> int:
 def _holds(pid: int, lock: Path) -> bool:
     """Whether a process holds a lock. Reads the kernel's table: an attempt to lock could make a new daemon fail."""
     try:
-        inode, rows = str(lock.stat().st_ino), Path("/proc/locks").read_text().splitlines()
+        inode, rows = str(lock.stat().st_ino), Path("/proc/locks").read_text(encoding="utf-8").splitlines()
     except OSError:
         return _lives(pid)
     held = {(row.split()[-4], row.split()[-3].rpartition(":")[2]) for row in rows if " FLOCK " in row}

@@ -44,7 +44,7 @@ def identity_of(config: Config) -> DaemonIdentity | None:
     folder = state_folder(config).absolute()
     boot = ""
     with contextlib.suppress(OSError):
-        boot = _BOOT.read_text().strip()
+        boot = _BOOT.read_text(encoding="utf-8").strip()
     try:
         status = folder.stat()
     except OSError:

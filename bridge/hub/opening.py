@@ -194,7 +194,7 @@ def _books_trouble() -> str:
 def _mapped_files() -> list[Path]:
     """Return zenoh's files of shared memory that this process has mapped."""
     try:
-        maps = Path("/proc/self/maps").read_text()
+        maps = Path("/proc/self/maps").read_text(encoding="utf-8")
     except OSError:
         return []
     return sorted({Path(path) for path in re.findall(rf"({re.escape(str(FOLDER))}/\d+\.zenoh)$", maps, re.MULTILINE)})

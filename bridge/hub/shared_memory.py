@@ -50,7 +50,7 @@ def orphans(folder: Path = FOLDER, proc: Path = Path("/proc")) -> int:
     Each process creates at most one pool.
     """
     try:
-        text = (proc / "locks").read_text()
+        text = (proc / "locks").read_text(encoding="utf-8")
     except OSError:
         return 0
     locks = [(_Inode(int(m[2], 16), int(m[3], 16), int(m[4])), int(m[1])) for m in _LOCK.finditer(text)]

@@ -74,7 +74,7 @@ class BuildCache:
         try:
             (self.folder / "locks").mkdir(parents=True, exist_ok=True)
             final.parent.mkdir(exist_ok=True)
-            lock = (self.folder / "locks" / final.name).open("w")
+            lock = (self.folder / "locks" / final.name).open("w", encoding="utf-8")
         except OSError as err:
             raise BuildError(
                 f"the cache {self.folder} cannot be written: {err.strerror}", cure="Name another one in $MIDSPAN_CACHE"

@@ -216,8 +216,9 @@ def _libraries_of(dependency: Dependency) -> list[str]:
 def _run(command: list[str], folder: Path) -> None:
     try:
         done = subprocess.run(
-            command, cwd=folder, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL, timeout=TIMEOUT
-        )
+            command, cwd=folder, capture_output=True, encoding="utf-8", errors="replace", check=False,
+            stdin=subprocess.DEVNULL, timeout=TIMEOUT,
+        )  # fmt: skip
     except subprocess.TimeoutExpired:
         raise BuildError(f"{Path(command[0]).name} took more than {TIMEOUT} s in {folder.name}") from None
     if done.returncode != 0:

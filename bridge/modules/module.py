@@ -13,7 +13,6 @@ from bridge.registration import imported
 from bridge.worker import Health
 
 if TYPE_CHECKING:
-    from bridge.config.sections.section import Section
     from bridge.modules.host import Host
 
 

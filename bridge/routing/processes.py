@@ -31,7 +31,7 @@ def has_ended(name: str) -> bool:
 def process_space() -> str:
     """Return the machine's boot id and the PID namespace, within which process ids are unique; "" if unknown."""
     try:
-        boot = (_PROC / "sys/kernel/random/boot_id").read_text().strip()
+        boot = (_PROC / "sys/kernel/random/boot_id").read_text(encoding="utf-8").strip()
         return f"{boot} {(_PROC / 'self/ns/pid').stat().st_ino}"
     except OSError:
         return ""
@@ -40,7 +40,7 @@ def process_space() -> str:
 def _started(pid: int) -> str:
     """Return the start time of a process in the kernel's ticks, "" if it does not exist or is a zombie."""
     try:
-        fields = (_PROC / str(pid) / "stat").read_text(errors="replace").rpartition(")")[2].split()
+        fields = (_PROC / str(pid) / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
     except OSError:
         return ""
     return "" if len(fields) < 20 or fields[0] in "ZX" else fields[19]

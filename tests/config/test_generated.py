@@ -83,7 +83,7 @@ def test_every_key_is_described() -> None:
 @pytest.mark.parametrize("file", CONFIGS, ids=lambda file: file.name)
 def test_shipped_configurations_are_valid(file: Path) -> None:
     load(file)
-    assert file.read_text().startswith(f"# yaml-language-server: $schema={generate.SCHEMA_FILE}\n")
+    assert file.read_text(encoding="utf-8").startswith(f"# yaml-language-server: $schema={generate.SCHEMA_FILE}\n")
 
 
 def test_default_configuration_changes_no_default() -> None:

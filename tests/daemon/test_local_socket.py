@@ -61,7 +61,7 @@ def query_server(folder: Path) -> Iterator[Config]:
 
 
 def port_of(path: Path) -> int:
-    return int(json.loads(path.read_text())[0])
+    return int(json.loads(path.read_text(encoding="utf-8"))[0])
 
 
 def plain(path: Path) -> socket.socket:

@@ -49,7 +49,7 @@ def test_large_messages_with_and_without_shared_memory(first: bool, second: bool
 
 def segments(pid: int) -> set[Path]:
     """Files of shared memory that a process has mapped."""
-    lines = Path(f"/proc/{pid}/maps").read_text().splitlines()
+    lines = Path(f"/proc/{pid}/maps").read_text(encoding="utf-8").splitlines()
     return {Path(line.split()[-1]) for line in lines if "/dev/shm/" in line}
 
 

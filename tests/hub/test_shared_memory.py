@@ -83,13 +83,13 @@ def test_a_killed_sender_leaves_an_orphan_with_its_listener(tmp_path: Path) -> N
                 def holds(sender=sender, publisher=publisher, number=number) -> bool:
                     sender.ask("put", id=publisher, text="x" * 1_000_000)
                     listener.ask("wait", id=subscription_id, count=1, seconds=0.1)
-                    maps = Path(f"/proc/{listener.pid}/maps").read_text().splitlines()
+                    maps = Path(f"/proc/{listener.pid}/maps").read_text(encoding="utf-8").splitlines()
                     return sum(".zenoh" in line and pool_size(line) == POOL for line in maps) >= number
 
                 until(holds, "the listener has the sender's pool")
                 sender.stop(0)
         # only by the listener's locks, since other programs of this machine start and exit
-        locks = Path("/proc/locks").read_text().splitlines(keepends=True)
+        locks = Path("/proc/locks").read_text(encoding="utf-8").splitlines(keepends=True)
         (tmp_path / "locks").write_text("".join(line for line in locks if f" {listener.pid} " in line))
         assert shared_memory.orphans(proc=tmp_path) >= 2
         assert shared_memory.orphans() >= 2

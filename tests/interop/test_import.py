@@ -91,10 +91,10 @@ def imported(peer: str, file: Path, folder: Path) -> list[Path]:
 
 def placed(file: Path, **sections: dict) -> None:
     """Give an imported file the test's own ports, master and folders."""
-    config = yaml.safe_load(file.read_text())
+    config = yaml.safe_load(file.read_text(encoding="utf-8"))
     for name, keys in sections.items():
         config[name] = {**config.get(name, {}), **keys} if isinstance(keys, dict) else keys
-    file.write_text(yaml.safe_dump(config))
+    file.write_text(yaml.safe_dump(config), encoding="utf-8")
 
 
 def test_the_example_of_ros1_bridge(deployment: Deployment, tmp_path: Path) -> None:

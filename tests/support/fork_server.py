@@ -188,7 +188,7 @@ def become(request: dict[str, Any]) -> None:
 
 def show(command: Sequence[str]) -> None:
     """Show a command as that of this process, as far as the fork server's own has space for it."""
-    fields = Path("/proc/self/stat").read_text().rpartition(") ")[2].split()
+    fields = Path("/proc/self/stat").read_text(encoding="utf-8").rpartition(") ")[2].split()
     begin, end = int(fields[45]), int(fields[46])  # arg_start and arg_end: fields 48 and 49 of proc(5)
     text = b"\0".join(word.encode() for word in command)[: end - begin - 1]
     ctypes.memset(begin, 0, end - begin)

@@ -89,7 +89,7 @@ class Server:
 
     def output(self) -> str:
         """Return the server's error output."""
-        return Path(self._log.name).read_text(errors="replace")
+        return Path(self._log.name).read_text(encoding="utf-8", errors="replace")
 
     @property
     def ended(self) -> bool:

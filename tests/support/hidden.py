@@ -66,6 +66,7 @@ def as_on(system: str, environ: Mapping[str, str] = os.environ) -> dict[str, str
     return {
         **environ,
         "HIDDEN_OS": system,
+        "PYTHONWARNDEFAULTENCODING": "1",  # sitecustomize makes it an error in Midspan's modules
         "PYTHONPATH": os.pathsep.join(paths),
         "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
     }

@@ -63,7 +63,7 @@ class Process:
 
     def output(self) -> str:
         """Return what the process has written to its log so far."""
-        return Path(self._log.name).read_text(errors="replace")
+        return Path(self._log.name).read_text(encoding="utf-8", errors="replace")
 
     def signal(self, number: int) -> None:
         """Send a signal to the whole group."""

@@ -128,7 +128,7 @@ def test_invalid_filters_are_refused(desk: Desk, args: dict[str, Any], why: str)
 def test_the_configuration_is_shown_with_its_comments(desk: Desk, daemon: Daemon, file: Path) -> None:
     assert daemon
     zenoh = "  zenoh: {transport: {auth: {pubkey: {private_key_pem: hunter2}}}}"
-    file.write_text(f"# of the lab's robot\nname: here\nhub:\n{zenoh}\n")
+    file.write_text(f"# of the lab's robot\nname: here\nhub:\n{zenoh}\n", encoding="utf-8")
     with TestPage(desk.port) as page:
         config = page.call("config")["value"]
         assert config["file"] == str(file)
@@ -141,7 +141,7 @@ def test_the_configuration_is_shown_with_its_comments(desk: Desk, daemon: Daemon
 
 def test_the_check_names_every_problem(desk: Desk, daemon: Daemon, file: Path) -> None:
     assert daemon
-    file.write_text("nam: here\nlog:\n  level: loud\n")
+    file.write_text("nam: here\nlog:\n  level: loud\n", encoding="utf-8")
     with TestPage(desk.port) as page:
         problems = page.call("config")["value"]["problems"]
         assert [(problem["line"], problem["key"]) for problem in problems] == [(1, "nam"), (3, "log.level")]
@@ -154,7 +154,7 @@ def test_an_unreadable_configuration_is_reported(desk: Desk, daemon: Daemon, fil
         config = page.call("config")["value"]
         assert config["text"] is None
         assert "no such file" in config["why"]
-        file.write_text("name: [\npassword: hunter2hunter2\n")
+        file.write_text("name: [\npassword: hunter2hunter2\n", encoding="utf-8")
         config = page.call("config")["value"]
         assert config["text"] is None
         assert "not valid YAML" in config["why"]
@@ -193,7 +193,7 @@ def test_other_values_are_not_hidden() -> None:
 
 def test_problems_do_not_reveal_secrets(desk: Desk, daemon: Daemon, file: Path) -> None:
     assert daemon
-    file.write_text("web:\n  token: hunter2\nname: correct horse\nsecret: correct horse\n")
+    file.write_text("web:\n  token: hunter2\nname: correct horse\nsecret: correct horse\n", encoding="utf-8")
     with TestPage(desk.port) as page:
         text = str(page.call("config")["value"])
         assert "hunter2" not in text
@@ -202,7 +202,7 @@ def test_problems_do_not_reveal_secrets(desk: Desk, daemon: Daemon, file: Path) 
 
 def test_the_doctor_returns_its_findings(desk: Desk, daemon: Daemon, file: Path) -> None:
     assert daemon
-    file.write_text("nam: here\n")
+    file.write_text("nam: here\n", encoding="utf-8")
     with TestPage(desk.port) as page:
         findings = page.call("doctor")["value"]
         about = {entry["check"]: entry for entry in findings}

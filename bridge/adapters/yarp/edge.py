@@ -277,7 +277,7 @@ class YarpEdge(SideEdge):
 def _owner(file: Path) -> str:
     """Return the id of this daemon's YARP worker, which is the same after a restart."""
     try:
-        owner = file.read_text().strip()
+        owner = file.read_text(encoding="utf-8").strip()
     except OSError:
         owner = ""
     if len(owner) != 12 or not owner.isalnum():

@@ -186,7 +186,7 @@ class KeyNeighbors:
 def remember(own: str, file: Path) -> frozenset[str]:
     """Add this session's id to the ids in a file; return the previous ones."""
     try:
-        past = file.read_text().split()[-_KEPT:]
+        past = file.read_text(encoding="utf-8").split()[-_KEPT:]
     except OSError:
         past = []
     keep(file, "\n".join([*past, own]) + "\n", "for some seconds after a crash, its own topics may loop back")

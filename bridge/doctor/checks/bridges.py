@@ -131,7 +131,7 @@ def check_dds(config: Config, environ: Mapping[str, str]) -> DdsView:
     command = [sys.executable, "-m", "bridge.adapters.ros2.graph.graph"]
     try:
         done = subprocess.run(
-            command, input=config.model_dump_json(by_alias=True), env=env, capture_output=True, text=True,
+            command, input=config.model_dump_json(by_alias=True), env=env, capture_output=True, encoding="utf-8",
             timeout=_SECONDS, check=False,
         )  # fmt: skip
         document = json.loads(done.stdout.splitlines()[-1])

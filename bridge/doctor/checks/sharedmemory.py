@@ -159,7 +159,7 @@ def _entries(folder: Path) -> Iterator[Path]:
 
 def _locks(proc: Path) -> set[_Lock]:
     try:
-        text = (proc / "locks").read_text()
+        text = (proc / "locks").read_text(encoding="utf-8")
     except OSError:
         return set()
     return {(int(m[1], 16), int(m[2], 16), int(m[3])) for m in _LOCK.finditer(text)}

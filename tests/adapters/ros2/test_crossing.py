@@ -135,7 +135,7 @@ def assert_crosses(edge: Peer, native: Peer, data: str = "x", seconds: float = 4
 
 def segments(program: Peer) -> set[Path]:
     """Return the Fast DDS segments in shared memory that a process has mapped, without shared ports."""
-    maps = Path(f"/proc/{program.pid}/maps").read_text()
+    maps = Path(f"/proc/{program.pid}/maps").read_text(encoding="utf-8")
     return {Path(line.split()[-1]) for line in maps.splitlines() if re.search(r"/dev/shm/fastrtps_[0-9a-f]{16}$", line)}
 
 

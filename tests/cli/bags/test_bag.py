@@ -151,8 +151,8 @@ def test_types_from_the_configuration_are_used(here: Path, capsys: pytest.Captur
     for package, text in {"none_msgs": "string<=9 text\n", "old_msgs": "string text\n"}.items():
         (here / "types" / package / "msg").mkdir(parents=True)
         (here / "types" / package / "msg" / "None.msg").write_text(text)
-    Path("rules.yaml").write_text("- {ros1_package_name: old_msgs, ros2_package_name: none_msgs}\n")
-    Path("midspan.yaml").write_text("types: {folders: [types], mapping_rules: [rules.yaml]}\n")
+    Path("rules.yaml").write_text("- {ros1_package_name: old_msgs, ros2_package_name: none_msgs}\n", encoding="utf-8")
+    Path("midspan.yaml").write_text("types: {folders: [types], mapping_rules: [rules.yaml]}\n", encoding="utf-8")
     assert main(["bag", "convert", "a.db3", "a.bag", "--config", "midspan.yaml"]) == 0
     with AnyReader([Path("a.bag")]) as bag:
         assert {c.topic: c.msgtype for c in bag.connections}["/odd"] == "old_msgs/msg/None"
@@ -196,7 +196,7 @@ def test_a_file_of_a_folder_that_cannot_be_opened_is_named(capsys: pytest.Captur
     ],
 )
 def test_errors_are_reported(words: str, says: str, capsys: pytest.CaptureFixture[str], here: Path) -> None:
-    Path("text.bag").write_text("hello, this is a text")
+    Path("text.bag").write_text("hello, this is a text", encoding="utf-8")
     mcap_file(Path("a.mcap"))
     assert main(["bag", *words.split()]) == 1
     assert says in capsys.readouterr().err

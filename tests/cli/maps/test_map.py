@@ -105,7 +105,8 @@ def test_the_examples_work(midspan: Midspan, store: Store) -> None:
     with Image.open("house.png") as picture:
         assert picture.size == (16 * 40, 16 * 30)
     assert set(Places.load("locations.ini").locations) == {"charger", "kitchen"}
-    names = {feature["properties"]["name"] for feature in json.loads(Path("house.geojson").read_text())["features"]}
+    features = json.loads(Path("house.geojson").read_text(encoding="utf-8"))["features"]
+    names = {feature["properties"]["name"] for feature in features}
     assert names == {"charger", "kitchen"}
 
 
@@ -223,7 +224,7 @@ def test_all_kinds_are_listed_and_removed(midspan: Midspan, store: Store) -> Non
     ids=lambda each: "_".join(each) if isinstance(each, list) else "",
 )
 def test_errors_are_reported(midspan: Midspan, store: Store, words: list[str], why: str) -> None:
-    Path("locations.ini").write_text("Version:\n4\nLocations:\n")
+    Path("locations.ini").write_text("Version:\n4\nLocations:\n", encoding="utf-8")
     done = midspan(*words)
     assert done.code == 1
     assert why in done.err

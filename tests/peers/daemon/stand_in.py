@@ -15,7 +15,7 @@ class Modules(Worker):
 
     def start(self, config: Config) -> None:  # noqa: ARG002
         """Follow the order."""
-        order = Path(os.environ["FAKE_FOLDER"], "modules.do").read_text()
+        order = Path(os.environ["FAKE_FOLDER"], "modules.do").read_text(encoding="utf-8")
         if order == "crash":
             os._exit(7)
         if order == "hang":

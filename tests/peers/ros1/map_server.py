@@ -26,7 +26,7 @@ def pixels(file):
 
 
 file = Path(sys.argv[1])
-meta = yaml.safe_load(file.read_text())
+meta = yaml.safe_load(file.read_text(encoding="utf-8"))
 width, height, gray = pixels(file.with_name(meta["image"]))
 rospy.init_node("map_server")
 grid = OccupancyGrid()

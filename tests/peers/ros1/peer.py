@@ -18,7 +18,6 @@ import threading
 from pathlib import Path
 
 import genpy
-import genpy.message
 import rosgraph
 import rospy
 

@@ -17,6 +17,7 @@ import stat
 import subprocess
 import sys
 import types
+import warnings
 from typing import Any
 
 SYSTEM = os.environ.get("HIDDEN_OS", "")
@@ -154,6 +155,12 @@ def without_kernels() -> None:
             return next((spec for finder in finders if (spec := finder.find_spec(name)) is not None), None)
 
     sys.meta_path.insert(0, Uncompiled)
+
+
+def named_encodings() -> None:
+    """Let Midspan fail where it opens a text without its encoding, which is not UTF-8 on Windows."""
+    warnings.filterwarnings("ignore", category=EncodingWarning)
+    warnings.filterwarnings("error", category=EncodingWarning, module=rf"({'|'.join(OURS)})\b")
 
 
 # -- what behaves differently ------------------------------------------------------------------------------------------
@@ -378,6 +385,7 @@ def _macos() -> None:
 
 
 if SYSTEM:
+    named_encodings()
     (_windows if SYSTEM == "windows" else _macos)()
     restrict()
     without_kernels()

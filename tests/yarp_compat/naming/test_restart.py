@@ -159,7 +159,7 @@ def test_a_killed_name_server_loses_nothing(tmp_path: Path, has_state: bool) -> 
 
 
 def _written(file: Path) -> bool:
-    return file.exists() and bool(json.loads(file.read_text())["subscriptions"]["subscriptions"])
+    return file.exists() and bool(json.loads(file.read_text(encoding="utf-8"))["subscriptions"]["subscriptions"])
 
 
 def _answers(names: NameClient) -> bool:

@@ -135,7 +135,7 @@ class Ledger:
 
     def _load(self) -> Mapping[str, Any]:
         try:
-            document = json.loads(self._path.read_text())
+            document = json.loads(self._path.read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError):
             return {}
         return document if isinstance(document, dict) else {}

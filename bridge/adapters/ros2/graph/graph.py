@@ -309,5 +309,5 @@ def read_graph(config: Config, state: Path, seconds: float) -> dict[str, Any]:
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory(prefix="midspan-look-") as folder:
-        document = read_graph(Config.model_validate_json(sys.stdin.read()), Path(folder), SECONDS)
+        document = read_graph(Config.model_validate_json(sys.stdin.buffer.read()), Path(folder), SECONDS)
     print(json.dumps(document))  # noqa: T201  the result

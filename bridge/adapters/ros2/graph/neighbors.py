@@ -150,7 +150,7 @@ class MemoryNeighbors:
 def candidate_processes(proc: Path, low: int) -> list[Path]:
     """Return the candidate paths in the process table for ids with this low half."""
     try:
-        largest = int((proc / "sys/kernel/pid_max").read_text())
+        largest = int((proc / "sys/kernel/pid_max").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         largest = 1 << 22
     return [proc / str(pid) for pid in range(low, largest + 1, 1 << 16)]
@@ -174,7 +174,7 @@ def loaded_majors(process: Path) -> set[int]:
 def bound_ports(proc: Path) -> set[int] | None:
     """Return the UDP ports that are bound in this network namespace (proc_net(5)); None if unknown."""
     try:
-        lines = (proc / "net/udp").read_text().splitlines()[1:]
+        lines = (proc / "net/udp").read_text(encoding="utf-8").splitlines()[1:]
         return {int(line.split()[1].rpartition(":")[2], 16) for line in lines}
     except (OSError, ValueError, IndexError):
         return None
@@ -188,14 +188,14 @@ def prefer_udp(folder: Path) -> None:
 def prefers_udp(folder: Path) -> bool:
     """Return whether `prefer_udp` was called since the machine booted."""
     try:
-        return (folder / _NOTE).read_text() == _boot()
+        return (folder / _NOTE).read_text(encoding="utf-8") == _boot()
     except OSError:
         return False
 
 
 def _boot() -> str:
     try:
-        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="utf-8").strip()
     except OSError:
         return ""
 
@@ -234,7 +234,7 @@ class ProcessWatch:
 def _start(process: Path) -> str:
     """Return a process's start time, "" if it has ended (proc(5): fields 3 and 22 of stat)."""
     try:
-        fields = (process / "stat").read_text().rpartition(")")[2].split()
+        fields = (process / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     except OSError:
         return ""
     return "" if fields[0] in "ZX" else fields[19]

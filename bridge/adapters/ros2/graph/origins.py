@@ -71,7 +71,7 @@ def stored_prefixes(folder: Path) -> list[bytes]:
     """Return the stored prefixes of this daemon's past participants, the newest last."""
     prefixes = []
     try:
-        lines = (folder / _FILE).read_text(errors="replace").split()
+        lines = (folder / _FILE).read_text(encoding="utf-8", errors="replace").split()
     except OSError:
         return []
     for line in lines:
