@@ -72,14 +72,19 @@ class VersionFilter:
 
 
 class VendorFilter:
-    """Restricts the request writer of ``rcl_client_t *`` to servers of a vendor, or to all others, as at first.
+    """Restricts a client's request writer to servers of a vendor, or to all others, as at first.
 
-    Raises `MessageTypeError` if Fast DDS does not have the writer. Keep it until the client is destroyed.
+    Keep it until the writer is destroyed. Raises `MessageTypeError` if Fast DDS does not have the writer.
+
+    Args:
+        service: its name.
+        writer: the writer's GID.
+        vendor: the first two bytes of the servers' GIDs.
     """
 
-    def __init__(self, service: str, client: int, vendor: bytes) -> None:
+    def __init__(self, service: str, writer: bytes, vendor: bytes) -> None:
         self._filter = reader_filter.VendorFilter(vendor)
-        if not self._filter.attach(rmw.client_gid(client)):
+        if not self._filter.attach(writer):
             raise MessageTypeError(f"{service}: Fast DDS does not filter the requests of its client by vendor")
 
     def restrict(self, *, only: bool) -> None:

@@ -47,15 +47,11 @@ class _QosProfile(Structure):
 def _library() -> tuple[CDLL, CDLL]:
     """Return rcl and rmw_fastrtps; raises `OSError`, or `AttributeError` for another rmw."""
     of_rcl, rmw = CDLL("librcl.so"), CDLL("librmw_fastrtps_cpp.so")
-    handles = (
-        of_rcl.rcl_node_get_rmw_handle, of_rcl.rcl_publisher_get_rmw_handle, of_rcl.rcl_client_get_rmw_handle,
-    )  # fmt: skip
-    for handle in handles:
+    for handle in (of_rcl.rcl_node_get_rmw_handle, of_rcl.rcl_publisher_get_rmw_handle):
         handle.restype, handle.argtypes = c_void_p, [c_void_p]
     signatures: tuple[tuple[Any, Any, list[Any]], ...] = (
         (rmw.rmw_create_subscription, c_void_p, [c_void_p, c_void_p, c_char_p, c_void_p, c_void_p]),
         (rmw.rmw_get_gid_for_publisher, c_int32, [c_void_p, c_void_p]),
-        (rmw.rmw_get_gid_for_client, c_int32, [c_void_p, c_void_p]),
         (rmw.rmw_destroy_subscription, c_int32, [c_void_p, c_void_p]),
         (rmw.rmw_subscription_set_on_new_message_callback, c_int32, [c_void_p, c_void_p, c_void_p]),
         (rmw.rmw_subscription_count_matched_publishers, c_int32, [c_void_p, POINTER(c_size_t)]),
@@ -79,16 +75,6 @@ def publisher_gid(publisher: int) -> bytes:
     code = rmw.rmw_get_gid_for_publisher(of_rcl.rcl_publisher_get_rmw_handle(publisher), byref(gid))
     if code != rcl.RET_OK:
         raise rcl.RclError("rmw_get_gid_for_publisher", code)
-    return bytes(gid.data)
-
-
-def client_gid(client: int) -> bytes:
-    """Return the GID of the request writer of ``rcl_client_t *``, 16 bytes."""
-    of_rcl, rmw = _library()
-    gid = _Gid()
-    code = rmw.rmw_get_gid_for_client(of_rcl.rcl_client_get_rmw_handle(client), byref(gid))
-    if code != rcl.RET_OK:
-        raise rcl.RclError("rmw_get_gid_for_client", code)
     return bytes(gid.data)
 
 

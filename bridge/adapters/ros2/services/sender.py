@@ -8,6 +8,7 @@ from functools import partial
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.filters import VendorFilter, is_available
 from bridge.adapters.ros2.graph import vendors
+from bridge.adapters.ros2.participant import request_topic
 from bridge.adapters.ros2.services.cyclone import CycloneCalls, Replied
 from bridge.adapters.ros2.services.endpoint import Ros2Context
 from bridge.adapters.ros2.services.matching import MatchCounter
@@ -42,7 +43,10 @@ class RequestSender:
         self._name, self._pointer, self._context, self._type_id = name, pointer, context, type_id
         self._open = partial(CycloneCalls, name, response_support, context, replied)
         self._matches = MatchCounter(pointer, "client")
-        self._filter = VendorFilter(name, pointer, vendors.CYCLONE) if is_available() else None
+        self._filter: VendorFilter | None = None
+        if is_available():  # rmw_get_gid_for_client returns the reader's GID in Kilted
+            writer = context.graph.own_writer(request_topic(name)) or b""
+            self._filter = VendorFilter(name, writer, vendors.CYCLONE)
         self._verified: tuple[int | None, frozenset[bytes]] = None, frozenset()
         self._on_cyclone = False
         self._cyclone: CycloneCalls | None = None
