@@ -248,7 +248,7 @@ class RuleSet:
         return self._owners.get(name.rpartition("/")[0]) == ("ros1" if origin == "ros1" else "ros2")
 
     def _withheld(self, side: str, name: str, type_name: str, kind: Kind) -> bool:
-        """Return whether these are shared parameters, as services or events, and the side's nodes have none."""
+        """Return whether a service or event of shared parameters is withheld: the side's nodes have no parameters."""
         network = all_networks().get(side)
         if not self.section.private or (network is not None and network.node_parameters):
             return False

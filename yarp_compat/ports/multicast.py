@@ -29,7 +29,7 @@ from yarp_compat.wire.profile import Profile
 
 _log = logging.getLogger("yarp.ports")
 _MAX_SENDERS = 4
-"""Senders on one machine with an assembler at a time: a sender's socket may change while its name stays."""
+"""Maximum number of senders whose messages are assembled: a writer that restarts sends from another socket."""
 
 
 class GroupInput(DatagramInput):

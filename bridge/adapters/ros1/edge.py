@@ -250,7 +250,7 @@ class Ros1Edge(SideEdge):
             self._settled = float("-inf")
             return
         self._links.follow(others(state, entry))
-        before, self._settled = self._settled, self._master.looked
+        before, self._settled = self._settled, self._master.polled_at
         if self._settled - before > _LONG:  # the first read, or the first after a suspension: the watch waits for it
             self._presence_changed()
 

@@ -164,7 +164,7 @@ class OwnPorts:
             if output is not None and port.writes:  # before it opens, so that every new reader gets the cached messages
                 output.add(OutputPort(opened.core, port.content))
             opened.core.open()
-            if self._stopped:  # meanwhile, when `stop` could not close it yet
+            if self._stopped:  # `stop` was called before this port was open, so it did not close it
                 self._close([opened])
                 return
             # Before any connection: an unmarked port looks like a YARP program's.
@@ -304,7 +304,7 @@ class OwnPorts:
         try:
             if self._naming.get_property(peer, OWNER):
                 problem = f"{peer} is a port of Midspan; its messages are not bridged again"
-            elif self._naming.is_taken(port.core.name):  # during a stall: connecting would close its connection
+            elif self._naming.is_taken(port.core.name):  # connecting would close that program's connection
                 problem = f"another program has the name {port.core.name}"
             elif port.plan.writes:
                 done, reason = port.core.add_output(f"{link.carrier}:/{peer}" if link.carrier else peer)

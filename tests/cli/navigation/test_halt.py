@@ -136,7 +136,7 @@ def test_halt_sends_zeros_if_velocities_are_published(
 def test_halt_reaches_a_base_on_a_side_that_no_program_of_the_hub_drives(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any], form: str
 ) -> None:
-    """Its own side's planner drives it; BaseControl on the hub accepts both forms."""
+    """Only the planner of its own side drives it; BaseControl on the hub accepts both forms."""
     both = Hub.open(network.settings("base_control"))
     for name in (TWIST, TWIST_STAMPED):
         both.subscription("/cmd_vel", name, registry.ros2(name).type_id, Qos(), lambda _: None)
@@ -228,10 +228,10 @@ def test_zero_does_not_wait_for_an_action_server_that_is_unreachable(
     token.undeclare()
 
 
-def test_a_form_that_a_route_carries_gets_zero_although_another_one_is_subscribed_to(
+def test_zero_is_sent_in_each_form_that_has_a_subscriber(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
 ) -> None:
-    """As of a base behind a worker that announces no velocities; the monitor drives nothing."""
+    """A monitor subscribes to Twist; a base behind a worker without announced velocities, to TwistStamped."""
     worker = FakeWorker(network, "ros2")
     closing.append(worker)
     worker.hub.set_origin(Origin("ros2", "network", "robot1"))

@@ -38,7 +38,7 @@ class Master:
 
     ``seen`` is called on its thread after each read, with None once the master is unreachable. ``is_dead`` returns
     whether a service's server is known to be dead, so that Midspan may register its name. ``trouble`` is why the master
-    is unreachable, else ""; ``looked`` is ``time.monotonic()`` before the latest read.
+    is unreachable, else ""; ``polled_at`` is ``time.monotonic()`` before the latest read.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class Master:
     ) -> None:  # fmt: skip
         self.uri = uri
         self.trouble = ""
-        self.looked = float("-inf")
+        self.polled_at = float("-inf")
         self._node = node
         self._period, self._seen, self._lost_name = period, seen, lost_name
         self._evicted = False
@@ -108,7 +108,7 @@ class Master:
                 self._client.close()
                 return
             try:
-                state = self._turn()
+                state = self._poll()
             except Ros1Error as err:
                 self._failed(err)
             except Exception as err:
@@ -118,12 +118,12 @@ class Master:
                 self._failures, self.trouble, self._answered = 0, "", time.monotonic()
                 self._seen(state)
 
-    def _turn(self) -> MasterState:
-        self.looked = time.monotonic()
+    def _poll(self) -> MasterState:
+        self.polled_at = time.monotonic()
         state = self._reader.read()
         if state.run != self._run_id:
             self._membership.join(state)
-            self.looked = time.monotonic()
+            self.polled_at = time.monotonic()
             state = self._reader.read()
             self._run_id = state.run
         self._guard_name(state)
@@ -135,7 +135,7 @@ class Master:
         else:
             self._registrations.corrected()
         if calls:
-            self.looked = time.monotonic()
+            self.polled_at = time.monotonic()
             state = self._reader.read()
         return state
 

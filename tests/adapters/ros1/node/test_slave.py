@@ -271,7 +271,7 @@ def test_an_unusable_state_of_the_master_does_not_end_its_watch(node: Node, monk
         raise RecursionError
 
     assert node.edge._master is not None
-    monkeypatch.setattr(node.edge._master, "_turn", fail)
+    monkeypatch.setattr(node.edge._master, "_poll", fail)
     until(lambda: len(calls) >= 2, "the master is read again")
 
 
