@@ -85,4 +85,4 @@ def test_verbs_work_on_other_systems(hub: QuickHub, tmp_path: Path) -> None:
     assert "AttributeError" not in runs["status --config FILE"][1], runs
     code, text = runs["record --all --output aux.mcap --config FILE"]
     assert (code, "aux.mcap is not a file name on Windows" in text) == (1, True), runs
-    assert "systemd services are Linux's" in runs["install"][1]
+    assert "systemd exists only on Linux" in runs["install"][1]

@@ -40,7 +40,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     convert = add_verb(
         verbs, "convert", _convert, "copy a bag into another format",
         "Copies a bag into the format that OUT's ending names; without an ending it is a folder of rosbag2. Messages"
-        " and types become those of ROS 1 or ROS 2 as the bridge itself converts them. OUT appears when it is whole.",
+        " and types become those of ROS 1 or ROS 2 as in the bridge. OUT appears when it is complete.",
         example="midspan bag convert old.bag new.mcap", hub=False,
     )  # fmt: skip
     convert.add_argument("--skip-unknown", action="store_true", help="leave out topics that the new format cannot hold")
@@ -48,18 +48,18 @@ def register(parser: argparse.ArgumentParser) -> None:
     add_config(convert)
     cut = add_verb(
         verbs, "cut", _cut, "copy a part of a bag, in its format",
-        "Copies a part of a bag into the same format, the messages as they are.",
+        "Copies a part of a bag into a new bag of the same format, with unchanged messages.",
         example="midspan bag cut run.mcap crash.mcap --start 30s --end 1m --latched", hub=False,
     )  # fmt: skip
     mend = add_verb(
-        verbs, "mend", _mend, "write what can be read of a damaged bag into a whole one",
-        "Writes all that can be read of a bag whose writer was killed, or that is damaged, into a whole one of the same"
+        verbs, "mend", _mend, "write the readable data of a damaged bag into a complete one",
+        "Writes all readable data of a damaged bag, or of one whose writer was killed, into a complete bag of the same"
         " format, and reports what is lost.",
         example="midspan bag mend killed.mcap whole.mcap", hub=False,
     )  # fmt: skip
     for verb in (convert, cut, mend):
         verb.add_argument("bag", type=Path, metavar="IN", help="a file, or a folder of rosbag2")
-        verb.add_argument("out", type=Path, metavar="OUT", help="must not be there yet")
+        verb.add_argument("out", type=Path, metavar="OUT", help="must not exist yet")
         verb.add_argument("--compression", choices=["zstd", "lz4", "bz2", "none"], help="default: the format's own")
         verb.add_argument("--json", action="store_true", help="print the result as JSON")
     for verb in (convert, cut):
@@ -73,7 +73,7 @@ def register(parser: argparse.ArgumentParser) -> None:
             metavar="TIME",
             help="from 30s or 2m into the bag, Unix seconds, or a date and time",
         )
-        verb.add_argument("--end", type=_moment, metavar="TIME", help="up to this time, which is left out")
+        verb.add_argument("--end", type=_moment, metavar="TIME", help="up to this time (exclusive)")
         verb.add_argument(
             "--latched", action="store_true", help="start with the last latched messages before the start"
         )

@@ -84,7 +84,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     when.add_argument(
         "--settle", type=span, default=1.0, metavar="TIME", help="time for subscribers to connect first (default 1s)"
     )
-    parser.add_argument("--json", action="store_true", help="print what was played as JSON, at the end")
+    parser.add_argument("--json", action="store_true", help="print the numbers of messages as JSON, at the end")
     add_hub_arguments(parser)
     parser.set_defaults(run=run)
 

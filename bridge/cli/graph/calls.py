@@ -47,7 +47,7 @@ def register_service(parser: argparse.ArgumentParser) -> None:
     call.add_argument("name", help="the service's name")
     call.add_argument("request", nargs="*", metavar="[TYPE] REQUEST", help="the fields as YAML or JSON: '{data: true}'")
     call.add_argument("--timeout", type=float, metavar="SECONDS", help="time limit of the call (default: none)")
-    call.add_argument("--full", action="store_true", help="print long arrays and texts whole")
+    call.add_argument("--full", action="store_true", help="print long arrays and texts in full")
     call.add_argument("--json", action="store_true", help="print the reply as JSON")
 
 
@@ -82,7 +82,7 @@ def register_action(parser: argparse.ArgumentParser) -> None:
         "--timeout", type=float, metavar="SECONDS", help="cancel the goal after this time (default: never)"
     )
     goal.add_argument("--no-feedback", action="store_true", help="show only the result")
-    goal.add_argument("--full", action="store_true", help="print long arrays and texts whole")
+    goal.add_argument("--full", action="store_true", help="print long arrays and texts in full")
     goal.add_argument(
         "--json", action="store_true", help="print JSON, one object per line: each feedback message, then the result"
     )

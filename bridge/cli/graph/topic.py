@@ -66,7 +66,7 @@ def _register_echo(verbs: Any) -> None:
         "--timeout", type=float, metavar="SECONDS",
         help="exit with code 1 after this time without a message; also limits the wait for the topic",
     )  # fmt: skip
-    parser.add_argument("--full", action="store_true", help="write arrays and texts whole")
+    parser.add_argument("--full", action="store_true", help="print arrays and texts in full")
     parser.add_argument(
         "--json", action="store_true", help="one JSON object per line: topic, type, side, time_ns, message"
     )
@@ -264,7 +264,7 @@ def _hz(args: argparse.Namespace) -> int:
         finally:
             feed.close()
     if meter.messages == 0:
-        raise CliError(f"no message of {feed.topic} came")
+        raise CliError(f"no message of {feed.topic} arrived")
     _print_rate(args, meter.rate(feed.lost))
     return 0
 

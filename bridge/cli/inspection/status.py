@@ -225,7 +225,7 @@ def register_top(parser: argparse.ArgumentParser) -> None:
         " time stamp to delivery; between machines only as exact as their clocks), messages, drops by reason, age of"
         " the last message. Without a terminal it prints the table once, or every --interval seconds."
     )
-    parser.add_argument("--once", action="store_true", help="print the table once and end")
+    parser.add_argument("--once", action="store_true", help="print the table once and exit")
     parser.add_argument(
         "--interval", type=number_in(0.1, 3600), metavar="SECONDS", help=f"time between updates (default {_INTERVAL:g})"
     )

@@ -23,7 +23,9 @@ def register(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add_config(master)
     master.add_argument("-p", "--port", type=int, metavar="PORT", help="port on the configured address (11311)")
-    master.add_argument("--listen", metavar="ADDRESS:PORT", help="listen there; 0.0.0.0 lets other machines in")
+    master.add_argument(
+        "--listen", metavar="ADDRESS:PORT", help="address to listen at; with 0.0.0.0 other machines can connect"
+    )
     master.add_argument("--purge", type=float, metavar="SECONDS", help="until a dead node is removed; 0: never")
     master.add_argument("--forget", action="store_true", help="forget the nodes and parameters of the previous run")
 

@@ -35,7 +35,7 @@ def run_install(args: argparse.Namespace) -> int:
     from bridge.daemon.install import Installation
 
     if not sys.platform.startswith("linux"):
-        raise CliError("systemd services are Linux's; here, start 'midspan run' by what this system has for services")
+        raise CliError("systemd exists only on Linux; start 'midspan run' with this system's own service manager")
     if not re.fullmatch(r"[a-z_][a-z0-9_-]{0,31}", args.user):
         raise CliError(f"'{args.user}' is not a user's name")
     installation = Installation(args.root, args.user, dry_run=args.dry_run)

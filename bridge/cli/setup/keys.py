@@ -1,4 +1,4 @@
-"""``midspan keys``: the certificates that machines identify each other with."""
+"""``midspan keys``: the certificates by which machines identify each other."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     actions = add_verbs(
         parser,
-        "Makes or shows the certificates that the machines of a fleet identify each other with over TLS (hub.open).",
+        "Makes or shows the certificates by which the machines of a fleet identify each other over TLS (hub.open).",
         dest="action",
     )
     parser.epilog = _EPILOG
