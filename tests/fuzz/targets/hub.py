@@ -86,9 +86,9 @@ def _graph() -> Subject:
             assert endpoint in graph.publishers(endpoint.topic) + graph.subscriptions(endpoint.topic) or endpoint.kind
         for line in keys:
             graph._on_sample(SimpleNamespace(key_expr=line.lstrip("-"), kind=delete))  # type: ignore[arg-type]
-        left = (graph._nodes, graph._endpoints, graph._topics, graph._sessions, graph._zids,
-                graph._marked, graph._origins,
-                graph._origin_tokens)  # fmt: skip
+        table, announced = graph._table, graph._announced
+        left = (table._nodes, table._endpoints, table._topics, table._sessions, table.zids, table._bridged,
+                announced.origins, announced._tokens)  # fmt: skip
         assert not any(left), left
 
     bridge = _ENDPOINT.replace("/MP/%/", "/MP/%midspan/")
