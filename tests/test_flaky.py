@@ -78,7 +78,7 @@ def test_each_failed_test_is_listed_with_its_runs(folder: Path) -> None:
     assert "xxx" in (folder / "logs" / "run-3.log").read_text()
 
 
-def test_nothing_failed(folder: Path) -> None:
+def test_a_run_without_failures_succeeds(folder: Path) -> None:
     done = run(folder, "2", "--target", "test-all", "tests/hub", "-k", "latched or $HOME")
     assert done.returncode == 0
     assert "0 of 2 runs failed" in done.stdout

@@ -40,7 +40,7 @@ def value(text: str, *path: str) -> Any:
         ("foxglove: {origins: 'http://a'}", ("foxglove", "origins"), ("http://a",)),
     ],
 )
-def test_both_forms(text: str, path: tuple[str, ...], expected: Any) -> None:
+def test_a_text_and_a_list_of_one_text_mean_the_same(text: str, path: tuple[str, ...], expected: Any) -> None:
     assert value(text, *path) == expected
 
 

@@ -352,7 +352,7 @@ def test_home_is_expanded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         {"type": "sensor_msgs/**"},
     ],
 )
-def test_good_rules(rule: dict[str, str]) -> None:
+def test_valid_rules_are_accepted(rule: dict[str, str]) -> None:
     assert Rule.model_validate(rule)
 
 

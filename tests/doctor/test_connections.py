@@ -38,7 +38,7 @@ def test_a_closed_hub_is_skipped() -> None:
     assert [finding.result for finding in every(check_connections(around({})))] == [Result.SKIP]
 
 
-def test_successful_connection(keys: Path) -> None:
+def test_a_successful_and_a_failed_connection_are_reported(keys: Path) -> None:
     place, wrong = f"tls/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}"
     with Machine("operator1", keys / "a", listen=[place]):
         own_status, good, bad = looked_at(keys / "a", connect=[place, wrong])
@@ -80,7 +80,7 @@ def test_router_report_is_used_if_the_keys_are_unreadable(tmp_path: Path) -> Non
     assert (router.result, router.seen) == (Result.WARN, f"hub.open.connect {places[0]}: refused: why")
 
 
-def test_without_tls(keys: Path) -> None:
+def test_a_connection_without_tls_is_checked(keys: Path) -> None:
     place = f"tcp/127.0.0.1:{free_port()}"
     assert "nothing listens" in looked_at(keys, connect=[place], insecure=True)[0].seen
     with Machine("operator1", keys, listen=[place], insecure=True):

@@ -124,7 +124,7 @@ def test_port_used_by_another_program(strangers_port: int) -> None:
     ("mode", "wanted", "result"),
     [("router", "auto", Result.WARN), ("router", True, Result.FAIL), ("peer", "auto", Result.FAIL)],
 )
-def test_another_router(mode: str, wanted: Any, result: Result) -> None:
+def test_another_router_at_the_address_is_reported(mode: str, wanted: Any, result: Result) -> None:
     listen = f"tcp/127.0.0.1:{free_port()}"
     config = zenoh.Config()
     for key, value in (("mode", mode), ("listen/endpoints", [listen]), ("scouting/multicast/enabled", False)):

@@ -45,13 +45,13 @@ def assert_ends(mix: Mix, name: str, number: int) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 @pytest.mark.parametrize("client", [ROS2, *(pytest.param(name, marks=thorough) for name in (YARP, ZENOH))])
-def test_with_move_base(deployment: Deployment, client: str, number: int) -> None:
+def test_a_stop_of_the_daemon_ends_a_goal_of_move_base(deployment: Deployment, client: str, number: int) -> None:
     assert_ends(Mix.over(deployment, MOVE_BASE, cycle=CYCLE), client, number)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 @pytest.mark.parametrize("client", [pytest.param(ROS1, marks=thorough), pytest.param(ZENOH, marks=thorough)])
-def test_with_nav2(deployment: Deployment, client: str, number: int) -> None:
+def test_a_stop_of_the_daemon_ends_a_goal_of_nav2(deployment: Deployment, client: str, number: int) -> None:
     assert_ends(Mix.over(deployment, NAV2), client, number)
 
 

@@ -99,7 +99,7 @@ def place(tmp_path: Path) -> Iterator[Place]:
     opened.close()
 
 
-def test_both_formats(place: Place) -> None:
+def test_metrics_are_exported_in_both_formats(place: Place) -> None:
     worker = place.start()
     worker.health()
     until(lambda: "midspan_route_messages" in place.families(), "the routes are exported", 20)

@@ -34,7 +34,7 @@ def test_public_metrics_need_a_certificate_without_a_console(tmp_path: Path) -> 
     assert "the worker metrics cannot start" in finding.seen
 
 
-def test_missing_files(tmp_path: Path) -> None:
+def test_missing_certificate_files_are_reported(tmp_path: Path) -> None:
     finding = only(check_certificate(place(tmp_path)))
     assert finding.result is Result.FAIL
     assert "there is no" in finding.seen

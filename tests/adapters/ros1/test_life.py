@@ -19,7 +19,7 @@ def presence(master):
     return {entry["node"].strip("/"): entry for entry in entries.values()}
 
 
-def test_network_identity(master, tmp_path):
+def test_the_network_is_identified_by_the_run_id(master, tmp_path):
     with edge_on(master, tmp_path) as edge:
         answer = edge.ask("network")
         assert answer["network"] == master.call("getParam", "/run_id")

@@ -27,7 +27,7 @@ MARKER = {
 }
 
 
-def test_from_ros2(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+def test_messages_of_a_native_publisher_are_received(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
     native = peer()
     publisher = native.advertise("/m/in", "std_msgs/String")
     inbox = edge.subscribe("/m/in", "std_msgs/msg/String")

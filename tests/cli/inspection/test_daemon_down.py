@@ -187,7 +187,7 @@ def test_a_worker_that_crashes_again_and_again(start: Start) -> None:
 
 
 @pytest.mark.thorough
-def test_starting_worker(start: Start) -> None:
+def test_a_worker_that_is_starting_is_named(start: Start) -> None:
     robot = start("hang")
     robot.until_phase("modules", "starting")
     for command in (["nav", "status"], ["goto", "kitchen"], ["map", "list"]):

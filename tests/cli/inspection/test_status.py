@@ -95,7 +95,9 @@ def test_a_worker_that_fails_to_answer_is_shown(midspan: Midspan, network: HubNe
 
 
 @pytest.mark.parametrize("verb", ["status", "top"])
-def test_nothing_answers(tmp_path: Path, network: HubNetwork, capsys: pytest.CaptureFixture[str], verb: str) -> None:
+def test_the_cause_is_reported_if_no_worker_or_router_answers(
+    tmp_path: Path, network: HubNetwork, capsys: pytest.CaptureFixture[str], verb: str
+) -> None:
     config = config_file(tmp_path, network)
     done = Midspan(config, capsys)(verb)
     assert done.code == 1

@@ -151,7 +151,7 @@ def test_teleop_publishes_the_chosen_form(
     assert bases[TWIST].sent == []
 
 
-def test_no_terminal(midspan: Midspan) -> None:
+def test_teleop_without_a_terminal_is_refused(midspan: Midspan) -> None:
     done = midspan("teleop")
     assert (done.code, "reads keys from a terminal" in done.err) == (1, True)
 

@@ -244,7 +244,7 @@ def test_rpc_prints_replies_of_the_owner_and_of_the_port(
         (),
     ],
 )
-def test_wrong_usage(words: tuple[str, ...]) -> None:
+def test_wrong_usage_exits_with_2(words: tuple[str, ...]) -> None:
     """Exit code 2."""
     with pytest.raises(SystemExit) as ended:
         main(["yarp", *words])

@@ -60,7 +60,7 @@ def test_own_samples_are_not_received(network: HubNetwork):
         assert own_subscriber.samples == []
 
 
-def test_any_hash(network: HubNetwork):
+def test_a_subscription_to_any_hash_receives_all_versions(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         every, same = Subscriber(b, "/chatter", type_hash="*"), Subscriber(b, "/chatter")
         other = a.publisher("/chatter", TYPE, "RIHS01_" + "00" * 32, STREAM)

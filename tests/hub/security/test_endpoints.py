@@ -144,7 +144,7 @@ def test_both_connect_to_each_other(keys: Path, port: int) -> None:
             assert machine.wait(EndpointState.CONNECTED, 1).machine == name
 
 
-def test_without_tls(keys: Path, port: int) -> None:
+def test_an_endpoint_without_tls_connects(keys: Path, port: int) -> None:
     place = f"tcp/127.0.0.1:{port}"
     with Machine("operator1", keys / "a", connect=[place], insecure=True) as operator:
         operator.wait(EndpointState.NOT_ANSWERING)
@@ -162,7 +162,7 @@ def test_endpoint_without_zenoh(keys: Path, port: int) -> None:
         assert "opens no zenoh session" in operator.wait(EndpointState.NO_SESSION).reason
 
 
-def test_closed_endpoints(keys: Path, tmp_path: Path) -> None:
+def test_endpoints_without_keys_stay_closed(keys: Path, tmp_path: Path) -> None:
     with Machine("robot1", tmp_path, listen=["tls/127.0.0.1:0"], connect=["tls/127.0.0.1:1"]) as robot:
         endpoints = robot.router._external.status(robot.config)["endpoints"]
     assert [(endpoint["way"], endpoint["state"]) for endpoint in endpoints] == [

@@ -111,7 +111,7 @@ def test_a_handshake_over_ipv6(keys: Path) -> None:
     assert result.addresses == {f"tls/[::1]:{port}"}
 
 
-def test_nothing_listens(keys: Path) -> None:
+def test_an_address_without_a_listener_is_reported(keys: Path) -> None:
     result = attempted(f"tls/127.0.0.1:{free_port()}", identity(keys / "a", "operator1"))
     assert result.reason.state is EndpointState.NOT_ANSWERING
     assert "nothing listens" in result.reason.text

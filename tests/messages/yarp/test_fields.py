@@ -99,7 +99,7 @@ def test_a_wrong_bottle_is_refused(values: list[Any], error: str) -> None:
 
 
 @pytest.mark.parametrize("value", [1e300, math.inf, math.nan, -1e12, True, "now"])
-def test_invalid_time(value: Any) -> None:
+def test_an_invalid_time_is_refused(value: Any) -> None:
     with pytest.raises(ConversionError, match=r"header\.stamp is a time in seconds"):
         back(codec("sensor_msgs/msg/JointState", "header.stamp"), "sensor_msgs/msg/JointState", [value])
 

@@ -40,7 +40,7 @@ def test_variables_have_priority() -> None:
         ("win32", {"APPDATA": "C:/a", "YARP_DATA_DIRS": "C:/d;D:/e", "YARP_DATA_HOME": "C:/h"}, "C:/h", "C:/d"),
     ],
 )
-def test_other_systems(platform: str, environment: dict[str, str], data: str, dirs: str) -> None:
+def test_folders_of_macos_and_windows(platform: str, environment: dict[str, str], data: str, dirs: str) -> None:
     folders = Directories(environment, platform)
     assert folders.data_home() == data
     assert folders.data_dirs()[0] == dirs

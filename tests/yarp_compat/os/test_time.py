@@ -20,7 +20,7 @@ def test_now_is_in_seconds_since_1970() -> None:
     assert yarp.Time.clockTypeToString(yarp.Time.getClockType()) == "YARP_CLOCK_SYSTEM"
 
 
-def test_delay_waits() -> None:
+def test_a_delay_waits_at_least_its_time() -> None:
     begin = time.monotonic()
     yarp.delay(0.02)
     yarp.Time.delay(-1)

@@ -144,7 +144,7 @@ def test_dialect_is_recognized(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", VALUES)
-def test_text_form(name: str) -> None:
+def test_values_survive_a_round_trip_as_text(name: str) -> None:
     value = VALUES[name]
     again = type(value)()
     again.from_text(value.to_text())

@@ -52,7 +52,7 @@ def test_openings_without_a_name(data: bytes, carrier: str) -> None:
 
 
 @given(st.sampled_from(sorted(OPENINGS)), NAMES)
-def test_any_name(carrier: str, name: str) -> None:
+def test_an_opening_with_any_name_is_parsed(carrier: str, name: str) -> None:
     data = carriers.opening(carriers.CARRIERS[carrier], name)
     opened = carriers.parse_opening(data)
     assert opened is not None

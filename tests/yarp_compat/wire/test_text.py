@@ -61,7 +61,7 @@ def test_text_parsed_by_real_yarp(given_text: str, recorded: str) -> None:
         ('"null"', "null"), (r"nul\l", "null"), ("'x'", "'x'"), ("(((1) 2) 3)", [[[1], 2], 3]), ("(,)", []),
     ],
 )  # fmt: skip
-def test_odd_words(word: str, value: Any) -> None:
+def test_unusual_numbers_are_parsed_as_in_yarp(word: str, value: Any) -> None:
     """As in `yarp/os/impl/BottleImpl.cpp` and C's number functions; the measured ones are above."""
     assert typed(from_text(word)) == typed([value])
     assert typed(from_text(f" x,{word}\t y")) == typed(["x", value, "y"])

@@ -28,7 +28,7 @@ def master_state(*, servers=(), clients=(), types=MOVE):
     return MasterState("run", "net", frozenset(published), frozenset(subscribed), types=types)
 
 
-def test_a_server():
+def test_a_server_is_found_by_its_topics():
     result = find(master_state(servers=[("/planner", "/move_base")]), OWN)
     assert result.servers == {"/move_base": (SERVER,)}
     assert result.topics == MOVE

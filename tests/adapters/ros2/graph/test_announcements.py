@@ -51,7 +51,7 @@ def test_versions_of_each_vendor(prefix: bytes, parameters: list[tuple[int, byte
     assert parse(announcement(prefix, *parameters, order=order)) == Announcement(prefix, version)
 
 
-def test_other_messages() -> None:
+def test_other_messages_are_not_announcements() -> None:
     whole = announcement(FAST, (0x8000, b"\3\2\2\0"))
     for length in range(len(whole) - 4):
         parse(whole[:length])  # it does not raise

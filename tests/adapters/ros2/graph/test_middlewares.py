@@ -35,7 +35,9 @@ def end(prefix: bytes, type_hash: str = HASH, type_name: str = "std_msgs/msg/Str
         ([end(OTHER)], None, "an unknown DDS (vendor 01 99)", "Iron or later"),
     ],
 )
-def test_one_participant(ends: list[Endpoint], version: str | None, name: str, release: str) -> None:
+def test_a_participants_middleware_and_release_are_recognized(
+    ends: list[Endpoint], version: str | None, name: str, release: str
+) -> None:
     prefix = bytes.fromhex(ends[0].id)[:12]
     versions = {} if version is None else {prefix: version}
     (group,) = middlewares.groups(ends, frozenset({prefix}), versions)
