@@ -28,6 +28,7 @@ class Constraints:
     tolerance_lin: float | None = None  #: m
     tolerance_ang: float | None = None  #: degrees
     on_obstacle: str = ""  #: ``wait`` until the obstacle moves away, or drive ``around`` it
+    beside_keep_out: bool = False  #: keep-out cells are near: a navigator that does not know them waits, too
     heading: bool = True  #: whether the goal's heading matters
     through: bool = False  #: whether the robot passes without a stop, as at a waypoint
     map: str = ""  #: the goal's map, if it is not the current one

@@ -18,6 +18,7 @@ from navigation.maps.grid import from_grid
 from navigation.messages import GRID, Message
 from navigation.pose import Pose
 from yarp_compat.dev.mapflag import MapFlag
+from yarp_compat.dev.mapgrid import MapGrid2D
 
 _FINE, _PARTS = 0.05, 20  # meters between the points of a large cell, and the largest number of them per side
 
@@ -29,20 +30,25 @@ class LayerError(ValueError):
 
 
 def read_layer(message: Mapping[str, Any]) -> Places:
-    """Return the centers of a layer's cells with values from 50 on, (n, 2) meters in its frame; raises `LayerError`.
-
-    A cell wider than 5 cm is split, so that a distance to the points is also a distance to the cell.
-    """
+    """Return points on a layer's cells with values from 50 on, (n, 2) meters in its frame; raises `LayerError`."""
     try:
         grid = from_grid(message, "layer")
     except ValueError as err:
         raise LayerError(str(err)) from None
     if not (grid.resolution > 0.0 and np.isfinite((grid.resolution, *grid.origin.to_ros())).all()):
         raise LayerError(f"info: invalid resolution {grid.resolution} m or origin {grid.origin.to_ros()}")
-    rows, columns = np.nonzero(grid.flags == MapFlag.WALL)
-    middles = grid.centers_of(np.stack((columns, rows), axis=1))
+    return spread(grid, np.argwhere(grid.flags == MapFlag.WALL)[:, ::-1])
+
+
+def spread(grid: MapGrid2D, cells: NDArray[np.int64], *, edges: bool = False) -> Places:
+    """Return the centers of a map's cells, (n, 2) columns and rows, in meters, or their corners with ``edges``.
+
+    A cell wider than 5 cm is split, so that a distance to the points is also a distance to the cell.
+    """
+    middles = grid.centers_of(cells)
     parts = min(math.ceil(grid.resolution / _FINE - 1e-6), _PARTS)
-    steps = ((np.arange(parts) + 0.5) / parts - 0.5) * grid.resolution
+    shares = np.arange(parts + 1) if edges else np.arange(parts) + 0.5
+    steps = (shares / parts - 0.5) * grid.resolution
     offsets = on(np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2), Pose(0.0, 0.0, grid.origin.to_ros()[2]))
     return (middles[:, None] + offsets).reshape(-1, 2)
 

@@ -75,6 +75,7 @@ class Ours:
                 obstacles=() if camera is None else (ObstacleSection(topic=_POINTS, type="cloud"),),
             )
         )
+        self.driver.keep_out.use(world.map)
         layers = () if camera is None else (ObstacleSection(topic=_LAYER),)
         self.planner = PathPlanner(RobotPathPlannerSection(robot_radius=radius + _ROOM, obstacles=layers))
         self.planner.use_map(Ground(world.map, radius + _ROOM, self.planner.settings.clearance))

@@ -69,6 +69,16 @@ def _draw(cells: NDArray[np.bool_], start: NDArray[np.float64], end: NDArray[np.
     cells[rows[fits], columns[fits]] = True
 
 
+def keep_out_cells(grid: MapGrid2D, areas: Iterable[Map2DArea]) -> NDArray[np.bool_]:
+    """Return the mask (rows, columns) of a map's keep-out cells, and of those in keep-out areas on it."""
+    kept = grid.flags == MapFlag.KEEP_OUT
+    for area in areas:
+        if area.map_id == grid.name:
+            part, inside = cells_of(grid, area.points)
+            kept[part] |= inside
+    return kept
+
+
 KEEP_OUT = 100  # planners must not enter
 TEMPORARY_OBSTACLE = 90  # 35 of a costmap's 254 less than a wall
 ENLARGED_OBSTACLE = 60  # the costmap's inflation covers this area, too

@@ -17,6 +17,7 @@ from bridge.state_machine import Machine
 from navigation.constraints import Constraints
 from navigation.pose import Pose, wrapped
 from navigation.robot_goto.guard import FAST_ROOM
+from navigation.robot_goto.keep_out import KeepOut
 from navigation.robot_goto.local_grid import LocalGrid
 from navigation.robot_goto.machine import DRIVER, DriverEvent, DriverState
 from navigation.robot_goto.obstacles import Obstacles
@@ -164,6 +165,11 @@ class Driver:
         return self._surroundings.obstacles
 
     @property
+    def keep_out(self) -> KeepOut:
+        """The map's keep-out cells."""
+        return self._surroundings.keep_out
+
+    @property
     def ahead(self) -> NDArray[np.float64]:
         """The surroundings; see `navigation.algorithms.stopping.ahead`."""
         return self._surroundings.guard.ahead
@@ -266,7 +272,7 @@ class Driver:
     # goal
 
     def _to_goal(self, step: Step, task: GotoTask) -> DriveCommand:
-        limits = GoalLimits.combine(self.settings, task.constraints)
+        limits = GoalLimits.combine(self.settings, task.constraints, knows_keep_out=self.keep_out.active)
         relative = step.pose.inverse @ task.pose
         distance, self.bearing = math.hypot(relative.x, relative.y), math.atan2(relative.y, relative.x)
         turn = wrapped(task.pose.theta - step.pose.theta) if task.heading else 0.0

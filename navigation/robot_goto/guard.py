@@ -81,11 +81,12 @@ class Guard:
         if wanted == STILL:
             return STILL
         cells, unsure = self._grid.unsure(moved, now)
-        count = self._grid.count + unsure
+        known = self._grid.limits
+        count = known + unsure
         if len(self._points) < count:
             self._points = np.empty((2 * count, 3))
-        self._points[: self._grid.count] = self._grid.points[: self._grid.count]
-        self._points[self._grid.count : count] = cells[:unsure]
+        self._points[:known] = self._grid.points[:known]
+        self._points[known:count] = cells[:unsure]
         self._wanted[:] = wanted
         scale = slowed(
             self._points, count, moved.x, moved.y, moved.theta, self.has, self._wanted, settings.reaction,

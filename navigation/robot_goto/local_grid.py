@@ -32,19 +32,22 @@ class LocalGrid:
     def clear(self) -> None:
         """Drop all observations."""
         self._grid = RollingGrid(SIDE, RESOLUTION, self._memory)
-        # the newest scan's echoes: x, y, and 1 for a new object, else 0; then the other sensors' obstacles
+        # the newest scan's echoes: x, y, and 1 for a new object, else 0; then the other sensors' obstacles; then places
+        # that the robot must not enter, although nothing is there
         self.points = np.empty((0, 3))
-        self.count = 0  # the number of valid rows
+        self.count = 0  # the number of rows of obstacles
+        self.limits = 0  # the number of valid rows
         self.scanned: float | None = None  # the time of the scan, seconds; None before the first
         self._echoes = 0
-        self._others = np.empty((0, 2))
+        self._others = self._kept = np.empty((0, 2))
 
     def scan(self, scan: Turn, at: Pose, laser: Pose = AT_BASE) -> None:
         """Add a scan of a laser on the base; `at` is the base's pose in the grid's frame at the scan's time."""
         now = scan.time_ns / 1e9
         self._grid.move(math.floor(at.y / RESOLUTION) - SIDE // 2, math.floor(at.x / RESOLUTION) - SIDE // 2)
-        if len(self.points) < len(scan.ranges) + len(self._others):
-            self.points = np.empty((len(scan.ranges) + 2 * len(self._others), 3))
+        others = len(self._others) + len(self._kept)
+        if len(self.points) < len(scan.ranges) + others:
+            self.points = np.empty((len(scan.ranges) + 2 * others, 3))
         self._grid.stand(now, at.x, at.y, 0.7 * self._radius)
         eye = at @ laser
         ranges = np.ascontiguousarray(scan.ranges, np.float64)
@@ -53,15 +56,18 @@ class LocalGrid:
             self.points,
         )  # fmt: skip
         self.scanned = now
-        self.set_others(self._others)
+        self.set_others(self._others, self._kept)
 
-    def set_others(self, places: NDArray[np.float64]) -> None:
-        """Replace the obstacles from sensors other than the laser: (n, 2) x and y."""
-        self._others, self.count = places, self._echoes + len(places)
-        if len(self.points) < self.count:
-            self.points = np.concatenate((self.points[: self._echoes], np.empty((2 * len(places), 3))))
+    def set_others(self, places: NDArray[np.float64], kept: NDArray[np.float64]) -> None:
+        """Replace the obstacles from sensors other than the laser, and the places not to enter: (n, 2) x and y each."""
+        self._others, self._kept = places, kept
+        self.count = self._echoes + len(places)
+        self.limits = self.count + len(kept)
+        if len(self.points) < self.limits:
+            self.points = np.concatenate((self.points[: self._echoes], np.empty((2 * (len(places) + len(kept)), 3))))
         self.points[self._echoes : self.count, :2] = places
-        self.points[self._echoes : self.count, 2] = 0.0
+        self.points[self.count : self.limits, :2] = kept
+        self.points[self._echoes : self.limits, 2] = 0.0
 
     def unsure(self, at: Pose, now: float) -> tuple[NDArray[np.float64], int]:
         """Return nearby cells that are not free and have no echo of the newest scan, and their number n.
@@ -76,10 +82,11 @@ class LocalGrid:
         """Return all cells from the window's corner, (rows, columns): free, `OCCUPIED` or `UNKNOWN`."""
         out = np.empty((SIDE, SIDE), np.uint8)
         self._grid.states(now, out)
-        if len(self._others):
-            columns, rows = (np.floor(self._others / RESOLUTION).astype(np.int64) - self._grid.corner[::-1]).T
-            within = (rows >= 0) & (rows < SIDE) & (columns >= 0) & (columns < SIDE)
-            out[rows[within], columns[within]] = OCCUPIED
+        for places in (self._others, self._kept):
+            if len(places):
+                columns, rows = (np.floor(places / RESOLUTION).astype(np.int64) - self._grid.corner[::-1]).T
+                within = (rows >= 0) & (rows < SIDE) & (columns >= 0) & (columns < SIDE)
+                out[rows[within], columns[within]] = OCCUPIED
         return out
 
     def occupancy(self, now: float) -> NDArray[np.int8]:

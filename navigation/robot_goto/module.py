@@ -21,6 +21,7 @@ from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
 from bridge.modules.loop import Newest
 from bridge.stores.entry import StoreError
+from bridge.stores.kinds import AREA, BEHAVIOR
 from bridge.worker import Health
 from navigation.clouds import POINT_CLOUD, placed, read_points
 from navigation.constraints import Constraints
@@ -28,6 +29,7 @@ from navigation.frames import FramesError, RobotFrames, flat, laser_pose, moved_
 from navigation.goals import MapPlace
 from navigation.ini import laid_under
 from navigation.layers import LayerSubscriptions
+from navigation.map_in_use import MapInUse
 from navigation.maps.grid import from_grid
 from navigation.messages import stamp_ns
 from navigation.planner_module import PlannerModule
@@ -73,12 +75,14 @@ class RobotGoto(PlannerModule):
                 host.node.subscription(source.topic, POINT_CLOUD, partial(self._on_cloud, source.topic), Qos(depth=1))
         others = self.driver.obstacles
         self._layers = LayerSubscriptions(host, section.obstacles, self._frames, others.layer, self.now, others.trouble)
+        self._map = MapInUse(host, section.map, self._use_map, AREA, BEHAVIOR)
         self._serve()
         host.answer("halt", lambda _params: host.loop.call(self.halt))
         if section.prefix:
             self._serve_yarp(host, section)
         if host.clock.simulated:  # the system clock may be set while the robot drives: `now` does not depend on it
             host.on_jump(self._restart)
+        self._map.update()
         host.every(section.period, self._step)
 
     def _serve_yarp(self, host: Host, section: RobotGotoSection) -> None:
@@ -147,6 +151,17 @@ class RobotGoto(PlannerModule):
         up = np.array((0.0, 0.0, moved.translation[2] + self._frames.floor(self._section.floor)))
         points = placed(points, at) - up.astype(np.float32)
         self.driver.obstacles.cloud(topic, now - age, points, np.array(at.translation) - up, flat(moved))
+
+    def _use_map(self, grid: MapGrid2D | None) -> None:
+        """Stay out of the keep-out cells of a map."""
+        store, areas = self._host.store, []
+        for name, area in store.all(AREA).items():
+            try:
+                if store.behavior(name).keep_out:
+                    areas.append(area)
+            except StoreError as err:
+                self._host.log.warning("%s", err)
+        self.driver.keep_out.use(grid, areas)
 
     # requests
 
@@ -283,10 +298,12 @@ class RobotGoto(PlannerModule):
             "command": list(self.driver.command),
             "laser": self._laser_trouble or (self._connection.trouble if self._connection else ""),
             "obstacles": dict(self.driver.obstacles.trouble),
+            "keep_out": "known" if self.driver.keep_out.known else self._map.trouble,
         }
 
     @override
     def stop(self) -> None:
         self._abort("RobotGoto has stopped")
+        self._map.close()
         if self._connection is not None:
             self._connection.close()

@@ -10,6 +10,7 @@ from bridge.config.sections.section import (
     FLOOR,
     PORT_OR_NONE,
     FrameName,
+    MapSource,
     ModuleSection,
     Section,
     setting,
@@ -35,6 +36,11 @@ class RobotGotoSection(ModuleSection):
     base_frame: FrameName = setting("base_link", "The robot's frame.")
     odom_frame: FrameName = setting(
         "odom", "The odometry's frame, in which scans are remembered; the map's frame if `/tf` does not have it."
+    )
+    map: MapSource | None = setting(
+        None,
+        "The map whose keep-out cells and areas the robot does not enter: `store` (its current map), or a topic"
+        " (`nav_msgs/msg/OccupancyGrid`); empty: `navigation.map`.",
     )
     scan: str = setting("/scan", 'The laser (`sensor_msgs/msg/LaserScan`); "": none.')
     laser_port: str = setting("", "A laser on YARP (`/cer/laser:o`) for `laser:i`; empty: none.", pattern=PORT_OR_NONE)

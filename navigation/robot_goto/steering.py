@@ -68,8 +68,15 @@ class GoalLimits(NamedTuple):
     stop: bool
 
     @classmethod
-    def combine(cls, settings: RobotGotoSection, constraints: Constraints) -> GoalLimits:
-        """Return the limits of a goal; a goal never raises the settings' top speeds."""
+    def combine(
+        cls, settings: RobotGotoSection, constraints: Constraints, *, knows_keep_out: bool = False
+    ) -> GoalLimits:
+        """Return the limits of a goal; a goal never raises the settings' top speeds.
+
+        Beside keep-out cells, a robot that does not know them waits for obstacles instead of avoiding them.
+        """
+        waits = constraints.beside_keep_out and not knows_keep_out
+        on_obstacle = "wait" if waits else constraints.on_obstacle
 
         def chosen(value: float | None, own: float) -> float:
             return own if value is None else value
@@ -85,9 +92,8 @@ class GoalLimits(NamedTuple):
             chosen(constraints.ang_speed_gain, settings.ang_speed_gain),
             chosen(constraints.tolerance_lin, settings.goal_tolerance_lin),
             math.radians(chosen(constraints.tolerance_ang, settings.goal_tolerance_ang)),
-            constraints.on_obstacle == "around"
-            or (not constraints.on_obstacle and settings.enable_obstacles_avoidance),
-            constraints.on_obstacle == "wait" or settings.enable_obstacles_emergency_stop,
+            on_obstacle == "around" or (not on_obstacle and settings.enable_obstacles_avoidance),
+            on_obstacle == "wait" or settings.enable_obstacles_emergency_stop,
         )
 
     def speed(self, value: float) -> float:

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from bridge.messages.scan import Turn
 from navigation.pose import Pose, wrapped
 from navigation.robot_goto.guard import FollowCheck, Guard
+from navigation.robot_goto.keep_out import KeepOut
 from navigation.robot_goto.local_grid import LocalGrid
 from navigation.robot_goto.obstacles import Obstacles
 from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.steering import DriveCommand
 from navigation.scan import is_blind
 
+_NOWHERE = np.empty((0, 2))
 _JUMP, _JUMP_TURN = 0.3, math.radians(30.0)
 
 
@@ -22,6 +26,7 @@ class Surroundings:
     Attributes:
         grid: recent scans around the robot.
         obstacles: from other sensors than the laser.
+        keep_out: the map's keep-out cells.
         guard: the base's velocity, and the obstacles that limit it.
         follow: whether the base follows its commands.
     """
@@ -29,6 +34,7 @@ class Surroundings:
     def __init__(self, settings: RobotGotoSection) -> None:
         self.grid = LocalGrid(settings.memory, settings.robot_radius, settings.laser_offset)
         self.obstacles = Obstacles(settings)
+        self.keep_out = KeepOut()
         self.guard = Guard(self.grid)
         self.follow = FollowCheck()
         self._blind = False
@@ -70,8 +76,8 @@ class Surroundings:
             self.follow.clear()
         self._moved = moved
         self.follow.add(now, passed, self.guard.has, moved)
-        if settings.obstacles:
-            self.grid.set_others(self.obstacles.places(now, pose, moved))
+        others = self.obstacles.places(now, pose, moved) if settings.obstacles else _NOWHERE
+        self.grid.set_others(others, self.keep_out.near(settings.robot_radius, pose, moved))
         return moved
 
     def unseen(self, now: float, timeout: float) -> str:

@@ -13,7 +13,7 @@ from navigation.algorithms.astar import Weights
 from navigation.algorithms.distance_transform import distance_transform
 from navigation.algorithms.occupancy import MOST, OccupancyMap
 from navigation.maps.grid import turned
-from navigation.maps.masks import cells_of
+from navigation.maps.masks import cells_of, keep_out_cells
 from navigation.pose import Pose
 from yarp_compat.dev.extras import AreaBehavior
 from yarp_compat.dev.locations import Map2DArea
@@ -57,12 +57,8 @@ class Ground:
         flags, occupancy = grid.flags, grid.occupancy
         # walls, temporary obstacles, unknown
         self.solid = lookup(flags, _SOLID).astype(bool) | ((occupancy >= OCCUPIED) & (occupancy <= 100))
-        self.kept = flags == MapFlag.KEEP_OUT  # keep-out cells
         on_map = [zone for zone in zones if zone.area.map_id == grid.name]
-        for zone in on_map:
-            if zone.behavior.keep_out:
-                part, inside = cells_of(grid, zone.area.points)
-                self.kept[part] |= inside
+        self.kept = keep_out_cells(grid, [zone.area for zone in on_map if zone.behavior.keep_out])
         # meters from a cell's center to the nearest border of a solid or keep-out cell, else infinite
         self.room = (distance_transform(self.solid | self.kept) - 0.5) * np.float32(grid.resolution)
         self.weights = self._weighed(clearance)  # cost of entering a cell; 0 if the robot does not fit

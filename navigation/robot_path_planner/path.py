@@ -132,10 +132,11 @@ class Waypoint:
     def has_limits_of(self, other: Waypoint) -> bool:
         """Whether speed and behavior at obstacles are the same on the path to another waypoint."""
         own, its = self.constraints, other.constraints
-        return (own.max_lin_speed, own.min_lin_speed, own.on_obstacle) == (
+        return (own.max_lin_speed, own.min_lin_speed, own.on_obstacle, own.beside_keep_out) == (
             its.max_lin_speed,
             its.min_lin_speed,
             its.on_obstacle,
+            its.beside_keep_out,
         )
 
     def is_reached(self, pose: Pose) -> bool:
@@ -299,8 +300,9 @@ def _merged(defaults: Constraints, wanted: Constraints, behavior: AreaBehavior, 
     least = merged.min_lin_speed
     if most is not None and least is not None:
         least = min(least, most)
-    on_obstacle = "wait" if beside else behavior.on_obstacle or merged.on_obstacle
-    return replace(merged, max_lin_speed=most, min_lin_speed=least, on_obstacle=on_obstacle)
+    on_obstacle = behavior.on_obstacle or merged.on_obstacle
+    beside = beside or wanted.beside_keep_out
+    return replace(merged, max_lin_speed=most, min_lin_speed=least, on_obstacle=on_obstacle, beside_keep_out=beside)
 
 
 _ELSEWHERE = 0.1  # meters from a place at which a robot counts as elsewhere

@@ -15,7 +15,9 @@ def test_constraints_survive_the_round_trip_through_text():
         "midspan: max_lin_speed=0.2 tolerance_lin=0.1 tolerance_ang=5.0 on_obstacle=wait heading=false through=true"
     )
     assert Constraints.from_text(given.to_text()) == given
-    every = Constraints(1.0, 0.1, 2.0, 0.2, 3.0, 0.3, 4.0, 0.4, "around", heading=False, through=True, map="house")
+    every = Constraints(
+        1.0, 0.1, 2.0, 0.2, 3.0, 0.3, 4.0, 0.4, "around", True, heading=False, through=True, map="house"
+    )
     assert Constraints.from_text(every.to_text()) == every
 
 
