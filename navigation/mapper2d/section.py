@@ -44,7 +44,10 @@ class Mapper2DSection(ModuleSection):
         True, "With `slam`: whether the transform from map to odometry is on `/tf`; never while a localizer is active."
     )
     tf_tolerance: float = setting(
-        0.1, "With `slam`: seconds by which that transform's stamp is ahead, as with amcl.", ge=0.0, le=2.0
+        0.5,
+        "With `slam`: seconds by which that transform's stamp is ahead, as with `localization_server`.",
+        ge=0.0,
+        le=2.0,
     )
     pose_topic: OptionalTopic = setting(
         "/localization/pose", "Topic of the pose: `Odometry`, `PoseStamped` or `PoseWithCovarianceStamped`."

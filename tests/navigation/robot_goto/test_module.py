@@ -20,6 +20,7 @@ from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
 from bridge.messages.velocities import TWIST, TWIST_STAMPED
+from bridge.stores.kinds import AREA, BEHAVIOR, MAP
 from navigation.constraints import Constraints
 from navigation.frames import FramesError
 from navigation.planner_module import PlannerModule
@@ -31,13 +32,16 @@ from tests.navigation.uncompiled import uncompiled
 from tests.peers.navigation.served import STATUS, Program, Served
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
+from yarp_compat.dev.extras import AreaBehavior
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs, NavigationMapTypeEnum, NavigationStatusEnum
-from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation
 from yarp_compat.dev.mapflag import MapFlag
+from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.dev.robotgoto_commands import RobotGotoMsgs
 from yarp_compat.naming import connections
 from yarp_compat.pythonic import Client, Reader, Writer
+from yarp_compat.sig.vec2d import Vec2D
 from yarp_compat.sig.vector import Vector
 
 PLANNER = "/planner/robot_goto"
@@ -408,6 +412,32 @@ def test_halt_ends_every_goal(place: Goto) -> None:
     assert place.far.hub.ask("halt", {}, worker="robot_goto", timeout=20.0)[0].value == {"halted": True}
     assert sent.end()[1]["error_msg"] == "halted"
     assert place.state == "idle"
+
+
+def test_keep_out_areas_of_the_stores_map_are_obstacles(place: Goto) -> None:
+    store, module = place.host.store, place.module
+    ahead = Map2DArea("room", [Vec2D(1.0, -0.5), Vec2D(1.4, -0.5), Vec2D(1.4, 0.5), Vec2D(1.0, 0.5)])
+
+    def blocked() -> bool:
+        grid = place.host.loop.call(module.local_map)
+        column, row = grid.cells_at((1.02, 0.0))
+        return bool(grid.flags[row, column] == MapFlag.WALL)
+
+    try:
+        store.put(AREA, "ahead", ahead)
+        store.put(BEHAVIOR, "ahead", AreaBehavior(keep_out=True))
+        flags = np.zeros((120, 120), np.uint8)
+        store.put(MAP, "room", MapGrid2D.of(flags, name="room", resolution=0.05, origin=(-3.0, -3.0, 0.0)))
+        assert "no current map" in module.status()["keep_out"]
+        assert not blocked()
+        store.use_map("room")
+        until(blocked, "the area is an obstacle", 20)
+        assert module.status()["keep_out"] == "known"
+        store.delete(BEHAVIOR, "ahead")
+        until(lambda: not blocked(), "the area is free", 20)
+    finally:
+        for kind in (BEHAVIOR, AREA, MAP):
+            store.clear(kind)
 
 
 def seen(*heights: float) -> dict[str, Any]:
