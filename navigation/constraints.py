@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from typing import Any
+from urllib.parse import quote, unquote
 
 PREFIX = "midspan:"
 ON_OBSTACLE = ("", "wait", "around")
@@ -28,7 +29,7 @@ class Constraints:
     tolerance_lin: float | None = None  #: m
     tolerance_ang: float | None = None  #: degrees
     on_obstacle: str = ""  #: ``wait`` until the obstacle moves away, or drive ``around`` it
-    beside_keep_out: bool = False  #: keep-out cells are near: a navigator that does not know them waits, too
+    beside_keep_out: str = ""  #: the map whose keep-out cells are near: a navigator that does not know them waits, too
     heading: bool = True  #: whether the goal's heading matters
     through: bool = False  #: whether the robot passes without a stop, as at a waypoint
     map: str = ""  #: the goal's map, if it is not the current one
@@ -46,9 +47,7 @@ class Constraints:
     def to_text(self) -> str:
         """Return the constraints as text; empty without any."""
         values = {name: value for name, value in vars(self).items() if value != getattr(_NOTHING, name)}
-        settings = [
-            f"{name}={str(value).lower() if isinstance(value, bool) else value}" for name, value in values.items()
-        ]
+        settings = [f"{name}={_text(name, value)}" for name, value in values.items()]
         return " ".join((PREFIX, *settings)) if settings else ""
 
     @classmethod
@@ -65,7 +64,15 @@ class Constraints:
         return cls(**given)
 
 
+def _text(name: str, value: Any) -> str:
+    if name == "beside_keep_out":
+        return quote(value, safe="")  # a map's name may have spaces
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
 def _parse(name: str, text: str) -> Any:
+    if name == "beside_keep_out":
+        return unquote(text)
     if name in ("on_obstacle", "map"):
         return text
     if name not in _NUMBERS:

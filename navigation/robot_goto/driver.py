@@ -272,7 +272,7 @@ class Driver:
     # goal
 
     def _to_goal(self, step: Step, task: GotoTask) -> DriveCommand:
-        limits = GoalLimits.combine(self.settings, task.constraints, knows_keep_out=self.keep_out.active)
+        limits = GoalLimits.combine(self.settings, task.constraints, self.keep_out.map_name)
         relative = step.pose.inverse @ task.pose
         distance, self.bearing = math.hypot(relative.x, relative.y), math.atan2(relative.y, relative.x)
         turn = wrapped(task.pose.theta - step.pose.theta) if task.heading else 0.0

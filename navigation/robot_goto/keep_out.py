@@ -27,14 +27,14 @@ class KeepOut:
     They have no effect while the robot is inside, as it has to leave.
 
     Attributes:
-        active: whether there is a map, and the robot is outside its keep-out areas.
+        map_name: the map's name; empty without one, and while the robot is inside.
     """
 
     def __init__(self) -> None:
         self._grid: MapGrid2D | None = None
         self._kept = np.zeros((0, 0), np.bool_)
         self._border = _NOWHERE
-        self.active = False
+        self.map_name = ""
 
     @property
     def known(self) -> bool:
@@ -54,14 +54,14 @@ class KeepOut:
 
         ``moved`` is its pose in that frame, ``pose`` on the map, or None if it is unknown.
         """
-        self.active = False
+        self.map_name = ""
         if self._grid is None or pose is None:
             return _NOWHERE
         away = self._border - (pose.x, pose.y)
         near = (np.abs(away) < _REACH).all(axis=1)
         if (np.hypot(*away[near].T) < radius - _DEEP).any() or self._includes(self._grid, pose):
             return _NOWHERE
-        self.active = True
+        self.map_name = self._grid.name
         return on(self._border[near], moved @ pose.inverse)
 
     def _includes(self, grid: MapGrid2D, pose: Pose) -> bool:

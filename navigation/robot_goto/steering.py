@@ -68,14 +68,12 @@ class GoalLimits(NamedTuple):
     stop: bool
 
     @classmethod
-    def combine(
-        cls, settings: RobotGotoSection, constraints: Constraints, *, knows_keep_out: bool = False
-    ) -> GoalLimits:
+    def combine(cls, settings: RobotGotoSection, constraints: Constraints, known_map: str = "") -> GoalLimits:
         """Return the limits of a goal; a goal never raises the settings' top speeds.
 
-        Beside keep-out cells, a robot that does not know them waits for obstacles instead of avoiding them.
+        Beside keep-out cells of another map than ``known_map``, the robot waits for obstacles instead of avoiding them.
         """
-        waits = constraints.beside_keep_out and not knows_keep_out
+        waits = constraints.beside_keep_out not in ("", known_map)
         on_obstacle = "wait" if waits else constraints.on_obstacle
 
         def chosen(value: float | None, own: float) -> float:

@@ -265,7 +265,8 @@ def _waypoints(
     through = replace(wanted, heading=False, through=True, tolerance_lin=None, tolerance_ang=None)
     for begin, end in pairwise(places):
         theta = math.atan2(end[1] - begin[1], end[0] - begin[0])
-        for (x, y), behavior, beside in _parts(ground, begin, end):
+        for (x, y), behavior, near in _parts(ground, begin, end):
+            beside = (ground.name or "?") if near else ""
             constraints = _merged(to_waypoint, through, behavior, beside=beside)
             waypoints.append(Waypoint(Pose(float(x), float(y), theta), constraints, behavior.on_obstacle == "wait"))
     constraints = _merged(Constraints(**settings.goal.model_dump()), wanted, behavior, beside=beside)
@@ -287,8 +288,11 @@ def _parts(ground: Ground, begin: Places, far_end: Places) -> list[tuple[Places,
     return [(along[end], ground.behaviors[labels[end]], bool(beside[end])) for end in ends]
 
 
-def _merged(defaults: Constraints, wanted: Constraints, behavior: AreaBehavior, *, beside: bool) -> Constraints:
-    """Return the settings, overridden by the goal's constraints, and limited by areas and keep-out cells nearby."""
+def _merged(defaults: Constraints, wanted: Constraints, behavior: AreaBehavior, *, beside: str) -> Constraints:
+    """Return the settings, overridden by the goal's constraints, and limited by areas.
+
+    ``beside`` is the map's name if its keep-out cells are near.
+    """
     given = {
         name: value
         for name, value in vars(wanted).items()
@@ -301,7 +305,7 @@ def _merged(defaults: Constraints, wanted: Constraints, behavior: AreaBehavior, 
     if most is not None and least is not None:
         least = min(least, most)
     on_obstacle = behavior.on_obstacle or merged.on_obstacle
-    beside = beside or wanted.beside_keep_out
+    beside = beside or merged.beside_keep_out
     return replace(merged, max_lin_speed=most, min_lin_speed=least, on_obstacle=on_obstacle, beside_keep_out=beside)
 
 

@@ -16,7 +16,7 @@ def test_constraints_survive_the_round_trip_through_text():
     )
     assert Constraints.from_text(given.to_text()) == given
     every = Constraints(
-        1.0, 0.1, 2.0, 0.2, 3.0, 0.3, 4.0, 0.4, "around", True, heading=False, through=True, map="house"
+        1.0, 0.1, 2.0, 0.2, 3.0, 0.3, 4.0, 0.4, "around", "first floor", heading=False, through=True, map="house"
     )
     assert Constraints.from_text(every.to_text()) == every
 

@@ -14,7 +14,7 @@ from tests.peers.navigation.scene import RADIUS, Scene
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 
-BESIDE = Constraints(beside_keep_out=True)
+BESIDE = Constraints(beside_keep_out="floor")
 AREA = (1.0, -2.0, 2.0, -0.45)
 """A keep-out area to the right of the way ahead, left, bottom, right, top, meters."""
 
@@ -22,7 +22,7 @@ AREA = (1.0, -2.0, 2.0, -0.45)
 def keep_out(*areas: tuple[float, float, float, float], resolution: float = 0.05) -> MapGrid2D:
     """Return a map of 10 x 10 m around the origin with keep-out areas."""
     side = round(10.0 / resolution)
-    grid = MapGrid2D.of(np.zeros((side, side), np.uint8), resolution=resolution, origin=(-5.0, -5.0, 0.0))
+    grid = MapGrid2D.of(np.zeros((side, side), np.uint8), name="floor", resolution=resolution, origin=(-5.0, -5.0, 0.0))
     for left, bottom, right, top in areas:
         first, last = grid.cells_at(np.array([(left, top - 1e-6), (right, bottom - 1e-6)]))
         grid.flags[first[1] : last[1], first[0] : last[0]] = MapFlag.KEEP_OUT
@@ -51,12 +51,12 @@ def test_points_on_the_border_of_an_area_are_obstacles(resolution):
 def test_the_cells_are_unknown_without_a_map_or_a_pose():
     known, here = KeepOut(), Pose(0.0, 0.0, 0.0)
     assert len(known.near(0.3, here, here)) == 0
-    assert not known.active
+    assert not known.map_name
     known.use(keep_out(AREA))
     assert len(known.near(0.3, None, here)) == 0
-    assert not known.active
+    assert not known.map_name
     near = known.near(0.3, here, Pose(3.0, -2.0, math.pi / 2))
-    assert known.active
+    assert known.map_name == "floor"
     # the area is ahead to the right: in the odometry frame, the robot faces +y
     np.testing.assert_allclose(near.min(axis=0), (3.0 + 0.45, -2.0 + 1.0), atol=1e-6)
 
@@ -66,7 +66,7 @@ def test_the_cells_have_no_effect_on_a_robot_inside(x):
     known, here = KeepOut(), Pose(x, 0.0, 0.0)
     known.use(keep_out((-1.0, -1.0, 1.0, 1.0)))
     assert len(known.near(0.3, here, here)) == 0
-    assert not known.active
+    assert not known.map_name
 
 
 def test_beside_keep_out_cells_the_robot_drives_around_an_obstacle_without_entering_them():
@@ -84,8 +84,11 @@ def test_beside_keep_out_cells_the_robot_drives_around_an_obstacle_without_enter
     assert not scene.touched
 
 
-def test_beside_unknown_keep_out_cells_the_robot_waits():
+@pytest.mark.parametrize("known", [None, "attic"])
+def test_beside_unknown_keep_out_cells_the_robot_waits(known):
     scene = Scene()
+    if known:
+        scene.driver.keep_out.use(MapGrid2D.of(np.zeros((40, 40), np.uint8), name=known, resolution=0.05))
     scene.sim.world.spawn(Box(at=(1.5, 0.1, 0.0), size=(0.3, 0.3, 1.0)), "box")
     scene.driver.goal(Pose(3.0, 0.0, math.nan), BESIDE)
     scene.until(lambda: scene.driver.status.state is State.WAITING, 20)

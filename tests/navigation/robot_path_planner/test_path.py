@@ -144,7 +144,7 @@ def test_waypoints_say_whether_keep_out_cells_are_near() -> None:
     grid = floor(size=10.0)
     paint(grid, (8.0, 0.5, 9.5, 1.5), MapFlag.KEEP_OUT)
     near, far = plan_path(Ground(grid, 0.2), WEST, Pose(7.5, 1.0, 0.0), SETTINGS).waypoints
-    assert (near.constraints.beside_keep_out, far.constraints.beside_keep_out) == (False, True)
+    assert (near.constraints.beside_keep_out, far.constraints.beside_keep_out) == ("", "floor")
     assert near.pose.x == pytest.approx(6.5, abs=0.1)
     assert not far.waits_for_obstacles, "the planner itself may replan"
 
