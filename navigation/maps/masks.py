@@ -71,7 +71,7 @@ def _draw(cells: NDArray[np.bool_], start: NDArray[np.float64], end: NDArray[np.
 
 def keep_out_cells(grid: MapGrid2D, areas: Iterable[Map2DArea]) -> NDArray[np.bool_]:
     """Return the mask (rows, columns) of a map's keep-out cells, and of those in keep-out areas on it."""
-    kept = grid.flags == MapFlag.KEEP_OUT
+    kept: NDArray[np.bool_] = grid.flags == MapFlag.KEEP_OUT
     for area in areas:
         if area.map_id == grid.name:
             part, inside = cells_of(grid, area.points)
