@@ -41,7 +41,15 @@ ROWS = 10
 
 
 def run(
-    name: str, base: str, goals: int, seed: int, *, people: bool, localized: bool, depth: bool = True
+    name: str,
+    base: str,
+    goals: int,
+    seed: int,
+    *,
+    people: bool,
+    localized: bool,
+    depth: bool = True,
+    keep_out: bool = False,
 ) -> tuple[list[Drive], list[Row]]:
     """Drive to goals in a world, one after the other; return all drives, and the rows.
 
@@ -53,11 +61,12 @@ def run(
         people: whether people walk.
         localized: whether poses come from the localizer; otherwise from the simulator.
         depth: whether the robot has a depth camera in worlds with obstacles that a laser does not see.
+        keep_out: whether RobotGoto knows the map's keep-out cells.
     """
     floor_world = world(name, people=people)
     robot = Robot(floor_world.plan, base, seed=seed, camera=CAMERA if depth and floor_world.hides else None)
     judge = Judge(robot, (*floor_world.keep_out, *floor_world.drops))
-    ours = Ours(robot, floor_world, localized=localized, seed=seed)
+    ours = Ours(robot, floor_world, localized=localized, seed=seed, keep_out=keep_out)
     loop = Loop(robot, ours, judge)
     targets = Targets(floor_world, robot, seed)
     loop.settle()
@@ -134,6 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             people=not args.alone,
             localized=not args.truth,
             depth=not args.laser_alone,
+            keep_out=args.keep_out,
         )
         rows += world_rows
     report(rows, args.json)
@@ -152,6 +162,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--alone", action="store_true", help="without people")
     parser.add_argument("--truth", action="store_true", help="take poses from the simulator instead of the localizer")
     parser.add_argument("--laser-alone", action="store_true", help="no depth camera in worlds that need one")
+    parser.add_argument("--keep-out", action="store_true", help="RobotGoto knows keep-out cells (keep_out_map)")
     add_json_option(parser)
     return parser
 

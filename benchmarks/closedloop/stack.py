@@ -54,10 +54,18 @@ class Ours:
         localized: whether poses come from the localizer; otherwise from the simulator.
         seed: seed of the localizer.
         start: initial pose estimate; None: the true pose.
+        keep_out: whether RobotGoto knows the map's keep-out cells.
     """
 
     def __init__(
-        self, robot: Robot, world: World, *, localized: bool = True, seed: int = 0, start: Pose | None = None
+        self,
+        robot: Robot,
+        world: World,
+        *,
+        localized: bool = True,
+        seed: int = 0,
+        start: Pose | None = None,
+        keep_out: bool = False,
     ) -> None:
         self._robot = robot
         described = robot.simulation.robot
@@ -75,7 +83,8 @@ class Ours:
                 obstacles=() if camera is None else (ObstacleSection(topic=_POINTS, type="cloud"),),
             )
         )
-        self.driver.keep_out.use(world.map)
+        if keep_out:
+            self.driver.keep_out.use(world.map)
         layers = () if camera is None else (ObstacleSection(topic=_LAYER),)
         self.planner = PathPlanner(RobotPathPlannerSection(robot_radius=radius + _ROOM, obstacles=layers))
         self.planner.use_map(Ground(world.map, radius + _ROOM, self.planner.settings.clearance))

@@ -75,14 +75,16 @@ class RobotGoto(PlannerModule):
                 host.node.subscription(source.topic, POINT_CLOUD, partial(self._on_cloud, source.topic), Qos(depth=1))
         others = self.driver.obstacles
         self._layers = LayerSubscriptions(host, section.obstacles, self._frames, others.layer, self.now, others.trouble)
-        self._map = MapInUse(host, section.map, self._use_map, AREA, BEHAVIOR)
+        source = section.keep_out_map
+        self._map = MapInUse(host, source, self._use_map, AREA, BEHAVIOR) if source else None
         self._serve()
         host.answer("halt", lambda _params: host.loop.call(self.halt))
         if section.prefix:
             self._serve_yarp(host, section)
         if host.clock.simulated:  # the system clock may be set while the robot drives: `now` does not depend on it
             host.on_jump(self._restart)
-        self._map.update()
+        if self._map is not None:
+            self._map.update()
         host.every(section.period, self._step)
 
     def _serve_yarp(self, host: Host, section: RobotGotoSection) -> None:
@@ -298,12 +300,18 @@ class RobotGoto(PlannerModule):
             "command": list(self.driver.command),
             "laser": self._laser_trouble or (self._connection.trouble if self._connection else ""),
             "obstacles": dict(self.driver.obstacles.trouble),
-            "keep_out": "known" if self.driver.keep_out.known else self._map.trouble,
+            "keep_out": self._keep_out_status(),
         }
+
+    def _keep_out_status(self) -> str:
+        if self._map is None:
+            return "keep_out_map is not set"
+        return "known" if self.driver.keep_out.known else self._map.trouble
 
     @override
     def stop(self) -> None:
         self._abort("RobotGoto has stopped")
-        self._map.close()
+        if self._map is not None:
+            self._map.close()
         if self._connection is not None:
             self._connection.close()

@@ -37,10 +37,10 @@ class RobotGotoSection(ModuleSection):
     odom_frame: FrameName = setting(
         "odom", "The odometry's frame, in which scans are remembered; the map's frame if `/tf` does not have it."
     )
-    map: MapSource | None = setting(
+    keep_out_map: MapSource | None = setting(
         None,
         "The map whose keep-out cells and areas the robot does not enter: `store` (its current map), or a topic"
-        " (`nav_msgs/msg/OccupancyGrid`); empty: `navigation.map`.",
+        " (`nav_msgs/msg/OccupancyGrid`); empty: none, and it waits for obstacles beside such cells.",
     )
     scan: str = setting("/scan", 'The laser (`sensor_msgs/msg/LaserScan`); "": none.')
     laser_port: str = setting("", "A laser on YARP (`/cer/laser:o`) for `laser:i`; empty: none.", pattern=PORT_OR_NONE)

@@ -155,7 +155,7 @@ class Goto(Served):
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Goto]:
-    with Goto(tmp_path_factory.mktemp("goto")) as goto:
+    with Goto(tmp_path_factory.mktemp("goto"), keep_out_map="store") as goto:
         yield goto
 
 
