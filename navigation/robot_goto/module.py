@@ -75,8 +75,8 @@ class RobotGoto(PlannerModule):
                 host.node.subscription(source.topic, POINT_CLOUD, partial(self._on_cloud, source.topic), Qos(depth=1))
         others = self.driver.obstacles
         self._layers = LayerSubscriptions(host, section.obstacles, self._frames, others.layer, self.now, others.trouble)
-        source = section.keep_out_map
-        self._map = MapInUse(host, source, self._use_map, AREA, BEHAVIOR) if source else None
+        known = section.keep_out_map
+        self._map = MapInUse(host, known, self._use_map, AREA, BEHAVIOR) if known else None
         self._serve()
         host.answer("halt", lambda _params: host.loop.call(self.halt))
         if section.prefix:
