@@ -15,7 +15,8 @@ START = 1_000_000 * SECOND
 def rotation(dice, length=1.0):
     """Return a random rotation."""
     parts = [dice.gauss(0, 1) for _ in range(4)]
-    norm = math.sqrt(sum(p * p for p in parts))
+    x, y, z, w = parts
+    norm = math.sqrt(x * x + y * y + z * z + w * w)  # not sum(), which rounds differently from Python 3.12 on
     return tuple(length * p / norm for p in parts)
 
 
