@@ -58,7 +58,7 @@ def test_local_transforms_are_stored_and_expire(frames: LocalTransforms) -> None
     ("options", "reason"),
     [
         ("(config_name ftc_full_ros.xml)", "unknown config_name ftc_full_ros.xml"),
-        ("(custom_config_from my.xml)", "cannot be read here; set config_name to ftc_yarp_only.xml"),
+        ("(custom_config_from my.xml)", "files of devices are not supported; set config_name to ftc_yarp_only.xml"),
         ("(config_name ftc_yarp_only.xml)", "/frameTransformServer"),
         ("(ftc_storage_timeout long)", "'ftc_storage_timeout' of frameTransformClient must be a number, not long"),
         (
