@@ -3,9 +3,9 @@
  * Fast DDS calls a writer's filter on its own threads before it sends a message to a reader, and sends a GAP if the
  * filter returns false. The filter is a C++ object with one virtual function (rtps/interfaces/IReaderDataFilter.hpp of
  * Fast DDS 2.14 and 3.2), built here from a table with this function, as in the Itanium C++ ABI. A reader's version is
- * in the graph of rmw before Fast DDS matches it with a writer, and its vendor in its GID, so no message goes to a wrong
- * reader. The filter runs without Python, with the writer's lock held; the graph's lock, which it takes, is never held by a thread
- * that waits for a writer. ROS is not linked: the addresses of its functions are passed in.
+ * in the graph of rmw before Fast DDS matches it with a writer, and its vendor in its GID, so no message goes to a
+ * wrong reader. The filter runs without Python, with the writer's lock held; it takes the graph's lock, which no thread
+ * holds while it waits for a writer. ROS is not linked: the addresses of its functions are passed in.
  */
 
 #define PY_SSIZE_T_CLEAN

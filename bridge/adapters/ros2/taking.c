@@ -153,9 +153,9 @@ static void put_back(Queue *queue, Node *node, size_t count)
     }
 }
 
-/* Takes a large message with one copy: as a structure, whose deserializer (service_callbacks.c) copies the bytes. Fast DDS
- * drops a message that is no CDR before that, and reports that there is none; it is counted as lost, by the publisher's
- * numbers. Small messages are taken serialized. */
+/* Takes a large message with one copy: as a structure, whose deserializer (service_callbacks.c) copies the bytes. Before
+ * that, Fast DDS drops a message that is not CDR, and returns none; it is counted as lost, by the publisher's numbers.
+ * Small messages are taken serialized. */
 static int32_t take_large(Queue *queue, Node *node, Slot *slot, char **exact, size_t exact_length)
 {
     Wire wire = {slot->bytes.buffer, 0, slot->bytes.capacity, *exact, exact_length};
@@ -167,8 +167,8 @@ static int32_t take_large(Queue *queue, Node *node, Slot *slot, char **exact, si
     return code;
 }
 
-/* Takes one message; returns whether there was one. It is in `exact`, which is NULL then, if it has that length. If Fast
- * DDS has dropped one, it takes the next. An unexpected error is left to the reader's own way of taking. */
+/* Takes one message; returns whether there was one. It is in `exact`, which is NULL then, if it has that length. If
+ * Fast DDS has dropped one, it takes the next. An unexpected error is left to the reader's own way of taking. */
 static bool take_one(Queue *queue, Node *node, Slot *slot, char **exact, size_t exact_length)
 {
     slot->node = node;
