@@ -81,3 +81,21 @@ def test_make_test_runs_failed_tests_once_more(tmp_path: Path, strict: str, code
     )  # fmt: skip
     assert done.returncode == code, done.stdout + done.stderr
     assert ("UNSTEADY" in done.stdout) == (not strict)
+
+
+def collected(*arguments: str) -> set[str]:
+    """Return the names of tests as pytest collects them."""
+    command = [sys.executable, "-m", "pytest", "-q", "--collect-only", "-p", "no:cacheprovider", *arguments]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=100)
+    return {line for line in done.stdout.splitlines() if "::" in line}
+
+
+@pytest.mark.parametrize("file", ["contract/test_topics.py", "interop/test_parameters.py"])
+def test_tests_have_the_same_names_by_themselves_and_in_a_whole_run(file: str) -> None:
+    """A whole run begins with tests/, so it loads the conftest.py of a folder later."""
+    folder = Path(file).parts[0]
+    others = [path for path in (ROOT / "tests").iterdir() if path.is_dir() and path.name != folder]
+    whole = collected("tests", *(f"--ignore={path}" for path in others))
+    by_itself = collected(f"tests/{file}")
+    assert by_itself
+    assert by_itself <= whole

@@ -112,6 +112,7 @@ def lane() -> bool:
     return LANE
 
 
+@pytest.hookimpl(trylast=True)  # else the tests have other names in a whole run, which loads this file later
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run tests of all sides also without the lane."""
     if metafunc.definition.originalname in BASIC:

@@ -18,6 +18,7 @@ ON_BOTH_MASTERS = {
 """Tests in which the master has a part, also run on Midspan's own; `make test-embedded-master` runs all on it."""
 
 
+@pytest.hookimpl(trylast=True)  # as in tests/contract
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run some tests on both masters."""
     if metafunc.definition.originalname in ON_BOTH_MASTERS and not EMBEDDED:
