@@ -2,7 +2,7 @@
 
 DDS matches endpoints by the name of their type, so an endpoint receives, and decodes wrongly, what another version of
 the type publishes. Endpoints announce the hash of their version (those of Humble none). What Midspan receives is
-converted from the version of its publisher or client; what it sends is in the version of its readers or server.
+converted from the version of its publisher or client; its own messages are in the version of the readers or server.
 """
 
 from __future__ import annotations

@@ -58,25 +58,25 @@ def test_keys_in_each_direction(place: Place) -> None:
     program = place.json()
     place.bridge(
         keys(
-            {"key": "robot/says", "direction": "in"},
-            {"key": "robot/hears", "direction": "out", "topic": "/to_robot"},
+            {"key": "robot/speech", "direction": "in"},
+            {"key": "robot/orders", "direction": "out", "topic": "/to_robot"},
             {"key": "talk", "direction": "both"},
         )
     )
-    text, talked = (place.far.subscribe(t, STRING) for t in ("/robot/says", "/talk"))
-    assert cross(program, program.advertise("robot/says"), place.far, text, {"data": "in"}) == {"data": "in"}
-    hears, talks = program.subscribe("robot/hears"), program.subscribe("talk")
+    text, talked = (place.far.subscribe(t, STRING) for t in ("/robot/speech", "/talk"))
+    assert cross(program, program.advertise("robot/speech"), place.far, text, {"data": "in"}) == {"data": "in"}
+    orders, talks = program.subscribe("robot/orders"), program.subscribe("talk")
     reported, talk = (place.far.advertise(t, STRING) for t in ("/to_robot", "/talk"))
-    assert cross(place.far, reported, program, hears, {"data": "out"}) == {"data": "out"}
+    assert cross(place.far, reported, program, orders, {"data": "out"}) == {"data": "out"}
     assert cross(place.far, talk, program, talks, {"data": "there"}) == {"data": "there"}
     assert cross(program, program.advertise("talk"), place.far, talked, {"data": "back"}) == {"data": "back"}
     # no message has come back to the side that it came from
     assert {m["data"] for m in place.far.wait(talked, 10_000, 0.5)} == {"back"}
-    wrong = place.far.advertise("/robot/says", STRING)
+    wrong = place.far.advertise("/robot/speech", STRING)
     place.far.publish(wrong, {"data": "not published on this key"})
 
     def decided() -> list[str]:
-        return [line["decision"] for line in place.explain(SIDE, "/robot/says") if line["direction"] == "out"]
+        return [line["decision"] for line in place.explain(SIDE, "/robot/speech") if line["direction"] == "out"]
 
     assert until(decided, "the decision", every=0.1) == ["own"]
     assert place.answer(SIDE)["refused"] == []
@@ -124,7 +124,7 @@ def test_invalid_json_is_counted_and_does_not_stop_the_key(place: Place) -> None
 
 
 def test_a_velocity_command_is_never_cached(place: Place) -> None:
-    """Neither for a get nor for late joiners, whatever the configuration says."""
+    """Neither for a get nor for late joiners, in any configuration."""
     program = place.json()
     twist = "geometry_msgs/msg/Twist"
     place.bridge(keys({"key": "cmd_vel", "type": twist, "latched": True}))

@@ -127,7 +127,10 @@ def test_halt_sends_zeros_if_velocities_are_published(
     subscription = hub.subscription("/far/cmd_vel", TWIST, type_id, Qos(), received.append)
     publisher.put(from_json(registry, TWIST, {"linear": {"x": 1.0}}))
     assert midspan("halt", "--seconds", "0.3").code == 0
-    until(lambda: any(to_json(registry, TWIST, s.data())["linear"]["x"] == 0.0 for s in received), "zero is heard")
+    until(
+        lambda: any(to_json(registry, TWIST, s.data())["linear"]["x"] == 0.0 for s in received),
+        "a zero velocity arrives",
+    )
     subscription.close()
     hub.close()
 
@@ -136,7 +139,7 @@ def test_halt_sends_zeros_if_velocities_are_published(
 def test_halt_reaches_a_base_on_a_side_that_no_program_of_the_hub_drives(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any], form: str
 ) -> None:
-    """Only the planner of its own side drives it; BaseControl on the hub accepts both forms."""
+    """Only the planner of the same side drives it; BaseControl on the hub accepts both forms."""
     both = Hub.open(network.settings("base_control"))
     for name in (TWIST, TWIST_STAMPED):
         both.subscription("/cmd_vel", name, registry.ros2(name).type_id, Qos(), lambda _: None)
@@ -231,7 +234,7 @@ def test_zero_does_not_wait_for_an_action_server_that_is_unreachable(
 def test_zero_is_sent_in_each_form_that_has_a_subscriber(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
 ) -> None:
-    """A monitor subscribes to Twist; a base behind a worker without announced velocities, to TwistStamped."""
+    """A monitor subscribes to Twist; a base of a worker that announces no velocities, to TwistStamped."""
     worker = FakeWorker(network, "ros2")
     closing.append(worker)
     worker.hub.set_origin(Origin("ros2", "network", "robot1"))
@@ -331,7 +334,7 @@ def test_halt_over_a_slow_network(midspan: Midspan, network: HubNetwork, registr
         slow.delay = 0.15
         done = midspan("halt", "--seconds", "0.5", "--router", f"tcp/127.0.0.1:{slow.port}")
         assert (done.code, done.out) == (0, "/cmd_vel: zero velocity, 1 subscriber on the hub\n"), done
-        until(lambda: received, "zero is heard")
+        until(lambda: received, "a zero velocity arrives")
 
 
 def test_halt_does_not_report_a_stop_that_is_uncertain(

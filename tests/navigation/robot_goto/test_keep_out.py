@@ -1,4 +1,4 @@
-"""RobotGoto stays out of the map's keep-out cells, and avoids obstacles beside them."""
+"""RobotGoto stays out of the map's keep-out cells, and avoids obstacles near them."""
 
 import math
 
@@ -14,9 +14,9 @@ from tests.peers.navigation.scene import RADIUS, Scene
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 
-BESIDE = Constraints(beside_keep_out="floor")
+NEAR_KEEP_OUT = Constraints(beside_keep_out="floor")
 AREA = (1.0, -2.0, 2.0, -0.45)
-"""A keep-out area to the right of the way ahead, left, bottom, right, top, meters."""
+"""A keep-out area to the right of the line ahead, left, bottom, right, top, meters."""
 
 
 def keep_out(*areas: tuple[float, float, float, float], resolution: float = 0.05) -> MapGrid2D:
@@ -72,8 +72,8 @@ def test_the_cells_have_no_effect_on_a_robot_inside(x):
 def test_beside_keep_out_cells_the_robot_drives_around_an_obstacle_without_entering_them():
     scene = Scene()
     scene.driver.keep_out.use(keep_out(AREA))
-    scene.sim.world.spawn(Box(at=(1.5, 0.1, 0.0), size=(0.3, 0.3, 1.0)), "box")  # the way to the right is shorter
-    scene.driver.goal(Pose(3.0, 0.0, math.nan), BESIDE)
+    scene.sim.world.spawn(Box(at=(1.5, 0.1, 0.0), size=(0.3, 0.3, 1.0)), "box")  # the detour to the right is shorter
+    scene.driver.goal(Pose(3.0, 0.0, math.nan), NEAR_KEEP_OUT)
     least = math.inf
     while not scene.driver.status.state.ended:
         scene.tick()
@@ -90,7 +90,7 @@ def test_beside_unknown_keep_out_cells_the_robot_waits(known):
     if known:
         scene.driver.keep_out.use(MapGrid2D.of(np.zeros((40, 40), np.uint8), name=known, resolution=0.05))
     scene.sim.world.spawn(Box(at=(1.5, 0.1, 0.0), size=(0.3, 0.3, 1.0)), "box")
-    scene.driver.goal(Pose(3.0, 0.0, math.nan), BESIDE)
+    scene.driver.goal(Pose(3.0, 0.0, math.nan), NEAR_KEEP_OUT)
     scene.until(lambda: scene.driver.status.state is State.WAITING, 20)
     assert scene.driver.status.reason == "an obstacle is on the path"
 

@@ -158,7 +158,7 @@ def without_kernels() -> None:
 
 
 def named_encodings() -> None:
-    """Let Midspan fail where it opens a text without its encoding, which is not UTF-8 on Windows."""
+    """Make Midspan fail if it opens a text file without an encoding, since the default is not UTF-8 on Windows."""
     warnings.filterwarnings("ignore", category=EncodingWarning)
     warnings.filterwarnings("error", category=EncodingWarning, module=rf"({'|'.join(OURS)})\b")
 

@@ -71,7 +71,7 @@ def _servers(endpoints: Iterable[Endpoint]) -> tuple[list[Endpoint], list[Endpoi
 
 
 def called(servers: Iterable[Endpoint]) -> list[Endpoint]:
-    """Return the native servers of a name that get its requests: those on Cyclone DDS only if there are no others."""
+    """Return the native servers of a name that get its requests: those on Cyclone DDS only if all of them are."""
     cyclone, others = _servers(servers)
     return others or cyclone
 
