@@ -1,8 +1,8 @@
 """Versions of types on the DDS network: endpoints of other releases, whose messages have other fields than here.
 
-DDS matches endpoints by the name of their type, so an endpoint receives, and decodes wrongly, what another version of
-the type publishes. Endpoints announce the hash of their version (those of Humble none). What Midspan receives is
-converted from the version of its publisher or client; its own messages are in the version of the readers or server.
+DDS matches endpoints by the name of their type, so an endpoint also receives messages of another version, and decodes
+them wrongly. Endpoints announce the hash of their version (those of Humble none). Messages that Midspan receives are
+converted from the version of their publisher or client; its own are in the version of the readers or server.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class EndpointVersions:
         return replace(endpoint, type_id=self._releases.here_hash(endpoint.type)) if not endpoint.type_id else endpoint
 
     def of_service(self, type_name: str, request: str, reply: str) -> str:
-        """Return the hash of a service by those of its request and reply, which its endpoints announce.
+        """Return the hash of a service from those of its request and reply, which its endpoints announce.
 
         If no known version has both, return one that is of no version. ``reply`` is "" before it is discovered.
         """
@@ -216,7 +216,7 @@ class EndpointVersions:
         return self._releases.release(type_name, version) or version
 
     def notes(self, endpoints: Iterable[Endpoint], separated: Collection[str] = ()) -> Notes:
-        """Return what the messages of native endpoints with another version lose, and which cannot decode them.
+        """Return the losses in messages of native endpoints with another version, and which cannot decode them.
 
         Args:
             endpoints: all of the graph.
@@ -242,7 +242,7 @@ class EndpointVersions:
     def warnings(
         self, endpoints: Iterable[Endpoint], advertised: Mapping[str, str], separated: Collection[str] = ()
     ) -> list[str]:
-        """Return the subscriptions that decode Midspan's messages wrongly.
+        """Return the subscriptions that decode messages of Midspan wrongly.
 
         Args:
             endpoints: all of the graph.

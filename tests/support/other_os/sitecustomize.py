@@ -1,8 +1,8 @@
 """Makes every Python process below a folder on ``PYTHONPATH`` run Midspan as on Windows or macOS.
 
 With ``HIDDEN_OS=windows`` or ``macos``, Midspan's own modules get restricted modules of the standard library: what the
-other system lacks is missing, and what behaves differently there does so. Libraries get the real modules, as they have
-implementations of their own for each system. Compiled kernels are not loaded: no other system has them.
+other system lacks is missing, and functions that differ there behave as there. Libraries get the real modules, since
+they are adapted to each system. Compiled kernels are not loaded: no other system has them.
 """
 
 from __future__ import annotations
