@@ -356,7 +356,9 @@ def test_valid_rules_are_accepted(rule: dict[str, str]) -> None:
     assert Rule.model_validate(rule)
 
 
-def test_search_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_configuration_is_searched_from_the_variable_to_the_home_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     work, home = tmp_path / "work", tmp_path / "home"
     work.mkdir()
     user = home / ".config" / "midspan" / "midspan.yaml"

@@ -99,7 +99,7 @@ def test_a_bridge_that_stops_ends_its_calls(side: Side, bridge: Bridge, far: Hub
     until(lambda: not far.hub.graph.servers("/do"), "the server is gone from the hub", 30)
 
 
-def test_errors_cross(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_error_texts_cross_in_both_directions(side: Side, bridge: Bridge, far: HubSide) -> None:
     if not side.tells_errors:
         pytest.skip("its services cannot report errors")
     peer = side.peer()

@@ -207,7 +207,7 @@ def test_a_lock_file_with_other_content_has_no_holder(tmp_path: Path, text: str)
         ({"HOME": "/h"}, "/h/.local/state/midspan"),
     ],
 )
-def test_state_folder(environ: dict[str, str], folder: str) -> None:
+def test_the_state_folder_follows_from_configuration_and_environment(environ: dict[str, str], folder: str) -> None:
     assert state_folder(Config(), environ) == Path(folder)
     assert state_folder(Config(state=Path("/own")), environ) == Path("/own")
 

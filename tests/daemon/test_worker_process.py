@@ -182,7 +182,7 @@ def test_rubbish_from_the_daemon_is_ignored(daemon: Daemon, supervised: Supervis
 
 
 @pytest.mark.parametrize(("order", "code"), [("never", 78), ("crash-at-start", 1), ("crash", 1)])
-def test_exit_codes(daemon: Daemon, supervised: Supervised, order: str, code: int) -> None:
+def test_the_exit_code_shows_why_a_worker_ended(daemon: Daemon, supervised: Supervised, order: str, code: int) -> None:
     daemon.order("ros1", order)
     supervised.send(config(daemon))
     assert supervised.popen.wait(40) == code

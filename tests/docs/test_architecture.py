@@ -27,7 +27,7 @@ ROWS = re.findall(r"^\| *\d+ *\| `([\w/]+\.py)` \| `([\w.]+)` \|", PAGE, re.MULT
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_paths_exist(path: str) -> None:
+def test_every_path_of_the_page_exists(path: str) -> None:
     assert (ROOT / path).exists()
 
 
@@ -49,7 +49,7 @@ def classes() -> dict[str, set[str]]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_names_exist(name: str, classes: dict[str, set[str]]) -> None:
+def test_every_class_and_method_of_the_page_exists(name: str, classes: dict[str, set[str]]) -> None:
     kind, _, method = name.partition(".")
     assert kind in classes
     assert not method or method in classes[kind]

@@ -33,7 +33,7 @@ def blocks(language: str) -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_links_resolve(page: Path) -> None:
+def test_every_link_leads_to_a_file_and_heading(page: Path) -> None:
     links = [link for link in LINK.findall(page.read_text(encoding="utf-8")) if "://" not in link]
     assert [link for link in links if not resolves(page, link)] == []
 
@@ -86,7 +86,7 @@ def configurations() -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize(("page", "code"), configurations())
-def test_configurations_load(page: str, code: str, tmp_path: Path) -> None:
+def test_every_configuration_in_the_documents_is_valid(page: str, code: str, tmp_path: Path) -> None:
     # example paths do not exist here; everything else must be valid
     empty = tmp_path / "empty"
     empty.touch()
@@ -110,7 +110,7 @@ def commands() -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize(("page", "line"), commands())
-def test_commands_parse(page: str, line: str) -> None:
+def test_every_command_in_the_documents_is_accepted(page: str, line: str) -> None:
     arguments = shlex.split(line, comments=True)[1:]
     for stop in ("|", ">", "&", "&&", "||", ";"):
         arguments = arguments[: arguments.index(stop)] if stop in arguments else arguments

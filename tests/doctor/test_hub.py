@@ -228,7 +228,7 @@ def test_a_map_server_of_ros_beside_map2d_server() -> None:
     assert set(results(check_refused({"/map": 1}, refused("/other")))) == {Result.FAIL}
 
 
-def test_missing_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_compiler_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CXX", "no-such-compiler")
     finding = only(types.check_compiler(around()))
     if finding.result is not Result.SKIP:  # without rclpy nothing is built

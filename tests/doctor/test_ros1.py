@@ -53,7 +53,7 @@ def register(master: RosMaster, node: str, uri: str) -> None:
 
 
 @needs_ros1
-def test_reachable_master(master: RosMaster) -> None:
+def test_a_reachable_master_and_its_nodes_are_ok(master: RosMaster) -> None:
     place = around({"ros1": {"master": master.uri}}, hub=hub(WORKER))
     finding = only(ros1.check_master(place))
     assert (finding.result, "1 nodes" in finding.seen) == (Result.OK, True), finding
@@ -67,7 +67,7 @@ def test_reachable_master(master: RosMaster) -> None:
         ("http://127.0.0.1:{free}", "does not answer", Result.FAIL),
     ],
 )
-def test_unreachable_master(master: str, words: str, result: Result) -> None:
+def test_an_unreachable_master_fails_with_a_cure(master: str, words: str, result: Result) -> None:
     uri = master.replace("{free}", str(free_port()))
     place = around({"ros1": {"master": uri}}, hub=hub(WORKER))
     finding = only(ros1.check_master(place))
@@ -83,7 +83,7 @@ def test_checks_are_skipped_without_ros1() -> None:
     assert results(ros1.check_packages(off)) == [Result.SKIP]
 
 
-def test_missing_packages(tmp_path: Path) -> None:
+def test_missing_packages_fail_only_if_ros1_is_enabled(tmp_path: Path) -> None:
     missing = tmp_path / "missing"
     for enabled, result in ((True, Result.FAIL), ("auto", Result.WARN)):
         place = around({"ros1": {"enabled": enabled, "packages": missing}})
@@ -101,7 +101,7 @@ def test_a_machine_without_ros1(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @needs_ros1
-def test_unreachable_nodes(master: RosMaster) -> None:
+def test_unreachable_nodes_are_reported_by_cause(master: RosMaster) -> None:
     dead = free_port()
     register(master, "/lost", f"http://{NOWHERE}:4711/")
     register(master, "/lost_too", f"http://{NOWHERE}:4712/")

@@ -66,7 +66,7 @@ def test_invalid_settings_are_refused(user: Any):
         ("tls/robot:7447", "tls/robot:7447"),
     ],
 )
-def test_connect_endpoint(listen: str, connect: str):
+def test_a_router_on_all_interfaces_is_reached_on_loopback(listen: str, connect: str):
     assert connect_endpoint(listen) == connect
 
 

@@ -15,7 +15,7 @@ from bridge.interfaces.cache import members
 PUBLISHED = {
     # rmw_zenoh's design page and many logs of `ros2 topic info -v`
     "tf2_msgs/msg/TFMessage": "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
-    # a log of `ros2 topic info -v` of Nav2's costmap on Jazzy
+    # a log of `ros2 topic info -v` on the costmap of Nav2, on Jazzy
     "map_msgs/msg/OccupancyGridUpdate": "RIHS01_c4095b0be2e4363f8978a1570e0293ee093436f1e1c61d99b48502ac317025e8",
     # tables of hashes in independent zenoh clients for ROS 2
     "nav2_msgs/action/NavigateToPose_FeedbackMessage": (
@@ -35,7 +35,7 @@ def hashes() -> dict[str, str]:
     return hashes_by_name
 
 
-def test_published_hashes(hashes: dict[str, str]) -> None:
+def test_bundled_types_have_their_published_hashes(hashes: dict[str, str]) -> None:
     assert {name: hashes.get(name) for name in PUBLISHED} == PUBLISHED
 
 

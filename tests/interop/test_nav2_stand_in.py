@@ -162,7 +162,7 @@ def test_a_controller_that_brakes() -> None:
     ("navigator", "controller", "code"),
     [((), ("--tf-tolerance", "0.5"), 102), (("--tf-tolerance", "0.5"), ("--tf-tolerance", "inf"), 202)],
 )
-def test_missing_transforms(navigator: tuple[str, ...], controller: tuple[str, ...], code: int) -> None:
+def test_missing_transforms_abort_the_goal(navigator: tuple[str, ...], controller: tuple[str, ...], code: int) -> None:
     direct = Direct(navigator=navigator, controller=controller)
     goal = direct.goto(FAR)
     direct.moves()

@@ -84,7 +84,7 @@ def has_ros2_only_fields(registry: Registry, ros2_name: str, ros1_name: str) -> 
 
 @needs_genpy
 @pytest.mark.parametrize("name", ["std_msgs/Time", "std_msgs/Duration"])
-def test_time_messages(name: str, registry: Registry):
+def test_time_messages_keep_their_ros1_name_and_value(name: str, registry: Registry):
     conversion = registry.ros1_to_hub(name)
     cdr = conversion.convert(b"\1\0\0\0\2\0\0\0")
     assert to_json(registry, conversion.target.name, cdr) == {"sec": 1, "nanosec": 2}
@@ -93,7 +93,7 @@ def test_time_messages(name: str, registry: Registry):
     assert back.convert(cdr) == b"\1\0\0\0\2\0\0\0"
 
 
-def test_log_messages(registry: Registry):
+def test_log_messages_cross_to_ros1_and_back(registry: Registry):
     conversion = registry.hub_to_ros1("rcl_interfaces/msg/Log")
     assert conversion.target.name == "rosgraph_msgs/Log"
     values = sample(registry.schema("rcl_interfaces/msg/Log"))

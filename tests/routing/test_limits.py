@@ -21,7 +21,9 @@ from tests.support.clock import ProcessClock
         ("/map", "nav_msgs/msg/OccupancyGrid", False, Priority.STREAM),
     ],
 )
-def test_default_priority(topic: str, type_name: str, latched: bool, priority: Priority) -> None:
+def test_a_topic_has_a_default_priority_by_name_and_type(
+    topic: str, type_name: str, latched: bool, priority: Priority
+) -> None:
     assert default_priority(topic, type_name, latched=latched) is priority
 
 

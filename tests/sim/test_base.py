@@ -141,7 +141,7 @@ def test_the_base_pushes_a_crate_to_the_wall() -> None:
     assert sim.base.pose().x < stuck.x - 0.2 - REACH + 0.01
 
 
-def test_commands_expire() -> None:
+def test_wheels_and_base_stop_when_commands_end() -> None:
     by_wheels = simulation(drive="wheels", start=(-1.5, 0.0, 0.0))
     turn_wheels(by_wheels, 1.0, 1.0, 1.0)
     assert by_wheels.base.twist().x > 0.15

@@ -53,7 +53,7 @@ def solid(*channels: int, size: tuple[int, int] = (8, 6)) -> np.ndarray[Any, Any
     ],
 )
 @pytest.mark.parametrize("padding", [0, 5])
-def test_color_encodings(encoding: str, cells: np.ndarray[Any, Any], padding: int) -> None:
+def test_color_encodings_are_decoded(encoding: str, cells: np.ndarray[Any, Any], padding: int) -> None:
     picture_ = decode(message(encoding, cells, padding=padding), 320)
     assert picture_.image.size == (picture_.width, picture_.height) == cells.shape[1::-1]
     assert picture_.image.convert("RGB").getpixel((2, 2)) == RED
@@ -61,7 +61,7 @@ def test_color_encodings(encoding: str, cells: np.ndarray[Any, Any], padding: in
 
 
 @pytest.mark.parametrize(("encoding", "order"), [("yuv422", (1, 0, 3, 2)), ("yuyv", (0, 1, 2, 3))])
-def test_yuv_encodings(encoding: str, order: tuple[int, ...]) -> None:
+def test_yuv_encodings_are_decoded(encoding: str, order: tuple[int, ...]) -> None:
     y, u, v = Image.new("RGB", (1, 1), RED).convert("YCbCr").getpixel((0, 0))  # type: ignore[misc]
     four = np.empty(4, np.uint8)
     four[list(order)] = (y, u, y, v)
@@ -101,7 +101,7 @@ def test_large_images_are_scaled_down_proportionally(size: tuple[int, int], enco
 
 
 @pytest.mark.parametrize("kind", ["JPEG", "PNG", "WEBP"])
-def test_compressed_images(kind: str) -> None:
+def test_compressed_images_are_decoded_and_scaled(kind: str) -> None:
     out = io.BytesIO()
     Image.new("RGB", (800, 600), RED).save(out, kind)
     picture_ = decode({"format": f"rgb8; {kind.lower()}", "data": np.frombuffer(out.getvalue(), np.uint8)}, 160)
@@ -193,10 +193,10 @@ def test_other_types_are_refused_as_images(desk: Desk) -> None:
 
 
 def test_two_types_of_one_topic_are_distinguished(desk: Desk) -> None:
-    strings, numbers = desk.far.advertise("/said", "std_msgs/String"), desk.far.advertise("/said", "std_msgs/Int32")
-    first, other = "topic:/said@std_msgs/msg/String", "topic:/said@std_msgs/msg/Int32"
+    strings, numbers = desk.far.advertise("/count", "std_msgs/String"), desk.far.advertise("/count", "std_msgs/Int32")
+    first, other = "topic:/count@std_msgs/msg/String", "topic:/count@std_msgs/msg/Int32"
     with TestPage(desk.port) as page:
-        page.watch("topic:/said", first, other, "topic:/said@std_msgs/msg/Bool")
+        page.watch("topic:/count", first, other, "topic:/count@std_msgs/msg/Bool")
 
         def publish() -> bool:
             desk.far.publish(strings, {"data": "yes"})
@@ -208,7 +208,7 @@ def test_two_types_of_one_topic_are_distinguished(desk: Desk) -> None:
         assert page.values[first]["value"]["message"] == {"data": "yes"}
         assert page.values[other]["value"]["message"] == {"data": 3}
         reason = (
-            "/said is published with several types: std_msgs/msg/Int32, std_msgs/msg/String; watch topic:/said@TYPE"
+            "/count is published with several types: std_msgs/msg/Int32, std_msgs/msg/String; watch topic:/count@TYPE"
         )
-        page.until(lambda: reason in page.values["topic:/said"].get("why", ""), "the types are reported")
-        assert "no publisher of /said as std_msgs/msg/Bool" in page.values["topic:/said@std_msgs/msg/Bool"]["why"]
+        page.until(lambda: reason in page.values["topic:/count"].get("why", ""), "the types are reported")
+        assert "no publisher of /count as std_msgs/msg/Bool" in page.values["topic:/count@std_msgs/msg/Bool"]["why"]

@@ -24,7 +24,7 @@ def field(text: bytes) -> bytes:
     return struct.pack("<I", len(text)) + text
 
 
-def test_header_bytes():
+def test_headers_have_the_documented_bytes():
     # https://wiki.ros.org/ROS/Connection%20Header: lengths are little endian, fields are name=value
     assert encode({"md5sum": "*", "topic": "/a"}) == b"\x18\0\0\0" + b"\x08\0\0\0md5sum=*" + b"\x08\0\0\0topic=/a"
     assert decode(encode(HEADER)[4:]) == HEADER
@@ -88,7 +88,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("serve", "error", "words"), BAD)
-def test_misbehaving_publishers(serve, error, words):
+def test_misbehaving_publishers_raise_a_specific_error(serve, error, words):
     with publisher(serve) as uri, pytest.raises(error, match=words):
         connect("/me", uri, "/topic", 0.5)
 
@@ -112,7 +112,7 @@ def test_responses_of_misbehaving_nodes(answer, error):
         connect("/me", uri, "/topic", 2.0)
 
 
-def test_refused_connections():
+def test_a_refused_connection_names_the_step_that_failed():
     with pytest.raises(UnreachableError, match="does not answer"):
         connect("/me", f"http://127.0.0.1:{free_port()}/", "/topic", 2.0)
     answer = [1, "", ["TCPROS", "127.0.0.1", free_port()]]

@@ -233,7 +233,7 @@ def test_topics_configured_as_latched_are_cached(place: Place) -> None:
     assert place.far.wait(late, 1) == [{"data": "map"}]
 
 
-def test_free_fleet(place: Place) -> None:
+def test_a_free_fleet_client_exchanges_goals_and_transforms(place: Place) -> None:
     """Its client has the robot's namespace, sends no beacons, and uses the same keys (free_fleet, ``utils.py``)."""
     goal = {"topic": "/move_base_simple/goal", "type": "geometry_msgs/msg/PoseStamped"}
     place.bridge({"dialect": "ros1", "namespace": "nav1_tb3", "keys": [goal]})

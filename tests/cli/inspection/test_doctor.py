@@ -101,7 +101,7 @@ def test_a_broken_configuration(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "did you mean 'domain'" in done.out
 
 
-def test_missing_configuration(midspan: Midspan) -> None:
+def test_an_unknown_check_is_refused_and_all_are_listed(midspan: Midspan) -> None:
     done = midspan("doctor", "--only", "astrology")
     assert (done.code, "no check astrology" in done.err) == (1, True)
     assert [line.split()[0] for line in midspan("doctor", "--list").out.splitlines()] == [c.id for c in CHECKS]

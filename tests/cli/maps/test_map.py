@@ -249,7 +249,7 @@ def test_files_are_not_overwritten_without_the_option(midspan: Midspan, store: S
 
 
 @pytest.mark.parametrize("equals", [False, True])
-def test_negative_coordinates(midspan: Midspan, store: Store, *, equals: bool) -> None:
+def test_negative_coordinates_are_not_read_as_options(midspan: Midspan, store: Store, *, equals: bool) -> None:
     store.put(MAP, "house", house((-3.0, -1.5, 0.0)))
     points = ["--points=-1.6,0.9"] if equals else ["--points", "-1.6,0.9"]
     assert midspan("map", "edit-flags", "house", "--flag", "keep-out", *points, "-.6,0.9", "-6e-1,-5e-1").code == 0

@@ -351,7 +351,7 @@ def test_path_is_printed_and_drawn(rig: Rig, midspan: Midspan, tmp_path: Path) -
         node.release(frames)
 
 
-def test_no_gateway(
+def test_a_missing_gateway_is_reported_with_its_cure(
     network: HubNetwork, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bridge.client.services.WAIT_SECONDS", 0.2)
@@ -398,7 +398,7 @@ def test_daemon_status_separates_a_late_gateway_from_a_missing_one(
     assert "modules" not in other.err, "the daemon of this machine is not asked about another hub"
 
 
-def test_slow_gateway(network: HubNetwork, tmp_path: Path, closing: list[Any]) -> None:
+def test_a_slow_gateway_is_not_reported_as_missing(network: HubNetwork, tmp_path: Path, closing: list[Any]) -> None:
     late = threading.Event()
     with connect(Config.model_validate({"hub": network.config(), "state": str(tmp_path)})) as session:
         client = CliClient(session.hub, session.config, session.where)

@@ -23,7 +23,7 @@ def test_script_knows_the_verbs_and_its_shell_takes_it(shell: str, capsys: pytes
         assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_bash_completes(capsys: pytest.CaptureFixture[str]) -> None:
+def test_bash_completes_a_verb(capsys: pytest.CaptureFixture[str]) -> None:
     bash = shutil.which("bash")
     if bash is None:
         pytest.skip("bash is not installed")

@@ -44,7 +44,7 @@ topics:
   chatter:
     type: example_interfaces/msg/String
     to_domain: 4
-    remap: ~/heard
+    remap: ~/received
   chatter:
     type: example_interfaces/msg/String
     reversed: True
@@ -76,7 +76,7 @@ def write(folder: Path, text: str) -> Path:
     return file
 
 
-def test_parameter_bridge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_file_of_a_parameter_bridge_becomes_rules(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     done = Imported(capsys, write(tmp_path, ROS1), "ros1_bridge")
     (config,) = done.configs()
     assert config.routing.default == "deny"
@@ -167,7 +167,7 @@ def test_a_domain_bridge_becomes_one_daemon_for_each_domain(tmp_path: Path, caps
          "qos": {"reliability": "best_effort"}},
     ]  # fmt: skip
     assert rules(domain4) == [
-        {"topic": "/domain2/chatter", "type": text, **sides, "rename": "/my_bridge/heard"},
+        {"topic": "/domain2/chatter", "type": text, **sides, "rename": "/my_bridge/received"},
     ]
 
 
@@ -297,7 +297,7 @@ services_2_to_1:\n- {service: /a, type: TwoInts}\n""",
         ("domain_bridge", "name: x\n", ["topics: has no topic, service or action that goes"]),
     ],
 )  # fmt: skip
-def test_broken_files(
+def test_broken_files_are_refused_with_place_and_reason(
     peer: str, text: str, complaints: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     done = Imported(capsys, write(tmp_path, text), peer)

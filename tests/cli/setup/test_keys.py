@@ -80,7 +80,7 @@ def test_an_operator_before_its_robot(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "# listen: [tls/0.0.0.0:7448]" in text
 
 
-def test_openssl_agrees(tmp_path: Path) -> None:
+def test_openssl_accepts_the_certificates(tmp_path: Path) -> None:
     """A second opinion on the chain, on both ends' purposes and on the names."""
     authority = Authority(tmp_path)
     authority.make()

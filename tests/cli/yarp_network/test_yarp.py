@@ -142,7 +142,7 @@ def test_ports_are_connected_and_disconnected(yarp: Yarp, owners: Callable[[str]
         assert problem in done.err
 
 
-def test_persistent_connections(yarp: Yarp, owners: Callable[[str], Owner]) -> None:
+def test_a_persistent_connection_waits_for_its_ports(yarp: Yarp, owners: Callable[[str], Owner]) -> None:
     """Asked for before the ports are there."""
     owners("/w")
     assert yarp("connect", "--persist-from", "/w", "/r", "fast_tcp").code == 0

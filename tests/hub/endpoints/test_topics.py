@@ -178,7 +178,7 @@ def test_unreceived_messages_are_numbered_but_not_encoded(network: HubNetwork):
             publisher.pass_over()
 
 
-def test_large_message(network: HubNetwork):
+def test_a_large_message_arrives_complete(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         subscriber = Subscriber(b, "/image")
         publisher = advertise(a, "/image")

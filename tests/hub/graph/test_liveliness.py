@@ -122,7 +122,7 @@ def test_token_without_a_type_hash():
 
 
 @pytest.mark.parametrize("key", BAD_TOKENS)
-def test_malformed_token(key: str):
+def test_malformed_tokens_are_rejected(key: str):
     with pytest.raises(HubWireError):
         parse_token(key)
 
@@ -149,7 +149,7 @@ def test_velocity_token_with_a_malformed_type(type_name: str):
 @pytest.mark.parametrize(
     "key", ["", "@midspan/0/origin/a/b/c", "@midspan/0/other/a/b/c/d", "@midspan/x/origin/a/b/c/d"]
 )
-def test_malformed_origin(key: str):
+def test_malformed_origins_are_rejected(key: str):
     with pytest.raises(HubWireError):
         parse_origin(key)
 

@@ -40,7 +40,7 @@ def allowed(topic: str, type_name: str) -> bool:
     return may
 
 
-def test_command_types() -> None:
+def test_types_with_commands_are_found_through_the_rules() -> None:
     command_parts = commands(RULES)
     assert set(ALWAYS) >= set(VELOCITIES)
     assert {name: set(parts) for name, parts in command_parts.items() if name not in ALWAYS} == {

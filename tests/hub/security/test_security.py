@@ -85,7 +85,7 @@ def allow(name: str, keys: list[str], messages: list[str], *flows: str) -> dict[
     return {**rule, "flows": list(flows)} if flows else rule
 
 
-def test_access_control(certificates: Path):
+def test_access_control_limits_a_robot_to_its_topics(certificates: Path):
     """robot2 may listen to everything on the hub, late joining too, and may publish nothing but /status."""
     tokens = ["liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
     every = ["put", "delete", "declare_subscriber", "query", "reply", "declare_queryable", *tokens]

@@ -58,7 +58,7 @@ BAD_QOS = [
 
 
 @pytest.mark.parametrize(("text", "qos"), QOS_TEXTS)
-def test_qos_text(text: str, qos: Qos):
+def test_qos_is_encoded_as_rmw_zenoh_does(text: str, qos: Qos):
     assert encode_qos(qos) == text
     assert decode_qos(text) == qos
 
@@ -102,7 +102,7 @@ def test_qos_of_any_text(text: str):
         assert isinstance(decode_qos(text), Qos)
 
 
-def test_attachment_bytes():
+def test_attachments_have_the_bytes_of_rmw_zenoh():
     """As zenoh-ros2-sdk writes it, and rmw_zenoh since Jazzy's 0.2.4."""
     data = pack_attachment(1, 0x0102, GID)
     assert data == b"\1" + bytes(7) + b"\2\1" + bytes(6) + b"\x10" + GID
@@ -110,7 +110,7 @@ def test_attachment_bytes():
 
 
 @pytest.mark.parametrize("data", [b"", bytes(32), bytes(34), bytes(16) + b"\x0f" + GID])
-def test_bad_attachment(data: bytes):
+def test_malformed_attachments_are_rejected(data: bytes):
     with pytest.raises(HubWireError):
         unpack_attachment(data)
 
@@ -121,7 +121,7 @@ def test_attachment_of_any_bytes(data: bytes):
         assert pack_attachment(*unpack_attachment(data)) == data
 
 
-def test_topic_key():
+def test_keys_of_topics_are_those_of_rmw_zenoh():
     key = keys.topic_key(5, "/chatter", "std_msgs/msg/String", STRING_HASH)
     assert key == f"5/chatter/std_msgs::msg::dds_::String_/{STRING_HASH}"
     assert keys.subscription_key(0, "/a/b", "x/srv/Y", "*") == "0/a/b/x::srv::dds_::Y_/*"
@@ -175,7 +175,7 @@ def test_hash_that_cannot_be_a_key(type_hash: str):
         ("a/srv/B_Request", "a::srv::dds_::B_Request_"),
     ],
 )
-def test_type_names(ros: str, dds: str):
+def test_type_names_are_converted_to_dds_and_back(ros: str, dds: str):
     assert keys.dds_type_name(ros) == dds
     assert keys.ros_type_name(dds) == ros
 

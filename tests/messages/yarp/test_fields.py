@@ -128,7 +128,7 @@ def test_any_bytes_are_rejected_or_accepted(junk: bytes) -> None:
         ("linear.x[0]", "no such element"),
     ],
 )
-def test_missing_field(entry: str, error: str) -> None:
+def test_entries_of_missing_fields_are_rejected(entry: str, error: str) -> None:
     with pytest.raises(MessageTypeError, match=error):
         codec(TWIST, entry)
 

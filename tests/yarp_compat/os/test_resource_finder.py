@@ -11,7 +11,7 @@ import yarp_compat as yarp
 
 @pytest.fixture
 def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Path]:
-    """Create all of YARP's folders, empty."""
+    """Create all folders that YARP searches, empty."""
     folders = {name: tmp_path / name for name in ("here", "config", "data", "sysadmin", "installed", "bundle")}
     for path in folders.values():
         path.mkdir()
@@ -116,7 +116,7 @@ def test_user_folders_are_created(places: dict[str, Path]) -> None:
     assert rf.findPath() == str(places["here"])
 
 
-def test_search_options(places: dict[str, Path]) -> None:
+def test_options_choose_duplicates_and_places(places: dict[str, Path]) -> None:
     write_file(places["config"], "plugins/a.ini", "a 1\nb 1\n")
     write_file(places["installed"], "plugins/a.ini", "a 2\nc 2\n")
     options = yarp.ResourceFinderOptions(yarp.ResourceFinderOptions.Default, resourceType="plugins")

@@ -8,7 +8,7 @@ import yarp_compat as yarp
 from yarp_compat.naming.directories import Directories
 
 
-def test_linux_defaults() -> None:
+def test_linux_has_the_default_folders_of_yarp() -> None:
     folders = Directories({"HOME": "/home/r1"}, "linux")
     assert folders.data_home() == "/home/r1/.local/share/yarp"
     assert folders.config_home() == "/home/r1/.config/yarp"

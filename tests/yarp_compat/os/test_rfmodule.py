@@ -132,7 +132,7 @@ def test_module_is_stopped_from_another_thread() -> None:
     assert module.said[-1] == "close"
 
 
-def test_module_names() -> None:
+def test_ports_are_named_after_the_module() -> None:
     module = Module()
     module.setName("/nav")
     assert module.getName() == "/nav"

@@ -221,7 +221,7 @@ def test_tools_check_that_a_port_exists(works: Works) -> None:
     assert works.port.counters.dropped.total() == 0
 
 
-def test_random_garbage(works: Works) -> None:
+def test_connections_changed_at_random_leave_the_port_working(works: Works) -> None:
     """Beginnings of real connections, changed at random."""
     chance = random.Random(7)
     payload = encode(["a", 1, [2.5, b"x"]], Profile.YARP3)

@@ -196,7 +196,7 @@ def test_writer_detects_a_closed_reader(make_port: MakePort) -> None:
     until(disconnected, "udp: the machine rejects datagrams")
 
 
-def test_connection_events(make_port: MakePort) -> None:
+def test_both_ends_report_a_connection_and_its_end(make_port: MakePort) -> None:
     events: list[ConnectionEvent] = []
     reader = make_port("/r", on_event=events.append)
     writer = make_port("/w", on_event=events.append)
@@ -396,7 +396,7 @@ print("well")
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
-def test_forked_process() -> None:
+def test_a_forked_process_opens_its_own_ports() -> None:
     """The child does not share the parent's ports, and can open its own."""
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", FORK], capture_output=True, text=True, timeout=60, check=False

@@ -109,7 +109,7 @@ def test_reader_of_connect(profile: Profile) -> None:
 
 
 @pytest.mark.parametrize("profile", PROFILES)
-def test_rpc_server(profile: Profile) -> None:
+def test_an_rpc_server_replies_with_the_recorded_bytes(profile: Profile) -> None:
     def pong(incoming: PortMessage) -> None:
         assert decode(incoming.payload, profile) == ["ping", "hi there", 1.5]
         incoming.reply(encode(["pong", 1, [2, 3]], profile))
@@ -270,7 +270,7 @@ def _without_quit(talk: Talk) -> Talk:
 
 @pytest.mark.usefixtures("_without_queries")
 @pytest.mark.parametrize("profile", PROFILES)
-def test_rpc_client(profile: Profile) -> None:
+def test_an_rpc_client_sends_the_recorded_bytes(profile: Profile) -> None:
     (talk,) = talks("rpc.txt", 10004)
     hello, answer, request, reply, farewell, acknowledged = [s.data for s in talk.steps]
     with (

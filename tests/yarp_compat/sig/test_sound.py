@@ -67,7 +67,7 @@ def test_markers_and_times(sound: yarp.Sound) -> None:
     assert sound.isEqual(sound)
 
 
-def test_generated_sounds(caplog: pytest.LogCaptureFixture) -> None:
+def test_tones_and_waves_have_the_samples_of_yarp(caplog: pytest.LogCaptureFixture) -> None:
     sound = yarp.Sound()
     assert yarp.makeTone(sound, 0.01, 2, 8000, 1000, 1000)
     assert sound.sound2VecNonInterleaved()[:9] == (0, 707, 1000, 707, 0, -707, -1000, -707, 0)

@@ -88,7 +88,7 @@ def test_openings_of_unsupported_carriers(number: int, named: str) -> None:
         carriers.recognize(carriers.frame(7777 + number))
 
 
-def test_annotated_message() -> None:
+def test_a_message_has_the_annotated_bytes() -> None:
     """The fact sheet's example: ``hello 42 3.5`` of 4.0."""
     payload = bytes.fromhex(
         "00 01 00 00 03 00 00 00 04 00 00 00 05 00 00 00 68 65 6c 6c 6f 01 00 00 00 2a 00 00 00"
@@ -110,7 +110,7 @@ def test_annotated_message() -> None:
     )
 
 
-def test_annotated_envelope() -> None:
+def test_an_envelope_has_the_annotated_bytes() -> None:
     encoded = bytes.fromhex("18 00 00 00 7e 00 00 01") + b"D 3580 1795143618.02289\0"
     assert framing.with_envelope("D", "3580 1795143618.02289") == encoded
     assert framing.parse_command(encoded) == (framing.PortCommand("D", "D 3580 1795143618.02289"), 32)
@@ -147,7 +147,7 @@ def test_announced_sizes_above_the_limit_are_refused(total: int) -> None:
 # -- datagrams ---------------------------------------------------------------------------------------------------------
 
 
-def test_recorded_datagram() -> None:
+def test_a_recorded_datagram_is_assembled_and_written_again() -> None:
     """Captured from mcast of 4.0, identical to udp's; and one that only ends a stream."""
     recorded = bytes.fromhex(
         "e5 18 af 9b 00 00 00 00 59 41 0a 00 00 00 52 50 02 01 ff ff ff ff ff ff ff ff 08 00 00 00 1b 00 00 00"

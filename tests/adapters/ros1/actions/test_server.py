@@ -130,7 +130,7 @@ def test_feedback_shows_that_a_goal_executes(world):
         (GoalState.CANCELED, Ros1State.PREEMPTED), (GoalState.UNKNOWN, Ros1State.ABORTED),
     ],
 )  # fmt: skip
-def test_final_states(world, state, seen):
+def test_final_states_become_those_of_actionlib(world, state, seen):
     world.ends(world.running(), state)
     assert [r[:2] for r in world.results] == [("g", seen)]
 

@@ -176,7 +176,7 @@ def test_the_servers_error_reaches_the_client(bench):
         assert "no reason" in bench.call(b"c").error()
 
 
-def test_no_server(bench):
+def test_a_call_without_a_server_fails_with_the_reason(bench):
     assert bench.call().error() == "/serve has no server on ROS 1 now"
     bench.toward(("127.0.0.1", free_port()))
     assert "cannot be called" in bench.call().error()
@@ -394,7 +394,7 @@ def test_a_reply_before_the_request_is_read(bench):
         assert bench.call(bytes(20 * LIMIT)).error() == "no thanks"
 
 
-def test_without_descriptors(bench):
+def test_without_descriptors_only_the_open_connection_is_used(bench):
     go_on = threading.Event()
 
     def serve(sock, _header) -> None:

@@ -83,13 +83,13 @@ def test_goal_feedback_and_result(edge: RunningEdge, server: Peer, client: Peer)
     assert set(pairwise(remaining)) == {(3.0, 2.0), (2.0, 1.0), (1.0, 3.0)}
 
 
-def test_rejected_goal(edge: RunningEdge, server: Peer, client: Peer) -> None:
+def test_a_rejected_goal_is_reported_as_not_accepted(edge: RunningEdge, server: Peer, client: Peer) -> None:
     act(server, edge, outcome="reject")
     (goal,) = send(client)
     assert client.ask("goal", id=goal, until={"accepted": False})["accepted"] is False
 
 
-def test_aborted_goal(edge: RunningEdge, server: Peer, client: Peer) -> None:
+def test_an_aborted_goal_has_its_result(edge: RunningEdge, server: Peer, client: Peer) -> None:
     act(server, edge, outcome="abort", result={"error_code": 7})
     (goal,) = send(client)
     state = client.ask("goal", id=goal, until={"status": ABORTED})

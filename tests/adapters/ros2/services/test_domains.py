@@ -54,7 +54,7 @@ def bridge(hub: QuickHub, domain: int, state: Path) -> WorkerProcess:
     return WorkerProcess("ros2", config, worker_environment(config, os.environ))
 
 
-def test_services_cross(domains: Domains) -> None:
+def test_services_cross_between_domains(domains: Domains) -> None:
     far, near, type_ = domains.far, domains.near, "diagnostic_msgs/AddDiagnostics"
     far.ask("serve", service="/d/echo", type=type_, echo={"message": "load_namespace"})
     near.ask("serve", service="/d/near", type="std_srvs/SetBool", reply={"message": "near"})
@@ -66,7 +66,7 @@ def test_services_cross(domains: Domains) -> None:
     assert far.ask("result", id=back, seconds=SECONDS)["reply"]["message"] == "near"
 
 
-def test_actions_cross(domains: Domains) -> None:
+def test_actions_cross_between_domains(domains: Domains) -> None:
     far, near = domains.far, domains.near
     feedback = [{"distance_remaining": 1.0}]
     acting = far.ask("act", action="/d/drive", type=ACTION, held=True, feedback=feedback)["id"]

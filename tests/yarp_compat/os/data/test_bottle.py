@@ -154,7 +154,7 @@ def test_values_beyond_the_end_are_null() -> None:
         assert value.getCode() == -1
 
 
-def test_python_operators() -> None:
+def test_a_bottle_is_a_list_in_python() -> None:
     bottle = Bottle(
         ["x", 1, 2.5, [1, (2, 3)], {"k": 1}, True, np.arange(2.0), np.float32(1.5), Bottle("a"), Value("v")]
     )

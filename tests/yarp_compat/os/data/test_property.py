@@ -67,7 +67,7 @@ def test_group_is_changed_in_place() -> None:
     assert property_.toString() == "(G (H (c 3)) (a 1) (b 2))"
 
 
-def test_python_operators() -> None:
+def test_a_property_is_a_mapping_in_python() -> None:
     property_ = Property({"rate": 10, "names": ["a", "b"], "G": (["x", 1], ["y", 2])})
     assert property_.toString() == "(G (x 1) (y 2)) (names (a b)) (rate 10)"
     assert property_["rate"] == 10
@@ -111,7 +111,7 @@ def test_messages_have_the_values_of_the_text() -> None:
         (["--::b", "1", "--a::", "2", "--5", "lost"], '("" (b 1)) (a 2)'),
     ],
 )
-def test_command_lines(arguments: list[str], expected: str) -> None:
+def test_options_of_a_command_line_become_keys_and_groups(arguments: list[str], expected: str) -> None:
     property_ = Property("(old 1)")
     property_.fromCommand(["program", *arguments])
     assert property_.toString() == Property(expected).toString()
@@ -130,7 +130,7 @@ def test_command_line_as_one_text_and_url() -> None:
 
 FILE = """
 // a comment
-name /robot      // and one behind a value
+name /robot      // and one after a value
 rate = 20        # another
 list (1 2
  3)
@@ -156,7 +156,7 @@ late 1
 """
 
 
-def test_configuration_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_configuration_file_is_read_as_by_yarp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("Y1_HOME", "/home/y")
     file = tmp_path / "robot.ini"
     file.write_text(FILE)
@@ -260,7 +260,7 @@ def test_keys_that_are_numbers_stay_numbers() -> None:
     assert Property(property_).toString() == property_.toString()
 
 
-def test_included_files(tmp_path: Path) -> None:
+def test_included_files_become_keys_and_groups(tmp_path: Path) -> None:
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "more.ini").write_text('a 1\n[G]\nb 2\n[include "deep.ini"]\n')
     (tmp_path / "sub" / "deep.ini").write_text("deep 1\n")
