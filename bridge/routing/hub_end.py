@@ -193,7 +193,7 @@ class DemandEvent(Enum):
 
     SUBSCRIBED = "a check sees a subscriber on the side"
     UNSUBSCRIBED = "a check sees none"
-    WASTED = "a fast stream had no subscriber for `UNHEARD` seconds"
+    WASTED = "the stream was fast for ten seconds, and the side had no subscriber"
 
 
 DEMAND: Table[Demand, DemandEvent] = {

@@ -45,7 +45,7 @@ class PlannerEvent(Enum):
     UNREPORTED = "its goal list is no longer valid"
     NO_GOALS = "its goal list has no active goal"
     GOALS = "its goal list has an active goal"
-    SIDE_REPORTED = "its side has reported, without it"
+    SIDE_REPORTED = "its side has reported its graph, which does not contain the planner"
 
 
 class DriveState(Enum):
@@ -68,7 +68,7 @@ class DriveEvent(Enum):
     SEND = "the goal is sent"
     ACCEPTED = "the planner accepts the goal"
     RETRY = "the goal has to be sent again"
-    NEXT = "an intermediate target is reached"
+    NEXT = "an intermediate goal is reached"
     ABORTED = "the planner ended the goal without a code"
     CONTACT_LOST = "the planner is unreachable, or has lost the goal's client"
     RESUMED_CONTACT = "the planner's goal list still has the goal"
@@ -107,12 +107,12 @@ _OPEN = frozenset((StopState.ASKED, StopState.RESTING, StopState.SETTLING))
 class StopEvent(Enum):
     """What changes `StopState`."""
 
-    ASK = "a stop or pause is asked for"
+    ASK = "a stop or pause is requested"
     RELEASED = "the planner has no goal left that has to end"
     NOT_RELEASED = "the planner has such a goal, or it is not known whether it does"
     STANDS = "the base stands"
     MOVES = "the base is not known to stand"
-    EXPIRE = "nothing has confirmed it for long"
+    EXPIRE = "it has not been confirmed in time"
 
 
 def _planner() -> Table[PlannerState, PlannerEvent]:

@@ -49,7 +49,7 @@ class DriverEvent(Enum):
     """What changes `DriverState`."""
 
     GOAL = "a client sends a goal"
-    BACK_OFF = "a client sends a goal to a standing robot that first backs off"
+    BACK_OFF = "a client sends a goal to a standing robot without one, which first backs off (`enable_retreat`)"
     APPROACH = "a client requests a move without a goal"
     CANCEL = "a client cancels, or the clock jumps back"
     PAUSE = "a client pauses, or a deadlock does"
@@ -59,7 +59,7 @@ class DriverEvent(Enum):
     GO = "nothing prevents driving"
     WAYPOINT = "a waypoint is reached, which the robot passes without a stop"
     REACH = "the goal is reached"
-    FINISH = "the time of a move without a goal is over"
+    FINISH = "the time of a move without a goal, or past a waypoint, is over"
     ABORT = "the robot makes no progress, or a move without a goal cannot continue"
     GIVE_UP = "the robot has waited for too long"
 

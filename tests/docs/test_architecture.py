@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 
 from bridge.daemon import worker_states
+from bridge.routing.hub_end import DEMAND, Demand, DemandEvent
 from navigation.gateway import machine
-from navigation.robot_goto.machine import DRIVER, DriverState
+from navigation.robot_goto.machine import DRIVER, DriverEvent, DriverState
 from scripts import house
 
 ROOT = Path(__file__).parents[2]
@@ -107,11 +108,22 @@ def diagram(table: Mapping[Any, Mapping[Any, Any]], first: Enum, without: frozen
         diagram(machine.DRIVE, machine.DriveState.WAITING, frozenset(("PAUSE", "STOP", "END"))),
         diagram(machine.STOP, machine.StopState.NONE),
         diagram(DRIVER, DriverState.IDLE, frozenset(("GOAL", "BACK_OFF", "APPROACH", "CANCEL"))),
+        diagram(DEMAND, Demand.UNWANTED),
     ],
-    ids=["planner", "drive", "stop", "robot_goto"],
+    ids=["planner", "drive", "stop", "robot_goto", "demand"],
 )
 def test_the_state_diagrams_match_their_tables(drawn: str) -> None:
     assert drawn in PAGE, f"ARCHITECTURE.md must contain:\n{drawn}"
+
+
+@pytest.mark.parametrize(
+    "event",
+    [*machine.PlannerEvent, *machine.DriveEvent, *machine.StopEvent, *DriverEvent, *DemandEvent],
+    ids=lambda event: f"{type(event).__name__}-{event.name.lower()}",
+)
+def test_the_tables_of_events_have_each_event_with_its_meaning(event: Enum) -> None:
+    row = f"| `{event.name.lower()}` | {event.value} |"
+    assert row in PAGE.splitlines(), f"ARCHITECTURE.md must contain:\n{row}"
 
 
 _STATES = {

@@ -13,7 +13,7 @@ from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import EndpointKind, Origin
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.routing import hub_end
-from bridge.routing.hub_end import Demand, HubSources, RouteSubscription, StreamDemand
+from bridge.routing.hub_end import DEMAND, Demand, HubSources, RouteSubscription, StreamDemand
 from tests.support.clock import Clock
 
 WORKER = Origin("ros1", "net", "robot")
@@ -116,20 +116,21 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 FAST = int(hub_end.QUICK * 100)
 
 
-@pytest.mark.parametrize(
-    ("begin", "check", "end"),
-    [
-        (Demand.UNWANTED, {"wanted": True}, Demand.WANTED),
-        (Demand.UNWANTED, {"seconds": 9.0}, Demand.UNWANTED),
-        (Demand.UNWANTED, {"messages": 40}, Demand.UNWANTED),
-        (Demand.UNWANTED, {"subscribed": False}, Demand.UNWANTED),
-        (Demand.UNWANTED, {}, Demand.PAUSED),
-        (Demand.WANTED, {"wanted": True}, Demand.WANTED),
-        (Demand.WANTED, {}, Demand.UNWANTED),
-        (Demand.PAUSED, {"subscribed": False}, Demand.PAUSED),
-        (Demand.PAUSED, {"subscribed": False, "wanted": True}, Demand.WANTED),
-    ],
-)
+CHECKS: list[tuple[Demand, dict[str, Any], Demand]] = [
+    (Demand.UNWANTED, {"wanted": True}, Demand.WANTED),
+    (Demand.UNWANTED, {"seconds": 9.0}, Demand.UNWANTED),
+    (Demand.UNWANTED, {"messages": 40}, Demand.UNWANTED),
+    (Demand.UNWANTED, {"subscribed": False}, Demand.UNWANTED),
+    (Demand.UNWANTED, {}, Demand.PAUSED),
+    (Demand.WANTED, {"wanted": True}, Demand.WANTED),
+    (Demand.WANTED, {}, Demand.UNWANTED),
+    (Demand.PAUSED, {"subscribed": False}, Demand.PAUSED),
+    (Demand.PAUSED, {"subscribed": False, "wanted": True}, Demand.WANTED),
+]
+"""States, what a check sees, and the states that follow."""
+
+
+@pytest.mark.parametrize(("begin", "check", "end"), CHECKS)
 def test_each_transition_of_the_demand(clock: Clock, begin: Demand, check: dict[str, Any], end: Demand) -> None:
     demand = StreamDemand()
     if begin is Demand.WANTED:
@@ -141,6 +142,11 @@ def test_each_transition_of_the_demand(clock: Clock, begin: Demand, check: dict[
     crossed = check.get("messages", FAST) + (FAST if begin is Demand.PAUSED else 0)
     state = demand.update(crossed, wanted=check.get("wanted", False), subscribed=check.get("subscribed", True))
     assert state is demand.state is end
+
+
+def test_the_checks_walk_every_row_of_the_table() -> None:
+    rows = {(state, following) for state, row in DEMAND.items() for following in row.values()}
+    assert {(begin, end) for begin, _, end in CHECKS if begin is not end} == rows
 
 
 def test_the_rate_is_that_of_the_time_without_a_subscriber(clock: Clock) -> None:
