@@ -2,8 +2,8 @@
 
     python scripts/house.py            prints the figures
     python scripts/house.py --check    also prints the violations and fails if there are any: import cycles, large
-                                       files, public methods without a docstring, tests without an assertion, too many
-                                       phrases and vague names of `scripts/language.py`
+                                       files, public methods and functions without a docstring, tests without an
+                                       assertion, too many phrases and vague names of `scripts/language.py`
 
 In tests, it counts accesses to private attributes, and lists the tests that neither assert nor call a helper whose
 name implies an assertion.
@@ -37,6 +37,7 @@ KNOWN_LARGE = {"bridge.tf.history", "navigation.algorithms.voxel_map"}
 
 _NAMEDTUPLE = {"_replace", "_asdict", "_fields", "_make", "_field_defaults"}
 _ASSERTS = re.compile(r"(^|_)(assert|expect|until|check|raises|fail|warns)(_|$)")
+_FUNCTION = (ast.FunctionDef, ast.AsyncFunctionDef)
 
 Graph = Mapping[str, set[str]]
 
@@ -151,25 +152,27 @@ def shared_classes(files: Mapping[str, File]) -> dict[str, list[str]]:
 
 
 def undocumented(file: File) -> list[str]:
-    """Return the public methods without a docstring (D102), except `override` methods, and close, start and stop."""
+    """Return the public methods and functions without a docstring (D102, D103).
+
+    None is required for `override` methods, close, start and stop, and the functions that register and run a verb.
+    """
     if re.search("^# ruff: noqa:.*D102", file.path.read_text(encoding="utf-8"), re.MULTILINE):
         return []
+    functions = [("", node) for node in file.tree.body if isinstance(node, _FUNCTION)]
     return [
-        f"{file.path}:{node.lineno}: {name}.{node.name} needs a docstring"
-        for name, node in _methods(file.tree.body)
-        if not re.match("_|(close|start|stop)$", node.name)
+        f"{file.path}:{node.lineno}: {name}{node.name} needs a docstring"
+        for name, node in (*functions, *_methods(file.tree.body))
+        if not re.match("_|(close|start|stop)$" if name else "_|(register|run)(_|$)", node.name)
         and not any(re.search("override|overload|setter", ast.unparse(decorator)) for decorator in node.decorator_list)
         and ast.get_docstring(node) is None
     ]
 
 
 def _methods(body: Iterable[ast.stmt]) -> Iterable[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
-    """Yield the methods of public classes, each with the name of its class."""
+    """Yield the methods of public classes, each with the name of its class and a dot."""
     for part in body:
         if isinstance(part, ast.ClassDef) and not part.name.startswith("_"):
-            yield from (
-                (part.name, node) for node in part.body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-            )
+            yield from ((f"{part.name}.", node) for node in part.body if isinstance(node, _FUNCTION))
             yield from _methods(part.body)
 
 

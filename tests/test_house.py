@@ -73,6 +73,14 @@ def test_a_large_file_is_found_and_one_that_is_known_for_it_must_be(tmp_path: Pa
     assert house.wrong(files, known_large={"sim.a"}) == []
 
 
+def test_public_functions_need_a_docstring_except_those_that_register_or_run_a_verb(tmp_path: Path) -> None:
+    names = ("register", "register_top", "run", "run_top", "_go", "show", "runs")
+    files = write(tmp_path, {"sim/a.py": "".join(f"def {name}(): ...\n" for name in names)})
+    assert house.wrong(files, known_large=set()) == [
+        f"{tmp_path}/sim/a.py:6: show needs a docstring", f"{tmp_path}/sim/a.py:7: runs needs a docstring",
+    ]  # fmt: skip
+
+
 def test_public_methods_need_a_docstring_except_overriding_ones_and_close_start_and_stop(tmp_path: Path) -> None:
     methods = "    def close(self): ...\n    @override\n    def run(self): ...\n    def _go(self): ...\n"
     text = f"class One:\n{methods}    def send(self): ...\nclass _Two:\n    def send(self): ...\n"

@@ -25,7 +25,6 @@ _EXTRA = (
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "rooms: a YARP, a ROS 1 and a ROS 2 client in turn send the R1 to named rooms of a simulated apartment, with"
         " only Midspan in between (configs/navigation.yaml); shows the map and the path. topics: a ROS 1 master, the"

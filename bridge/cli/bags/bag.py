@@ -27,7 +27,6 @@ _UNIX = 1e8
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Add the verbs' parsers."""
     verbs = add_verbs(
         parser, "Works on bags: MCAP (.mcap), ROS 2's SQLite files (.db3, or a folder) and ROS 1's bags (.bag)."
     )

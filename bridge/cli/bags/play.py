@@ -46,7 +46,6 @@ _REMAP = re.compile(r"(?P<old>[^:=\s]+):=(?P<new>[^:=\s]+)")
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "Plays bags onto the hub: MCAP, ROS 2's .db3 and folders, ROS 1's .bag. The rules decide to which sides"
         " each topic is bridged. Velocities, goals and cancels are left out without --commands."

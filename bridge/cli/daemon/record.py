@@ -52,7 +52,6 @@ def megabytes(text: str) -> int:
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "Records topics of any side until Ctrl-C, into an MCAP file for ROS 2's tools, Foxglove and 'midspan play'. The"
         " messages are written as they are on the hub; each file starts with the latched ones. If the recording is"

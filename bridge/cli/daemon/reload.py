@@ -9,7 +9,6 @@ from bridge.cli.output import CliError
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "Lets the running daemon check and load its configuration file again, as SIGHUP does; only workers that use a"
         " change reload. If the file has a problem, the daemon keeps the configuration that it runs."

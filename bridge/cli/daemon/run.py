@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 
 def register_run(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "Runs the daemon in the foreground. SIGHUP or 'midspan reload' checks and reloads the configuration; only"
         " workers that use a change reload. SIGTERM or Ctrl-C stops everything in order, a second one at once."
@@ -65,7 +64,6 @@ _KEPT = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
 
 
 def register_worker(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "Runs one worker in the foreground, without the daemon: on another machine, or as a separate service."
         " SIGHUP reloads the configuration."
@@ -142,7 +140,6 @@ def _go_on_as(command: list[str], env: Mapping[str, str]) -> NoReturn:
 
 
 def register_module(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "Runs one hosted module in the foreground, without the daemon: on another machine, or as a separate service."
         " The configuration must enable it; SIGHUP reloads that. Disable it for daemons that would run it too."

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "Runs the simulated base of the section sim in the foreground, without the daemon; the options here override"
         " the file. It joins the hub, or waits for one."

@@ -25,7 +25,6 @@ from bridge.tf.transform import FrameInfo, Transform, angles_of
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     verbs = add_verbs(parser, "Shows the frames on /tf and /tf_static of all sides. It needs no module.")
     _register_list_and_tree(verbs)
     _register_echo(verbs)

@@ -35,7 +35,6 @@ def type_and_values(words: list[str]) -> tuple[str, str]:
 
 
 def register_service(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     verbs = add_verbs(parser, "Lists and calls the services of all sides.")
     listing.register(verbs, "service", all_services)
     call = add_verb(
@@ -65,7 +64,6 @@ def _call(args: argparse.Namespace) -> int:
 
 
 def register_action(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     verbs = add_verbs(parser, "Lists the actions of all sides and sends goals to them.")
     listing.register(verbs, "action", all_actions)
     goal = add_verb(

@@ -33,7 +33,6 @@ from bridge.text import clean, side_name, size
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     verbs = add_verbs(
         parser,
         "Shows the topics of all sides and publishes on them. It receives bridged topics on the hub; the side's worker"

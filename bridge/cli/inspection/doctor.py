@@ -26,7 +26,6 @@ _STYLES = {Result.OK: "green", Result.WARN: "yellow", Result.FAIL: "bold red", R
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "Checks the configuration, the daemon, all sides, the network and this machine for common reasons why topics"
         " are not bridged, and names a cure for each finding. It needs no running daemon and changes nothing. Run it"
@@ -41,7 +40,6 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the checks."""
     if args.list:
         for check in CHECKS:
             print(f"{check.id:<18} {check.title}")

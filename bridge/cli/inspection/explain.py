@@ -41,7 +41,6 @@ _VERDICTS = {
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "Shows each worker's decision on a topic, service or action with its reason, and the endpoints on the hub, with"
         " a cure for each problem. Exit code 1 if the name is unknown."
@@ -65,7 +64,6 @@ class Explanation:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Explain one topic."""
     with open_client(args) as client:
         explanation = explain(client, absolute(args.topic))
     if args.json:

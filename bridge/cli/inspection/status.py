@@ -34,7 +34,6 @@ _ENABLED = {*ABSENT, Phase.UP.value, Phase.STOPPING.value}
 
 
 def register_status(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "Shows every daemon and worker on the hub, this machine's workers that start or cannot work, what blocks"
         " topics, and for each route what crosses, how fast, and what was dropped. Exit code 1 if the hub cannot be"
@@ -219,7 +218,6 @@ _INTERVAL = 1.0
 
 
 def register_top(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "Shows every route of every worker on the hub until Ctrl-C: messages per second, latency (from the source's"
         " time stamp to delivery; between machines only as exact as their clocks), messages, drops by reason, age of"

@@ -49,7 +49,6 @@ COMPLETE, STOPPED, FAILING, LIMIT = "complete", "stopped", "failing", "limit"
 
 
 def register(verbs: Any) -> None:
-    """Add the verb's parser."""
     parser = add_verb(
         verbs, "explore", run, "drive to the borders of the growing map until none is left",
         "Explores an unknown floor: drives to frontiers, where free cells of Mapper2D's map touch unknown ones, the"
@@ -69,7 +68,6 @@ def register(verbs: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Explore; returns the exit code."""
     if not (args.seconds > 0.0 and args.goals > 0):
         raise CliError(f"--seconds and --goals must be above 0, not {args.seconds:g} and {args.goals}")
     with open_client(args) as client, Interrupt() as interrupt:

@@ -21,7 +21,6 @@ from yarp_compat.dev.places import Places, save_maps
 
 
 def register_map_files(verbs: Any) -> None:
-    """Add the verbs' parsers."""
     come = add_verb(
         verbs, "import", _import_maps, "import maps and places from files into the store",
         "Reads maps of YARP (.map) and of ROS (.yaml with its image), collections (maps_collection.ini), and locations,"
@@ -100,7 +99,6 @@ def _save(save: Any) -> None:
 
 
 def register_location_export(verbs: Any) -> None:
-    """Add the verb's parser."""
     parser = add_verb(
         verbs, "export", _export_locations, "write locations, areas, paths and objects to a file",
         "Writes .ini for YARP's map storage (all maps; behaviors and links go into a file beside it), .geojson, or"

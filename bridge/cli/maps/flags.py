@@ -24,7 +24,6 @@ _CORNERS = 64
 
 
 def register(verbs: Any) -> None:
-    """Add the verb's parser."""
     parser = add_verb(
         verbs, "edit-flags", run, "flag cells of a map: keep-out, wall, free, ...",
         "Frees temporary and enlarged obstacles, then flags the cells of a shape (meters in the map's frame), then"

@@ -26,7 +26,6 @@ from yarp_compat.dev.locations import Map2DLocation
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     verbs = add_verbs(
         parser,
         "Shows and changes the locations, areas, paths, objects and links in the store that all daemons of a deployment"

@@ -19,7 +19,6 @@ from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     verbs = add_verbs(parser, "Shows and changes the maps in the store that all daemons of a deployment share.")
     listing = add_verb(verbs, "list", _list, "list the maps", "Lists the maps in the store; * marks the one in use.")
     listing.add_argument("--json", action="store_true", help="print them as JSON")

@@ -24,7 +24,6 @@ _MOST_SCALE = 64
 
 
 def register(verbs: Any) -> None:
-    """Add the verb's parser."""
     parser = add_verb(
         verbs, "show", run, "draw a map with its flags, locations and areas",
         "Draws a map with its flags, locations and areas: in the terminal, as plain text into a pipe, or as a PNG. An"
@@ -45,7 +44,6 @@ def add_drawing_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Draw a map."""
     from bridge.cli.maps.store import named_map, open_stored
     from bridge.stores.kinds import AREA, LOCATION
 

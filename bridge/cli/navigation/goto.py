@@ -32,7 +32,6 @@ _TERMINATED = (129, 143)
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "Drives to locations or areas of the store in turn, or to a pose on the map, with the chosen planner, and shows"
         " the progress. Ctrl-C, SIGTERM and SIGHUP cancel the goal. Exit code 0: arrived, 1: not arrived, 130, 143 and"
@@ -55,7 +54,6 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Drive there; returns the exit code."""
     numbers = _numbers(args.where)
     several = numbers is None and len(args.where) > 1
     with open_client(args) as client, Interrupt() as interrupt:

@@ -14,7 +14,6 @@ from bridge.text import clean, plural
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "Publishes zero on every topic of velocities on the hub (the rules decide which sides it reaches), clears the"
         " commands of each BaseControl and the goals of the gateway and Midspan's planners, and cancels every goal of"

@@ -25,7 +25,6 @@ _DONE = {"stop": "stopped: no goal is under way", "pause": "paused", "resume": "
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     verbs = add_verbs(parser, "Shows and controls the planner that drives the robot.", dest="nav_verb")
     for verb, text in (
         ("status", "the planner's state, its reason and the goal"),
@@ -48,7 +47,6 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run one of the verbs."""
     with open_client(args, warn=args.nav_verb != "stop") as client:
         types = Types(client)
         if args.nav_verb == "status":

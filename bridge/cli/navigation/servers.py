@@ -49,7 +49,6 @@ _DOCKING = (
 
 
 def register_dock(parser: argparse.ArgumentParser) -> None:
-    """Describe ``midspan dock`` and its arguments."""
     parser.description = (
         "Docks the robot at a location of the kind dock, or at a dock of the planner's own database, by the planner's"
         " action dock_robot (Nav2's docking_server). Ctrl-C, SIGTERM and SIGHUP cancel the goal, as does every stop."
@@ -62,7 +61,6 @@ def register_dock(parser: argparse.ArgumentParser) -> None:
 
 
 def register_undock(parser: argparse.ArgumentParser) -> None:
-    """Describe ``midspan undock`` and its arguments."""
     parser.description = "Moves the robot out of its dock by the planner's action undock_robot (Nav2's docking_server)."
     parser.epilog = "Example: midspan undock"
     parser.add_argument("--type", default="", help="the dock's type; default: that of the last docking")
@@ -71,7 +69,6 @@ def register_undock(parser: argparse.ArgumentParser) -> None:
 
 
 def register_waypoints(parser: argparse.ArgumentParser) -> None:
-    """Describe ``midspan waypoints`` and its arguments."""
     parser.description = (
         "Drives to locations or areas of the store in turn by the planner's action follow_waypoints (Nav2's"
         " waypoint_follower), which stops at each, may execute a task there, and goes on if one cannot be reached."
@@ -91,8 +88,6 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
 
 
 def run_dock(args: argparse.Namespace) -> int:
-    """Dock the robot; returns the exit code."""
-
     def goal_of(client: CliClient) -> dict[str, Any]:
         name, dock = _dock(client, args.place)
         goal = {"max_staging_time": _STAGING_SECONDS, "navigate_to_staging_pose": True}
@@ -111,13 +106,11 @@ def run_dock(args: argparse.Namespace) -> int:
 
 
 def run_undock(args: argparse.Namespace) -> int:
-    """Undock the robot; returns the exit code."""
     goal = {"dock_type": args.type, "max_undocking_time": _UNDOCKING_SECONDS}
     return _run(args, UNDOCK, lambda _client: goal, lambda _feedback: "", "undocked")
 
 
 def run_waypoints(args: argparse.Namespace) -> int:
-    """Follow the waypoints; returns the exit code."""
     if not 0 <= args.repeat < 2**32:
         raise CliError(f"--repeat must be 0 or more, not {args.repeat}")
     places: list[str] = args.places

@@ -78,7 +78,6 @@ class Keys:
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "Drives a base on any side with the keyboard: publishes velocities on the hub while a key is held, then zero,"
         " and nothing after it exits."

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     actions = add_verbs(parser, "Runs parts of a ROS 1 system on machines without ROS 1.")
     master = add_verb(
         actions, "master", run_master, "run a ROS 1 master with parameters, as roscore does",

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 
 def register_config(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     actions = add_verbs(parser, "Checks a configuration file, or prints examples and references.", dest="action")
     check = add_verb(actions, "check", run_config, "check a file: every problem with its place and cure", hub=False)
     check.add_argument("file", type=Path, nargs="?", metavar="FILE", help="the file (default: the daemon's)")
@@ -40,7 +39,6 @@ def register_config(parser: argparse.ArgumentParser) -> None:
 
 
 def run_config(args: argparse.Namespace) -> int:
-    """Check or print."""
     if args.action == "check":
         return _check_file(args.file, as_json=args.json)
     from bridge.config import generate
@@ -120,7 +118,6 @@ def _replace_file(file: Path, text: str) -> None:
 
 
 def register_import(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     peers = add_verbs(
         parser,
         "Converts another bridge's configuration. Reports entries without a counterpart by their line, on the"
@@ -143,7 +140,6 @@ def register_import(parser: argparse.ArgumentParser) -> None:
 
 
 def run_import(args: argparse.Namespace) -> int:
-    """Import."""
     drafts, notes = _drafts(args)
     _check(drafts)
     if args.output is None:

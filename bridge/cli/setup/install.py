@@ -13,7 +13,6 @@ DEFAULT_USER = "midspan"
 
 
 def register_install(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "Puts the systemd units, a first configuration and the services' user in place: midspan, and midspan@NAME for"
         " further daemons with /etc/midspan/NAME.yaml. Never overwrites or removes your files in /etc/midspan. Runs no"
@@ -31,7 +30,6 @@ def register_install(parser: argparse.ArgumentParser) -> None:
 
 
 def run_install(args: argparse.Namespace) -> int:
-    """Install or uninstall."""
     from bridge.daemon.install import Installation
 
     if not sys.platform.startswith("linux"):
@@ -51,7 +49,6 @@ SHELLS = ("bash", "zsh", "fish")
 
 
 def register_completion(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     parser.description = (
         "Prints a completion script for a shell. bash: midspan completion bash >"
         " ~/.local/share/bash-completion/completions/midspan; zsh: into a folder of $fpath as _midspan; fish: into"
@@ -62,7 +59,6 @@ def register_completion(parser: argparse.ArgumentParser) -> None:
 
 
 def run_completion(args: argparse.Namespace) -> int:
-    """Print the script."""
     import shtab
 
     from bridge.cli.main import VERBS, build_parser

@@ -17,7 +17,6 @@ from bridge.text import make_console
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     verbs = add_verbs(
         parser,
         "Builds ROS 2 message packages from .msg, .srv and .action files with gcc and without colcon, into a cache that"
@@ -38,7 +37,6 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build or list."""
     try:
         if args.action == "list":
             return _list(args)

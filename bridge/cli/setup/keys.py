@@ -31,7 +31,6 @@ an ADDRESS listens, one without connects; 'make' prints the configuration for ea
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     actions = add_verbs(
         parser,
         "Makes or shows the certificates by which the machines of a fleet identify each other over TLS (hub.open).",
@@ -60,7 +59,6 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make or show."""
     from bridge.hub.security.certificates import CertificateError
 
     folder = (args.folder or _default_folder()).expanduser().absolute()

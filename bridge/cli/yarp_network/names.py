@@ -35,7 +35,6 @@ def client(args: argparse.Namespace) -> NameClient:
 
 
 def register(verbs: Any) -> None:
-    """Add the parsers."""
     where = _add(verbs, "where", "the name server's address, and whether it responds")
     where.add_argument("--json", action="store_true", help="print JSON")
     name = _add(

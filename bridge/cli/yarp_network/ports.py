@@ -32,7 +32,6 @@ _RPC_TIMEOUT = 30.0
 
 
 def register(verbs: Any) -> None:
-    """Add the parsers."""
     read = add_verb(
         verbs, "read", _ended_by_signals(_read), "print the messages that a port receives",
         "Opens a port and prints the Bottles that it receives, one per line, until Ctrl-C.", hub=False,

@@ -24,7 +24,6 @@ midspan yarp list --server 192.168.1.2:10000
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Describe the verb and its arguments."""
     verbs = add_verbs(
         parser,
         "Shows, connects, reads and writes ports of a YARP network without an installed YARP; runs a name server.",
