@@ -52,6 +52,22 @@ C_MODULES: tuple[str, ...] = (
 )
 """Modules in C, each next to its user; missing without a compiler."""
 
+DRIVING: tuple[str, ...] = (
+    "bridge.messages.transcode.vm",
+    "bridge.tf.history",
+    "bridge.tf.message",
+    "navigation.algorithms.astar",
+    "navigation.algorithms.distance_transform",
+    "navigation.algorithms.occupancy",
+    "navigation.algorithms.potential_field",
+    "navigation.algorithms.rolling_grid",
+    "navigation.algorithms.shortcut",
+    "navigation.algorithms.stopping",
+    "navigation.maps.kernels",
+    SHARED,
+)
+"""What RobotGoto and RobotPathPlanner import: without one of these they are too slow, and refuse goals."""
+
 FLAGS = ("/O2",) if sys.platform == "win32" else ("-O3", "-g0", "-ffp-contract=off")
 """For the C compiler; without ``-march=native``, so that wheels run, and compute the same, on all machines."""
 

@@ -1,4 +1,4 @@
-"""The state of a planner, as all of Midspan's planners and the gateway publish it, and the reasons for failure.
+"""The state of a planner, as all planners in Midspan and the gateway publish it, and the reasons for failure.
 
 The states are YARP's (``yarp::dev::Nav2D::NavigationStatusEnum``, ``INavigation2D.h``), by their names.
 """
@@ -112,9 +112,9 @@ class PlanError(ValueError):
 
 
 def not_compiled() -> str:
-    """Return why goals are refused, with the cure; "" if all kernels are compiled, even from other sources."""
-    state = kernels.state()
-    return f"goals are refused, since {state}: {kernels.CURE}" if state.missing else ""
+    """Return why goals are refused, with the cure; "" if `kernels.DRIVING` are compiled, even from other sources."""
+    missing = tuple(name for name in kernels.state().missing if name in kernels.DRIVING)
+    return f"goals are refused, since {kernels.KernelState(missing, ())}: {kernels.CURE}" if missing else ""
 
 
 class Compiled:

@@ -7,6 +7,7 @@ import json
 import re
 import runpy
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from setuptools import Distribution, Extension  # type: ignore[import-untyped]
 from bridge import kernels
 from bridge.doctor.check import Result
 from bridge.doctor.checks import machine
+from navigation.status import not_compiled
 from tests.doctor.parts import around, only
 from tests.support.missing import COMPILER, needs
 
@@ -179,5 +181,34 @@ def test_what_is_not_compiled_is_told(tree: Path) -> None:
     assert kernels.state().missing == ("bridge.one", kernels.SHARED)
     finding = only(machine.check_kernels(around()))
     assert finding.result is Result.FAIL
-    assert "nothing drives" in finding.seen
+    assert "refuse goals" in finding.seen
     assert "g++" in finding.cure
+
+
+@pytest.mark.parametrize(
+    ("missing", "refused"),
+    [
+        (kernels.C_MODULES, False),
+        (("navigation.algorithms.voxel_map", "sim.laser_kernel"), False),
+        (("navigation.algorithms.stopping", *kernels.C_MODULES), True),
+        ((kernels.SHARED,), True),
+    ],
+)
+def test_goals_are_refused_only_without_a_kernel_for_driving(
+    missing: tuple[str, ...], refused: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernels, "state", lambda: kernels.KernelState(missing, ()))
+    assert bool(not_compiled()) is refused
+    assert kernels.C_MODULES[0] not in not_compiled()
+    finding = only(machine.check_kernels(around()))
+    assert finding.result is Result.FAIL
+    assert ("refuse goals" in finding.seen) is refused
+
+
+def test_the_kernels_for_driving_are_those_that_its_modules_import() -> None:
+    code = (
+        "import sys, navigation.robot_goto.module, navigation.robot_path_planner.module; from bridge import kernels;"
+        "print(*(set(kernels.KERNELS) | set(kernels.C_MODULES)) & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=kernels.ROOT, capture_output=True, text=True, check=True)
+    assert {*done.stdout.split(), kernels.SHARED} == set(kernels.DRIVING)

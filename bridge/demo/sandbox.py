@@ -18,13 +18,13 @@ from typing import Any, Self
 import yaml
 
 import bridge
+from bridge import kernels
 from bridge.adapters.ros2 import environment as ros2
 from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.config.sections.section import EMBEDDED
 from bridge.demo.rospy_packages import missing_rospy, packages_folder
 from bridge.shipped import shipped_folder
-from navigation.status import not_compiled
 
 MARK = "MIDSPAN_DEMO"
 """Environment variable of all processes of one run; its value is the run's folder."""
@@ -231,8 +231,8 @@ def missing(config: Config) -> list[str]:
 
 def too_slow() -> list[str]:
     """Return why driving would be too slow, with the cure; empty if all kernels are compiled."""
-    reason = not_compiled()
-    return [f"kernels: {reason}"] if reason else []
+    state = kernels.state()  # the demo also needs those of simulator, localizer and ROS 2 side
+    return [f"kernels: {state}: {kernels.CURE}"] if state.missing else []
 
 
 def ros1_packages(config: Config) -> Path:

@@ -10,5 +10,5 @@ from navigation.status import Compiled
 
 def uncompiled(monkeypatch: pytest.MonkeyPatch) -> Compiled:
     """Return the state of a module that started without one compiled kernel."""
-    monkeypatch.setattr(kernels, "state", lambda: kernels.KernelState(("navigation.some_kernel",), ()))
+    monkeypatch.setattr(kernels, "state", lambda: kernels.KernelState(("navigation.algorithms.stopping",), ()))
     return Compiled()

@@ -67,7 +67,9 @@ def check_kernels(_around: CheckContext) -> Findings:
     """Whether what computes is compiled, of the sources that lie here."""
     state = kernels.state()
     if state.missing:
-        return fail(f"{state}; messages are converted slowly, and nothing drives", kernels.CURE)
+        refused = ", and RobotGoto and RobotPathPlanner refuse goals"
+        drives = not set(state.missing) & set(kernels.DRIVING)
+        return fail(f"{state}; what needs them is slow or missing{'' if drives else refused}", kernels.CURE)
     return warn(str(state), kernels.REBUILD) if state.stale else ok(str(state))
 
 

@@ -245,7 +245,7 @@ def test_without_compiled_kernels_goals_are_refused_with_the_cure(place: Goto, m
     monkeypatch.setattr(place.module, "compiled", uncompiled(monkeypatch))
     status, result = place.robot.send(1.0, 0.0).end()
     assert status is GoalState.ABORTED
-    assert "not compiled: navigation.some_kernel" in result["error_msg"]
+    assert "not compiled: navigation.algorithms.stopping" in result["error_msg"]
     assert kernels.CURE in result["error_msg"]
     assert kernels.CURE in place.module.health().text
     with ServiceClient(INavigation2DMsgs, place.registered("/robotGoto/rpc"), naming=place.names, timeout=20) as yarp:

@@ -116,7 +116,7 @@ def test_without_compiled_kernels_goals_are_refused_with_the_cure(
     monkeypatch.setattr(place.module, "compiled", uncompiled(monkeypatch))
     status, result = place.robot.send(4.0, 1.0).end()
     assert status is GoalState.ABORTED
-    assert "not compiled: navigation.some_kernel" in result["error_msg"]
+    assert "not compiled: navigation.algorithms.stopping" in result["error_msg"]
     assert kernels.CURE in result["error_msg"]
     assert kernels.CURE in place.module.health().text
     rpc = place.registered("/robotPathPlanner/rpc")
