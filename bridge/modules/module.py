@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bridge.config.sections.modules import OwnModule
@@ -40,6 +40,10 @@ class Module(ABC):
     def status(self) -> dict[str, Any]:
         """Return additional fields for the status document, beyond the endpoints' counters."""
         return {}
+
+    def warnings(self) -> Iterable[str]:
+        """Return what users should mend although the module runs, for status and doctor; empty texts are left out."""
+        return ()
 
     def begin_stop(self, done: Callable[[], None]) -> None:
         """Wind down what must not end abruptly, such as a robot's motion, while all endpoints still work.

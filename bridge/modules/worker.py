@@ -171,11 +171,12 @@ class Running:
             return ModuleStatus(**self._names, state="stopped", routes=[]).document()
         health = self._module_health(module)
         text = "; ".join(filter(None, (self._computes, health.text)))
+        troubles = host.yarp.trouble(), host.clock.trouble(), opening.trouble()
         status = ModuleStatus(
             **self._head.fields(health.state, text, refused=[]),
             zid=host.node.hub.zid,
             routes=[],
-            warnings=list(filter(None, [host.yarp.trouble(), host.clock.trouble(), opening.trouble()])),
+            warnings=[text for text in (*module.warnings(), *troubles) if text],
             **host.status(),
         )
         return {**status.document(), **module.status()}

@@ -60,7 +60,7 @@ class Replica:
     """A replica of the store. Safe to use from any thread; raises `StoreError` if the file cannot be used."""
 
     def __init__(self, file: Path, origin: str, limits: StoreLimits | None = None) -> None:
-        self.origin, self.limits = origin, limits or StoreLimits()
+        self.file, self.origin, self.limits = file, origin, limits or StoreLimits()
         self._lost: deque[str] = deque(maxlen=_MOST_CONFLICTS)
         self.conflict_count = 0
         self._table = EntryTable(file)

@@ -5,16 +5,18 @@ A change is on the disk when the call returns; other machines receive it soon af
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Generic, Protocol, TypeVar
 
-from bridge.stores.entry import StoreError, check_name
+from bridge.stores.entry import StoreError, check_name, json_object
 from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, LOCATION, MAP, OBJECT, PATH, ValueKind
 from bridge.stores.replica import Body, Change, Key, OnChange, Replica
 from yarp_compat.dev.extras import AreaBehavior
+from yarp_compat.dev.locations import Map2DArea
 
-__all__ = ["Change", "Store", "Write"]
+__all__ = ["Change", "MapAreas", "Store", "Write"]
 
 T = TypeVar("T")
 
@@ -81,6 +83,25 @@ def _moved(values: Values, old: str, new: str) -> list[Write[Any]]:
     return writes
 
 
+_CLOSED = AreaBehavior(keep_out=True)
+_MOST_WARNINGS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class MapAreas:
+    """The areas on a map; robots keep out of what cannot be read."""
+
+    #: each area with its behavior, by name; the behavior is keep-out if it cannot be read
+    named: Mapping[str, tuple[Map2DArea, AreaBehavior]] = field(default_factory=dict)
+    closed: str = ""  #: why robots must not drive on the map at all: an area that may be on it cannot be read
+    warnings: tuple[str, ...] = ()  #: the behaviors that cannot be read, with the cure; the first ten
+
+    @property
+    def keep_out(self) -> list[Map2DArea]:
+        """The areas that robots keep out of."""
+        return [area for area, behavior in self.named.values() if behavior.keep_out]
+
+
 class Store:
     """Values by kind and name. Safe to use from any thread."""
 
@@ -142,6 +163,45 @@ class Store:
             return AreaBehavior.from_text(described.description) or AreaBehavior()
         except ValueError as err:
             raise StoreError(f"area {area!r}: {err}") from None
+
+    def areas(self, map_name: str) -> MapAreas:
+        """Return the areas on a map with their behaviors. What cannot be read keeps robots out."""
+        named: dict[str, tuple[Map2DArea, AreaBehavior]] = {}
+        unread: list[str] = []
+        warnings: list[str] = []
+        for name in self.names(AREA):
+            try:
+                area = self.get(AREA, name)
+            except StoreError as err:
+                if self._map_of(name) in (map_name, None):
+                    unread.append(self._cure(name, err))
+                continue
+            if area is None or area.map_id != map_name:
+                continue
+            try:
+                behavior = self.behavior(name)
+            except StoreError as err:
+                behavior = _CLOSED
+                warnings.append(f"robots keep out of the area {name!r}, since {self._cure(name, err)}")
+            named[name] = area, behavior
+        closed = ""
+        if unread:
+            more = f"; {len(unread) - 1} more areas cannot be read" if len(unread) > 1 else ""
+            closed = f"robots keep out of the map {map_name!r}, since an area on it cannot be read: {unread[0]}{more}"
+        return MapAreas(named, closed, tuple(warnings[:_MOST_WARNINGS]))
+
+    def _cure(self, area: str, err: StoreError) -> str:
+        remove = f"midspan location remove --kind area {shlex.quote(area)}"
+        return f"{err} (in {self.replica.file}); store it again, or remove it: {remove}"
+
+    def _map_of(self, area: str) -> str | None:
+        """Return the name of the map of an area that cannot be read; None if that cannot be read either."""
+        try:
+            body = self.replica.get(AREA.name, area)
+            found = None if body is None else json_object(body[0]).get("map")
+        except StoreError:
+            return None
+        return found if isinstance(found, str) else None
 
     def current_map(self) -> str:
         """Return the name of the current map, "" if none was chosen."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from typing_extensions import override
@@ -147,12 +147,6 @@ class GatewayModule(Module):
         gateway = self.gateway
         state, reason, _ = gateway.state()
         drive, other = gateway.drive, self._action.served_by
-        inactive = gateway.link.lifecycle.inactive
-        warnings = [
-            self._host.yarp.trouble(),
-            f"{ACTION} is served by {other}: {_BESIDE}" if other else "",
-            f"{lifecycle.trouble(inactive)}; {lifecycle.cure(inactive)}" if inactive else "",
-        ]
         return {
             "planner": gateway.planner,
             "planners": list(gateway.choices),
@@ -165,9 +159,16 @@ class GatewayModule(Module):
             "goals_of_others": len(gateway.link.foreign),
             "goals_ended": dict(gateway.ended),
             "served_by": other,
-            "inactive_nodes": inactive,
-            "warnings": list(filter(None, warnings)),
+            "inactive_nodes": gateway.link.lifecycle.inactive,
         }
+
+    @override
+    def warnings(self) -> Iterable[str]:
+        other, inactive = self._action.served_by, self.gateway.link.lifecycle.inactive
+        if other:
+            yield f"{ACTION} is served by {other}: {_BESIDE}"
+        if inactive:
+            yield f"{lifecycle.trouble(inactive)}; {lifecycle.cure(inactive)}"
 
     @override
     def begin_stop(self, done: Callable[[], None]) -> None:

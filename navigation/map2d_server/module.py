@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Iterable
 from typing import Any
 
 from typing_extensions import override
@@ -91,6 +92,11 @@ class Map2DServer(Module):
         }
 
     @override
+    def warnings(self) -> Iterable[str]:
+        areas = self._masks.areas
+        return areas.closed, *areas.warnings
+
+    @override
     def stop(self) -> None:
         for close in self._closing:
             close()
@@ -119,7 +125,7 @@ class Map2DServer(Module):
     def _show_current(self, changed: Keys) -> None:
         map_changed = self._current.update(changed)
         self._masks.update(self._current, changed, map_changed=map_changed)
-        self._markers.update(self._current, changed, map_changed=map_changed)
+        self._markers.update(self._current, self._masks.areas, changed, map_changed=map_changed)
 
     def _graph_changed(self) -> None:
         """Schedule a check of the map's publishers; on a thread of zenoh."""

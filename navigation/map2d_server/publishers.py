@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -15,8 +16,9 @@ from bridge.hub.wire.qos import LATCHED
 from bridge.modules.endpoints import ModulePublisher
 from bridge.modules.host import ModuleNode
 from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, LOCATION, MAP, OBJECT, PATH
-from bridge.stores.store import Store
+from bridge.stores.store import MapAreas, Store
 from navigation.maps.grid import data_of, info_of, message_of, to_cdr, to_grid, turned
+from navigation.maps.masks import KEEP_OUT as KEPT
 from navigation.maps.masks import binary_mask, keepout_mask, speed_mask
 from navigation.messages import GRID, Message, pose_message
 from navigation.pose import Pose
@@ -46,6 +48,8 @@ def points(corners: Sequence[tuple[float, float]], z: float = 0.02) -> list[Mess
     return [{"x": x, "y": y, "z": z} for x, y in corners]
 
 
+_log = logging.getLogger(__name__)
+
 KEEP_OUT, KEEP_OUT_INFO = "/keepout_filter_mask", "/keepout_costmap_filter_info"
 SPEED, SPEED_INFO = "/speed_filter_mask", "/speed_costmap_filter_info"
 BINARY, BINARY_INFO = "/binary_filter_mask", "/binary_costmap_filter_info"
@@ -58,12 +62,16 @@ _KEEP_OUT_FILTER, _BINARY_FILTER = 0, 3
 """
 
 
-def masks_of(grid: MapGrid2D, store: Store, head: Head) -> dict[str, tuple[str, Message]]:
+def masks_of(grid: MapGrid2D, areas: MapAreas, head: Head) -> dict[str, tuple[str, Message]]:
     """Return the type and message of each mask by topic. The grid is the current map, aligned to yaw 0."""
-    on_map = {name: area for name, area in store.all(AREA).items() if area.map_id == grid.name and area.points}
-    areas = [(area, store.behavior(name)) for name, area in on_map.items()]
-    mask = keepout_mask(grid, [area for area, behavior in areas if behavior.keep_out])
-    limits = [(area, behavior.max_speed) for area, behavior in areas if behavior.max_speed is not None]
+    mask = keepout_mask(grid, areas.keep_out)
+    if areas.closed:
+        mask[:] = KEPT  # without a mask, Nav2's filters would let robots drive everywhere
+    limits = [
+        (area, behavior.max_speed)
+        for area, behavior in areas.named.values()
+        if behavior.max_speed is not None and area.points
+    ]
     speed = speed_mask(grid, limits)
 
     def on_cells(values: NDArray[np.int8]) -> tuple[str, Message]:
@@ -102,7 +110,7 @@ _GREEN, _BLUE, _ORANGE, _GRAY = (
 )
 
 
-def markers_of(store: Store, map_name: str, head: Head) -> Message:
+def markers_of(store: Store, map_name: str, areas: MapAreas, head: Head) -> Message:
     """Return markers of all places on a map; the first marker deletes all previous markers."""
     markers = _Markers(head)
     for name, location in store.all(LOCATION).items():
@@ -111,8 +119,8 @@ def markers_of(store: Store, map_name: str, head: Head) -> Message:
     for name, thing in store.all(OBJECT).items():
         if thing.map_id == map_name:
             markers.add_object(name, thing)
-    for name, area in store.all(AREA).items():
-        if area.map_id == map_name and area.points:
+    for name, (area, _) in areas.named.items():
+        if area.points:
             markers.add_area(name, area)
     for name, path in store.all(PATH).items():
         markers.add_path(name, path, map_name)
@@ -257,17 +265,21 @@ class AllMaps:
 
 
 class Masks:
-    """Publishes the masks of keep-out cells, areas and speed limits for the filters of Nav2's costmaps."""
+    """Publishes the masks of keep-out cells, areas and speed limits for the filters in Nav2's costmaps."""
 
     def __init__(self, node: ModuleNode, store: Store, head: Head) -> None:
         self._node, self._store, self._head = node, store, head
         self._ends: dict[str, ModulePublisher] = {}
+        self.areas = MapAreas()
 
     def update(self, current: CurrentMap, changed: Keys, *, map_changed: bool) -> None:
         """Publish the masks of the current map if the map or an area has changed."""
         if not (map_changed or any(kind in (AREA.name, BEHAVIOR.name) for kind, _ in changed)):
             return
-        messages = {} if current.grid is None else masks_of(current.grid, self._store, self._head)
+        self.areas = self._store.areas(current.name) if current.name else MapAreas()
+        for text in filter(None, (self.areas.closed, *self.areas.warnings)):
+            _log.warning("%s", text)
+        messages = {} if current.grid is None else masks_of(current.grid, self.areas, self._head)
         for topic in self._ends.keys() - messages.keys():
             self._node.release(self._ends.pop(topic))
         for topic, (type_name, message) in messages.items():
@@ -285,10 +297,10 @@ class Markers:
         self._store, self._head = store, head
         self._end = node.publisher(MARKERS, MARKERS_TYPE, LATCHED, priority="state")
 
-    def update(self, current: CurrentMap, changed: Keys, *, map_changed: bool) -> None:
-        """Publish the markers if a place or the map has changed."""
+    def update(self, current: CurrentMap, areas: MapAreas, changed: Keys, *, map_changed: bool) -> None:
+        """Publish the markers of the current map and its areas if a place or the map has changed."""
         if map_changed or any(kind in self._KINDS for kind, _ in changed):
-            self._end.publish(markers_of(self._store, current.name, self._head))
+            self._end.publish(markers_of(self._store, current.name, areas, self._head))
 
 
 def topic_of(name: str, taken: AbstractSet[str] = frozenset(), *, under: str = "/maps") -> str:

@@ -6,7 +6,7 @@ It replaces robotology/navigation's ``robotGotoDev``.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
@@ -22,6 +22,7 @@ from bridge.modules.host import Host
 from bridge.modules.loop import Newest
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, BEHAVIOR
+from bridge.stores.store import MapAreas
 from bridge.worker import Health
 from navigation.clouds import POINT_CLOUD, placed, read_points
 from navigation.constraints import Constraints
@@ -76,6 +77,7 @@ class RobotGoto(PlannerModule):
         others = self.driver.obstacles
         self._layers = LayerSubscriptions(host, section.obstacles, self._frames, others.layer, self.now, others.trouble)
         known = section.keep_out_map
+        self._areas = MapAreas()
         self._map = MapInUse(host, known, self._use_map, AREA, BEHAVIOR) if known else None
         self._serve()
         host.answer("halt", lambda _params: host.loop.call(self.halt))
@@ -155,15 +157,19 @@ class RobotGoto(PlannerModule):
         self.driver.obstacles.cloud(topic, now - age, points, np.array(at.translation) - up, flat(moved))
 
     def _use_map(self, grid: MapGrid2D | None) -> None:
-        """Stay out of the keep-out cells of a map."""
-        store, areas = self._host.store, []
-        for name, area in store.all(AREA).items():
-            try:
-                if store.behavior(name).keep_out:
-                    areas.append(area)
-            except StoreError as err:
-                self._host.log.warning("%s", err)
-        self.driver.keep_out.use(grid, areas)
+        """Stay out of the keep-out cells and areas of a map; stand if one of its areas cannot be read."""
+        self._areas = MapAreas() if grid is None else self._host.store.areas(grid.name)
+        for text in filter(None, (self._areas.closed, *self._areas.warnings)):
+            self._host.log.warning("%s", text)
+        self.driver.keep_out.use(grid, self._areas.keep_out)
+        if self._areas.closed and not self.progress.state.ended:
+            self._abort(self._areas.closed, Fault.NO_MAP)
+
+    def _check(self) -> None:
+        """Raise `PlanError` if the robot must not drive at all."""
+        self.compiled.check()
+        if self._areas.closed:
+            raise PlanError(Fault.NO_MAP, self._areas.closed)
 
     # requests
 
@@ -187,7 +193,7 @@ class RobotGoto(PlannerModule):
 
     @override
     def drive(self, *places: MapPlace, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
-        self.compiled.check()
+        self._check()
         (place,) = places
         current = self.map_name()
         if place.map_name and current and place.map_name != current:
@@ -198,8 +204,8 @@ class RobotGoto(PlannerModule):
         self._publish(None)
 
     def approach(self, direction: float, speed: float, seconds: float) -> None:
-        """Move with only the laser: radians, m/s, seconds. Raises `PlanError` if kernels are not compiled."""
-        self.compiled.check()
+        """Move with only the laser: radians, m/s, seconds. Raises `PlanError` if the robot must not drive."""
+        self._check()
         self._goal.replace(None)
         self.driver.approach(direction, speed, seconds)
 
@@ -281,8 +287,9 @@ class RobotGoto(PlannerModule):
 
     @override
     def health(self) -> Health:
-        if self.compiled.trouble:
-            return Health("waiting", self.compiled.trouble)
+        trouble = self.compiled.trouble or self._areas.closed
+        if trouble:
+            return Health("waiting", trouble)
         scanned = self.driver.grid.scanned
         if scanned is None or self.now() - scanned > self.driver.settings.laser_timeout:
             return Health("waiting", self._laser_trouble or "waiting for a scan of the laser")
@@ -302,6 +309,10 @@ class RobotGoto(PlannerModule):
             "obstacles": dict(self.driver.obstacles.trouble),
             "keep_out": self._keep_out_status(),
         }
+
+    @override
+    def warnings(self) -> Iterable[str]:
+        return self._areas.warnings
 
     def _keep_out_status(self) -> str:
         if self._map is None:

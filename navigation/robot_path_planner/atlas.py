@@ -11,9 +11,8 @@ from dataclasses import dataclass
 
 from typing_extensions import override
 
-from bridge.stores.entry import StoreError
-from bridge.stores.kinds import AREA, LINK, LOCATION, MAP
-from bridge.stores.store import Store
+from bridge.stores.kinds import LINK, LOCATION, MAP
+from bridge.stores.store import MapAreas, Store
 from navigation.algorithms.astar import astar
 from navigation.goals import MapPlace
 from navigation.pose import Pose
@@ -55,11 +54,17 @@ class Atlas:
 
 
 def leg(atlas: Atlas, ground: Ground, start: Pose, goal: MapPlace) -> Leg:
-    """Return this map's part of the shortest path to a goal on any map; raises `PlanError` if no links lead there."""
-    if goal.map_name == ground.name:
-        return Leg(goal)
-    if atlas.ground(goal.map_name) is None:
+    """Return this map's part of the shortest path to a goal on any map.
+
+    Raises `PlanError` if robots keep out of one of the two maps, or no links lead there.
+    """
+    there = ground if goal.map_name == ground.name else atlas.ground(goal.map_name)
+    if there is None:
         raise PlanError(Fault.NO_MAP, f"the goal is on the map '{goal.map_name}', which is not in the store")
+    if ground.closed or there.closed:
+        raise PlanError(Fault.NO_MAP, ground.closed or there.closed)
+    if there is ground:
+        return Leg(goal)
     links = [
         directed
         for link in atlas.links()
@@ -76,7 +81,7 @@ def leg(atlas: Atlas, ground: Ground, start: Pose, goal: MapPlace) -> Leg:
             continue
         done.add(place)
         here_ground = ground if place.map_name == ground.name else atlas.ground(place.map_name)
-        if here_ground is None:
+        if here_ground is None or here_ground.closed:
             continue
         ends = [(link.first, link.second, link.cost) for link in links if link.first.map_name == place.map_name]
         if place.map_name == goal.map_name:
@@ -121,12 +126,20 @@ class StoreAtlas(Atlas):
             grid = self._store.get(MAP, name) if name else None
             if grid is None:
                 return None
-            ground = self._grounds[name] = self.ground_of(grid)
+            ground = self._grounds[name] = self.ground_of(grid, self.areas(name))
         return ground
 
-    def ground_of(self, grid: MapGrid2D) -> Ground:
-        """Return any map with the store's areas."""
-        return Ground(grid, self.settings.robot_radius, self.settings.clearance, self._zones())
+    def ground_of(self, grid: MapGrid2D, areas: MapAreas) -> Ground:
+        """Return any map with its areas."""
+        zones = [Zone(*pair) for pair in areas.named.values()]
+        return Ground(grid, self.settings.robot_radius, self.settings.clearance, zones, areas.closed)
+
+    def areas(self, name: str) -> MapAreas:
+        """Return the areas on a map; log those that cannot be read."""
+        areas = self._store.areas(name)
+        for text in filter(None, (areas.closed, *areas.warnings)):
+            _log.warning("%s", text)
+        return areas
 
     @override
     def links(self) -> Sequence[LinkedPlaces]:
@@ -138,15 +151,6 @@ class StoreAtlas(Atlas):
                 continue
             links.append(LinkedPlaces(_place(link.first, first), _place(link.second, second), link.cost, name))
         return links
-
-    def _zones(self) -> list[Zone]:
-        zones = []
-        for name, area in self._store.all(AREA).items():
-            try:
-                zones.append(Zone(area, self._store.behavior(name)))
-            except StoreError as err:
-                _log.warning("%s", err)
-        return zones
 
 
 def _place(name: str, location: Map2DLocation) -> MapPlace:

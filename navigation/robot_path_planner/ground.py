@@ -48,12 +48,14 @@ class Ground:
     """An immutable map for a robot of a given radius, meters; all arrays are (rows, columns).
 
     A rotated map is aligned with the axes. Cells nearer to walls and keep-out cells than ``radius`` + ``clearance``
-    meters cost more. Zones on other maps are ignored.
+    meters cost more. Zones on other maps are ignored. ``closed`` is why robots must not drive on the map at all, or "".
     """
 
-    def __init__(self, grid: MapGrid2D, radius: float, clearance: float = 0.0, zones: Sequence[Zone] = ()) -> None:
+    def __init__(
+        self, grid: MapGrid2D, radius: float, clearance: float = 0.0, zones: Sequence[Zone] = (), closed: str = ""
+    ) -> None:
         self.grid = grid = turned(grid)
-        self.radius = radius
+        self.radius, self.closed = radius, closed
         flags, occupancy = grid.flags, grid.occupancy
         # walls, temporary obstacles, unknown
         self.solid = lookup(flags, _SOLID).astype(bool) | ((occupancy >= OCCUPIED) & (occupancy <= 100))

@@ -6,7 +6,7 @@ It replaces robotology/navigation's ``robotPathPlannerDev``.
 from __future__ import annotations
 
 import base64
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from typing import Any
 
 from typing_extensions import override
@@ -17,6 +17,7 @@ from bridge.hub.wire.qos import Qos
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
 from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, MAP
+from bridge.stores.store import MapAreas
 from bridge.worker import Health
 from navigation.constraints import Constraints
 from navigation.frames import LATE, FramesError, RobotFrames
@@ -95,7 +96,7 @@ class RobotPathPlanner(PlannerModule):
         section = self._section
         for note in self._notes:
             host.log.warning("%s", note)
-        self._length = 0.0
+        self._length, self._areas = 0.0, MapAreas()
         self._atlas = StoreAtlas(host.store, section)
         self.planner = PathPlanner(section, self._atlas)
         self._open(host, RobotFrames(host, section.frame, section.base_frame))
@@ -286,13 +287,15 @@ class RobotPathPlanner(PlannerModule):
 
     def _use(self, grid: MapGrid2D | None) -> None:
         self._atlas.clear()
-        self.planner.use_map(None if grid is None else self._atlas.ground_of(grid))
+        self._areas = MapAreas() if grid is None else self._atlas.areas(grid.name)
+        self.planner.use_map(None if grid is None else self._atlas.ground_of(grid, self._areas))
 
     # state
 
     @override
     def health(self) -> Health:
-        trouble = self.compiled.trouble or self._map.trouble or "; ".join(self._layers.trouble.values())
+        layers = "; ".join(self._layers.trouble.values())
+        trouble = self.compiled.trouble or self._map.trouble or self._areas.closed or layers
         if trouble:
             no_map = self.planner.ground is None and not self.compiled.trouble
             return Health("waiting", trouble + ("; goals wait for a map" if no_map else ""))
@@ -314,6 +317,10 @@ class RobotPathPlanner(PlannerModule):
             "laser": self._laser.trouble,
             "layers": dict(self._layers.trouble),
         }
+
+    @override
+    def warnings(self) -> Iterable[str]:
+        return self._areas.warnings
 
     @override
     def stop(self) -> None:

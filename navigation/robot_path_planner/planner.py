@@ -117,7 +117,9 @@ class PathPlanner:
                 task.replan_reason = "the map was removed"
         elif before is None or before.name != ground.name:
             task.replan_reason = f"the map changed to {ground.name}"
-        elif task.arrived_at is None and blocked(ground, ground.weights == 0, task.line(self._jumps.pose)):
+        elif ground.closed or (
+            task.arrived_at is None and blocked(ground, ground.weights == 0, task.line(self._jumps.pose))
+        ):
             task.replan_reason = "the map has changed"
 
     def goal(

@@ -123,6 +123,62 @@ def test_an_areas_behavior_is_stored_separately_or_in_its_description(store: Sto
     assert store.behavior("nowhere") == AreaBehavior()
 
 
+def spoil(store: Store, kind: ValueKind[Any], name: str, body: bytes) -> None:
+    """Put an invalid value into the store, as another release of Midspan or a damaged file may do."""
+    store.replica.write({(kind.name, name): (body, kind.encoding)})
+
+
+def test_a_maps_areas_are_returned_with_their_behaviors(store: Store) -> None:
+    slow, shut = Map2DArea("m1", CORNERS, "max_speed=0.2"), Map2DArea("m1", CORNERS)
+    store.put(AREA, "slow", slow)
+    store.put(AREA, "shut", shut)
+    store.put(BEHAVIOR, "shut", AreaBehavior(keep_out=True))
+    store.put(AREA, "elsewhere", Map2DArea("m2", CORNERS, "keep_out"))
+    areas = store.areas("m1")
+    assert areas.named == {"slow": (slow, AreaBehavior(0.2)), "shut": (shut, AreaBehavior(keep_out=True))}
+    assert areas.keep_out == [shut]
+    assert (areas.closed, areas.warnings) == ("", ())
+
+
+@pytest.mark.parametrize("where", ["description", "behavior"])
+def test_an_area_whose_behavior_cannot_be_read_is_a_keep_out_area(store: Store, where: str) -> None:
+    area = Map2DArea("m1", CORNERS, "max_speed=fast" if where == "description" else "")
+    store.put(AREA, "the lab", area)
+    if where == "behavior":
+        spoil(store, BEHAVIOR, "the lab", b'{"keep_out": "yes"}')
+    areas = store.areas("m1")
+    assert areas.keep_out == [area]
+    assert not areas.closed
+    (warning,) = areas.warnings
+    for part in ("keep out of the area 'the lab'", "remove --kind area 'the lab'", str(store.replica.file)):
+        assert part in warning
+    assert store.areas("m2").warnings == ()
+    store.put(BEHAVIOR, "the lab", AreaBehavior())
+    assert store.areas("m1").keep_out == []
+
+
+@pytest.mark.parametrize(
+    ("body", "closed"),
+    [
+        (b'{"map": "m1", "points": [[0, 0], ["a", 1]]}', {"m1"}),
+        (b'{"map": "m2", "points": 3}', {"m2"}),
+        (b'{"map": 3, "points": []}', {"m1", "m2"}),
+        (b"{", {"m1", "m2"}),
+    ],
+)
+def test_robots_keep_out_of_a_map_if_an_area_on_it_cannot_be_read(store: Store, body: bytes, closed: set[str]) -> None:
+    good = Map2DArea("m1", CORNERS)
+    store.put(AREA, "good", good)
+    spoil(store, AREA, "the lab", body)
+    assert {name for name in ("m1", "m2") if store.areas(name).closed} == closed
+    areas = store.areas(min(closed))
+    for part in (f"map '{min(closed)}'", "area 'the lab'", "remove --kind area 'the lab'", str(store.replica.file)):
+        assert part in areas.closed
+    assert list(store.areas("m1").named) == ["good"]
+    store.delete(AREA, "the lab")
+    assert not store.areas(min(closed)).closed
+
+
 def test_the_current_map_must_exist(store: Store) -> None:
     assert store.current_map() == ""
     with pytest.raises(StoreError, match="no map 'm1'; existing maps: none"):

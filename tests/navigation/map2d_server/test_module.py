@@ -388,6 +388,31 @@ def test_areas_and_places_are_published(served: Served) -> None:
     until(lambda: not any(speed()["data"]), "the speed limit is gone", 20)
 
 
+def test_masks_keep_robots_out_of_what_cannot_be_read(served: Served) -> None:
+    free = MapGrid2D.of(np.zeros((10, 10), np.uint8), name="hall", resolution=1.0)
+    corners = [Vec2D(0.1, 0.1), Vec2D(2.9, 0.1), Vec2D(2.9, 2.9), Vec2D(0.1, 2.9)]
+    served.store.put(MAP, "hall", free)
+    served.store.use_map("hall")
+    mask, binary = served.latest("/keepout_filter_mask", GRID), served.latest("/binary_filter_mask", GRID)
+    shown = served.latest("/map_locations", MARKERS)
+
+    def warned(text: str) -> bool:
+        document = served.far.hub.ask("status", {}, worker="map2d_server", timeout=20.0)[0].value
+        return any(text in warning for warning in document["warnings"])
+
+    served.store.put(AREA, "slow", Map2DArea("hall", corners, "max_speed=fast"))
+    until(lambda: mask() and sum(value == 100 for value in mask()["data"]) == 9, "robots keep out of the area", 20)
+    assert warned("keep out of the area 'slow'")
+    served.store.replica.write({(AREA.name, "lab"): (b'{"map": "hall", "points": 3}', AREA.encoding)})
+    until(lambda: set(mask()["data"]) == set(binary()["data"]) == {100}, "robots keep out of the map", 20)
+    assert warned("keep out of the map 'hall'")
+    assert any(marker["ns"] == "area slow" for marker in shown()["markers"])
+    served.store.delete(AREA, "lab")
+    served.store.put(BEHAVIOR, "slow", AreaBehavior())
+    until(lambda: not any(mask()["data"]), "the map is open", 20)
+    assert not warned("keep out")
+
+
 def test_a_rotated_map_is_published_aligned(served: Served) -> None:
     turned = MapGrid2D.of(np.full((4, 8), MapFlag.WALL, np.uint8), name="t", resolution=0.5, origin=(0, 0, 90))
     served.store.put(MAP, "t", turned)

@@ -25,7 +25,7 @@ from navigation.constraints import Constraints
 from navigation.frames import FramesError
 from navigation.planner_module import PlannerModule
 from navigation.pose import Pose
-from navigation.status import Fault, State
+from navigation.status import Fault, PlanError, State
 from sim.laser import reference
 from tests.navigation.robot_goto.test_obstacles import surface
 from tests.navigation.uncompiled import uncompiled
@@ -438,6 +438,36 @@ def test_keep_out_areas_of_the_stores_map_are_obstacles(place: Goto) -> None:
     finally:
         for kind in (BEHAVIOR, AREA, MAP):
             store.clear(kind)
+
+
+def test_a_robot_stands_on_a_map_with_an_area_that_cannot_be_read(place: Goto) -> None:
+    store, robot, module = place.host.store, place.robot, place.module
+    flags = np.zeros((120, 120), np.uint8)
+    broken = b'{"map": "room", "points": [[1, "a"]], "description": "keep_out"}'
+    try:
+        store.put(MAP, "room", MapGrid2D.of(flags, name="room", resolution=0.05, origin=(-3.0, -3.0, 0.0)))
+        store.use_map("room")
+        until(lambda: module.status()["keep_out"] == "known", "the map is used", 20)
+        sent = robot.send(2.0, 0.0, 0.0, Constraints(max_lin_speed=0.1).to_text())
+        until(lambda: robot.x > 0.05, "the robot drives", 30)
+        store.replica.write({(AREA.name, "ahead"): (broken, AREA.encoding)})
+        status, result = sent.end()
+        assert (status, result["error_code"]) == (GoalState.ABORTED, Fault.NO_MAP)
+        for text in (result["error_msg"], robot.send(2.0, 0.0).end()[1]["error_msg"], module.health().text):
+            assert "robots keep out of the map 'room'" in text
+            assert "remove --kind area ahead" in text
+        until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "the robot stops", 20)
+        with pytest.raises(PlanError, match="keep out of the map"):
+            place.host.loop.call(lambda: module.approach(0.0, 0.1, 1.0))
+        store.put(AREA, "ahead", Map2DArea("room", [Vec2D(2, 2), Vec2D(2.5, 2), Vec2D(2.5, 2.5)], "max_speed=fast"))
+        until(lambda: module.health().state == "running", "the area can be read", 20)
+        document = place.far.hub.ask("status", {}, worker="robot_goto", timeout=20.0)[0].value
+        assert any("robots keep out of the area 'ahead'" in text for text in document["warnings"])
+        assert len(module.driver.keep_out.near(0.3, Pose(1.0, 1.0, 0.0), Pose(1.0, 1.0, 0.0)))
+    finally:
+        for kind in (AREA, MAP):
+            store.clear(kind)
+        until(lambda: module.health().state == "running", "the map is open again", 20)
 
 
 def seen(*heights: float) -> dict[str, Any]:

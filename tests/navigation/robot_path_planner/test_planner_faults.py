@@ -1,4 +1,4 @@
-"""The planner without laser, pose, map or navigator: what it waits for, and when it aborts the goal."""
+"""The planner without laser, pose, map or navigator: its reasons for waiting, and when it aborts the goal."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import pytest
 
 from navigation.goals import MapPlace
 from navigation.pose import Pose
+from navigation.robot_path_planner.ground import Ground
 from navigation.status import Fault, State
 from tests.peers.navigation.floors import EAST, KEPT, ROOMS, WEST, Drive, floor, least_room
 
@@ -170,3 +171,14 @@ def test_a_navigator_stopped_by_another_client_aborts_the_goal() -> None:
     status = drive.tick()
     assert (status.state, status.fault) == (State.ABORTED, Fault.OTHER)
     assert "canceled" in status.reason
+
+
+def test_the_robot_stops_when_its_map_is_closed() -> None:
+    drive = Drive(floor(*ROOMS), WEST)
+    drive.goto(EAST, 2.0)
+    ground = drive.planner.ground
+    assert ground is not None
+    drive.planner.use_map(Ground(ground.grid, ground.radius, closed="an area cannot be read"))
+    assert drive.run(1.0) == (State.ABORTED, "an area cannot be read", Fault.NO_MAP)
+    assert drive.local.state is State.IDLE
+    assert drive.goto(EAST, 1.0) == (State.ABORTED, "an area cannot be read", Fault.NO_MAP)
