@@ -23,7 +23,6 @@ from bridge.hub.lane.wire import (
     PIECE,
     ROOM,
     SAMPLE,
-    SAMPLE_BODY,
     TOKEN,
 )
 from bridge.hub.wire.keys import unpack_attachment
@@ -151,14 +150,14 @@ class Inlet:
         """Hand over the messages of a record."""
         end, whole, keys = 0, len(record), self._numbers
         while end < whole:
-            begin = end + SAMPLE_BODY
-            _, number, size = SAMPLE.unpack_from(record, end)
-            attached, end = record[end + SAMPLE.size : begin], begin + size
+            begin = end + SAMPLE.size
+            _, number, size, sequence, time_ns, gid = SAMPLE.unpack_from(record, end)
+            end = begin + size
             if end > whole:
                 raise HubWireError(f"a record of {whole} bytes ends within a message")
             key = keys.get(number)
             if key is not None:
-                self._hand(key, unpack_attachment(attached), record[begin:end])
+                self._hand(key, (sequence, time_ns, gid), record[begin:end])
 
     def _hand(self, key: _Key, message: tuple[int, int, bytes], payload: bytes) -> None:
         for reader in key.readers:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import struct
 
-from bridge.hub.wire.keys import ATTACHMENT_SIZE
+from bridge.hub.wire.keys import ATTACHMENT_SIZE, GID_SIZE
 
 VERSION = 2
 """Part of a socket's name, so that workers of different versions do not connect."""
@@ -25,11 +25,9 @@ HEAD = struct.Struct("<BI")
 PIECE = struct.Struct("<II")
 TOKEN = struct.Struct("<Q")
 SIZE = struct.Struct("<I")
-SAMPLE = struct.Struct("<BII")
-"""What precedes the attachment of a message in a ``DATA`` record: a head, and the size of the payload."""
-
-SAMPLE_BODY = SAMPLE.size + ATTACHMENT_SIZE
-"""Offset of its payload."""
+SAMPLE = struct.Struct(f"<BIIqqx{GID_SIZE}s")
+"""What precedes the payload of a message in a ``DATA`` record: a head, the size of the payload, and the attachment:
+number, time and GID, whose length is skipped (`bridge.hub.wire.keys`)."""
 
 BODY = HEAD.size + ATTACHMENT_SIZE
 """Offset of what follows the attachment in other records."""

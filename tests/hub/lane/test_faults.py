@@ -105,7 +105,7 @@ def test_partial_message_is_not_delivered(network: HubNetwork, tmp_path: Path) -
             gid = publisher.gid
             sock.send(HEAD.pack(MARK, key) + pack_attachment(0, 0, gid))
             goes_by(subscriber, "lane")
-            sock.send(SAMPLE.pack(DATA, key, 5) + pack_attachment(1, 1, gid) + b"whole")
+            sock.send(SAMPLE.pack(DATA, key, 5, 1, 1, gid) + b"whole")
             sock.send(HEAD.pack(PART, key) + pack_attachment(2, 2, gid) + PIECE.pack(100_000, 0) + bytes(50_000))
             sock.shutdown(socket.SHUT_RDWR)
             sock.close()
@@ -178,7 +178,7 @@ def test_sockets_of_dead_processes_are_removed(network: HubNetwork, tmp_path: Pa
 def test_workers_whose_lanes_have_other_versions_use_zenoh(
     network: HubNetwork, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writers: int, readers: int
 ) -> None:
-    """During an upgrade a worker of the new release may start beside one of the old."""
+    """During an upgrade a worker of the new release may start while one of the old still runs."""
     lane = str(tmp_path)
     monkeypatch.setattr(folder, "VERSION", writers)
     with Hub.open(network.settings("writer", lane=lane)) as writer:

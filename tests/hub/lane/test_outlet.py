@@ -11,8 +11,8 @@ import pytest
 from bridge.hub.lane import outlet as module
 from bridge.hub.lane.joining import MAX_JOINED, MAX_JOINED_BYTES, Joining, flush_joined
 from bridge.hub.lane.outlet import Outlet, ReaderLink
-from bridge.hub.lane.wire import BODY, BOUND, DATA, FENCE, HEAD, PART, PIECE, ROOM, SAMPLE, SAMPLE_BODY, TOKEN
-from bridge.hub.wire.keys import pack_attachment, unpack_attachment
+from bridge.hub.lane.wire import BODY, BOUND, DATA, FENCE, HEAD, PART, PIECE, ROOM, SAMPLE, TOKEN
+from bridge.hub.wire.keys import pack_attachment
 
 GID = bytes(16)
 
@@ -63,9 +63,9 @@ class Pair:
 def messages(record: bytes) -> Iterator[tuple[int, int]]:
     at = 0
     while at < len(record):
-        _, key, size = SAMPLE.unpack_from(record, at)
-        yield key, unpack_attachment(record[at + SAMPLE.size : at + SAMPLE_BODY])[0]
-        at += SAMPLE_BODY + size
+        _, key, size, sequence, _, _ = SAMPLE.unpack_from(record, at)
+        yield key, sequence
+        at += SAMPLE.size + size
 
 
 @pytest.fixture

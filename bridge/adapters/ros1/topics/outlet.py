@@ -46,7 +46,7 @@ class SubscriberConnection(TopicConnection):
         super().__init__(sock, node)
         self.listens = False
         self._name, self._ended = name, ended
-        self._condition = threading.Condition()
+        self._condition = threading.Condition(self._lock)
         self._queue: deque[tuple[str, bytes]] = deque()
         self._waiting: Counter[str] = Counter()
         self._bytes = self._unexpected = 0
@@ -61,7 +61,7 @@ class SubscriberConnection(TopicConnection):
 
     def send(self, payload: bytes, source: str, depth: int) -> bool:
         """Send or queue one message; return False if the connection is broken."""
-        with self._condition:
+        with self._lock:
             if self.done:
                 return False
             if self._writing or self._rest or self._queue:
@@ -84,7 +84,7 @@ class SubscriberConnection(TopicConnection):
 
     def close(self) -> None:
         """Disconnect; queued messages are dropped. Safe to call twice."""
-        with self._condition:
+        with self._lock:
             if self.done:
                 return
             self.done = True
@@ -158,7 +158,7 @@ class SubscriberConnection(TopicConnection):
 
     def _run(self) -> None:
         while True:
-            with self._condition:
+            with self._lock:
                 data = self._next()
                 if data is None:
                     return
@@ -170,7 +170,7 @@ class SubscriberConnection(TopicConnection):
                 broken = True
             else:
                 broken = False
-            with self._condition:
+            with self._lock:
                 self._writing = False
                 if self.done:
                     self._sock.close()
