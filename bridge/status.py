@@ -330,6 +330,12 @@ class GatewayKeys(Part):
     inactive_nodes: dict[Text, Text] = {}
 
 
+class MapServerKeys(Part):
+    """Map2DServer's own keys that others use; ``taken``: number of maps taken from each topic."""
+
+    taken: dict[Text, Int] = {}
+
+
 class WorkerReport(Part):
     """A worker as its daemon reports it.
 

@@ -86,7 +86,7 @@ class FilesBag(Bag):
     def messages(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[BagMessage]:
-        """See `Bag.messages`; each file is read from its start on. Files that cannot be opened raise at the end."""
+        """Yield the messages of all files, each opened at its start; those that cannot be opened raise at the end."""
         wanted = None if topics is None else set(topics)
         later = deque(self._parts)
         heads: list[tuple[int, int, BagMessage, Iterator[BagMessage]]] = []
@@ -125,7 +125,7 @@ class FilesBag(Bag):
 
     @override
     def skip_damage(self, on_damage: Callable[[BagError], None]) -> None:
-        """See `Bag.skip_damage`: if a file cannot skip its damage, the rest of it is left out."""
+        """Skip damaged data, and report it. If a file cannot skip its damage, the rest of that file is left out."""
         self._on_damage = on_damage
         for err in self._broken:
             on_damage(err)

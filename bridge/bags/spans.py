@@ -65,7 +65,7 @@ class SpanBag(Bag):
     def columns(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[Columns]:
-        """See `Bag.columns`; the messages of pieces that overlap are sorted within `HELD`."""
+        """Yield the messages in blocks; those of pieces that overlap are sorted within `HELD`."""
         wanted = None if topics is None else set(topics)
         numbers = {number for number, topic in self.topic_of.items() if wanted is None or topic in wanted}
         spans = [
@@ -117,7 +117,7 @@ class SpanBag(Bag):
 
     @override
     def skip_damage(self, on_damage: Callable[[BagError], None]) -> None:
-        """See `Bag.skip_damage`: a damaged piece is left out."""
+        """Leave out damaged pieces from now on, and report them."""
         self._on_damage = on_damage
 
     @override

@@ -122,7 +122,7 @@ class Db3(BagWriter):
 
     @override
     def add(self, topic: BagTopic, form: TopicForm) -> Any:
-        """See `BagWriter.add`: a topic is one connection with the QoS of each of its publishers."""
+        """Add a topic, which is one connection with the QoS of each of its publishers."""
         key = form.name or topic.name, form.type_name
         known, offered = self._topics.get(key, (form, {}))
         offered.update(dict.fromkeys(topic.profiles))

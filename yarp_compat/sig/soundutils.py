@@ -74,13 +74,8 @@ def mix(A: Sound, B: Sound, percentage: float = 0.5) -> Sound:
 
 def _generate(sound: Sound, seconds: float, channels: int, rate: int, amplitude: int, wave: Wave) -> bool:
     if min(seconds, channels, rate, amplitude) <= 0:
-        log.error(
-            "cannot generate a sound of %s s, %s channels, %s Hz and the amplitude %s",
-            seconds,
-            channels,
-            rate,
-            amplitude,
-        )
+        text = "cannot generate a sound of %s s, %s channels, %s Hz and the amplitude %s"
+        log.error(text, seconds, channels, rate, amplitude)
         return False
     channel = np.trunc(amplitude * wave(np.arange(int(rate * seconds)) / rate)).astype("<i2")
     sound._become(Sound.of(np.tile(channel, (channels, 1)), rate))

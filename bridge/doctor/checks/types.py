@@ -10,7 +10,7 @@ from bridge.hub.graph.tokens import EndpointKind
 from bridge.interfaces.compiler import Compiler
 from bridge.interfaces.definition import BuildError
 from bridge.messages.registry import Registry
-from bridge.status import RefusedRoute, StatusDocument, refused_routes
+from bridge.status import MapServerKeys, RefusedRoute, StatusDocument, refused_routes
 
 _SHOWN = 20
 _TWICE = "already"
@@ -81,7 +81,7 @@ def _of_map_server(context: CheckContext, route: RefusedRoute) -> bool:
     Then each answers on its own side, with the same map, and neither needs another name.
     """
     servers = [document for document in context.hub.documents if document.worker == "map2d_server"]
-    takers = {server.zid for server in servers if (server.model_extra or {}).get("taken")}
+    takers = {server.zid for server in servers if server.other(MapServerKeys).taken}
     twice = route.kind == "service" and route.reason.endswith(_TWICE)
     return twice and any(
         e.kind is EndpointKind.SERVER and e.topic == route.hub_topic and e.zid in takers for e in context.hub.endpoints
