@@ -18,12 +18,13 @@ from tests.contract.ownside import OwnSide
 from tests.contract.plainside import PlainSide
 from tests.contract.rmwside import RmwSide
 from tests.contract.ros1side import EmbeddedMasterSide, Ros1AnyOsSide, Ros1Side
-from tests.contract.ros2side import KiltedSide, Ros2Side
+from tests.contract.ros2side import CycloneSide, KiltedSide, Ros2Side
 from tests.contract.side import CUSTOM_FOLDER, OWN_FOLDER, PEER_FOLDERS, Bridge, Side
 from tests.contract.yarpside import YarpSide
 from tests.contract.zenohside import Ros1KeysSide, Ros2ddsSide
 from tests.peers.hub.network import HubNetwork
 from tests.peers.hub.quick import QuickHub
+from tests.peers.ros2.network import has_rmw_cyclonedds
 from tests.support.lane import LANE
 from tests.support.missing import ROS1, lacking
 
@@ -39,6 +40,8 @@ SIDES: dict[str, type[Any]] = {
     "yarp": YarpSide,
     "own": OwnSide,
 }
+if has_rmw_cyclonedds():  # the wheels come without it; docs/sides/ros2.md
+    SIDES["ros2_cyclone"] = CycloneSide
 if ROS1 in lacking():
     SIDES["ros1_without_rospy"] = PlainSide
 
@@ -49,7 +52,7 @@ def hubs() -> Iterator[HubNetwork]:
         yield network
 
 
-APART = ("ros1_embedded_master", "ros2_kilted")
+APART = ("ros1_embedded_master", "ros2_kilted", "ros2_cyclone")
 """Sides that only `make test-all` runs."""
 
 IN_TURN = (("ros1", "ros2", "own"), ("zenoh_ros2dds", "zenoh_ros1"))
@@ -88,9 +91,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             and hasattr(item, "callspec")
         ):
             side, turn = item.callspec.params.get("side"), zlib.crc32(item.originalname.encode())
-            if side in ("ros1_embedded_master", "ros2_kilted") or (
-                side == "ros1_any_os" and item.originalname not in ANY_OS
-            ):
+            if side in APART or (side == "ros1_any_os" and item.originalname not in ANY_OS):
                 item.add_marker(pytest.mark.thorough)
             for sides in IN_TURN:
                 if side in sides and side != sides[turn % len(sides)] and item.originalname not in BASIC:

@@ -1,4 +1,4 @@
-"""The ROS 2 side of the contract suite: real rclpy programs of Jazzy and Kilted over Fast DDS, on a separate domain."""
+"""The ROS 2 side of the contract suite: real rclpy programs of Jazzy and Kilted on a separate domain."""
 
 from __future__ import annotations
 
@@ -18,7 +18,14 @@ from tests.contract.side import PEER_FOLDERS, Side, WorkerProcess
 from tests.peers.hub.network import HubNetwork
 from tests.peers.peer import Peer
 from tests.peers.ros2 import kilted
-from tests.peers.ros2.network import ROS2_PEER, SHORT_LEASE, ros2_domain, ros2_environment, ros2_python
+from tests.peers.ros2.network import (
+    ROS2_PEER,
+    SHORT_CYCLONE_LEASE,
+    SHORT_LEASE,
+    ros2_domain,
+    ros2_environment,
+    ros2_python,
+)
 from tests.support.missing import ROS2, need
 
 
@@ -68,6 +75,24 @@ class KiltedSide(Ros2Side):
     @override
     def _environment(self) -> dict[str, str]:
         return _kilted_environment()
+
+
+class CycloneSide(Ros2Side):
+    """Midspan and the programs on Cyclone DDS (``ros2.rmw``)."""
+
+    has_services = False
+
+    @override
+    def mortal(self) -> Peer:
+        return self.peer(**SHORT_CYCLONE_LEASE)
+
+    @override
+    def _environment(self) -> dict[str, str]:
+        return {**ros2_environment(on_cyclone=True), **environment([_custom_prefix()])}
+
+    @override
+    def config(self) -> dict[str, Any]:
+        return {"ros2": {"domain": ros2_domain(), "rmw": "rmw_cyclonedds_cpp"}}
 
 
 @functools.cache

@@ -1,4 +1,4 @@
-"""The ROS 2 edge: rclpy over Fast DDS, with serialized messages in both directions and without an executor."""
+"""The ROS 2 edge: rclpy over Fast DDS or Cyclone DDS, with serialized messages both ways and without an executor."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
-from bridge.adapters.ros2.environment import domain
+from bridge.adapters.ros2.environment import CYCLONE, domain
 from bridge.adapters.ros2.filters import VersionFilter
 from bridge.adapters.ros2.filters import is_available as can_separate
 from bridge.adapters.ros2.graph import middlewares, neighbors, spdp, vendors
@@ -25,9 +25,9 @@ from bridge.adapters.ros2.graph.interfaces import InterfaceWatch
 from bridge.adapters.ros2.graph.neighbors import ProcessWatch
 from bridge.adapters.ros2.graph.origins import Origins, new_prefix, participant_number
 from bridge.adapters.ros2.graph.presence import TYPE, PresenceTopic
+from bridge.adapters.ros2.joining import join
 from bridge.adapters.ros2.loop import QueueReadLoop, WaitSetReadLoop
-from bridge.adapters.ros2.participant import Participant, mismatch
-from bridge.adapters.ros2.profile import use_profile
+from bridge.adapters.ros2.participant import mismatch
 from bridge.adapters.ros2.releases import current
 from bridge.adapters.ros2.services.caller import Ros2Caller
 from bridge.adapters.ros2.services.endpoint import Ros2Context
@@ -35,7 +35,7 @@ from bridge.adapters.ros2.services.server import Ros2Server
 from bridge.adapters.ros2.topics.publisher import Ros2Publisher
 from bridge.adapters.ros2.topics.subscription import Ros2Subscription
 from bridge.adapters.ros2.topics.versioned import VersionedPublisher
-from bridge.adapters.ros2.types import TypeSupports
+from bridge.adapters.ros2.types import NOT_ON_CYCLONE, TypeSupports
 from bridge.adapters.ros2.versions import EndpointVersions, Notes
 from bridge.adapters.side_edge import SideEdge
 from bridge.concurrency import DelayedCalls
@@ -100,19 +100,19 @@ class Ros2Edge(SideEdge):
         removed = neighbors.clean()
         if removed:
             _log.info("removed %d shared-memory segments of dead ROS 2 processes", removed)
-        profile, number = use_profile(self._config, self._state), domain(self._config, os.environ)
-        self._prefix, later = profile.prefix, DelayedCalls("midspan-ros2-later")
-        if profile.segment and self._config.ros2.transport == "auto" and self._config.ros2.profile is None:
+        number, later = domain(self._config, os.environ), DelayedCalls("midspan-ros2-later")
+        participant, self._prefix, segment = join(self._config, self._state, self._config.ros2.node)
+        if segment and self._config.ros2.transport == "auto" and self._config.ros2.profile is None:
             major = current().fast_dds_major
             self._neighbors = neighbors.MemoryNeighbors(self._prefix, major, number, self._leave_shared_memory, later)
         if not self._localhost_only:
             self._interfaces = InterfaceWatch(self._use_new_addresses, later)
-        participant = Participant(self._config.ros2.node, number)
         try:
             self._types.prepare_services()
         except MessageTypeError as err:
             _log.warning("%s; %s", err, err.cure)
-        loop = QueueReadLoop() if rcl.is_compiled() else WaitSetReadLoop(participant)
+        compiled = rcl.is_compiled() and not self._on_cyclone
+        loop = QueueReadLoop() if compiled else WaitSetReadLoop(participant)
         loop.start()
         graph = Ros2Graph(participant, self._prefix, self._changed, self._versions)
         send_all = partial(spdp.send_all, domain=number, localhost_only=self._localhost_only)
@@ -128,9 +128,10 @@ class Ros2Edge(SideEdge):
             localhost_only=self._localhost_only,
         )  # fmt: skip
         self._refresh_discovery(self._origins.predecessors, self._announcements.port)
-        self._clean_ports(self._origins.past)
+        if not self._on_cyclone:
+            self._clean_ports(self._origins.past)
         graph.start()
-        heartbeats.follow(graph.snapshot.endpoints)
+        self._prepare_readers(graph.snapshot)
         string = self._types.message_class(TYPE, self._registry.ros2(TYPE).type_id)
         past, changed = self._origins.past, listener.presence_changed
         self._presence = PresenceTopic(participant, loop, string, seen, past, changed)
@@ -140,9 +141,20 @@ class Ros2Edge(SideEdge):
 
         ``also`` is a further port for their responses.
         """
+        if self._on_cyclone:  # which receives before it announces itself, and responds to others' announcements
+            return
         number, pseudo = domain(self._config, os.environ), new_prefix(rcl.host_prefix())
         prompt = [spdp.announcement(pseudo, number, participant_number(self._prefix), also), spdp.disposal(pseudo)]
         spdp.send_all([*map(spdp.disposal, dead), *prompt], number, localhost_only=self._localhost_only)
+
+    @property
+    def _on_cyclone(self) -> bool:
+        return self._config.ros2.rmw == CYCLONE
+
+    def _prepare_readers(self, snapshot: GraphSnapshot) -> None:
+        """Follow the readers on Cyclone DDS; its own writers send them what they need."""
+        if self._context is not None and not self._on_cyclone:
+            self._context.heartbeats.follow(snapshot.endpoints)
 
     @property
     def _localhost_only(self) -> bool:
@@ -161,9 +173,7 @@ class Ros2Edge(SideEdge):
         neighbors.clean_ports(port for number in numbers for port in spdp.unicast_ports(of_domain, number))
 
     def _changed(self, snapshot: GraphSnapshot) -> None:
-        context = self._context
-        if context is not None:
-            context.heartbeats.follow(snapshot.endpoints)
+        self._prepare_readers(snapshot)
         if self._neighbors is not None:
             self._neighbors.follow(snapshot.participants)
         with self._lock:
@@ -405,7 +415,7 @@ class Ros2Edge(SideEdge):
             return {}
         snapshot, details = context.graph.snapshot, dict[str, Any]()
         cyclone = vendors.report(snapshot.endpoints)
-        if cyclone:
+        if cyclone and not self._on_cyclone:
             details["cyclone"] = cyclone
         groups = middlewares.groups(snapshot.endpoints, snapshot.participants, announcements.versions())
         return details | {"middlewares": groups}
@@ -416,7 +426,7 @@ class Ros2Edge(SideEdge):
             separated = {end.topic for end in self._ends if isinstance(end, VersionedPublisher)}
         endpoints = self.endpoints()
         notes = {key: list(texts) for key, texts in self._versions.notes(endpoints, separated).items()}
-        for name, text in vendors.notes(endpoints).items():
+        for name, text in ({} if self._on_cyclone else vendors.notes(endpoints)).items():
             notes.setdefault(("service", "in", name), []).append(text)
         return notes
 
@@ -442,8 +452,9 @@ class Ros2Edge(SideEdge):
                     advertised[end.topic] = end.type_name
                 if isinstance(end, VersionedPublisher):
                     separated.add(end.topic)
-        cyclone = vendors.report(self.endpoints())
+        cyclone = {} if self._on_cyclone else vendors.report(self.endpoints())
         warnings = [text] if cyclone and (text := vendors.warning(cyclone)) else []
+        warnings += [NOT_ON_CYCLONE] if self._on_cyclone else []
         warnings += self._over_udp() + self._versions.warnings(self.endpoints(), advertised, separated)
         warnings += [self._interfaces.text] if self._interfaces is not None and self._interfaces.text else []
         for endpoint in self.endpoints():

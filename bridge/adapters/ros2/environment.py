@@ -9,18 +9,26 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from bridge.adapters.ros2 import security
-from bridge.adapters.ros2.releases import RELEASES, names, release_of
+from bridge.adapters.ros2.releases import RELEASES, Release, names, release_of
 from bridge.config.model import Config
 
 _SYSTEM = Path("/opt/ros")
-SWITCHES = {
-    "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
-    # the profile sets the range; ROS 2's setting would add transports
-    "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
-    "SKIP_DEFAULT_XML": "1",
-    # with ROS_DISCOVERY_SERVER: a plain client of a discovery server learns only of endpoints that match its own
-    "ROS_SUPER_CLIENT": "TRUE",
+RMW = "RMW_IMPLEMENTATION"
+CYCLONE = "rmw_cyclonedds_cpp"
+LIBRARY = f"lib{CYCLONE}.so"
+# the profile, or CYCLONEDDS_URI, sets the range; ROS 2's setting would add transports
+_RANGE = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"}
+SWITCHES: Mapping[str, dict[str, str]] = {
+    "rmw_fastrtps_cpp": {
+        RMW: "rmw_fastrtps_cpp",
+        "SKIP_DEFAULT_XML": "1",
+        # with ROS_DISCOVERY_SERVER: a plain client of a discovery server learns only of endpoints that match its own
+        "ROS_SUPER_CLIENT": "TRUE",
+        **_RANGE,
+    },
+    CYCLONE: {RMW: CYCLONE, **_RANGE},
 }
+"""Variables of the worker, by ``ros2.rmw``."""
 STATIC_PEERS = "ROS_STATIC_PEERS"
 """Machines to announce to without multicast: rmw_fastrtps ignores it with SYSTEM_DEFAULT, so the profile has them."""
 UNSET = ("ROS_LOCALHOST_ONLY", "FASTDDS_BUILTIN_TRANSPORTS", "RMW_FASTRTPS_USE_QOS_FROM_XML")
@@ -32,7 +40,7 @@ _CURE = (
 )
 
 
-def available(config: Config) -> str:  # noqa: ARG001 - same signature for every side
+def available(config: Config) -> str:
     """Return why rclpy is not available, and the cure; "" if it is."""
     prefix = _installation(os.environ)
     if prefix is None:
@@ -40,11 +48,41 @@ def available(config: Config) -> str:  # noqa: ARG001 - same signature for every
         if foreign is not None:
             return f"the sourced ROS 2 in {foreign} is not for Midspan's Python {_PYTHON}; {_CURE}. {_REACHED}"
         return f"rclpy is not installed for {sys.executable}; {_CURE}"
-    if release_of(prefix) is None:
+    release = release_of(prefix)
+    if release is None:
         return f"the ROS 2 in {prefix} is none of {names()}; {_CURE}. {_REACHED}"
+    if config.ros2.rmw == CYCLONE:
+        return _without_cyclone(prefix, release)
     if not (_site(prefix) / "rmw_fastrtps_cpp").is_dir() and not _sourced(os.environ):
         return f"rclpy is installed without Fast DDS (rmw_fastrtps_cpp); {_CURE}"
     return security.trouble(os.environ, wheels=uses_wheels(os.environ))
+
+
+def _without_cyclone(prefix: Path, release: Release) -> str:
+    """Return why a worker with this installation cannot run on Cyclone DDS, and the cure; "" if it can."""
+    chosen = f"ros2.rmw is {CYCLONE}"
+    if _cyclone_library(prefix, os.environ) is None:
+        return (
+            f"{chosen}, but {LIBRARY} is not in the ROS 2 in {prefix}; install ros-{release.name}-rmw-cyclonedds-cpp"
+            f" for a sourced ROS 2 (the wheels have only Fast DDS), or remove ros2.rmw"
+        )
+    if security.is_enabled(os.environ):
+        return (
+            f"{chosen} and {security.ENABLE} is true, but on Cyclone DDS the side's enclave marks what Midspan creates,"
+            f" so it cannot be one of a keystore; remove ros2.rmw, or unset {security.ENABLE}"
+        )
+    return ""
+
+
+def _cyclone_library(prefix: Path, environ: Mapping[str, str]) -> Path | None:
+    """Return rmw_cyclonedds_cpp's library of an installation, or of another sourced prefix."""
+    folders = (f for p in (prefix, *_prefixes(environ)) for f in (p / "lib", *p.glob("lib/*-linux-gnu")))
+    return next((folder / LIBRARY for folder in folders if (folder / LIBRARY).is_file()), None)
+
+
+def on_cyclone(environ: Mapping[str, str] = os.environ) -> bool:
+    """Return whether this process is a worker on Cyclone DDS."""
+    return environ.get(RMW) == CYCLONE
 
 
 def uses_wheels(environ: Mapping[str, str]) -> bool:
@@ -74,10 +112,13 @@ def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, 
             _prepend(result, "PYTHONPATH", [_site(prefix)])
         _prepend(result, "LD_LIBRARY_PATH", libraries)
         _prepend(result, "AMENT_PREFIX_PATH", [prefix])
+    library = _cyclone_library(prefix, environ) if config.ros2.rmw == CYCLONE and prefix == Path(sys.prefix) else None
+    if library is not None:  # the wheels' rclpy is linked with Fast DDS's rmw, and ignores RMW_IMPLEMENTATION
+        _prepend(result, "LD_PRELOAD", [library])
     result["ROS_DOMAIN_ID"] = str(domain(config, environ))
     for name in UNSET:
         result.pop(name, None)
-    return result | SWITCHES | security.enclave(environ)
+    return result | SWITCHES[config.ros2.rmw] | security.enclave(environ)
 
 
 def _site(prefix: str | Path) -> Path:

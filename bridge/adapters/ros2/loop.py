@@ -2,7 +2,7 @@
 
 rcl reports new messages to a queue in C, on the middleware's thread and without Python; the thread here waits for the
 queue. So the cost of a message does not depend on the number of subscriptions, whereas a wait set and rclpy's executors
-check all of them for each message. Without a compiler the wait set remains, for subscriptions: services do not cross.
+check all of them for each message. Without a compiler and on Cyclone DDS the wait set remains, for subscriptions.
 """
 
 from __future__ import annotations
@@ -90,8 +90,11 @@ class ReadLoop(ABC):
             self._thread.join()
         self._close()
 
+    def _new_taker(self) -> rcl.Taker:
+        return rcl.Taker()
+
     def _run(self) -> None:
-        taker = rcl.Taker()
+        taker = self._new_taker()
         try:
             self._serve_all(taker)
         finally:
@@ -181,6 +184,10 @@ class WaitSetReadLoop(ReadLoop):
         self._participant = participant
         self._guard = participant.make_guard_condition()
         self._changes: deque[tuple[EndpointReader, bool]] = deque()
+
+    @override
+    def _new_taker(self) -> rcl.Taker:
+        return rcl.Taker(self._participant.resolve)
 
     @override
     def add(self, reader: EndpointReader) -> None:

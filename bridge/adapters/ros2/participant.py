@@ -7,15 +7,20 @@ used here, on which rclpy's classes are built (``rclpy.impl.implementation_singl
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import QoSProfile
 
+from bridge.adapters.ros2 import security
+from bridge.adapters.ros2.cyclonedds import Discovery
+from bridge.adapters.ros2.environment import CYCLONE, RMW, on_cyclone
+from bridge.adapters.ros2.graph.marks import ENCLAVE, EnclaveMarks, Marks, NodeMarks
 from bridge.adapters.ros2.releases import current
 from bridge.adapters.ros2.rmw import RmwSubscription
 from bridge.hub.wire.qos import Durability, History, Qos, Reliability
@@ -40,13 +45,49 @@ def _explained(topic: str, message_class: Any) -> Iterator[None]:
 
 
 class Participant:
-    """A node without default endpoints; endpoints can be created and destroyed from any thread."""
+    """A node without default endpoints; endpoints can be created and destroyed from any thread.
+
+    Attributes:
+        marks: who created the endpoints on the network.
+        resolve: returns a publisher's GID for that in a message; None if they are the same.
+    """
+
+    marks: Marks
+    resolve: Callable[[bytes], bytes] | None = None
 
     def __init__(self, name: str, domain: int) -> None:
         self._lock = threading.Lock()
         self._context = Context()
-        self._context.init(args=[], initialize_logging=False, domain_id=domain)
+        # a secured domain, which only a participant on Fast DDS joins, has its own enclaves
+        arguments = [] if security.is_enabled(os.environ) else ["--ros-args", "--enclave", ENCLAVE]
+        self._context.init(args=arguments, initialize_logging=False, domain_id=domain)
+        self._check_rmw()
         self._node = _rclpy.Node(name, "", self._context.handle, [], False, False, *current().node_arguments)
+        self._discovery = Discovery(domain) if on_cyclone() else None
+        if self._discovery is None:
+            self.marks = NodeMarks(self._enclaves)
+        else:
+            self.marks = EnclaveMarks(self._discovery.enclave)
+            self.resolve = self._discovery.writer
+
+    @staticmethod
+    def _check_rmw() -> None:
+        """Raise `RuntimeError` if rclpy uses another middleware than the configuration names."""
+        used = _rclpy.rclpy_get_rmw_implementation_identifier()
+        if (used == CYCLONE) is not on_cyclone():
+            raise RuntimeError(f"rclpy uses {used}, although {RMW} is {os.environ.get(RMW)}; check the sourced ROS 2")
+
+    @property
+    def prefix(self) -> bytes | None:
+        """The GUID prefix that Cyclone DDS chose; None on Fast DDS, whose profile sets it."""
+        return None if self._discovery is None else self._discovery.prefix
+
+    def _enclaves(self) -> Mapping[str, set[str]]:
+        """Return the enclaves of all nodes by full name."""
+        enclaves: dict[str, set[str]] = {}
+        for name, namespace, enclave in self._node.get_node_names_and_namespaces_with_enclaves():
+            enclaves.setdefault(f"{namespace.rstrip('/')}/{name}", set()).add(enclave)
+        return enclaves
 
     @property
     def pointer(self) -> int:

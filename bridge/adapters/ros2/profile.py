@@ -134,7 +134,7 @@ def static_peers(environ: Mapping[str, str]) -> list[str]:
     return list(dict.fromkeys(filter(None, map(str.strip, environ.get(STATIC_PEERS, "").split(";")))))
 
 
-def _addresses(peers: Iterable[str]) -> Iterator[str]:
+def addresses(peers: Iterable[str]) -> Iterator[str]:
     """Yield the IPv4 addresses of machines; log those that have none."""
     for peer in peers:
         try:
@@ -187,7 +187,7 @@ def use_profile(config: Config, state: Path) -> FastDdsProfile:
         return _loaded[0]
     prefix = new_prefix(rcl.host_prefix(), stored_prefixes(state / "ros2"))
     custom, local = config.ros2.profile, config.ros2.localhost_only
-    peers = tuple(_addresses(static_peers(os.environ))) if custom is None and not local else ()
+    peers = tuple(addresses(static_peers(os.environ))) if custom is None and not local else ()
     profile = FastDdsProfile(prefix, _segment(config, state), local, peers)
     text = profile.xml() if custom is None else stamped(custom, profile.prefix)
     path = state / "ros2" / "fastdds.xml"
@@ -197,7 +197,7 @@ def use_profile(config: Config, state: Path) -> FastDdsProfile:
         path = Path(f"/proc/{os.getpid()}/fd/{file}")  # not /proc/self: child processes read it too
     for name in (*UNSET, "FASTRTPS_DEFAULT_PROFILES_FILE"):
         os.environ.pop(name, None)
-    os.environ.update(SWITCHES | dict.fromkeys(current().profile_variables, str(path)))
+    os.environ.update(SWITCHES[config.ros2.rmw] | dict.fromkeys(current().profile_variables, str(path)))
     _loaded.append(profile)
     return profile
 

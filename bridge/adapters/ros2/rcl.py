@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import struct
+from collections.abc import Callable
 from ctypes import (
     CDLL,
     POINTER,
@@ -136,11 +137,15 @@ class Taken(NamedTuple):
 class Taker:
     """Takes serialized messages into a reused buffer; not thread-safe.
 
+    Args:
+        resolve: returns a publisher's GID for that of rmw; None if they are the same.
+
     Attributes:
         buffer: a reference to the ``rmw_serialized_message_t``.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, resolve: Callable[[bytes], bytes] | None = None) -> None:
+        self._resolve = resolve
         self._bytes = _Bytes(None, 0, 0, _rcutils.rcutils_get_default_allocator())
         self._info = create_string_buffer(_INFO.size)
         self.buffer = byref(self._bytes)
@@ -155,7 +160,7 @@ class Taker:
                 return None
             raise RclError("rcl_take_serialized_message", code)
         source_ns, _, sequence, _, _, gid, _ = _INFO.unpack(self._info)
-        return Taken(self.payload(), gid, source_ns, sequence)
+        return Taken(self.payload(), gid if self._resolve is None else self._resolve(gid), source_ns, sequence)
 
     def payload(self) -> bytes:
         """Return a copy of the last message."""

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from typing_extensions import override
 
+from bridge.adapters.ros2.environment import CYCLONE, on_cyclone
 from bridge.adapters.ros2.rcl import Callbacks, is_compiled
 from bridge.adapters.ros2.releases import current
 from bridge.messages.errors import MessageTypeError
@@ -194,6 +195,8 @@ class MessageStructures(TypeStructures):
 
 Hashes = tuple[str, str]
 
+NOT_ON_CYCLONE = f"ROS 2 services and actions do not cross while ros2.rmw is {CYCLONE}"
+
 
 class _ServiceSupport(Structure):
     _fields_ = [("identifier", c_char_p), *_pointers(
@@ -266,12 +269,17 @@ class TypeSupports:
                 # rclpy reads these from the metaclass; the four functions convert message objects, which raw use never
                 # has.
                 converters = ("_CREATE_ROS_MESSAGE", "_CONVERT_FROM_PY", "_CONVERT_TO_PY", "_DESTROY_ROS_MESSAGE")
-                structures = MessageStructures(self._lender, name, Callbacks() if is_compiled() else None)
+                serializers = Callbacks() if is_compiled() and not on_cyclone() else None
+                structures = MessageStructures(self._lender, name, serializers)
                 raw_class = self._make(name, type_hash, structures, **dict.fromkeys(converters, True))
             return raw_class
 
     def prepare_services(self) -> None:
         """Load the structures that all services share; raises `MessageTypeError` if services cannot be bridged."""
+        if on_cyclone():
+            raise MessageTypeError(
+                NOT_ON_CYCLONE, "remove ros2.rmw: on Fast DDS they cross, also to nodes on Cyclone DDS"
+            )
         with self._lock:
             if self._for_services is None:
                 support = _ServiceSupport.from_address(lent("service", "srv__GetParameters"))

@@ -6,7 +6,7 @@ import socket
 from pathlib import Path
 from typing import Literal
 
-from pydantic import field_validator
+from pydantic import field_validator, model_validator
 
 from bridge.config.sections.listen import split
 from bridge.config.sections.section import EMBEDDED, Enabled, MasterUri, NodeName, SideSection, setting
@@ -74,5 +74,21 @@ class Ros2Section(SideSection):
         "Fast DDS transports. `auto`: shared memory and UDP; only UDP if /dev/shm is too small, or other users run"
         " ROS 2 nodes here (shared memory delivers nothing between users).",
     )
+    rmw: Literal["rmw_fastrtps_cpp", "rmw_cyclonedds_cpp"] = setting(
+        "rmw_fastrtps_cpp",
+        "Middleware of the worker itself. `rmw_cyclonedds_cpp`: Cyclone DDS, of a sourced ROS 2;"
+        " topics only, see [ROS 2](../sides/ros2.md#midspan-on-cyclone-dds).",
+    )
     profile: Path | None = setting(None, "Your own Fast DDS XML profile, used instead of the generated one.")
     localhost_only: bool = setting(True, "Discover ROS 2 nodes of this machine only.")
+
+    @model_validator(mode="after")
+    def _fits_the_middleware(self) -> Ros2Section:
+        if self.rmw == "rmw_cyclonedds_cpp":
+            if self.profile is not None:
+                raise ValueError("ros2.profile is for Fast DDS; set CYCLONEDDS_URI for the daemon, or remove ros2.rmw")
+            if self.transport == "shared_memory":
+                raise ValueError(
+                    "ros2.transport shared_memory is for Fast DDS; Cyclone DDS uses UDP: remove one of them"
+                )
+        return self

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry, is_alive
 from bridge.adapters.ros1_peers import Ros1Error
 from bridge.adapters.ros2.environment import available
-from bridge.adapters.ros2.graph.origins import is_marked
 from bridge.config.model import Config
 from bridge.daemon.workers import worker_kinds
 from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
@@ -94,7 +93,7 @@ def of_dds(context: CheckContext, view: DdsView) -> list[Finding]:
     ours = {str(worker.network) for worker in context.hub.of_side("ros2", context.config.name)}
     others = view.midspans - ours
     if others:
-        mine = "besides this daemon's " if view.midspans & ours else ""
+        mine = "in addition to this daemon's " if view.midspans & ours else ""
         seen = f"ROS 2: {mine}{len(others)} Midspan participant(s) on this domain: {', '.join(sorted(others))}"
         cure = "if unintended, give the daemons different ros2.domain, or disable one's ROS 2 side"
         findings.append(warn(seen, cure))
@@ -135,8 +134,7 @@ def check_dds(config: Config, environ: Mapping[str, str]) -> DdsView:
             timeout=_SECONDS, check=False,
         )  # fmt: skip
         document = json.loads(done.stdout.splitlines()[-1])
-        marked = frozenset(p for p in map(str, document["participants"]) if is_marked(bytes.fromhex(p)))
-        return DdsView(marked, frozenset(map(str, document["nodes"])))
+        return DdsView(frozenset(map(str, document["midspans"])), frozenset(map(str, document["nodes"])))
     except subprocess.TimeoutExpired:
         raise LookError(f"no response within {_SECONDS:g} s") from None
     except (IndexError, KeyError, TypeError, ValueError):

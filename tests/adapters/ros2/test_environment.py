@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
 from bridge.adapters.ros2 import environment
 from bridge.adapters.ros2.environment import available, worker_environment
@@ -57,6 +58,38 @@ def test_a_release_for_another_python_is_refused_with_the_cure(monkeypatch: pyte
     assert "pip install" in text
     assert "kilted (Python 3.12)" in text
     assert "reached over the network" in text
+
+
+CYCLONE = {"rmw": "rmw_cyclonedds_cpp"}
+
+
+def test_cyclone_dds_needs_its_library(monkeypatch: pytest.MonkeyPatch, bare: Path) -> None:
+    prefix = install(bare / "jazzy", "7.1.6")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(prefix))
+    monkeypatch.delenv("ROS_SECURITY_ENABLE", raising=False)
+    missing = available(config(**CYCLONE))
+    assert f"librmw_cyclonedds_cpp.so is not in the ROS 2 in {prefix}" in missing
+    assert "install ros-jazzy-rmw-cyclonedds-cpp" in missing
+    (prefix / "lib/librmw_cyclonedds_cpp.so").touch()
+    assert available(config(**CYCLONE)) == ""
+    result = worker_environment(config(**CYCLONE), os.environ)
+    assert result["RMW_IMPLEMENTATION"] == "rmw_cyclonedds_cpp"
+    assert result.get("LD_PRELOAD") == os.environ.get("LD_PRELOAD")
+
+
+def test_cyclone_dds_in_a_secured_domain_is_refused(monkeypatch: pytest.MonkeyPatch, bare: Path) -> None:
+    """The enclave marks what Midspan creates, so it cannot be one of a keystore."""
+    prefix = install(bare / "jazzy", "7.1.6")
+    (prefix / "lib/librmw_cyclonedds_cpp.so").touch()
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(prefix))
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
+    assert "unset ROS_SECURITY_ENABLE" in available(config(**CYCLONE))
+
+
+@pytest.mark.parametrize("key", [{"profile": "fastdds.xml"}, {"transport": "shared_memory"}])
+def test_settings_of_fast_dds_are_refused_with_cyclone_dds(key: dict[str, str]) -> None:
+    with pytest.raises(ValidationError, match="is for Fast DDS"):
+        config(**CYCLONE, **key)
 
 
 def test_an_unknown_release_is_refused(monkeypatch: pytest.MonkeyPatch, bare: Path) -> None:

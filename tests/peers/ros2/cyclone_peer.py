@@ -4,9 +4,9 @@ Payloads are CDR in hex, with their encapsulation header, so the program needs n
 rmw_cyclonedds_cpp, its readers accept payloads of any size, and requests and replies carry 16 bytes behind the
 encapsulation header: the client's id and the number of the request (rmw_cyclonedds_cpp, serdata.hpp).
 
-Commands: ``advertise`` topic, type -> id; ``advertise_raw`` the same with names as in DDS; ``subscribe`` topic, type ->
-id; ``publish`` id, payload; ``wait`` id, count, seconds -> payloads; ``serve`` service, type, reply -> id; ``requests``
-id -> payloads of all requests as received;
+Commands: ``advertise`` topic, type, type_hash ("": none) -> id; ``advertise_raw`` the same with names as in DDS;
+``subscribe`` topic, type -> id; ``publish`` id, payload; ``wait`` id, count, seconds -> payloads; ``serve`` service,
+type, reply -> id; ``requests`` id -> payloads of all requests as received;
 ``call`` service, type, request -> id, once a server has matched; ``result`` id, seconds -> reply ("" without one);
 ``act`` action, type, result -> id: three services and two topics; each goal is accepted, ``result`` is the reply to
 requests for its result, and a request to cancel is rejected. The argument is the participant's user data.
@@ -166,8 +166,9 @@ class Peer(Commands):
             self._topics[name] = Topic(self.participant, name, raw_type(type_))
         return self._topics[name]
 
-    def advertise(self, topic: str, type: str) -> dict[str, Any]:
-        return self.add(Writer(self, f"rt{topic}", dds_type(type, "msg"), RELIABLE))
+    def advertise(self, topic: str, type: str, type_hash: str = "") -> dict[str, Any]:
+        hashed = Qos(Policy.Userdata(f"typehash={type_hash};".encode()), base=RELIABLE)
+        return self.add(Writer(self, f"rt{topic}", dds_type(type, "msg"), hashed if type_hash else RELIABLE))
 
     def advertise_raw(self, topic: str, type: str, latched: bool = False) -> dict[str, Any]:
         return self.add(Writer(self, topic, type, LATCHED if latched else RELIABLE))

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from bridge.adapters.ros2.environment import worker_environment
+from bridge.adapters.ros2.environment import available, worker_environment
 from bridge.config.model import Config
 from bridge.demo.sandbox import hold_domain
 from tests.support.missing import ROS2, need
@@ -20,6 +20,9 @@ ROS2_PEER = Path(__file__).with_name("peer.py")
 
 SHORT_LEASE = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("short_lease.xml"))}
 """Environment of a program whose death is detected after 2 s; Fast DDS's default is 20 s."""
+
+SHORT_CYCLONE_LEASE = {"CYCLONEDDS_URI": "<CycloneDDS><Domain><Discovery><LeaseDuration>2s</></></></CycloneDDS>"}
+"""The same for a program on Cyclone DDS, where it is 10 s."""
 
 _held: list[socket.socket] = []
 
@@ -37,10 +40,14 @@ def new_domain() -> int:
     return domain
 
 
-def ros2_environment(**extra: str) -> dict[str, str]:
-    """Return an environment for native ROS 2 programs on this process's domain: default settings, this machine only."""
+def ros2_environment(*, on_cyclone: bool = False, **extra: str) -> dict[str, str]:
+    """Return an environment for native ROS 2 programs on this process's domain: default settings, this machine only.
+
+    With ``on_cyclone`` they use rmw_cyclonedds_cpp, which must be installed (`has_rmw_cyclonedds`).
+    """
     environment: Mapping[str, str] = os.environ
-    env = worker_environment(Config.model_validate({"ros2": {"domain": ros2_domain()}}), environment)
+    rmw = {"rmw": "rmw_cyclonedds_cpp"} if on_cyclone else {}
+    env = worker_environment(Config.model_validate({"ros2": {"domain": ros2_domain(), **rmw}}), environment)
     for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "PYTHONPATH", "ROS_SUPER_CLIENT"):
         env.pop(name, None)
     logs = Path(tempfile.gettempdir()) / f"midspan-test-ros2-log-{os.getuid()}"
@@ -53,7 +60,12 @@ def ros2_environment(**extra: str) -> dict[str, str]:
     return env
 
 
+def has_rmw_cyclonedds() -> bool:
+    """Return whether the ROS 2 of the tests has rmw_cyclonedds_cpp; the wheels come without it."""
+    return not available(Config.model_validate({"ros2": {"rmw": "rmw_cyclonedds_cpp"}}))
+
+
 def ros2_python() -> Path:
-    """Return the interpreter with rclpy; skips the test if there is none."""
+    """Return the interpreter with rclpy; skips the test without one."""
     need(ROS2)
     return Path(sys.executable)

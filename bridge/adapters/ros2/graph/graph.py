@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-import os
 import sys
 import tempfile
 import threading
@@ -21,7 +20,8 @@ from typing import Any
 
 from bridge.adapters.ros2 import filters, rcl
 from bridge.adapters.ros2.graph import vendors
-from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
+from bridge.adapters.ros2.graph.marks import Marks
+from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.participant import Participant, from_rclpy, reply_topic, request_topic, service_type
 from bridge.adapters.ros2.versions import EndpointVersions
 from bridge.config.model import Config
@@ -30,6 +30,9 @@ from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 
 _UNKNOWN_NODES = ("_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_")
 """rmw's names for the node of an endpoint whose participant has not announced its nodes, or is not a ROS program."""
+
+PRESENCE = "/_midspan/presence"
+"""The topic of `bridge.adapters.ros2.graph.presence`."""
 
 _SETTLE = 0.02
 _POLL, _LONGEST_POLL = 5.0, 60.0
@@ -105,6 +108,7 @@ class Ros2Graph:
         """Read the whole graph."""
         endpoints: list[Endpoint] = []
         publishers: dict[str, dict[bytes, Endpoint]] = {}
+        self._endpoints_of(PRESENCE, Kind.PUBLISHER)  # shows which participants on Cyclone DDS are Midspan's
         for topic in self._participant.topics():
             if is_hidden(topic):
                 continue
@@ -205,7 +209,11 @@ class Ros2Graph:
 
     def _others(self, name: str, kind: Kind, infos: Sequence[Mapping[str, Any]]) -> list[tuple[bytes, Endpoint]]:
         gids = [(bytes(info["endpoint_gid"]), info) for info in infos]
-        ends = [(gid, _endpoint(name, kind, gid, info)) for gid, info in gids if gid[:PREFIX_BYTES] != self._own]
+        ends = [
+            (gid, _endpoint(name, kind, gid, info, self._participant.marks))
+            for gid, info in gids
+            if gid[:PREFIX_BYTES] != self._own
+        ]
         ends = [(gid, end) for gid, end in ends if not self._closed.is_closed(gid, end.node)]
         versions = self._versions
         if versions is None or not any(versions.may_be_humble(end) for _, end in ends):
@@ -259,17 +267,18 @@ def is_hidden(topic: str) -> bool:
     return "/_" in action
 
 
-def _endpoint(topic: str, kind: Kind, gid: bytes, info: Mapping[str, Any]) -> Endpoint:
-    node = str(info["node_name"])
+def _endpoint(topic: str, kind: Kind, gid: bytes, info: Mapping[str, Any], marks: Marks) -> Endpoint:
+    name, type_hash = str(info["node_name"]), _type_hash(info)
+    node = "" if name in _UNKNOWN_NODES else f"{str(info['node_namespace']).rstrip('/')}/{name}"
     return Endpoint(
         id=gid.hex(),
         kind=kind,
         topic=topic,
         type=service_type(str(info["topic_type"])),
         qos=from_rclpy(info["qos_profile"]),
-        made_by=MadeBy.MIDSPAN if is_marked(gid) else MadeBy.NATIVE,
-        node="" if node in _UNKNOWN_NODES else f"{str(info['node_namespace']).rstrip('/')}/{node}",
-        type_id=_type_hash(info),
+        made_by=marks.of_endpoint(gid, node, has_hash=bool(type_hash)),
+        node=node,
+        type_id=type_hash,
     )
 
 
@@ -288,21 +297,18 @@ only by its next periodic announcement, up to 3 s later (observed with Fast DDS 
 
 
 def read_graph(config: Config, state: Path, seconds: float) -> dict[str, Any]:
-    """Return the other ``participants`` (GUID prefixes in hex), and the ``nodes`` with visible endpoints."""
-    from bridge.adapters.ros2.environment import domain
-    from bridge.adapters.ros2.participant import Participant
-    from bridge.adapters.ros2.profile import use_profile
+    """Return the other ``midspans`` (GUID prefixes in hex), and the ``nodes`` with visible endpoints."""
+    from bridge.adapters.ros2.joining import join
 
-    profile = use_profile(config, state)
-    participant = Participant("midspan_doctor", domain(config, os.environ))
+    participant, prefix, _ = join(config, state, "midspan_doctor")
     with contextlib.ExitStack() as stack:
         stack.callback(participant.close)
-        graph = Ros2Graph(participant, profile.prefix, lambda _snapshot: None)
+        graph = Ros2Graph(participant, prefix, lambda _snapshot: None)
         stack.callback(graph.stop)
         time.sleep(seconds)
         snapshot = graph.read()
     return {
-        "participants": sorted(prefix.hex() for prefix in snapshot.participants),
+        "midspans": sorted(p.hex() for p in snapshot.participants if participant.marks.made_by(p) is MadeBy.MIDSPAN),
         "nodes": sorted({endpoint.node for endpoint in snapshot.endpoints}),
     }
 

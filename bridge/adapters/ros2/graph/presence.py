@@ -16,13 +16,13 @@ from typing import Any
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
-from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
+from bridge.adapters.ros2.graph.graph import PRESENCE as TOPIC
+from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.loop import EndpointReader, ReadLoop
 from bridge.adapters.ros2.participant import Participant
 from bridge.hub.wire.qos import Durability, Qos, Reliability
-from bridge.routing.edge import Sighting
+from bridge.routing.edge import MadeBy, Sighting
 
-TOPIC = "/_midspan/presence"
 TYPE = "std_msgs/msg/String"
 
 DISCOVERY_SECONDS = 0.8
@@ -49,6 +49,7 @@ class PresenceTopic(EndpointReader):
         past: frozenset[bytes], changed: Callable[[], None],
     ) -> None:  # fmt: skip
         self._loop, self._seen, self._past, self._changed = loop, seen, past, changed
+        self._made_by = participant.marks.made_by
         self._since = time.monotonic()
         self._lock = threading.Lock()
         self._heard: dict[bytes, Sighting] = {}
@@ -71,10 +72,11 @@ class PresenceTopic(EndpointReader):
             for prefix, sighting in list(self._heard.items()):
                 if prefix not in seen and now - sighting.received > DISCOVERY_SECONDS:
                     del self._heard[prefix]
-            marked = {p for p in seen if is_marked(p)} - self._past
+            marked = {p for p in seen if self._made_by(p) is MadeBy.MIDSPAN} - self._past
             self._first = {p: self._first.get(p, now) for p in marked}
             silent = marked - self._heard.keys()
-            return [*self._heard.values(), *(Sighting(p.hex(), None, self._first[p]) for p in silent)]
+            heard = [sighting for prefix, sighting in self._heard.items() if self._made_by(prefix) is MadeBy.MIDSPAN]
+            return [*heard, *(Sighting(p.hex(), None, self._first[p]) for p in silent)]
 
     def settled(self, since: float) -> bool:
         """Return whether all participants that existed at ``since`` are discovered by now."""
@@ -89,7 +91,8 @@ class PresenceTopic(EndpointReader):
             payload, gid, _, _ = taken
             length = int.from_bytes(payload[_LENGTH], "little")
             prefix = gid[:PREFIX_BYTES]
-            if is_marked(gid) and prefix not in self._past and 0 < length <= min(_MAX_RECORD, len(payload) - _TEXT):
+            known = self._made_by(gid) is not MadeBy.NATIVE
+            if known and prefix not in self._past and 0 < length <= min(_MAX_RECORD, len(payload) - _TEXT):
                 record = payload[_TEXT : _TEXT + length - 1]
                 with self._lock:
                     self._heard[prefix] = Sighting(prefix.hex(), record, time.monotonic())

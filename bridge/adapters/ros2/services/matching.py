@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from ctypes import CDLL, c_int32, c_void_p
+from functools import cache
 from typing import Any, NamedTuple
 
 _WRITERS = {
@@ -25,6 +26,7 @@ class _Functions(NamedTuple):
     status: Any
 
 
+@cache
 def _functions() -> _Functions | None:
     try:
         rcl, rmw = CDLL("librcl.so"), CDLL("librmw_fastrtps_cpp.so")
@@ -39,9 +41,6 @@ def _functions() -> _Functions | None:
     return _Functions(handles, writers, status)
 
 
-_FUNCTIONS = _functions()
-
-
 class MatchCounter:
     """Counts the peers that the writer of a client (``rcl_client_t *``) or a service (``rcl_service_t *``) has matched.
 
@@ -51,9 +50,10 @@ class MatchCounter:
 
     def __init__(self, pointer: int, kind: str) -> None:
         self._writer: int | None = None
-        if _FUNCTIONS is not None:
-            self._status = _FUNCTIONS.status
-            self._writer = _FUNCTIONS.writers[kind](_FUNCTIONS.handles[kind](pointer))
+        functions = _functions()
+        if functions is not None:
+            self._status = functions.status
+            self._writer = functions.writers[kind](functions.handles[kind](pointer))
             self._buffer = ctypes.create_string_buffer(_STATUS_BYTES)
 
     def total(self) -> int | None:

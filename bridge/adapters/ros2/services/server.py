@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph import vendors
-from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
+from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.participant import SERVICE
 from bridge.adapters.ros2.rcl import ENCAPSULATION, RequestId
 from bridge.adapters.ros2.services import cyclone
@@ -25,7 +25,7 @@ from bridge.hub.endpoints.calls import Abandon, Call, CallError
 from bridge.messages.errors import MessageError, MessageTypeError
 from bridge.messages.transcode.conversion import Convert
 from bridge.messages.unchanged import same
-from bridge.routing.edge import EdgeServer
+from bridge.routing.edge import EdgeServer, MadeBy
 
 _LINGER = 1.0
 """Seconds that a server stays after its last reply: a client that first notices the server's exit drops the reply. One
@@ -89,7 +89,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         for _ in range(limit):
             taken = self._taker.request(self.pointer)
             # Midspan's own clients call the native server; DDS delivers their requests to all servers of the name.
-            if taken is None or is_marked(taken[0].gid):
+            if taken is None or self._participant.marks.made_by(taken[0].gid) is MadeBy.MIDSPAN:
                 continue
             request, payload = taken
             header = b""

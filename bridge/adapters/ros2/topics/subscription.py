@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
-from bridge.adapters.ros2.graph.origins import is_marked
 from bridge.adapters.ros2.loop import EndpointReader
 from bridge.adapters.ros2.participant import Participant
 from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context
@@ -140,10 +139,12 @@ class Ros2Subscription:
         return {source.id for source in self._sources.values()}
 
     def _resolve(self, gid: bytes, reader_class: ReaderClass) -> _Source | None:
-        if is_marked(gid):
+        if self._participant.marks.made_by(gid) is MadeBy.MIDSPAN:
             return None
         publisher = self._graph.find(self.topic, gid)
-        if publisher is None:
+        if publisher is not None and publisher.made_by is MadeBy.MIDSPAN:
+            return None
+        if publisher is None or publisher.made_by is MadeBy.UNKNOWN:  # the engine holds the message until it is known
             return _Source(gid.hex(), reader_class)
         if not self._accepts(publisher):
             return None

@@ -185,7 +185,7 @@ def test_cyclone_server_that_joins_later(
 ) -> None:
     """While calls continue and the graph is out of date, each gets the reply of the server on Fast DDS, and only it."""
     if not known:
-        monkeypatch.setattr(matching, "_FUNCTIONS", None)
+        monkeypatch.setattr(matching, "_functions", lambda: None)
     fast, native = peer("lamp"), cyclone()
     fast.ask("serve", service="/c/joins", type=TYPE, reply=YES, depth=200)
     edge.until_seen("/c/joins", Kind.SERVER)

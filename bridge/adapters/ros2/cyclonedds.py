@@ -1,0 +1,239 @@
+"""The worker's own participant on Cyclone DDS (``ros2.rmw``): its settings, and what rmw_cyclonedds_cpp does not offer.
+
+rmw_cyclonedds_cpp identifies the publisher of a message by a number of this process only, and does not report the
+enclave of a participant. Two readers of Cyclone DDS's built-in topics have both, here through its C API (``dds.h``, the
+same in 0.10 and 11.0).
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import deque
+from collections.abc import Iterable, Iterator
+from ctypes import (
+    CDLL,
+    POINTER,
+    Structure,
+    byref,
+    c_bool,
+    c_int32,
+    c_int64,
+    c_size_t,
+    c_ubyte,
+    c_uint32,
+    c_uint64,
+    c_void_p,
+    string_at,
+)
+from typing import Any
+from xml.etree import ElementTree as ET
+
+from bridge.adapters.ros2.environment import LIBRARY, SWITCHES, UNSET
+from bridge.adapters.ros2.graph.interfaces import ipv4_addresses
+from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
+from bridge.adapters.ros2.graph.spdp import PARTICIPANTS
+from bridge.config.model import Config
+
+URI = "CYCLONEDDS_URI"
+_LOOPBACK = "127.0.0.1"
+_PORTS = 2 * PARTICIPANTS
+"""Number of participants of this machine that are addressed by unicast; those of Midspan on Fast DDS are above 31."""
+
+_ANNOUNCEMENT, _LEASE = "500ms", "20s"
+"""Those of `bridge.adapters.ros2.profile`, so that Midspans discover each other equally fast on both."""
+
+
+def settings(*, localhost_only: bool, interfaces: Iterable[str], peers: Iterable[str] = ()) -> str:
+    """Return the XML settings of the participant.
+
+    With ``localhost_only`` it announces itself on loopback only, but has an address on each interface: programs with
+    Cyclone DDS's own default settings have none on loopback.
+
+    Args:
+        localhost_only: discover nodes of this machine only.
+        interfaces: names of the interfaces to use in addition to loopback; without any, Cyclone DDS chooses one.
+        peers: addresses of machines to announce itself to.
+    """
+    domain = ET.Element("Domain", Id="any")
+    discovery = ET.SubElement(domain, "Discovery")
+    for name, value in (
+        ("ParticipantIndex", "auto"), ("MaxAutoParticipantIndex", str(_PORTS - 1)), ("SPDPInterval", _ANNOUNCEMENT),
+        ("LeaseDuration", _LEASE),
+    ):  # fmt: skip
+        ET.SubElement(discovery, name).text = value
+    listed = ET.SubElement(discovery, "Peers")
+    for address in (_LOOPBACK, *peers):
+        ET.SubElement(listed, "Peer", Address=address)
+    names = list(interfaces)
+    if names or localhost_only:
+        used = ET.SubElement(ET.SubElement(domain, "General"), "Interfaces")
+        ET.SubElement(used, "NetworkInterface", address=_LOOPBACK, multicast="true")
+        for name in names:
+            ET.SubElement(used, "NetworkInterface", name=name, multicast="false" if localhost_only else "default")
+    root = ET.Element("CycloneDDS")
+    root.append(domain)
+    return ET.tostring(root, encoding="unicode")
+
+
+def use_settings(config: Config, peers: Iterable[str]) -> None:
+    """Set this process's environment for its participant. Your own ``CYCLONEDDS_URI`` is read after Midspan's.
+
+    It is ignored with ``localhost_only``, which it could undo.
+    """
+    local = config.ros2.localhost_only
+    own = "" if local else os.environ.get(URI, "")
+    names = [] if own else sorted({name for name, _ in ipv4_addresses()})
+    made = settings(localhost_only=local, interfaces=names, peers=peers)
+    for name in UNSET:
+        os.environ.pop(name, None)
+    os.environ.update(SWITCHES[config.ros2.rmw] | {URI: ",".join(filter(None, (made, own)))})
+
+
+# -- built-in topics ---------------------------------------------------------------------------------------------------
+
+_PARTICIPANTS, _WRITERS = 0x7FFF0001, 0x7FFF0003
+"""``DDS_BUILTIN_TOPIC_DCPSPARTICIPANT`` and ``DDS_BUILTIN_TOPIC_DCPSPUBLICATION``."""
+_ALIVE = 16
+"""``DDS_ALIVE_INSTANCE_STATE``."""
+_BATCH = 64
+_DEPARTED = 1000
+"""Number of writers, and of participants, that are remembered after they have left: their last messages may wait."""
+_GUID_BYTES = 16
+
+
+class _Info(Structure):
+    """``dds_sample_info_t``."""
+
+    _fields_ = [
+        ("sample_state", c_int32), ("view_state", c_int32), ("instance_state", c_int32), ("valid", c_bool),
+        ("source_timestamp", c_int64), ("instance", c_uint64), ("publication", c_uint64), ("ranks", c_uint32 * 5),
+    ]  # fmt: skip
+
+
+class _Participant(Structure):
+    """``dds_builtintopic_participant_t``."""
+
+    _fields_ = [("guid", c_ubyte * _GUID_BYTES), ("qos", c_void_p)]
+
+
+def _library() -> CDLL:
+    """Return rmw_cyclonedds_cpp, which resolves the functions of Cyclone DDS, too."""
+    library = CDLL(LIBRARY)
+    signatures: dict[str, list[Any]] = {
+        "dds_lookup_participant": [c_uint32, POINTER(c_int32), c_size_t],
+        "dds_get_guid": [c_int32, c_void_p],
+        "dds_create_reader": [c_int32, c_int32, c_void_p, c_void_p],
+        "dds_take": [c_int32, POINTER(c_void_p), POINTER(_Info), c_size_t, c_uint32],
+        "dds_return_loan": [c_int32, POINTER(c_void_p), c_int32],
+        "dds_qget_userdata": [c_void_p, POINTER(c_void_p), POINTER(c_size_t)],
+        "dds_free": [c_void_p],
+    }
+    for name, arguments in signatures.items():
+        function = getattr(library, name)
+        function.argtypes, function.restype = arguments, c_int32
+    library.dds_qget_userdata.restype, library.dds_free.restype = c_bool, None
+    return library
+
+
+class Discovery:
+    """The participants and writers that this process's participant has discovered; thread-safe.
+
+    Raises `RuntimeError` if the process has no participant on the domain, or several.
+
+    Attributes:
+        prefix: the participant's own GUID prefix.
+    """
+
+    def __init__(self, domain: int) -> None:
+        self._dds = _library()
+        found = (c_int32 * 2)()
+        count = self._dds.dds_lookup_participant(domain, found, len(found))
+        if count != 1:
+            raise RuntimeError(f"{count} participants of Cyclone DDS on domain {domain} in this process, instead of 1")
+        guid = (c_ubyte * _GUID_BYTES)()
+        self._check("dds_get_guid", self._dds.dds_get_guid(found[0], guid))
+        self.prefix = bytes(guid)[:PREFIX_BYTES]
+        self._lock = threading.Lock()
+        self._participants, self._writers = (self._reader(found[0], topic) for topic in (_PARTICIPANTS, _WRITERS))
+        self._buffers, self._infos = (c_void_p * _BATCH)(), (_Info * _BATCH)()
+        self._enclaves: dict[bytes, str] = {}
+        self._guids: dict[int, bytes] = {}
+        self._departed_participants: deque[bytes] = deque()
+        self._departed_writers: deque[int] = deque()
+
+    def _reader(self, participant: int, topic: int) -> int:
+        return self._check("dds_create_reader", self._dds.dds_create_reader(participant, topic, None, None))
+
+    @staticmethod
+    def _check(call: str, result: int) -> int:
+        if result < 0:
+            raise RuntimeError(f"{call} failed with code {result} (Cyclone DDS, dds.h)")
+        return result
+
+    def enclave(self, prefix: bytes) -> str | None:
+        """Return the enclave of a participant by its GUID prefix; "" if it has none, None before it is discovered."""
+        known = self._enclaves.get(prefix)
+        if known is None:
+            with self._lock:
+                self._read_participants()
+            known = self._enclaves.get(prefix)
+        return known
+
+    def writer(self, handle: bytes) -> bytes:
+        """Return the GUID of the writer that rmw_cyclonedds_cpp calls by this GID; b"" before it is discovered."""
+        number = int.from_bytes(handle[:8], "little")
+        known = self._guids.get(number)
+        if known is None:
+            with self._lock:
+                self._read_writers()
+            known = self._guids.get(number, b"")
+        return known
+
+    def _read_participants(self) -> None:
+        for info, sample in self._taken(self._participants):
+            participant = _Participant.from_address(sample)
+            prefix = bytes(participant.guid)[:PREFIX_BYTES]
+            if info.valid:
+                self._enclaves[prefix] = _enclave(self._user_data(participant.qos))
+            if info.instance_state != _ALIVE:
+                self._departed_participants.append(prefix)
+        while len(self._departed_participants) > _DEPARTED:
+            self._enclaves.pop(self._departed_participants.popleft(), None)
+
+    def _read_writers(self) -> None:
+        for info, sample in self._taken(self._writers):
+            self._guids[info.instance] = string_at(sample, _GUID_BYTES)
+            if info.instance_state != _ALIVE:
+                self._departed_writers.append(info.instance)
+        while len(self._departed_writers) > _DEPARTED:
+            self._guids.pop(self._departed_writers.popleft(), None)
+
+    def _taken(self, reader: int) -> Iterator[tuple[_Info, int]]:
+        """Take all samples, each with its address; the lock is held. None after the participant has been destroyed."""
+        while True:
+            self._buffers[0] = None  # Cyclone DDS lends the samples
+            count = self._dds.dds_take(reader, self._buffers, self._infos, _BATCH, _BATCH)
+            if count <= 0:
+                return
+            for position in range(count):
+                yield self._infos[position], int(self._buffers[position] or 0)
+            self._dds.dds_return_loan(reader, self._buffers, count)
+
+    def _user_data(self, qos: int | None) -> bytes:
+        value, size = c_void_p(), c_size_t()
+        if not qos or not self._dds.dds_qget_userdata(qos, byref(value), byref(size)) or not value.value:
+            return b""
+        try:
+            return string_at(value.value, size.value)
+        finally:
+            self._dds.dds_free(value)
+
+
+def _enclave(user_data: bytes) -> str:
+    """Return the enclave in a participant's user data, which ROS 2 writes as ``enclave=/name;``."""
+    for entry in user_data.split(b";"):
+        key, _, value = entry.partition(b"=")
+        if key == b"enclave":
+            return value.decode("utf-8", "replace")
+    return ""

@@ -1,0 +1,92 @@
+"""Decides whether a Midspan created an endpoint, by its participant's GUID prefix or enclave.
+
+A participant on Fast DDS has a marked GUID prefix (`bridge.adapters.ros2.graph.origins`). Cyclone DDS chooses GUIDs
+itself, so one on Cyclone DDS has only a marked enclave, which rmw announces with each participant. Cyclone DDS reports
+the enclave before any endpoint of the participant. rmw_fastrtps reports it by node only, so on Fast DDS the origin of
+an endpoint on Cyclone DDS is unknown until its participant has announced its nodes. Midspans on Fast DDS have the
+enclave, too, so that their nodes and those on Cyclone DDS may have the same name.
+"""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Mapping
+
+from typing_extensions import override
+
+from bridge.adapters.ros2.graph import vendors
+from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
+from bridge.routing.edge import MadeBy
+
+ENCLAVE = "/_midspan/origin"
+"""The marked enclave. A node with it is Midspan's for all Midspans, so no program may use it."""
+
+_MOST = 2000
+
+
+class Marks(ABC):
+    """What is known of the participants on the network; thread-safe."""
+
+    @abstractmethod
+    def made_by(self, gid: bytes) -> MadeBy:
+        """Return who created an endpoint or a participant, by its GUID or GUID prefix."""
+
+    @abstractmethod
+    def of_endpoint(self, gid: bytes, node: str, *, has_hash: bool) -> MadeBy:
+        """Return who created an endpoint of a node ("" if it is not known); ``has_hash``: it announces a type hash."""
+
+
+class NodeMarks(Marks):
+    """On Fast DDS. ``enclaves`` returns the enclaves of all nodes, by the nodes' full names."""
+
+    def __init__(self, enclaves: Callable[[], Mapping[str, Collection[str]]]) -> None:
+        self._enclaves = enclaves
+        self._lock = threading.Lock()
+        self._known: dict[bytes, MadeBy] = {}
+
+    @override
+    def made_by(self, gid: bytes) -> MadeBy:
+        if is_marked(gid):
+            return MadeBy.MIDSPAN
+        if not vendors.is_cyclone(gid):
+            return MadeBy.NATIVE
+        return self._known.get(gid[:PREFIX_BYTES], MadeBy.UNKNOWN)
+
+    @override
+    def of_endpoint(self, gid: bytes, node: str, *, has_hash: bool) -> MadeBy:
+        """Return who created an endpoint; those without a hash are of plain DDS programs or of Humble."""
+        made_by = self.made_by(gid)
+        if made_by is not MadeBy.UNKNOWN:
+            return made_by
+        if not has_hash:
+            return MadeBy.NATIVE
+        enclaves = self._enclaves().get(node, ()) if node else ()
+        if not enclaves or (ENCLAVE in enclaves and len(enclaves) > 1):  # or two nodes with one name
+            return MadeBy.UNKNOWN
+        made_by = MadeBy.MIDSPAN if ENCLAVE in enclaves else MadeBy.NATIVE
+        with self._lock:
+            while len(self._known) >= _MOST:
+                del self._known[next(iter(self._known))]
+            self._known[gid[:PREFIX_BYTES]] = made_by
+        return made_by
+
+
+class EnclaveMarks(Marks):
+    """On Cyclone DDS. ``enclave`` returns that of a GUID prefix: "" for none, None before it is discovered."""
+
+    def __init__(self, enclave: Callable[[bytes], str | None]) -> None:
+        self._enclave = enclave
+
+    @override
+    def made_by(self, gid: bytes) -> MadeBy:
+        if is_marked(gid):
+            return MadeBy.MIDSPAN
+        enclave = self._enclave(gid[:PREFIX_BYTES])
+        if enclave is None:
+            return MadeBy.UNKNOWN
+        return MadeBy.MIDSPAN if enclave == ENCLAVE else MadeBy.NATIVE
+
+    @override
+    def of_endpoint(self, gid: bytes, node: str, *, has_hash: bool) -> MadeBy:
+        return self.made_by(gid)
