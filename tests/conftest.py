@@ -65,8 +65,10 @@ def pytest_configure(config: pytest.Config) -> None:
     # as a plugin: pytest does not call this file's hooks for a folder whose own conftest cannot be imported
     config.pluginmanager.register(missing)
     config.pluginmanager.register(time_limit)
-    # no time limit per example: the machine may be busy
-    hypothesis.settings.register_profile("midspan", deadline=None)
+    # no time limits per example or for their generation: the machine may be busy
+    hypothesis.settings.register_profile(
+        "midspan", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+    )
     hypothesis.settings.load_profile("midspan")
 
 

@@ -38,7 +38,8 @@ def test_a_master_keeps_its_state_and_ends_by_the_shutdown_call(tmp_path: Path):
     ):  # fmt: skip
         with run(*options) as process:
             assert call("getUri") == f"http://{host}:{port}/"
-            assert call("lookupNode", "/rosout").startswith(f"http://{host}:")
+            prefix = f"http://{host}:"
+            until(lambda: call("lookupNode", "/rosout").startswith(prefix), "the master's rosout registers")  # noqa: B023
             assert call("subscribeParam", "http://127.0.0.1:1/", "/x") == value
             call("setParam", "/x", 5)
             assert call("shutdown", "done") == 0
