@@ -108,7 +108,8 @@ class WorkerProcess:
             config.state.mkdir(parents=True, exist_ok=True)  # by the daemon; the worker locks a file there
             self.process = Process([sys.executable, "-m", "bridge.cli.main", *words], env, pipes=True)
         else:
-            imports = [*IMPORTS, f"bridge.adapters.{side}.edge"]
+            preloaded = "LD_PRELOAD" in env  # which a fork of a process without it does not have
+            imports = [] if preloaded else [*IMPORTS, f"bridge.adapters.{side}.edge"]
             self.process = Process([sys.executable, "-m", "bridge.cli.main", *words], env, pipes=True, imports=imports)
         self._send({"config": json.loads(config.model_dump_json(by_alias=True))})
         until(lambda: self.beat()["state"] in states, f"{side} worker runs", 20, every=0)
