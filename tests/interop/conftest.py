@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.peers.daemon.deployment import Deployment
+from tests.peers.navigation.mix import Mix
+from tests.peers.navigation.shared_mix import SharedMix
 from tests.peers.ros1.network import EMBEDDED
 
 ON_BOTH_MASTERS = {
@@ -24,6 +26,19 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if metafunc.definition.originalname in ON_BOTH_MASTERS and not EMBEDDED:
         embedded = pytest.param(True, marks=pytest.mark.thorough)
         metafunc.parametrize("embedded", [False, embedded], ids=["roscore", "embedded_master"])
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Let the tests of a file with one shared mix follow each other; pytest groups by the place in the parameters."""
+    first: dict[object, int] = {}
+
+    def place(position: int, item: pytest.Item) -> int:
+        params = item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
+        return first.setdefault((item.path, id(params["shared_mix"])), position) if "shared_mix" in params else position
+
+    places = {item: place(position, item) for position, item in enumerate(items)}
+    items.sort(key=places.__getitem__)
 
 
 @pytest.fixture
@@ -59,3 +74,20 @@ def shared(of_all_tests: Deployment) -> Iterator[Deployment]:
     """The deployment of the file, whose tests use separate topics; programs are stopped after each test."""
     yield of_all_tests
     of_all_tests.stop_programs()
+
+
+@pytest.fixture(scope="module")
+def shared_mix(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedMix]:
+    """A mix for the tests of a file with the same options, which are its parameter; none: the defaults."""
+    mix = SharedMix(tmp_path_factory, **getattr(request, "param", {}))
+    yield mix
+    mix.close()
+
+
+@pytest.fixture
+def mix(shared_mix: SharedMix, request: pytest.FixtureRequest) -> Iterator[Mix]:
+    """The shared mix, at rest; started by the first test that uses it."""
+    failed = request.session.testsfailed
+    yield shared_mix.at_rest()
+    if request.session.testsfailed > failed:
+        shared_mix.close()

@@ -24,7 +24,7 @@ from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Reader, Writer
 
 ODOMETRY, TWIST = "nav_msgs/Odometry", "geometry_msgs/Twist"
-SIDE = 0.6
+SIDE = 0.4
 TICK = 0.08
 SCALE = 0.03
 

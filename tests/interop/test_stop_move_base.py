@@ -183,26 +183,3 @@ def test_new_goal_after_the_ros1_worker_was_killed(deployment: Deployment, other
     watch.close()
     cancel(watch)
     assert first.ends() == 1, f"the first goal had {first.ends()} ends"
-
-
-@pytest.mark.parametrize("client", [YARP, pytest.param(ROS2, marks=thorough)])
-def test_stop_of_a_base_that_brakes(deployment: Deployment, client: str) -> None:
-    watch = drive(deployment, client, base=("--ramp", "2.0"))
-    wait(watch, 1.5)  # until it is at full speed
-    watch.ask("stop", [*GATEWAY, ROS1])
-    assert_refused_or_stands(watch)
-    wait_until_stands(watch)
-    watch.allowance = 1.5  # it brakes for a second, and the planner may report its goal's end earlier
-    watch.close()
-
-
-@thorough
-def test_pause_of_a_base_that_brakes(deployment: Deployment) -> None:
-    watch = drive(deployment, ROS2, base=("--ramp", "2.0"))
-    wait(watch, 1.5)
-    watch.ask("pause", [ROS2])
-    assert_refused_or_stands(watch)
-    wait_until_stands(watch)
-    watch.until(lambda: watch.mix.state() == "paused", "it is paused", STANDS_SECONDS)
-    watch.close()
-    cancel(watch)

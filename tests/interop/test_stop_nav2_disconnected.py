@@ -8,34 +8,31 @@ import time
 
 import pytest
 
-from tests.interop.test_stop_nav2 import assert_ends_once, assert_stops, drive, wait
-from tests.peers.daemon.deployment import Deployment
+from tests.interop.test_stop_nav2 import assert_ends_once, assert_stops, drive_in, wait
+from tests.peers.navigation.mix import Mix
 from tests.peers.navigation.mix_clients import ROS1, YARP, ZENOH
 from tests.peers.navigation.mix_faults import STANDS_SECONDS, Watch, kill_workers
 
+PATIENT = {"navigation": {"patience": 30.0}}
+MISSING = PATIENT | {"base_side": "ros1", "nav2": {"navigator": (), "controller": ("--tf-tolerance", "0.5")}}
+"""The base is on ROS 1: transforms reach Nav2 through the killed worker."""
+TOLERANT = MISSING | {"nav2": {"navigator": ("--tf-tolerance", "0.5"), "controller": ("--tf-tolerance", "inf")}}
 thorough = pytest.mark.thorough
 
 
 @pytest.mark.parametrize(
-    ("navigator", "controller"),
-    [
-        pytest.param((), ("--tf-tolerance", "0.5"), id="102"),
-        pytest.param(("--tf-tolerance", "0.5"), ("--tf-tolerance", "inf"), id="202", marks=thorough),
-    ],
+    "shared_mix", [pytest.param(MISSING, id="102"), pytest.param(TOLERANT, id="202", marks=thorough)], indirect=True
 )
 @pytest.mark.parametrize("client", [ZENOH, *(pytest.param(name, marks=thorough) for name in (YARP, ROS1))])
-def test_the_ros2_worker_is_killed_and_transforms_are_missing(
-    deployment: Deployment, client: str, navigator: tuple[str, ...], controller: tuple[str, ...]
-) -> None:
-    """The base is on ROS 1: transforms reach Nav2 through the killed worker."""
-    nav2 = {"navigator": navigator, "controller": controller}
-    assert_continues(drive(deployment, client, base_side="ros1", nav2=nav2, navigation={"patience": 30.0}))
+def test_the_ros2_worker_is_killed_and_transforms_are_missing(mix: Mix, client: str) -> None:
+    assert_continues(drive_in(mix, client))
 
 
 @thorough
+@pytest.mark.parametrize("shared_mix", [pytest.param(PATIENT, id="patient")], indirect=True)
 @pytest.mark.parametrize("client", [YARP, ZENOH])
-def test_the_ros2_worker_is_killed(deployment: Deployment, client: str) -> None:
-    assert_continues(drive(deployment, client, navigation={"patience": 30.0}))
+def test_the_ros2_worker_is_killed(mix: Mix, client: str) -> None:
+    assert_continues(drive_in(mix, client))
 
 
 def assert_continues(watch: Watch) -> None:
@@ -61,9 +58,10 @@ def assert_continues(watch: Watch) -> None:
 
 
 @thorough
-def test_stop_after_the_ros2_worker_was_killed(deployment: Deployment) -> None:
-    watch = drive(deployment, ZENOH)
-    kill_workers("ros2")(watch.mix)
+@pytest.mark.parametrize("shared_mix", [pytest.param(PATIENT, id="patient")], indirect=True)
+def test_stop_after_the_ros2_worker_was_killed(mix: Mix) -> None:
+    watch = drive_in(mix, ZENOH)
+    kill_workers("ros2")(mix)
     wait(watch, 0.3)
     assert_stops(watch, YARP, ZENOH)
     assert_ends_once(watch)

@@ -1,13 +1,10 @@
 """Stops while Nav2's servers keep running: bt_navigator aborts, or another client moves the base.
 
-The tests share a daemon and Nav2. Those of `tests.interop.test_stop_nav2` start their own on the same ROS domain, where
-a second daemon would stand by.
+The tests share a daemon and Nav2 with the default options. Those of `tests.interop.test_stop_nav2` start their own on
+the same ROS domain, where a second daemon would stand by.
 """
 
 from __future__ import annotations
-
-import contextlib
-from collections.abc import Iterator
 
 import pytest
 
@@ -20,8 +17,7 @@ from tests.interop.test_stop_nav2 import (
     drive_in,
     wait,
 )
-from tests.peers.daemon.deployment import Deployment
-from tests.peers.navigation.mix import NAV2, Mix
+from tests.peers.navigation.mix import Mix
 from tests.peers.navigation.mix_clients import COMMAND, ROS2, SECONDS, ZENOH, RosClient
 from tests.peers.navigation.mix_faults import AWAY, STANDS_SECONDS, start_driving
 from tests.support.wait import until
@@ -33,50 +29,6 @@ BEHAVIORS = {
     "/assisted_teleop": ("nav2_msgs/AssistedTeleop", {"time_allowance": {"sec": 60}}),
 }
 thorough = pytest.mark.thorough
-
-
-class SharedMix:
-    """Nav2 and a daemon for tests that leave both running; after a failed test, the next one starts others."""
-
-    def __init__(self, folders: pytest.TempPathFactory) -> None:
-        self._folders = folders
-        self._stack = contextlib.ExitStack()
-        self._mix: Mix | None = None
-
-    def at_rest(self) -> Mix:
-        """Return the mix once nothing drives."""
-        if self._mix is None:
-            deployment = self._stack.enter_context(Deployment(self._folders.mktemp("shared")))
-            self._mix = Mix.over(deployment, NAV2)
-        mix = self._mix
-        until(
-            lambda: not mix.driving() and mix.state() in ("", "idle", "aborted") and not mix.base.moves,
-            "nothing drives",
-            SECONDS,
-        )
-        return mix
-
-    def close(self) -> None:
-        """Stop all programs."""
-        self._mix = None
-        self._stack.close()
-
-
-@pytest.fixture(scope="module")
-def of_the_file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedMix]:
-    """Started by the first test that uses it."""
-    shared = SharedMix(tmp_path_factory)
-    yield shared
-    shared.close()
-
-
-@pytest.fixture
-def mix(of_the_file: SharedMix, request: pytest.FixtureRequest) -> Iterator[Mix]:
-    """Nav2 at rest, with the default options."""
-    failed = request.session.testsfailed
-    yield of_the_file.at_rest()
-    if request.session.testsfailed > failed:
-        of_the_file.close()
 
 
 @thorough
