@@ -101,6 +101,11 @@ class MapAreas:
         """The areas that robots keep out of."""
         return [area for area, behavior in self.named.values() if behavior.keep_out]
 
+    @property
+    def troubles(self) -> tuple[str, ...]:
+        """What cannot be read, with the cure, for the log."""
+        return (self.closed, *self.warnings) if self.closed else self.warnings
+
 
 class Store:
     """Values by kind and name. Safe to use from any thread."""

@@ -93,8 +93,7 @@ class Map2DServer(Module):
 
     @override
     def warnings(self) -> Iterable[str]:
-        areas = self._masks.areas
-        return areas.closed, *areas.warnings
+        return self._masks.areas.troubles
 
     @override
     def stop(self) -> None:

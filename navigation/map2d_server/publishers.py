@@ -277,7 +277,7 @@ class Masks:
         if not (map_changed or any(kind in (AREA.name, BEHAVIOR.name) for kind, _ in changed)):
             return
         self.areas = self._store.areas(current.name) if current.name else MapAreas()
-        for text in filter(None, (self.areas.closed, *self.areas.warnings)):
+        for text in self.areas.troubles:
             _log.warning("%s", text)
         messages = {} if current.grid is None else masks_of(current.grid, self.areas, self._head)
         for topic in self._ends.keys() - messages.keys():

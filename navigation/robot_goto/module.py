@@ -159,7 +159,7 @@ class RobotGoto(PlannerModule):
     def _use_map(self, grid: MapGrid2D | None) -> None:
         """Stay out of the keep-out cells and areas of a map; stand if one of its areas cannot be read."""
         self._areas = MapAreas() if grid is None else self._host.store.areas(grid.name)
-        for text in filter(None, (self._areas.closed, *self._areas.warnings)):
+        for text in self._areas.troubles:
             self._host.log.warning("%s", text)
         self.driver.keep_out.use(grid, self._areas.keep_out)
         if self._areas.closed and not self.progress.state.ended:

@@ -137,7 +137,7 @@ class StoreAtlas(Atlas):
     def areas(self, name: str) -> MapAreas:
         """Return the areas on a map; log those that cannot be read."""
         areas = self._store.areas(name)
-        for text in filter(None, (areas.closed, *areas.warnings)):
+        for text in areas.troubles:
             _log.warning("%s", text)
         return areas
 

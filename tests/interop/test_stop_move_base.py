@@ -150,7 +150,7 @@ def test_stop_of_the_planners_own_goal(deployment: Deployment, fault: str) -> No
 @thorough
 @pytest.mark.parametrize("client", [YARP, ROS1])
 def test_stop_after_ros1_and_modules_were_killed(deployment: Deployment, client: str) -> None:
-    """Without clients of the gateway's action: their goals end with their server, whatever the robot does."""
+    """Without clients of the gateway's action: their goals end with their server, even if the robot drives on."""
     watch = drive(deployment, client)
     kill_workers("ros1", "gateway")(watch.mix)
     end = time.monotonic() + 40.0

@@ -1,7 +1,7 @@
 """Stops while Nav2's servers keep running: bt_navigator aborts, or another client moves the base.
 
 The tests share a daemon and Nav2 with the default options. Those of `tests.interop.test_stop_nav2` start their own on
-the same ROS domain, where a second daemon would stand by.
+the same ROS domain, and a second daemon would stand by there.
 """
 
 from __future__ import annotations

@@ -101,7 +101,7 @@ def _save(save: Any) -> None:
 def register_location_export(verbs: Any) -> None:
     parser = add_verb(
         verbs, "export", _export_locations, "write locations, areas, paths and objects to a file",
-        "Writes .ini for YARP's map storage (all maps; behaviors and links go into a file beside it), .geojson, or"
+        "Writes .ini for YARP's map storage (all maps; behaviors and links go into a second file), .geojson, or"
         " .yaml: the locations as waypoints for Nav2.",
         example="midspan location export house.geojson --map house",
     )  # fmt: skip

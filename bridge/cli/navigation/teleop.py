@@ -88,7 +88,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--stamped",
         choices=_STAMPED,
-        help="publish TwistStamped, or Twist; auto: what the base subscribes to (default: navigation.stamped)",
+        help="publish TwistStamped, or Twist; auto: the type that the base subscribes to (default: navigation.stamped)",
     )
     parser.add_argument("--speed", type=float, default=0.2, metavar="M/S", help="initial speed (default 0.2)")
     parser.add_argument(

@@ -125,7 +125,7 @@ def register_import(parser: argparse.ArgumentParser) -> None:
         "BRIDGE",
         dest="peer",
     )
-    ros1 = add_verb(peers, "ros1_bridge", run_import, "the parameter file of ros1_bridge's parameter_bridge", hub=False)
+    ros1 = add_verb(peers, "ros1_bridge", run_import, "the parameter file of parameter_bridge (ros1_bridge)", hub=False)
     ros1.add_argument(
         "--mapping-rules", type=Path, action="append", default=[], metavar="RULES",
         help="a mapping-rule file that the bridge was built with, which Midspan reads unchanged (may be repeated)",

@@ -1,4 +1,4 @@
-"""``midspan yarp``: the functions of YARP's tool for machines without YARP, and a name server."""
+"""``midspan yarp``: the functions of the ``yarp`` tool for machines without YARP, and a name server."""
 
 from __future__ import annotations
 

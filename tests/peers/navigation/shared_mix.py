@@ -17,7 +17,7 @@ class SharedMix:
     """A daemon and a planner for tests that leave both running; after a failed test, the next one starts others.
 
     Args:
-        folders: where the daemon's folder is created.
+        folders: creates the daemon's folder.
         planner: Nav2 or move_base.
         options: those of `Mix`.
     """

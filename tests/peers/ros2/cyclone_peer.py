@@ -1,7 +1,7 @@
 """A Cyclone DDS program that a test drives by JSON lines, as `tests.peers.peer` does; it uses the `cyclonedds` wheel.
 
 Payloads are CDR in hex, with their encapsulation header, so the program needs no message packages. Like
-rmw_cyclonedds_cpp, its readers accept payloads of any size, and requests and replies carry 16 bytes behind the
+rmw_cyclonedds_cpp, its readers accept payloads of any size, and requests and replies carry 16 bytes after the
 encapsulation header: the client's id and the number of the request (rmw_cyclonedds_cpp, serdata.hpp).
 
 Commands: ``advertise`` topic, type, type_hash ("": none) -> id; ``advertise_raw`` the same with names as in DDS;
