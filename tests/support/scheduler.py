@@ -18,8 +18,8 @@ _BY_SIDE = "tests/contract/"
 _SHARED = "tests/web/browser/"
 """Folder whose files share an expensive rig, and so are one work unit."""
 
-_CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-TOGETHER = min(3, _CORES + 1)
+CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+TOGETHER = min(3, CORES + 1)
 """Number of concurrent tests once only those with the marker `alone` are left: each uses half a core, as it waits for
 programs."""
 

@@ -107,7 +107,8 @@ def _foreign(side: str, nodes: Iterable[str]) -> list[Finding]:
     return [fail(f"{side}: {', '.join(names)} looks like another bridge: shared topics come twice", _CURE_FOREIGN)]
 
 
-_SECONDS = 12.0
+_SECONDS = 30.0
+"""Time limit for the process that checks, which takes 7 s on an idle machine; it only detects a hang."""
 
 
 class LookError(Exception):

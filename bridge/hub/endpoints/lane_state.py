@@ -15,8 +15,11 @@ from bridge.hub.endpoints.publisher import EndpointContext
 from bridge.hub.lane.inlet import Inlet
 from bridge.hub.zenoh_compat import subscribe, undeclare
 
-CAUGHT_SECONDS = 1.0
-"""Seconds after a mark, after which all earlier messages have arrived."""
+QUIET_SECONDS = 1.0
+"""Seconds for which a lane that is being left waits for a message over zenoh: its publishers may be quiet."""
+
+CAUGHT_SECONDS = 10.0
+"""Seconds after a mark, after which a lane is used although its session does not respond over zenoh."""
 
 _SPARED_MARKS = 64
 
@@ -89,7 +92,7 @@ class Lanes:
         leaving = self.leaving.get(inlet)
         if leaving is None or leaving.step is not LeavingStep.KNOWN:
             return False
-        due = inlet.zid in self.received or now - leaving.since > CAUGHT_SECONDS
+        due = inlet.zid in self.received or now - leaving.since > QUIET_SECONDS
         if due:
             self.leaving[inlet] = Leaving(LeavingStep.FENCED, now)
         return due
@@ -116,12 +119,21 @@ class Lanes:
         joined = self.joined.get(gid)
         return joined is not None and joined.inlet in self.leaving
 
-    def caught(self, gid: bytes, last: int | None, now: float) -> bool:
-        """Return whether all messages that a publisher sent only on zenoh have arrived, up to the number ``last``."""
+    def caught(self, gid: bytes, last: int | None, now: float, passed: Callable[[str, float], bool]) -> bool:
+        """Return whether all messages that a publisher sent only on zenoh have arrived, up to the number ``last``.
+
+        ``passed`` returns whether a session has replied to a query that was sent after a time. Its earlier messages,
+        which zenoh delivers before the reply, have arrived then, or were dropped.
+        """
         joined = self.joined.get(gid)
         if joined is None:
             return False
-        joined.caught = joined.caught or (last or 0) >= joined.mark or now - joined.since > CAUGHT_SECONDS
+        joined.caught = (
+            joined.caught
+            or (last or 0) >= joined.mark
+            or passed(joined.inlet.zid, joined.since)
+            or now - joined.since > CAUGHT_SECONDS
+        )
         return joined.caught
 
 

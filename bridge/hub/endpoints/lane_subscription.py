@@ -358,7 +358,8 @@ class LaneSubscription(HubSubscription):
 
     def _caught(self, gid: bytes, now: float) -> bool:
         source = self.sources.get(gid)
-        return self._lanes.caught(gid, None if source is None else source.sequence, now)
+        last = None if source is None else source.sequence
+        return self._lanes.caught(gid, last, now, self._lane.barriers.passed)
 
     def _to_zenoh(self, why: str) -> bool:
         self._zenoh.listen(everywhere=True)

@@ -1,6 +1,7 @@
 """Barriers: whether another session has all declarations that this session had sent by a given time.
 
-zenoh delivers in order, so a session that replies to a query has received everything declared before the query.
+zenoh delivers in order, so a session that replies to a query has received everything declared before the query, and
+everything that it had published before has arrived with the reply.
 """
 
 from __future__ import annotations
@@ -18,7 +19,11 @@ from bridge.hub.zenoh_compat import answer, keep_thread_state, undeclare
 
 _log = logging.getLogger(__name__)
 
-_BARRIER_SECONDS = 1.0
+_AGAIN_SECONDS = 1.0
+"""Seconds after which a session that has not replied is queried again: the query may have been lost with a link."""
+
+_REPLY_SECONDS = 10.0
+"""Time limit for a reply: on a busy machine a session may need seconds, each time."""
 
 
 class LaneBarriers:
@@ -46,7 +51,7 @@ class LaneBarriers:
             if confirmed >= since:
                 return True
             now = time.monotonic()
-            if requested < since or now - requested > _BARRIER_SECONDS:
+            if requested < since or now - requested > _AGAIN_SECONDS:
                 self._times[zid] = now, confirmed
                 self._asking.submit(lambda: self._ask(zid, now))
         return False
@@ -77,7 +82,7 @@ class LaneBarriers:
             self._session.get(
                 self._key + zid,
                 zenoh.handlers.Callback(replied, lambda: None, indirect=False),
-                timeout=_BARRIER_SECONDS,
+                timeout=_REPLY_SECONDS,
             )
         except zenoh.ZError as err:
             _log.debug("no barrier: %s", err)

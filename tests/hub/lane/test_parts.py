@@ -11,7 +11,7 @@ import pytest
 import zenoh
 
 from bridge.hub.endpoints import lane_state, subscription
-from bridge.hub.endpoints.lane_state import CAUGHT_SECONDS, Lanes, LeavingStep, ZenohSubscriber
+from bridge.hub.endpoints.lane_state import CAUGHT_SECONDS, QUIET_SECONDS, Lanes, LeavingStep, ZenohSubscriber
 from bridge.hub.endpoints.lane_subscription import EARLY_SECONDS, LEAVING_SECONDS, Sequencer
 from bridge.hub.endpoints.subscription import HubSample, Losses, PublisherStates
 from bridge.hub.lane.inlet import Inlet
@@ -138,7 +138,7 @@ def test_each_step_of_leaving_a_lane(message: bool) -> None:
     assert lanes.leave(lane) is LeavingStep.KNOWN, "the fence of an earlier attempt"
     if message:
         lanes.received.add("z")
-    assert lanes.fence(lane, 10.1 if message else 10.1 + CAUGHT_SECONDS)
+    assert lanes.fence(lane, 10.1 if message else 10.1 + QUIET_SECONDS)
     assert lanes.leave(lane) is LeavingStep.FENCED
     assert not lanes.fence(lane, 100.0), "one fence"
     lanes.fenced(lane)
@@ -154,16 +154,26 @@ def test_lane_that_ended_meanwhile_is_left() -> None:
     assert (lanes.fence(lane, 1.0), lanes.leave(lane), lanes.leaving) == (False, LeavingStep.ENDED, {})
 
 
-def test_publisher_has_caught_up_at_its_mark_or_after_a_second() -> None:
+def test_publisher_has_caught_up_at_its_mark_or_once_its_session_replies() -> None:
     lanes, lane, other = Lanes(), inlet(), inlet("y")
     now = time.monotonic()
-    assert not lanes.caught(GID, 9, now + 100.0), "no mark yet"
+    replied: dict[str, float] = {}
+
+    def caught(last: int | None, at: float = now) -> bool:
+        return lanes.caught(GID, last, at, lambda zid, since: replied.get(zid, 0.0) >= since)
+
+    assert not caught(9, now + 100.0), "no mark yet"
     lanes.mark(lane, GID, 5)
     lanes.mark(lane, GID, 7)  # a repeated one
-    assert [lanes.caught(GID, last, now) for last in (None, 4, 5, 0)] == [False, False, True, True]
+    assert [caught(last) for last in (None, 4, 5, 0)] == [False, False, True, True]
     lanes.mark(other, GID, 5)
-    assert not lanes.caught(GID, 4, now)
-    assert lanes.caught(GID, 4, time.monotonic() + CAUGHT_SECONDS)
+    replied["y"] = now - 1.0
+    assert not caught(4), "a reply to an earlier query"
+    replied["y"] = time.monotonic()
+    assert caught(4)
+    lanes.mark(lane, GID, 5)
+    assert not caught(4)
+    assert caught(4, time.monotonic() + CAUGHT_SECONDS), "its session does not respond"
 
 
 def test_marks_of_departed_publishers_and_ended_lanes_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from bridge.hub.endpoints.publisher import _Matching
+from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.lane.inlet import Inlet
 from bridge.hub.lane.joining import Joining, send_later
 from bridge.hub.lane.wire import BOUND
@@ -127,6 +128,41 @@ def test_topic_with_growing_messages_returns_to_zenoh(
     goes_by(subscriber, "zenoh", "a message was larger than 65536 bytes")
     ours.put(b"by zenoh")
     subscriber.expect(*texts, "by zenoh")
+
+
+def test_messages_still_on_the_way_over_zenoh_are_received_after_the_switch_to_the_lane(
+    network: HubNetwork, reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A busy machine: a callback takes longer than all else."""
+    subscriber, ours, gate = Subscriber(reader, "/t"), advertise(writer, "/t"), threading.Event()
+    chosen, asked = subscription(subscriber), threading.Event()
+    receive, passed = chosen._callback, chosen._lane.barriers.passed
+    texts = [str(number) for number in range(50)]
+
+    def slow(message: HubSample) -> None:
+        assert gate.wait(60)
+        receive(message)
+
+    def ask(zid: str, since: float) -> bool:
+        asked.set()
+        return passed(zid, since)
+
+    with Hub.open(network.settings("foreign")) as far:
+        advertise(far, "/t")
+        goes_by(subscriber, "zenoh", "foreign: it has no lane here")
+        until(lambda: ours.way()[0] == "zenoh", "the publisher knows")
+        monkeypatch.setattr(chosen, "_callback", slow)
+        for text in texts:
+            ours.put(text.encode())
+        monkeypatch.setattr(chosen._lane.barriers, "passed", ask)
+    try:
+        until(asked.is_set, "the lane is joined")
+        assert (chosen.way, chosen.why) == ("zenoh", "switching to the lane")
+    finally:
+        gate.set()
+    goes_by(subscriber, "lane")
+    subscriber.expect(*texts)
+    assert subscriber.texts() == texts
 
 
 @pytest.mark.parametrize("depth", [10, 1])

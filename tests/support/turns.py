@@ -1,0 +1,112 @@
+"""When a process of pytest-xdist starts with its next file: once the processors keep up with the files that run.
+
+A simulated robot runs in real time. With more of them than the processors serve, each one lasts longer, misses its
+deadlines, and computes until then: the whole run takes longer too. So a process waits before a file while many programs
+are ready to run. One file always runs, whatever else the machine does. Other systems than Linux do not
+publish the number of ready programs: there, files start at once.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Generator
+from pathlib import Path
+from typing import IO, Any
+
+import pytest
+
+from tests.support.scheduler import CORES
+
+if sys.platform == "linux":
+    import fcntl
+
+READY = 2.0
+"""Ready programs per processor up to which another file starts."""
+
+_SAMPLES, _EVERY = 10, 0.02
+_LOAD = Path("/proc/loadavg")
+
+
+def ready() -> float:
+    """Return how many other threads of the machine are running or ready to run, on average over 0.2 s."""
+    total = 0
+    for _ in range(_SAMPLES):
+        total += int(_LOAD.read_text(encoding="utf-8").split()[3].partition("/")[0]) - 1
+        time.sleep(_EVERY)
+    return total / _SAMPLES
+
+
+class Turns:
+    """The turns of the processes of one run.
+
+    The first byte of a common file is locked by the process that decides; each further one while one process runs a
+    file. The system releases the locks of a process that ends.
+    """
+
+    _GATE, _RUNNING, _MOST = 0, 1, 1000
+
+    def __init__(self, file: IO[bytes], place: int) -> None:
+        self._file, self._place = file, self._RUNNING + place
+
+    def take(self) -> None:
+        """Wait until another file may start. Processes decide one after the other, each with the last one's load."""
+        self._lock(self._GATE)
+        while self._others_run() and ready() > READY * CORES:
+            pass
+        self._lock(self._place)
+        self._unlock(self._GATE)
+
+    def end(self) -> None:
+        """Note that this process runs no file."""
+        self._unlock(self._place)
+
+    def close(self) -> None:
+        self._file.close()
+
+    def _others_run(self) -> bool:
+        try:
+            fcntl.lockf(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB, self._MOST, self._RUNNING)
+        except OSError:
+            return True
+        self._unlock(self._RUNNING, self._MOST)
+        return False
+
+    def _lock(self, place: int) -> None:
+        fcntl.lockf(self._file, fcntl.LOCK_EX, 1, place)
+
+    def _unlock(self, place: int, count: int = 1) -> None:
+        fcntl.lockf(self._file, fcntl.LOCK_UN, count, place)
+
+
+class Plugin:
+    """Takes a turn for each file."""
+
+    def __init__(self, turns: Turns) -> None:
+        self._turns = turns
+        self._runs: Path | None = None
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)  # outside of pytest-timeout's, whose limit does not include the wait
+    def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, Any, Any]:
+        if self._runs != item.path:
+            self._turns.take()
+            self._runs = item.path
+        try:
+            return (yield)
+        finally:
+            if nextitem is None or nextitem.path != item.path:
+                self._turns.end()
+                self._runs = None
+
+    def pytest_unconfigure(self) -> None:
+        self._turns.close()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Take turns if this is one of several processes."""
+    worker = getattr(config, "workerinput", None)
+    if worker is None or worker["workercount"] < 2 or not _LOAD.exists():
+        return
+    folder = config.cache.mkdir("turns") if config.cache is not None else config.rootpath
+    file = (folder / worker["testrunuid"]).open("ab")
+    config.pluginmanager.register(Plugin(Turns(file, int(worker["workerid"].removeprefix("gw")))))
