@@ -12,6 +12,7 @@ import logging
 import os
 import queue
 import signal
+import threading
 import time
 from collections.abc import Callable
 from enum import Enum
@@ -28,6 +29,7 @@ from bridge.daemon.notify import Notifier
 from bridge.daemon.succession import Successor, succeed
 from bridge.daemon.workers import WorkerKind
 from bridge.hub.errors import HubError
+from bridge.hub.panics import failure
 from bridge.progress import working
 from bridge.resources import LARGE_MESSAGES, raise_open_files
 from bridge.worker import Health, Worker, WorkerFailedError
@@ -35,7 +37,10 @@ from bridge.worker import Health, Worker, WorkerFailedError
 logger = logging.getLogger("midspan.worker")
 
 _CHECK_INTERVAL = 4
-"""Heartbeats between checks of the free file descriptors."""
+"""Heartbeats between checks of the free file descriptors, and of zenoh."""
+
+_FAILED_SECONDS = 3.0
+"""Time for a worker to stop after zenoh has failed in its process: its robot, for example; zenoh's end may hang."""
 
 
 class RunEnd(Enum):
@@ -137,6 +142,7 @@ class WorkerLoop:
         self._beats += 1
         if self._beats % _CHECK_INTERVAL == 0:
             self._check_descriptors()
+            self._check_zenoh()
         LARGE_MESSAGES.trim()
         if self._companion is not None:
             self._companion.on_heartbeat(self._config)
@@ -151,6 +157,14 @@ class WorkerLoop:
         if bool(short) != self._short:
             self._short = bool(short)
             logger.warning("%s", short or "file descriptors are available again")
+
+    def _check_zenoh(self) -> None:
+        """Raise `WorkerFailedError` if zenoh has failed; the process then ends even if the worker does not stop."""
+        if reason := failure():
+            end = threading.Timer(_FAILED_SECONDS, os._exit, (1,))
+            end.daemon = True
+            end.start()
+            raise WorkerFailedError(reason)
 
     def _on_command(self, command: protocol.Command | Hangup) -> RunEnd | None:
         match command:

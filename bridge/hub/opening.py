@@ -28,6 +28,7 @@ from pathlib import Path
 import zenoh
 
 from bridge.hub.errors import zenoh_reason
+from bridge.hub.panics import is_panic, watched
 from bridge.hub.shared_memory import FOLDER
 from bridge.hub.zenoh_config import POOL, without_shared_memory
 
@@ -59,6 +60,10 @@ def open_session(config: zenoh.Config, *, prepares: bool = False) -> zenoh.Sessi
     With ``prepares`` the caller promises to call `prepare_to_send` before each message that may be large. Raises
     `zenoh.ZError` if the session does not open without shared memory either.
     """
+    return watched(_open(config, prepares=prepares))
+
+
+def _open(config: zenoh.Config, *, prepares: bool) -> zenoh.Session:
     if not json.loads(config.get_json(_SWITCH)):
         return zenoh.open(config)
     global _pool, _needs_books
@@ -181,7 +186,7 @@ def _books_trouble() -> str:
         try:
             zenoh.shm.ShmProvider.default_backend(4096).alloc(64)
         except BaseException as err:
-            if not isinstance(err, zenoh.ZError) and type(err).__name__ != "PanicException":  # Rust's, no Exception
+            if not isinstance(err, zenoh.ZError) and not is_panic(err):
                 raise
             return zenoh_reason(Exception(str(err)))
         finally:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import pytest
 
 from bridge.config.model import Config
 from bridge.daemon.control import Commands
 from bridge.daemon.protocol import Failed, Report
 from bridge.daemon.worker_main import RunEnd, WorkerLoop
+from bridge.hub import panics
 from bridge.hub.errors import HubConfigError, HubError
 from bridge.worker import Health, Worker, WorkerFailedError
 
@@ -57,6 +61,42 @@ def test_a_plain_reason_is_reported(
     (record,) = caplog.records
     assert str(error) in record.message
     assert record.exc_info is None
+
+
+HANGING = """
+import sys, threading
+from bridge.config.model import Config
+from bridge.daemon import worker_main
+from bridge.daemon.control import Commands
+from bridge.hub import panics
+from bridge.worker import Health, Worker
+
+class PanicException(BaseException): ...
+
+class Poisoned:
+    def is_closed(self): return False
+    def declare_keyexpr(self, key): raise PanicException("called `Result::unwrap()` on an `Err` value: PoisonError")
+    def undeclare(self, key): raise AssertionError
+
+class Hanging(Worker):
+    def start(self, config): panics.watched(Poisoned())
+    def reload(self, config): return True
+    def health(self): return Health("running", "1 route")
+    def stop(self):
+        print("stopping", flush=True)
+        threading.Event().wait()
+
+worker_main._CHECK_INTERVAL, worker_main._FAILED_SECONDS = 1, 0.2
+worker_main.WorkerLoop(Hanging(), Commands(), lambda report: print(report, flush=True)).run(Config())
+"""
+
+
+def test_a_process_in_which_zenoh_has_failed_ends_even_if_its_worker_does_not_stop() -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", HANGING], capture_output=True, encoding="utf-8", timeout=60, check=False
+    )
+    assert run.returncode == 1, run.stderr
+    assert run.stdout.splitlines() == [f"Failed(why={panics.FAILED!r})", "stopping"]
 
 
 FAULTS = [(ValueError("a fault"), True), (ValueError("a fault"), False), (RecursionError("deep"), False)]

@@ -64,6 +64,12 @@ def join(make: Callable[[], Any], topics: str) -> Joined:
     return Joined(node, published, {topic: node.subscribe(topic, STRING, latched=True) for topic in inwards})
 
 
+def assert_received(node: PeerLike, end: int, topic: str) -> None:
+    """Check that only the topic's name arrives: again if a link was lost for a moment, as its publisher returns then."""
+    messages = node.wait(end, 1, SECONDS)
+    assert messages == [{"data": topic}] * max(1, len(messages))
+
+
 class Transforms:
     """``/tf`` from a rospy to an rclpy program, and to another rospy program to measure pauses of the machine."""
 
@@ -116,10 +122,10 @@ def test_all_routes_work_after_a_burst_and_tf_continues(
             nodes = list(pool.map(lambda topic: join(make[side], topic), topics))
         ends = {t: far.subscribe(t, STRING, latched=True) for node in nodes for t in node.published}
         for topic, end in ends.items():
-            assert far.wait(end, 1, SECONDS) == [{"data": topic}]
+            assert_received(far, end, topic)
         for node in nodes:
             for topic, end in node.subscriptions.items():
-                assert node.node.wait(end, 1, SECONDS) == [{"data": topic}]
+                assert_received(node.node, end, topic)
         transforms.until_arriving(time.monotonic())
         across, beside = transforms.pauses(begun)
         assert across < PAUSE + beside

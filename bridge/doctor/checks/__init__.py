@@ -27,7 +27,7 @@ CHECKS: tuple[Check, ...] = (
     *_registered(all_sides()),
     *releases.CHECKS,
     *cyclone.CHECKS,
-    Check("two-bridges", "other bridges on the same networks", bridges.check, seconds=15.0),
+    Check("two-bridges", "other bridges on the same networks", bridges.check, seconds=40.0),
     Check("types", "message types that could not be used", types.check_refused),
     Check("type-hash", "definitions that differ between machines", types.check_hashes),
     Check("compiler", "the compiler for missing message packages (`midspan interfaces build`)", types.check_compiler),

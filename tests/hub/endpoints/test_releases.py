@@ -107,9 +107,10 @@ def test_latched_messages_reach_late_subscriptions_of_each_release(hub: Hub, nod
 
 @EACH_RELEASE
 def test_latched_messages_of_each_release_reach_a_late_subscription(hub: Hub, node: Nodes, release: Release) -> None:
-    publisher = ReleasePublisher(node(release), MAP)
+    publisher, early = ReleasePublisher(node(release), MAP), Subscriber(hub, "/map", LATCHED)
     until(lambda: hub.graph.publishers("/map"), "the sessions are linked")
     put_all(publisher, ["1", "2"])
+    until(lambda: "2" in early.texts(), "no message is on its way any longer")
     received = Subscriber(hub, "/map", LATCHED)
     received.expect("2")
     publisher.put(b"3")

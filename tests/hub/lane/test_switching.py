@@ -56,7 +56,7 @@ def test_switches_lose_nothing(network: HubNetwork, reader: Hub, drummer: Peer, 
     with network.hub_peer("foreign") as foreign, network.rmw_session() as rmw:
         beside = RmwSubscription(rmw, topic_key(network.domain, "/t", TYPE, HASH), Qos(depth=10))
         goes_by(subscriber, "lane")
-        drummer.ask("drum", id=number, rate=1000.0, size=100)
+        drummer.ask("drum", id=number, rate=200.0, size=100)
         for _ in range(switches // 2):
             strange = foreign.ask("publisher", topic="/t")["id"]
             goes_by(subscriber, "zenoh", "foreign: it has no lane here")

@@ -1,0 +1,53 @@
+"""Detects that zenoh has failed in this process: a thread of it has panicked.
+
+Rust marks a mutex as poisoned if a thread panics while it holds it. In zenoh 1.10 this happens to the mutex of a
+session's declarations if a link ends while its declarations are read, for example on a machine that is too busy to keep
+its links (seen in ``disable_data_routes``, called by ``register_expr``; `#2624
+<https://github.com/eclipse-zenoh/zenoh/issues/2624>`_ is of the same kind). From then on every declaration, every new
+link and every end of a link panics, while messages still pass on the existing routes. A process cannot repair this, so
+its worker has to start again.
+"""
+
+from __future__ import annotations
+
+import threading
+
+import zenoh
+
+FAILED = "zenoh has failed in this process: a thread of it panicked, and it can no longer declare anything"
+
+_KEY = "@midspan/declares"
+_lock = threading.Lock()
+_sessions: list[zenoh.Session] = []
+
+
+def is_panic(err: BaseException) -> bool:
+    """Whether Rust panicked in a call; Python has no name for this class, which is not an `Exception`."""
+    return type(err).__name__ == "PanicException"
+
+
+def watched(session: zenoh.Session) -> zenoh.Session:
+    """Return the session; `failure` checks it until it is closed."""
+    with _lock:
+        _sessions.append(session)
+    return session
+
+
+def failure() -> str:
+    """Return why this process must end, "" if its sessions can declare; takes 0.03 ms per session."""
+    with _lock:
+        _sessions[:] = [session for session in _sessions if not session.is_closed()]
+        sessions = tuple(_sessions)
+    return "" if all(map(_declares, sessions)) else FAILED
+
+
+def _declares(session: zenoh.Session) -> bool:
+    try:
+        session.undeclare(session.declare_keyexpr(_KEY))
+    except zenoh.ZError:  # closed meanwhile
+        return True
+    except BaseException as err:
+        if is_panic(err):
+            return False
+        raise
+    return True
