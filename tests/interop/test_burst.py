@@ -65,7 +65,7 @@ def join(make: Callable[[], Any], topics: str) -> Joined:
 
 
 def assert_received(node: PeerLike, end: int, topic: str) -> None:
-    """Check that only the topic's name arrives; twice if a link was lost for a moment, as its publisher returns then."""
+    """Check that only the topic's name arrives; twice if a link was lost for a moment: its publisher returns."""
     messages = node.wait(end, 1, SECONDS)
     assert messages == [{"data": topic}] * max(1, len(messages))
 
