@@ -22,11 +22,11 @@ def cells_of(info: MapGrid2DInfo, points: Sequence[Vec2D]) -> tuple[Part, NDArra
     """Return the part of a map (rows and columns) around a polygon, and which of its cells the polygon touches.
 
     It touches the cells whose center is inside, and those that its border crosses, so that even a polygon thinner than
-    a cell leaves no gap. Corners are in meters; a polygon with fewer than three touches no cell.
+    a cell leaves no gap. Corners are in meters; two are a line, one is a point, and none touches no cell.
     """
     corners = info.in_cells(np.array([(point.x, point.y) for point in points], float).reshape(-1, 2))
-    low = np.clip(np.floor(np.min(corners, axis=0, initial=np.inf)), 0, None) if len(corners) > 2 else np.zeros(2)
-    high = np.max(corners, axis=0, initial=-np.inf) if len(corners) > 2 else np.full(2, -1.0)
+    low = np.clip(np.floor(np.min(corners, axis=0, initial=np.inf)), 0, None)
+    high = np.max(corners, axis=0, initial=-np.inf)
     high = np.minimum(np.floor(high) + 1, (info.m_width, info.m_height))
     if not (np.isfinite(corners).all() and (low < high).all()):
         return (slice(0, 0), slice(0, 0)), np.zeros((0, 0), np.bool_)

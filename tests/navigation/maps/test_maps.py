@@ -218,11 +218,27 @@ def test_huge_and_invalid_polygons() -> None:
     assert keepout_mask(grid, [square(-1e12, 1e12)]).all()
     for points in (
         [],
-        [Vec2D(0, 0), Vec2D(1, 1)],
         [Vec2D(math.nan, 0), Vec2D(1, 0), Vec2D(1, 1)],
         square(50, 60).points,
     ):
         assert not cells_of(grid, points)[1].any()
+
+
+@pytest.mark.parametrize(
+    ("corners", "cells"),
+    [
+        ([(0.2, 0.2)], [[5, 2]]),
+        ([(0.2, 0.2), (0.2, 0.2)], [[5, 2]]),
+        ([(0.2, 0.2), (1.6, 0.2)], [[5, 2], [5, 3], [5, 4], [5, 5]]),
+        ([(0.2, 0.2), (0.2, 90.0)], [[0, 2], [1, 2], [2, 2], [3, 2], [4, 2], [5, 2]]),
+    ],
+)
+def test_an_area_with_one_or_two_corners_is_a_point_or_a_line(
+    corners: list[tuple[float, float]], cells: list[list[int]]
+) -> None:
+    """Somebody who draws a line across a door wants it closed."""
+    mask = keepout_mask(empty(), [Map2DArea("m", [Vec2D(x, y) for x, y in corners])])
+    assert np.argwhere(mask).tolist() == cells
 
 
 def test_a_speed_mask_encodes_the_limits() -> None:
