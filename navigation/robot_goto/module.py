@@ -157,19 +157,24 @@ class RobotGoto(PlannerModule):
         self.driver.obstacles.cloud(topic, now - age, points, np.array(at.translation) - up, flat(moved))
 
     def _use_map(self, grid: MapGrid2D | None) -> None:
-        """Stay out of the keep-out cells and areas of a map; stand if one of its areas cannot be read."""
+        """Stay out of the keep-out cells and areas of a map."""
         self._areas = MapAreas() if grid is None else self._host.store.areas(grid.name)
         for text in self._areas.troubles:
             self._host.log.warning("%s", text)
         self.driver.keep_out.use(grid, self._areas.keep_out)
-        if self._areas.closed and not self.progress.state.ended:
-            self._abort(self._areas.closed, Fault.NO_MAP)
+
+    @property
+    def _closed(self) -> str:
+        """Why the robot must stand: the map, or one of its areas, cannot be read; "" if it may drive."""
+        if self._map is not None and self._map.unreadable:
+            return f"robots keep out of a map that cannot be read: {self._map.trouble}"
+        return self._areas.closed
 
     def _check(self) -> None:
         """Raise `PlanError` if the robot must not drive at all."""
         self.compiled.check()
-        if self._areas.closed:
-            raise PlanError(Fault.NO_MAP, self._areas.closed)
+        if closed := self._closed:
+            raise PlanError(Fault.NO_MAP, closed)
 
     # requests
 
@@ -246,6 +251,8 @@ class RobotGoto(PlannerModule):
             raise
 
     def _drive(self) -> None:
+        if (closed := self._closed) and not self.progress.state.ended:
+            self._abort(closed, Fault.NO_MAP)
         pose = self._pose_now()
         moved = self._moved(pose)
         self.driver.obstacles.silent = self._layers.silent()
@@ -287,7 +294,7 @@ class RobotGoto(PlannerModule):
 
     @override
     def health(self) -> Health:
-        trouble = self.compiled.trouble or self._areas.closed
+        trouble = self.compiled.trouble or self._closed
         if trouble:
             return Health("waiting", trouble)
         scanned = self.driver.grid.scanned
@@ -317,7 +324,8 @@ class RobotGoto(PlannerModule):
     def _keep_out_status(self) -> str:
         if self._map is None:
             return "keep_out_map is not set"
-        return "known" if self.driver.keep_out.known else self._map.trouble
+        known = self.driver.keep_out.known and not self._map.unreadable
+        return "known" if known else self._map.trouble
 
     @override
     def stop(self) -> None:

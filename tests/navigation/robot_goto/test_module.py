@@ -470,6 +470,28 @@ def test_a_robot_stands_on_a_map_with_an_area_that_cannot_be_read(place: Goto) -
         until(lambda: module.health().state == "running", "the map is open again", 20)
 
 
+def test_a_robot_stands_if_the_map_cannot_be_read(place: Goto) -> None:
+    """Its keep-out cells are unknown, and those of an earlier map may not be the same."""
+    store, robot, module = place.host.store, place.robot, place.module
+    flags = np.zeros((120, 120), np.uint8)
+    try:
+        store.put(MAP, "room", MapGrid2D.of(flags, name="room", resolution=0.05, origin=(-3.0, -3.0, 0.0)))
+        store.use_map("room")
+        until(lambda: module.status()["keep_out"] == "known", "the map is used", 20)
+        sent = robot.send(2.0, 0.0, 0.0, Constraints(max_lin_speed=0.1).to_text())
+        until(lambda: robot.x > 0.05, "the robot drives", 30)
+        store.replica.write({(MAP.name, "room"): (b"damaged", MAP.encoding)})
+        status, result = sent.end()
+        assert (status, result["error_code"]) == (GoalState.ABORTED, Fault.NO_MAP)
+        for text in (result["error_msg"], robot.send(2.0, 0.0).end()[1]["error_msg"], module.health().text):
+            assert "robots keep out of a map that cannot be read: map 'room'" in text
+        assert "map 'room'" in module.status()["keep_out"]
+        until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "the robot stops", 20)
+    finally:
+        store.clear(MAP)
+        until(lambda: module.health().state == "running", "the map is deleted", 20)
+
+
 def seen(*heights: float) -> dict[str, Any]:
     """Return a cloud of surfaces at heights in the base frame, always 1 to 1.4 m ahead."""
     points = np.concatenate([surface(1.2, 0.0, z, 0.4, 2.0) for z in heights]) if heights else np.zeros((0, 3), "<f4")
