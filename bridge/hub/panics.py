@@ -4,9 +4,8 @@ Rust marks a mutex as poisoned if a thread panics while it holds it. In zenoh 1.
 session's declarations: ``disable_data_routes`` (``hat/mod.rs``) expects that every matching resource still exists. It
 was seen in a worker and in several other sessions on a machine that was too busy to keep its links; `#2624
 <https://github.com/eclipse-zenoh/zenoh/issues/2624>`_ has the same expectation elsewhere, and many sessions that
-declare and undeclare at once. From then on every declaration, every new
-link and every end of a link panics, while messages still pass on the existing routes. A process cannot repair this, so
-its worker has to start again.
+declare and undeclare at once. From then on every declaration, every new link and every end of a link panics, while
+messages still pass on the existing routes. A process cannot repair this, so its worker has to start again.
 """
 
 from __future__ import annotations
