@@ -146,3 +146,4 @@ def test_a_run_on_a_busy_machine(tmp_path: Path) -> None:
     assert sorted(files) == sorted(6 * [f"test_{number}.py" for number in range(3)])
     assert all(len(set(files[start : start + 6])) == 1 for start in (0, 6, 12)), files
     assert set((tmp_path / "timers").read_text().split()) == {"0.0"}
+    assert list(tmp_path.glob("**/turns/*")) == []

@@ -62,6 +62,8 @@ class Turns:
         self._unlock(self._place)
 
     def close(self) -> None:
+        """Remove the file; the other processes go on with it."""
+        Path(self._file.name).unlink(missing_ok=True)
         self._file.close()
 
     def _others_run(self) -> bool:
