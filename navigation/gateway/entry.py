@@ -39,6 +39,7 @@ class NavigateAction:
         self._server: ActionServer | None = None
         self._watch: FarClients | None = None
         self.served_by = ""  # the node that serves the action instead; "" if the gateway does
+        self._seen = ""  # the node that the last poll found
         self.poll()
         host.loop.every(_POLL_SECONDS, self.poll)
 
@@ -48,10 +49,13 @@ class NavigateAction:
         if other is None:
             if self.served_by:
                 self._host.log.info("%s: %s has left; the gateway serves it again", ACTION, self.served_by)
-            self.served_by = ""
+            self.served_by = self._seen = ""
             self._serve()
             return
         node = f"{other.namespace.rstrip('/')}/{other.node.lstrip('/')}"
+        before, self._seen = self._seen, node
+        if self._server is not None and node != before:
+            return  # its other services may not be known yet, by which a gateway is recognized
         if node != self.served_by:
             self._host.log.warning("%s is served by %s: the gateway accepts no goals under that name", ACTION, node)
         self.served_by = node

@@ -8,7 +8,6 @@ publish the number of ready programs: there, files start at once.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Generator
 from pathlib import Path
@@ -18,8 +17,10 @@ import pytest
 
 from tests.support.scheduler import CORES
 
-if sys.platform == "linux":
+try:
     import fcntl
+except ModuleNotFoundError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 READY = 2.0
 """Ready programs per processor up to which another file starts."""
@@ -107,7 +108,7 @@ class Plugin:
 def pytest_configure(config: pytest.Config) -> None:
     """Take turns if this is one of several processes."""
     worker = getattr(config, "workerinput", None)
-    if worker is None or worker["workercount"] < 2 or not _LOAD.exists():
+    if worker is None or worker["workercount"] < 2 or fcntl is None or not _LOAD.exists():
         return
     folder = config.cache.mkdir("turns") if config.cache is not None else config.rootpath
     file = (folder / worker["testrunuid"]).open("ab")

@@ -20,6 +20,7 @@ from bridge.modules.worker import ModulesWorker
 from bridge.status import read_status
 from navigation.status import State
 from tests.doctor.parts import around, every, hub
+from tests.peers.hub.endpoints import endpoint
 from tests.peers.navigation.gateway import ClientGoal, Rig, pose
 from tests.peers.zenoh.rmw_action_server import RmwActionServer
 from tests.support.wait import until
@@ -208,6 +209,23 @@ def test_status_and_doctor_have_no_warning_after_the_node_has_left(rig: Rig) -> 
     document = rig.answer("gateway")
     assert (document["served_by"], document["warnings"]) == ("", [])
     assert ACTION not in rig.module.health().text
+
+
+def test_another_gateway_may_become_known_in_two_steps(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """First its action, then the service by which gateways are recognized."""
+    action: Any = rig.module._action
+
+    def poll_twice() -> list[bool]:
+        serving = []
+        for server in (endpoint(names(ACTION).send_goal, b"gid"), None):
+            monkeypatch.setattr(action, "_other_server", lambda server=server: server)
+            action.poll()
+            serving.append(action._server.accepting)
+        return serving
+
+    with monkeypatch.context() as monkeypatch:
+        assert rig.worker.running("gateway").host.loop.call(poll_twice) == [True, True]
+    assert rig.module.status()["served_by"] == ""
 
 
 def test_two_gateways_on_one_hub_both_serve_the_name(rig: Rig, tmp_path: Path) -> None:
