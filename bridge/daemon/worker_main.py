@@ -40,7 +40,7 @@ _CHECK_INTERVAL = 4
 """Heartbeats between checks of the free file descriptors, and of zenoh."""
 
 _FAILED_SECONDS = 3.0
-"""Time for a worker to stop after zenoh has failed in its process: its robot, for example; zenoh's end may hang."""
+"""Time in which a worker may stop its robot after zenoh has failed in its process; to close its sessions may hang."""
 
 
 class RunEnd(Enum):

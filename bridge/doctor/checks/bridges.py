@@ -108,7 +108,7 @@ def _foreign(side: str, nodes: Iterable[str]) -> list[Finding]:
 
 
 _SECONDS = 30.0
-"""Time limit for the process that checks, which takes 7 s on an idle machine; it only detects a hang."""
+"""Time limit for the process that checks; it only detects a hang."""
 
 
 class LookError(Exception):
