@@ -20,7 +20,7 @@ from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
 from bridge.messages.velocities import TWIST, TWIST_STAMPED
-from bridge.stores.kinds import AREA, BEHAVIOR, MAP
+from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, MAP
 from navigation.constraints import Constraints
 from navigation.frames import FramesError
 from navigation.planner_module import PlannerModule
@@ -414,6 +414,14 @@ def test_halt_ends_every_goal(place: Goto) -> None:
     assert place.state == "idle"
 
 
+def clear_store(place: Goto) -> None:
+    """Delete the maps and areas, and the choice of the current map, which outlasts its map."""
+    for kind in (BEHAVIOR, AREA, MAP, CURRENT):
+        place.host.store.clear(kind)
+    until(lambda: "no current map" in place.module.status()["keep_out"], "no map is used", 20)
+    until(lambda: place.module.health().state == "running", "the robot may drive", 20)
+
+
 def test_keep_out_areas_of_the_stores_map_are_obstacles(place: Goto) -> None:
     store, module = place.host.store, place.module
     ahead = Map2DArea("room", [Vec2D(1.0, -0.5), Vec2D(1.4, -0.5), Vec2D(1.4, 0.5), Vec2D(1.0, 0.5)])
@@ -436,8 +444,7 @@ def test_keep_out_areas_of_the_stores_map_are_obstacles(place: Goto) -> None:
         store.delete(BEHAVIOR, "ahead")
         until(lambda: not blocked(), "the area is free", 20)
     finally:
-        for kind in (BEHAVIOR, AREA, MAP):
-            store.clear(kind)
+        clear_store(place)
 
 
 def test_a_robot_stands_on_a_map_with_an_area_that_cannot_be_read(place: Goto) -> None:
@@ -465,9 +472,7 @@ def test_a_robot_stands_on_a_map_with_an_area_that_cannot_be_read(place: Goto) -
         assert any("robots keep out of the area 'ahead'" in text for text in document["warnings"])
         assert len(module.driver.keep_out.near(0.3, Pose(1.0, 1.0, 0.0), Pose(1.0, 1.0, 0.0)))
     finally:
-        for kind in (AREA, MAP):
-            store.clear(kind)
-        until(lambda: module.health().state == "running", "the map is open again", 20)
+        clear_store(place)
 
 
 def test_a_robot_stands_if_the_map_cannot_be_read(place: Goto) -> None:
@@ -488,8 +493,7 @@ def test_a_robot_stands_if_the_map_cannot_be_read(place: Goto) -> None:
         assert "map 'room'" in module.status()["keep_out"]
         until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "the robot stops", 20)
     finally:
-        store.clear(MAP)
-        until(lambda: module.health().state == "running", "the map is deleted", 20)
+        clear_store(place)
 
 
 def seen(*heights: float) -> dict[str, Any]:
