@@ -16,7 +16,7 @@ from tests.support.process import Process
 from tests.support.turns import READY, Turns, ready
 from tests.support.wait import until
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux publishes the number of ready programs")
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux publishes the number of ready threads")
 
 ROOT = Path(__file__).parents[1]
 
@@ -120,7 +120,7 @@ def test_another_file_waits_until_the_processors_keep_up_or_no_file_runs(
     assert not taker.is_alive()
 
 
-def test_ready_programs_are_counted() -> None:
+def test_ready_threads_are_counted() -> None:
     with Process([sys.executable, "-c", "while True: pass"]):
         until(lambda: ready() >= 0.5, "the program is ready to run all the time")
 

@@ -64,10 +64,11 @@ def join(make: Callable[[], Any], topics: str) -> Joined:
     return Joined(node, published, {topic: node.subscribe(topic, STRING, latched=True) for topic in inwards})
 
 
-def assert_received(node: PeerLike, end: int, topic: str) -> None:
-    """Check that only the topic's name arrives; twice if a link was lost for a moment: its publisher returns."""
+def assert_received(deployment: Deployment, node: PeerLike, end: int, topic: str) -> None:
+    """Check that only the topic's name arrives: once, unless a link was lost, whose publishers return with theirs."""
     messages = node.wait(end, 1, SECONDS)
-    assert messages == [{"data": topic}] * max(1, len(messages))
+    most = len(messages) if "restored the direct link" in deployment.daemon.output() else 1
+    assert messages == [{"data": topic}] * max(1, most)
 
 
 class Transforms:
@@ -122,10 +123,10 @@ def test_all_routes_work_after_a_burst_and_tf_continues(
             nodes = list(pool.map(lambda topic: join(make[side], topic), topics))
         ends = {t: far.subscribe(t, STRING, latched=True) for node in nodes for t in node.published}
         for topic, end in ends.items():
-            assert_received(far, end, topic)
+            assert_received(deployment, far, end, topic)
         for node in nodes:
             for topic, end in node.subscriptions.items():
-                assert_received(node.node, end, topic)
+                assert_received(deployment, node.node, end, topic)
         transforms.until_arriving(time.monotonic())
         across, beside = transforms.pauses(begun)
         assert across < PAUSE + beside

@@ -1,9 +1,9 @@
 """When a process of pytest-xdist starts with its next file: once the processors keep up with the files that run.
 
 A simulated robot runs in real time. With more of them than the processors serve, each one lasts longer, misses its
-deadlines, and computes until then: the whole run takes longer too. So a process waits before a file while many programs
-are ready to run. One file always runs, whatever else the machine does. Other systems than Linux do not
-publish the number of ready programs: there, files start at once.
+deadlines, and computes until then: the whole run takes longer too. So a process waits before a file while many threads
+are ready to run. One file always runs, whatever else the machine does. Other systems than Linux do not publish the
+number of such threads: files start at once there.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ except ModuleNotFoundError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 READY = 2.0
-"""Ready programs per processor up to which another file starts."""
+"""Threads per processor, running or ready to run, up to which another file starts."""
 
 _SAMPLES, _EVERY = 10, 0.02
 _LOAD = Path("/proc/loadavg")

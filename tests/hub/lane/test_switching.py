@@ -51,19 +51,22 @@ def drummer(network: HubNetwork, lane: str) -> Iterator[Peer]:
 
 @pytest.mark.parametrize("switches", [10, pytest.param(200, marks=pytest.mark.thorough)])
 def test_switches_lose_nothing(network: HubNetwork, reader: Hub, drummer: Peer, switches: int) -> None:
+    """All messages of a switch arrive before the next one: a link that is congested for seconds drops some."""
     subscriber = Subscriber(reader, "/t")
-    number = drummer.ask("publisher", topic="/t")["id"]
+    number, put = drummer.ask("publisher", topic="/t")["id"], 0
     with network.hub_peer("foreign") as foreign, network.rmw_session() as rmw:
         beside = RmwSubscription(rmw, topic_key(network.domain, "/t", TYPE, HASH), Qos(depth=10))
         goes_by(subscriber, "lane")
-        drummer.ask("drum", id=number, rate=200.0, size=100)
         for _ in range(switches // 2):
+            drummer.ask("drum", id=number, rate=1000.0, size=100, first=put + 1)
             strange = foreign.ask("publisher", topic="/t")["id"]
             goes_by(subscriber, "zenoh", "foreign: it has no lane here")
             foreign.ask("drop", id=strange)
             goes_by(subscriber, "lane")
-        last = len(beside.payloads)
-        until(lambda: len(beside.payloads) > last, "the node of rmw_zenoh goes on receiving")
+            put += drummer.ask("counted", id=number, now=True)["sent"]
+            last = [str(put).ljust(100)]
+            for received in (subscriber, beside):
+                until(lambda received=received, last=last: received.texts()[-1:] == last, f"{put} arrives")
         beside.close()
     whole(subscriber.texts())
     whole(beside.texts())

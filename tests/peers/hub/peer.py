@@ -1,7 +1,7 @@
 """A Midspan hub session in a separate process, controlled by a test. See `tests.peers.peer` for the format.
 
 Argument: the settings in JSON. Commands: ``publisher`` and ``subscription`` topic, latched, depth -> id; ``put`` id,
-text; ``drum`` id, rate, size: put numbers from 1 on, endlessly; ``wait`` id, count, seconds -> texts; ``way`` id
+text; ``drum`` id, rate, size, first: put numbers, until ``counted``; ``wait`` id, count, seconds -> texts; ``way`` id
 -> way, why, settled, lost; ``exhaust`` on: use up all file descriptors, or release them; ``drop`` id; ``origin`` side,
 network, daemon; ``serve`` name, type, hash, hold: answer each request with itself, or never; ``requests`` -> count;
 ``call`` name, type, hash: call without waiting for the reply -> id; ``result`` id, seconds -> result; ``collide``: each
@@ -61,9 +61,9 @@ class HubPeer(Commands):
         self.parts[id].put(text.encode())
         return {}
 
-    def drum(self, id: int, rate: float, size: int = 0) -> dict[str, Any]:
+    def drum(self, id: int, rate: float, size: int = 0, first: int = 1) -> dict[str, Any]:
         publisher = self.parts[id]
-        self.countings[id] = Counting(lambda number: publisher.put(number.encode().ljust(size)), 1, math.inf, rate)
+        self.countings[id] = Counting(lambda number: publisher.put(number.encode().ljust(size)), first, math.inf, rate)
         return {}
 
     def wait(self, id: int, count: int, seconds: float, since: int = 0) -> dict[str, Any]:
