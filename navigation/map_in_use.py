@@ -30,7 +30,8 @@ class MapInUse:
         self.grid: MapGrid2D | None = None
         # why the map is missing, or not the newest
         self.trouble = "" if self.of_store else f"waiting for a map on {self._topic}"
-        self.unreadable = False  # whether there is a map that cannot be read, and no earlier one of the topic
+        # whether its keep-out cells are unknown: the store's map cannot be read, or none of the topic has arrived
+        self.unknown = not self.of_store
         self._due = self._closed = False
         watched = {*kinds, MAP, CURRENT} if self.of_store else {*kinds}
         self._closing: list[Callable[[], object]] = [host.store.watch(self._changed, *watched)] if watched else []
@@ -48,9 +49,9 @@ class MapInUse:
                 name = self._host.store.current_map()
                 self.grid = self._host.store.get(MAP, name) if name else None
             except StoreError as err:
-                self.trouble, self.unreadable = str(err), True
+                self.trouble, self.unknown = str(err), True
                 return
-            self.unreadable = False
+            self.unknown = False
             self.trouble = "the store has no current map" if self.grid is None else ""
         self._use(self.grid)
 
@@ -72,7 +73,7 @@ class MapInUse:
             name = self._host.config.section(Map2DServerSection).taken_as(self._topic)
             grid = from_grid(message, name or self._host.store.current_map() or self._topic.strip("/"))
         except (ValueError, StoreError) as err:
-            self.trouble, self.unreadable = f"{self._topic}: {err}", self.grid is None
+            self.trouble = f"{self._topic}: {err}"
             return
-        self.grid, self.trouble, self.unreadable = grid, "", False
+        self.grid, self.trouble, self.unknown = grid, "", False
         self._use(grid)

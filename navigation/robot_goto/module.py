@@ -165,9 +165,9 @@ class RobotGoto(PlannerModule):
 
     @property
     def _closed(self) -> str:
-        """Why the robot must stand: the map, or one of its areas, cannot be read; "" if it may drive."""
-        if self._map is not None and self._map.unreadable:
-            return f"robots keep out of a map that cannot be read: {self._map.trouble}"
+        """Why the robot must stand: the map's keep-out cells or areas are unknown; "" if it may drive."""
+        if self._map is not None and self._map.unknown:
+            return f"robots keep out of an unknown map: {self._map.trouble}"
         return self._areas.closed
 
     def _check(self) -> None:
@@ -324,7 +324,7 @@ class RobotGoto(PlannerModule):
     def _keep_out_status(self) -> str:
         if self._map is None:
             return "keep_out_map is not set"
-        known = self.driver.keep_out.known and not self._map.unreadable
+        known = self.driver.keep_out.known and not self._map.unknown
         return "known" if known else self._map.trouble
 
     @override

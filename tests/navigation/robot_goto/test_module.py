@@ -23,6 +23,7 @@ from bridge.messages.velocities import TWIST, TWIST_STAMPED
 from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, MAP
 from navigation.constraints import Constraints
 from navigation.frames import FramesError
+from navigation.maps.grid import to_grid
 from navigation.planner_module import PlannerModule
 from navigation.pose import Pose
 from navigation.status import Fault, PlanError, State
@@ -489,11 +490,25 @@ def test_a_robot_stands_if_the_map_cannot_be_read(place: Goto) -> None:
         status, result = sent.end()
         assert (status, result["error_code"]) == (GoalState.ABORTED, Fault.NO_MAP)
         for text in (result["error_msg"], robot.send(2.0, 0.0).end()[1]["error_msg"], module.health().text):
-            assert "robots keep out of a map that cannot be read: map 'room'" in text
+            assert "robots keep out of an unknown map: map 'room'" in text
         assert "map 'room'" in module.status()["keep_out"]
         until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "the robot stops", 20)
     finally:
         clear_store(place)
+
+
+def test_a_robot_stands_until_the_map_of_a_topic_arrives(tmp_path: Path) -> None:
+    with Goto(tmp_path, keep_out_map="/floor") as place:
+        robot, module = place.robot, place.module
+        result = robot.send(1.0, 0.0).end()[1]
+        assert result["error_code"] == Fault.NO_MAP
+        for text in (result["error_msg"], module.health().text):
+            assert text == "robots keep out of an unknown map: waiting for a map on /floor"
+        grid = MapGrid2D.of(np.zeros((120, 120), np.uint8), name="floor", resolution=0.05, origin=(-3.0, -3.0, 0.0))
+        floor = place.far.advertise("/floor", "nav_msgs/OccupancyGrid", latched=True)
+        place.far.publish(floor, to_grid(grid, "map", 0))
+        until(lambda: module.health().state == "running", "the robot may drive", 30)
+        assert robot.send(1.0, 0.0).end()[0] is GoalState.SUCCEEDED
 
 
 def seen(*heights: float) -> dict[str, Any]:
