@@ -25,6 +25,7 @@ from bridge.hub.endpoints.calls import nothing
 from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.opening import open_session
+from bridge.hub.panics import watched
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import SideType
@@ -106,7 +107,7 @@ class KeyEdge(SideEdge):
     def _open_client(self) -> bool:
         """Open the session of a client; return whether its router responded."""
         try:
-            session = zenoh.open(self._settings)
+            session = watched(zenoh.open(self._settings))
         except zenoh.ZError as err:
             away = f"waiting for the zenoh router at {self._places}: {zenoh_reason(err)}"
             if away != self.away and not self._stopping.is_set():
