@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from tests.support import tiers
+from tests.support.inner_run import run_tests
 from tests.support.scheduler import TOGETHER, Scheduler
 
 ROOT = Path(__file__).parents[1]
@@ -62,15 +60,7 @@ def test_what_is_alone_runs_last_with_few_others(tmp_path: Path, processes: str)
     for test_name, other in (("left", "right"), ("right", "left")):
         (tmp_path / f"test_{test_name}.py").write_text(MEETS.format(test_name, other) + ALONE.format(test_name))
     (tmp_path / "test_more.py").write_text(ALONE.format("more"))
-    run = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:randomly", "--dist", "loadfile", "-n", processes],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=100,
-    )
+    run = run_tests(tmp_path, "--dist", "loadfile", "-n", processes)
     assert "13 passed" in run.stdout, run.stdout + run.stderr
     running: set[str] = set()
     begun = []

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
-import sys
 from pathlib import Path
+
+from tests.support.inner_run import run_tests
 
 ROOT = Path(__file__).parents[1]
 
@@ -50,24 +50,16 @@ def test_limits(request, monkeypatch):
 """
 
 
-def run_tests(folder: Path, **environ: str) -> subprocess.CompletedProcess[str]:
-    """Run the tests of a folder."""
+def run_limited(folder: Path, **environ: str) -> subprocess.CompletedProcess[str]:
+    """Run the tests of a folder with the plugin."""
     (folder / "pytest.ini").write_text("[pytest]\nmarkers = timeout")
-    return subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:randomly", "-p", "tests.support.time_limit"],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTEST_ADDOPTS": "", **environ},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=100,
-    )
+    return run_tests(folder, "-p", "tests.support.time_limit", **environ)
 
 
 def test_time_limit_that_ends_during_a_report(tmp_path: Path) -> None:
     (tmp_path / "conftest.py").write_text(CONFTEST)
     (tmp_path / "test_it.py").write_text(TESTS)
-    run = run_tests(tmp_path)
+    run = run_limited(tmp_path)
     assert "2 failed, 1 passed" in run.stdout, run.stdout + run.stderr
     assert "Timeout" in run.stdout
     assert run.returncode == 1
@@ -75,5 +67,5 @@ def test_time_limit_that_ends_during_a_report(tmp_path: Path) -> None:
 
 def test_limits_are_longer_on_a_slow_machine(tmp_path: Path) -> None:
     (tmp_path / "test_it.py").write_text(LIMITED)
-    run = run_tests(tmp_path, MIDSPAN_TEST_SLOWNESS="10")
+    run = run_limited(tmp_path, MIDSPAN_TEST_SLOWNESS="10")
     assert run.returncode == 0, run.stdout + run.stderr

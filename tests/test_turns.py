@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 import threading
 from collections.abc import Iterator
@@ -12,13 +11,12 @@ from pathlib import Path
 import pytest
 
 from tests.support import turns
+from tests.support.inner_run import ROOT, run_tests
 from tests.support.process import Process
 from tests.support.turns import READY, Turns, ready
 from tests.support.wait import until
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux publishes the number of ready threads")
-
-ROOT = Path(__file__).parents[1]
 
 HOLD = """
 import signal
@@ -131,16 +129,7 @@ def test_a_run_on_a_busy_machine(tmp_path: Path) -> None:
     (tmp_path / "conftest.py").write_text(CONFTEST)
     for number in range(3):
         (tmp_path / f"test_{number}.py").write_text(FILE)
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:randomly", "--dist", "loadfile", "-n", "3"]
-    run = subprocess.run(
-        command,
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=100,
-    )
+    run = run_tests(tmp_path, "--dist", "loadfile", "-n", "3")
     assert "9 passed" in run.stdout, run.stdout + run.stderr
     files = (tmp_path / "log").read_text().splitlines()
     assert sorted(files) == sorted(6 * [f"test_{number}.py" for number in range(3)])

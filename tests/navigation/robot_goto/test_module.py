@@ -20,7 +20,7 @@ from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
 from bridge.messages.velocities import TWIST, TWIST_STAMPED
-from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, MAP
+from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, MAP, ValueKind
 from navigation.constraints import Constraints
 from navigation.frames import FramesError
 from navigation.maps.grid import to_grid
@@ -423,6 +423,26 @@ def clear_store(place: Goto) -> None:
     until(lambda: place.module.health().state == "running", "the robot may drive", 20)
 
 
+def free(name: str) -> MapGrid2D:
+    """Return a map of the room without obstacles."""
+    return MapGrid2D.of(np.zeros((120, 120), np.uint8), name=name, resolution=0.05, origin=(-3.0, -3.0, 0.0))
+
+
+def aborted_by(place: Goto, kind: ValueKind[Any], name: str, damaged: bytes) -> str:
+    """Damage a value of the store while the robot drives on the map; return the error that ends its goal."""
+    store, robot = place.host.store, place.robot
+    store.put(MAP, "room", free("room"))
+    store.use_map("room")
+    until(lambda: place.module.status()["keep_out"] == "known", "the map is used", 20)
+    sent = robot.send(2.0, 0.0, 0.0, Constraints(max_lin_speed=0.1).to_text())
+    until(lambda: robot.x > 0.05, "the robot drives", 30)
+    store.replica.write({(kind.name, name): (damaged, kind.encoding)})
+    status, result = sent.end()
+    assert (status, result["error_code"]) == (GoalState.ABORTED, Fault.NO_MAP)
+    until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "the robot stops", 20)
+    return str(result["error_msg"])
+
+
 def test_keep_out_areas_of_the_stores_map_are_obstacles(place: Goto) -> None:
     store, module = place.host.store, place.module
     ahead = Map2DArea("room", [Vec2D(1.0, -0.5), Vec2D(1.4, -0.5), Vec2D(1.4, 0.5), Vec2D(1.0, 0.5)])
@@ -435,8 +455,7 @@ def test_keep_out_areas_of_the_stores_map_are_obstacles(place: Goto) -> None:
     try:
         store.put(AREA, "ahead", ahead)
         store.put(BEHAVIOR, "ahead", AreaBehavior(keep_out=True))
-        flags = np.zeros((120, 120), np.uint8)
-        store.put(MAP, "room", MapGrid2D.of(flags, name="room", resolution=0.05, origin=(-3.0, -3.0, 0.0)))
+        store.put(MAP, "room", free("room"))
         assert "no current map" in module.status()["keep_out"]
         assert not blocked()
         store.use_map("room")
@@ -450,21 +469,12 @@ def test_keep_out_areas_of_the_stores_map_are_obstacles(place: Goto) -> None:
 
 def test_a_robot_stands_on_a_map_with_an_area_that_cannot_be_read(place: Goto) -> None:
     store, robot, module = place.host.store, place.robot, place.module
-    flags = np.zeros((120, 120), np.uint8)
     broken = b'{"map": "room", "points": [[1, "a"]], "description": "keep_out"}'
     try:
-        store.put(MAP, "room", MapGrid2D.of(flags, name="room", resolution=0.05, origin=(-3.0, -3.0, 0.0)))
-        store.use_map("room")
-        until(lambda: module.status()["keep_out"] == "known", "the map is used", 20)
-        sent = robot.send(2.0, 0.0, 0.0, Constraints(max_lin_speed=0.1).to_text())
-        until(lambda: robot.x > 0.05, "the robot drives", 30)
-        store.replica.write({(AREA.name, "ahead"): (broken, AREA.encoding)})
-        status, result = sent.end()
-        assert (status, result["error_code"]) == (GoalState.ABORTED, Fault.NO_MAP)
-        for text in (result["error_msg"], robot.send(2.0, 0.0).end()[1]["error_msg"], module.health().text):
+        error = aborted_by(place, AREA, "ahead", broken)
+        for text in (error, robot.send(2.0, 0.0).end()[1]["error_msg"], module.health().text):
             assert "robots keep out of the map 'room'" in text
             assert "remove --kind area ahead" in text
-        until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "the robot stops", 20)
         with pytest.raises(PlanError, match="keep out of the map"):
             place.host.loop.call(lambda: module.approach(0.0, 0.1, 1.0))
         store.put(AREA, "ahead", Map2DArea("room", [Vec2D(2, 2), Vec2D(2.5, 2), Vec2D(2.5, 2.5)], "max_speed=fast"))
@@ -478,21 +488,12 @@ def test_a_robot_stands_on_a_map_with_an_area_that_cannot_be_read(place: Goto) -
 
 def test_a_robot_stands_if_the_map_cannot_be_read(place: Goto) -> None:
     """Its keep-out cells are unknown, and those of an earlier map may not be the same."""
-    store, robot, module = place.host.store, place.robot, place.module
-    flags = np.zeros((120, 120), np.uint8)
+    robot, module = place.robot, place.module
     try:
-        store.put(MAP, "room", MapGrid2D.of(flags, name="room", resolution=0.05, origin=(-3.0, -3.0, 0.0)))
-        store.use_map("room")
-        until(lambda: module.status()["keep_out"] == "known", "the map is used", 20)
-        sent = robot.send(2.0, 0.0, 0.0, Constraints(max_lin_speed=0.1).to_text())
-        until(lambda: robot.x > 0.05, "the robot drives", 30)
-        store.replica.write({(MAP.name, "room"): (b"damaged", MAP.encoding)})
-        status, result = sent.end()
-        assert (status, result["error_code"]) == (GoalState.ABORTED, Fault.NO_MAP)
-        for text in (result["error_msg"], robot.send(2.0, 0.0).end()[1]["error_msg"], module.health().text):
+        error = aborted_by(place, MAP, "room", b"damaged")
+        for text in (error, robot.send(2.0, 0.0).end()[1]["error_msg"], module.health().text):
             assert "robots keep out of an unknown map: map 'room'" in text
         assert "map 'room'" in module.status()["keep_out"]
-        until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "the robot stops", 20)
     finally:
         clear_store(place)
 
@@ -504,9 +505,8 @@ def test_a_robot_stands_until_the_map_of_a_topic_arrives(tmp_path: Path) -> None
         assert result["error_code"] == Fault.NO_MAP
         for text in (result["error_msg"], module.health().text):
             assert text == "robots keep out of an unknown map: waiting for a map on /floor"
-        grid = MapGrid2D.of(np.zeros((120, 120), np.uint8), name="floor", resolution=0.05, origin=(-3.0, -3.0, 0.0))
         floor = place.far.advertise("/floor", "nav_msgs/OccupancyGrid", latched=True)
-        place.far.publish(floor, to_grid(grid, "map", 0))
+        place.far.publish(floor, to_grid(free("floor")))
         until(lambda: module.health().state == "running", "the robot may drive", 30)
         assert robot.send(1.0, 0.0).end()[0] is GoalState.SUCCEEDED
 
