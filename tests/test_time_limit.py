@@ -7,8 +7,6 @@ from pathlib import Path
 
 from tests.support.inner_run import run_tests
 
-ROOT = Path(__file__).parents[1]
-
 CONFTEST = """
 import time
 import pytest
