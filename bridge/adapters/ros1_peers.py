@@ -27,7 +27,7 @@ class Ros1Error(Exception):
 
 
 class UnreachableError(Ros1Error):
-    """A master or node does not respond in time; ``refused``: its machine refused the connection."""
+    """A master or node does not respond in time; ``refused``: its host refused the connection."""
 
     def __init__(self, message: str, *, refused: bool = False) -> None:
         super().__init__(message)
@@ -46,11 +46,11 @@ class ExhaustedError(Ros1Error):
     """The process has no file descriptor left to connect with; the peer itself may be fine."""
 
 
-EXHAUSTED = f"this process has no file descriptor left to connect to it with; {resources.RAISE}"
+EXHAUSTED = f"this process has no file descriptor left for the connection; {resources.RAISE}"
 
 
 def unanswered(message: str, err: OSError) -> Ros1Error:
-    """Return the error for a failed connection; ``message`` is its text if the peer is at fault."""
+    """Return the error for a failed connection; if the peer is at fault, its text begins with ``message``."""
     # without a descriptor the resolver cannot resolve host names either, and reports an arbitrary errno
     peers = isinstance(err, ConnectionError | TimeoutError)
     exhausted = err.errno in resources.OUT or (not peers and not resources.has_descriptor())
@@ -63,7 +63,8 @@ def unanswered(message: str, err: OSError) -> Ros1Error:
 class DeadlineSocket(socket.socket):
     """A TCP socket with one deadline for all operations.
 
-    A plain time-out restarts with each operation: a peer that sends a byte now and then would block a thread forever.
+    A socket's timeout restarts with each operation, so a peer that sends a byte now and then would block a thread
+    forever.
     """
 
     deadline = math.inf
@@ -75,14 +76,14 @@ class DeadlineSocket(socket.socket):
         if left <= 0:
             raise TimeoutError
         with socket.create_connection((host, port), timeout=left) as plain:
-            # http.client sends a request in two parts: the second would wait 40 ms for the first's acknowledgement
+            # http.client sends a request in two parts; the second would wait 40 ms until the first is acknowledged
             plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             return cls.adopt(plain, deadline)
 
     @classmethod
     def adopt(cls, plain: socket.socket, deadline: float) -> DeadlineSocket:
         """Take over the descriptor of a connected socket."""
-        # without its family and type, this would ask the system, which fails on macOS if the peer has disconnected
+        # with family and type, the constructor need not query them, which fails on macOS if the peer has disconnected
         sock = cls(plain.family, plain.type, plain.proto, fileno=plain.detach())
         sock.deadline = deadline
         return sock
@@ -116,7 +117,7 @@ class DeadlineSocket(socket.socket):
 
 
 def bracketed(uri: str) -> str:
-    """Return a URI with brackets around an IPv6 address, which ROS 1's nodes omit if that is their ROS_IP."""
+    """Return a URI with brackets around an IPv6 address; ROS 1 nodes omit the brackets if ROS_IP is the address."""
     scheme, slashes, rest = uri.partition("://")
     place, slash, path = rest.partition("/")
     host, _, port = place.rpartition(":")
@@ -127,7 +128,7 @@ MAX_ANSWER = 64 * 2**20
 """Size limit in bytes for a master's response; its state with 100,000 registrations is about 20 MB."""
 
 MAX_NODE_ANSWER = 2**16
-"""The same for a node, which any program may register; valid responses are short."""
+"""Size limit in bytes for a node's response; any program may register a node, and valid responses are short."""
 
 _PIECE = 64 * 1024
 
@@ -176,7 +177,7 @@ class XmlRpcClient:
         return value
 
     def calls(self, calls: Sequence[Call]) -> list[Any]:
-        """Make many calls in one request; return the value of each, None for a failed one.
+        """Make many calls in one request; return the value of each, None for a failed call.
 
         If request and response equal the previous ones, the same list object is returned without parsing.
         """
@@ -210,7 +211,7 @@ class XmlRpcClient:
             try:
                 answer = self._exchange(body, deadline)
             except (http.client.HTTPException, ConnectionError):
-                # the server has closed the persistent connection meanwhile
+                # retry once if the server has closed the persistent connection in the meantime
                 if not kept:
                     raise
                 self._http.close()
@@ -234,7 +235,7 @@ class XmlRpcClient:
         self._http.request("POST", self._path, body, {"Content-Type": "text/xml"})
         response = self._http.getresponse()
         answer = bytearray()
-        # in pieces: a server that only announces a long response costs no memory
+        # read in pieces, so that a server that only announces a long response costs no memory
         while piece := response.read(_PIECE):
             answer += piece
             if len(answer) > self._limit:

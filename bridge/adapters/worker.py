@@ -43,7 +43,7 @@ from bridge.worker import Health, StatusHead, Worker, WorkerFailedError
 _log = logging.getLogger(__name__)
 
 SWITCH_INTERVAL = 0.0002
-"""Seconds after which a computing thread yields to one with a message to handle."""
+"""Seconds after which a computing thread yields to a thread that has a message to handle."""
 
 DRAIN_SECONDS = 2.2
 """A stopping worker forwards the last replies of navigation for this time: longer than
@@ -78,7 +78,7 @@ class BridgeWorker(Worker):
     @override
     def start(self, config: Config) -> None:
         self.config = config
-        # A status document or diagnostics of many routes must not delay a message by Python's default of 5 ms.
+        # Building the status or diagnostics of many routes must not delay a message by Python's default of 5 ms.
         sys.setswitchinterval(SWITCH_INTERVAL)
         keep_memory()
         config = _with_memory(config)
@@ -141,7 +141,7 @@ class BridgeWorker(Worker):
 
 
 def _with_memory(config: Config) -> Config:
-    """Return the configuration, with shared memory off if pools of dead sessions still occupy the machine's."""
+    """Return the configuration, with shared memory disabled if pools of dead sessions still occupy it."""
     if sys.platform != "linux":  # other systems do not expose shared memory as files
         return config
     removed = shared_memory.clean()
@@ -159,7 +159,7 @@ def _with_memory(config: Config) -> Config:
 
 
 def _navigates(route: Route) -> bool:
-    """Return whether the route has a pending result of a goal of the gateway or a planner."""
+    """Return whether the route has a pending get_result call for a goal of the gateway or of a planner."""
     if not isinstance(route, ServiceRoute) or not route.counters.pending:
         return False
     action, part = split(route.hub_topic)
@@ -169,8 +169,8 @@ def _navigates(route: Route) -> bool:
 class NetworkBridge:
     """Connects one network to the hub, and responds on the hub's control plane under its ``name``.
 
-    ``edge`` is not started yet; ``failed`` receives the reason when the edge or the engine fails permanently; with
-    ``diagnostics`` the counters are published on the side.
+    ``edge`` is not started yet; ``failed`` is called with the reason when the edge or the engine fails permanently;
+    with ``diagnostics``, the counters are published on the side.
     """
 
     def __init__(
@@ -181,7 +181,7 @@ class NetworkBridge:
         self._side = edge.side
         self._head = StatusHead({"daemon": config.name, "worker": name, "side": edge.side})
         self._stopped = False
-        self._never = threading.Event()  # never set: waiting for it is a pause
+        self._never = threading.Event()  # never set; waiting for it pauses the thread
         self._hub = Hub.open(
             HubSettings(
                 domain=config.hub.domain,
@@ -244,7 +244,7 @@ class NetworkBridge:
         return has_subscribers(self._hub.graph)
 
     def drain(self, deadline: float) -> None:
-        """Wait until no result of a navigation goal is pending: the daemon's gateway stops the robot meanwhile.
+        """Wait until no result of a navigation goal is pending; meanwhile the daemon's gateway stops the robot.
 
         ``deadline`` is in monotonic seconds.
         """
@@ -252,7 +252,7 @@ class NetworkBridge:
         while any(map(_navigates, self._engine.routes())) and time.monotonic() < deadline:
             self._never.wait(_DRAIN_PERIOD)
         if pending:
-            self._never.wait(_LAST_SECONDS)  # for the replies that were sent last
+            self._never.wait(_LAST_SECONDS)  # until the last replies have been sent
 
     def stop(self) -> None:
         """Close all endpoints and the session."""

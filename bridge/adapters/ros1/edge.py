@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 _LONG = 1.0
-"""Seconds. After a longer gap between two reads of the master, the watch for other workers is notified."""
+"""The watch for other workers is notified if more than this many seconds passed between two reads of the master."""
 
 
 class Ros1Edge(SideEdge):
@@ -190,7 +190,7 @@ class Ros1Edge(SideEdge):
 
     @override
     def settled(self, since: float) -> bool:
-        """Return whether the master was read since then, and has this node's entry, by which later nodes find it."""
+        """Return whether the master was read since then, and lists this node's entry, which later nodes look for."""
         if self._settled < since:
             self._wake_master()
             return False
@@ -222,7 +222,7 @@ class Ros1Edge(SideEdge):
             return
         if listed is not None and not self._joined:
             self._joined = True
-            # an earlier worker that had parameter rules and was killed may have left copies
+            # an earlier worker that had parameter rules and was killed may have left copies on the master
             if not self._config.routing.parameters:
                 self._parameter_server().close()
         state = self._standing.update(listed)
@@ -251,7 +251,7 @@ class Ros1Edge(SideEdge):
             return
         self._links.follow(others(state, entry))
         before, self._settled = self._settled, self._master.polled_at
-        if self._settled - before > _LONG:  # the first read, or the first after a suspension: the watch waits for it
+        if self._settled - before > _LONG:  # the watch waits for the first read, and for the first after a suspension
             self._presence_changed()
 
     # -- types and names -----------------------------------------------------------------------------------------------

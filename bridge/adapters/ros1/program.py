@@ -1,7 +1,7 @@
 """ROS 1 nodes for small programs, on any computer with Python: topics and actions, without ROS 1's packages.
 
-To the graph such a node is any program's. Messages are JSON values (`bridge.messages.json`) with ROS 1's field names;
-times are ``{"sec": ..., "nanosec": ...}``, and headers have no ``seq``.
+On the graph, such a node looks like that of any other program. Messages are JSON values (`bridge.messages.json`) with
+ROS 1's field names; times are ``{"sec": ..., "nanosec": ...}``, and headers have no ``seq``.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ Message = Mapping[str, Any]
 
 
 class Ros1Program:
-    """A node of ``name`` and a random suffix, at a master; default: that of ``ROS_MASTER_URI``.
+    """A node with ``name`` and a random suffix as its name; ``master`` defaults to ``ROS_MASTER_URI``.
 
     Raises `bridge.adapters.ros1_peers.Ros1Error` if the master does not answer, and
     `bridge.messages.errors.MessageTypeError` for unknown types.
@@ -72,7 +72,7 @@ class Ros1Program:
         return publication
 
     def unpublish(self, publication: Publication, *, latched: bool = False) -> None:
-        """End a publication; ``latched`` as at its beginning."""
+        """End a publication; ``latched`` must be as in the call of `publish`."""
         self._node.unpublish(publication, latched=latched)
         self._unregister("unregisterPublisher", publication.topic)
 
@@ -95,7 +95,7 @@ class Ros1Program:
         self._unregister("unregisterSubscriber", topic)
 
     def publishers(self, topic: str) -> set[str]:
-        """Return the nodes to whose publications of a subscribed topic this node is connected."""
+        """Return the nodes that publish a subscribed topic and to which this node is connected."""
         return self._node.publishers(topic)
 
     def wait_for_message(self, topic: str, type_name: str, seconds: float) -> Message | None:
@@ -129,12 +129,12 @@ class Ros1Program:
         return to_json(self.registry, conversion.target.name, cdr)
 
     def wait(self, ready: Callable[[], bool], seconds: float) -> bool:
-        """Wait until a condition holds that a message or a connection may change; return whether it does."""
+        """Wait until ``ready()``, checked after each message and connection change, is true; return whether it is."""
         with self.changed:
             return self.changed.wait_for(ready, seconds)
 
     def close(self) -> None:
-        """Unregister from the master and close all connections; a master that is gone is ignored."""
+        """Unregister from the master and close all connections; errors of an unreachable master are ignored."""
         with self._registering:
             self._closed, registered = True, self._registered
             with contextlib.suppress(Ros1Error):
@@ -149,7 +149,7 @@ class Ros1Program:
         self.close()
 
     def _publishers(self, topic: str) -> list[str]:
-        """Return a topic's publishers from the master, where this registers the subscription again."""
+        """Return a topic's publishers from the master; the query registers the subscription (again)."""
         with self._registering:
             if self._closed or ("unregisterSubscriber", topic) not in self._registered:
                 return []
@@ -173,7 +173,7 @@ class Ros1Program:
 
 
 class GoalOutcome(NamedTuple):
-    """The end of a goal: its state, the server's text unless it succeeded, and the result's fields."""
+    """The end of a goal: its state, the server's text unless the goal succeeded, and the result's fields."""
 
     state: GoalState
     text: str
@@ -186,7 +186,7 @@ class GoalOutcome(NamedTuple):
 
 
 class Ros1ActionClient:
-    """A client of one actionlib action; `Ros1Program.action_client` makes it."""
+    """A client of one actionlib action; created by `Ros1Program.action_client`."""
 
     def __init__(self, program: Ros1Program, name: str, type_name: str) -> None:
         self._program, self._type = program, type_name
@@ -214,7 +214,7 @@ class Ros1ActionClient:
         return self._program.wait(self._connected, seconds)
 
     def send_goal(self, goal: Message, on_feedback: Callable[[Message], None] | None = None) -> GoalOutcome:
-        """Send a goal and wait for its end, with ``on_feedback`` for each feedback; an interrupt cancels the goal."""
+        """Send a goal and wait for its end; ``on_feedback`` receives each feedback, an interrupt cancels the goal."""
         replies: list[bytes | CallError] = []
         goal_id = uuid.uuid4().bytes
         request = goal_id + self._program.encode(f"{self._type}Goal", goal)
@@ -229,7 +229,7 @@ class Ros1ActionClient:
             self._executor.submit(lambda: self._client.get_result(goal_id, replies.append))
             last = self._wait_for(replies, 2)
         except BaseException:
-            # at once, since the executor may be running a job, and the program may close before it runs the next one
+            # not through the executor, which may be busy: the program may close before it runs the next job
             self.publish(discovery.CANCEL, wire.goal_id(GoalId(ZERO, text_of(goal_id))))
             self._executor.submit(lambda: self._client.close("interrupted"))
             raise
@@ -259,7 +259,7 @@ class Ros1ActionClient:
         return deliver
 
     def _connected(self) -> bool:
-        """Return whether one node has all ends of the action; inform the client of a change."""
+        """Return whether one node is connected to all five topics; inform the client if that has changed."""
         nodes = [self._program.publishers(topic) for topic in self._from_server]
         nodes += [{connection.peer for connection in p.connections} for p in self._to_server.values()]
         servers = sorted(set.intersection(*nodes))

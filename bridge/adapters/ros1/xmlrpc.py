@@ -1,9 +1,9 @@
 """A bounded XML-RPC server for the APIs of ROS 1 nodes and of the master.
 
-One thread serves all connections, a small pool makes the calls. Connections, bodies, nesting, threads and time are
-limited, so that no slow or hostile client keeps others from being served. It replies to ROS 1 clients as the server of
-``rosgraph.xmlrpc`` does, which is Python's own: HTTP/1.1 with persistent connections, ``system.multicall``, and a fault
-for an unknown method.
+One thread serves all connections, and a small thread pool runs the methods. Connections, bodies, nesting, threads and
+time are limited, so that no slow or hostile client keeps others from being served. The server behaves like that of
+``rosgraph.xmlrpc``, which is Python's own: HTTP/1.1 with persistent connections, ``system.multicall``, and a fault for
+an unknown method.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Method = Callable[..., object]
 _PIECE = 64 * 1024
 _SMALL = 4096
 _METHOD = slice(0, 256)
-"""Part of a request that contains the method's name, as the clients of ROS 1 write it."""
+"""The part of a request body that contains the method's name in requests of ROS 1 clients."""
 
 _BACKLOG = 512
 _TICK = 1.0
@@ -52,8 +52,8 @@ class _Connection:
     """One client's connection.
 
     ``deadline``, on the monotonic clock, is when the arriving request must be complete or the response must be sent.
-    ``charged`` are the connection's bytes that count toward the limit of all requests. While ``served`` is true, a
-    thread makes the call of its request.
+    ``charged`` is the number of the connection's bytes that count toward the limit of all requests. While ``served`` is
+    true, a thread is handling the connection's request.
     """
 
     def __init__(self, sock: socket.socket, deadline: float) -> None:
@@ -76,9 +76,9 @@ class _Connection:
 class XmlRpcServer:
     """An XML-RPC server that calls ``methods`` by name, with the parameters of each request.
 
-    Methods run on threads of the pool; the calls of one connection are made in order, those of several connections at
-    the same time. An `xmlrpc.client.Fault` that a method raises is the reply; any other exception is logged, and
-    reported as a fault.
+    Methods run on threads of the pool; the calls of one connection run in order, and those of different connections
+    concurrently. If a method raises an `xmlrpc.client.Fault`, that becomes the reply; any other exception is logged,
+    and reported as a fault.
 
     Args:
         methods: the methods by name.
@@ -86,14 +86,14 @@ class XmlRpcServer:
         port: the port on which to listen; 0 for any free one.
         name: the name of the server's threads.
         limits: see `Limits`.
-        quick: names of methods that never block. Small calls of them are made on the connections' thread, since
-            switching threads twice costs more than such a call.
+        quick: names of methods that never block. Their small calls run on the connections' thread, because switching
+            threads twice costs more than such a call.
 
     Attributes:
         port: the port on which the server listens.
 
     Raises:
-        OSError: it cannot listen there.
+        OSError: the server cannot listen on this address and port.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class XmlRpcServer:
         self._loop.start()
 
     def close(self) -> None:
-        """Stop serving, and close all connections. Safe to call twice, and in a method that the server calls."""
+        """Stop serving, and close all connections. Safe to call twice, and within a method that the server calls."""
         self._stopping = True
         self._pool.close()
         self._loop.stop(_JOIN_SECONDS)
@@ -144,7 +144,7 @@ class XmlRpcServer:
 
     def _accept(self, *, enabled: bool) -> None:
         if enabled != self._accepting:
-            with contextlib.suppress(OSError):  # the system cannot watch more: the next check tries again
+            with contextlib.suppress(OSError):  # the system cannot watch more sockets; the next check retries
                 self._loop.watch(self._listener, self._accept_clients if enabled else None)
                 self._accepting = enabled
 
@@ -154,7 +154,7 @@ class XmlRpcServer:
                 sock, _ = self._listener.accept()
             except BlockingIOError:
                 return
-            except OSError as err:  # no descriptor is left: further clients wait in the backlog until the next check
+            except OSError as err:  # out of descriptors: further clients wait in the backlog until the next check
                 if not self._scarce:
                     _log.warning("%s: cannot accept a connection: %s", self._name, err.strerror)
                 self._scarce = True
@@ -165,7 +165,7 @@ class XmlRpcServer:
             self._connections.add(connection)
             try:
                 self._loop.watch(sock, partial(self._on_readable, connection))
-            except OSError:  # the system cannot watch more
+            except OSError:  # the system cannot watch more sockets
                 self._close(connection)
         self._accept(enabled=False)
 
@@ -240,7 +240,7 @@ class XmlRpcServer:
         connection.deadline = math.inf
         quick = len(body) <= _SMALL and any(name in body[_METHOD] for name in self._quick)
         if quick and not connection.received:
-            # before the next call of another connection, which may cause calls that must not precede this response
+            # respond before another connection's next call, which may cause calls that must not precede this response
             self._on_result(connection, self._serve(connection, body))
             return
         self._loop.watch(connection.sock)
@@ -257,7 +257,7 @@ class XmlRpcServer:
         self._respond(connection, line.encode())
 
     def _on_canceled(self, connection: _Connection) -> None:
-        """Close a connection whose call no thread makes, on any thread."""
+        """Close a connection whose call no thread will run; called on any thread."""
         self._loop.call_soon(lambda: self._close(connection) if connection in self._connections else None)
 
     def _on_result(self, connection: _Connection, response: bytes) -> None:
@@ -290,7 +290,7 @@ class XmlRpcServer:
         except HttpError as err:
             self._reject(connection, err.status)
 
-    # -- the threads of the pool; for quick calls, that of the connections ---------------------------------------------
+    # -- on the pool's threads; for quick calls, on the connections' thread --------------------------------------------
 
     def _serve_later(self, connection: _Connection, body: bytes) -> None:
         response = self._serve(connection, body)
@@ -339,7 +339,7 @@ class XmlRpcServer:
 
 
 def _calls(params: Sequence[Any]) -> list[Any]:
-    """Return the calls of ``system.multicall``; a text is rejected, since each character would count as a call."""
+    """Return the calls of ``system.multicall``; a string is rejected, since each character would count as a call."""
     if len(params) != 1 or not isinstance(params[0], list):
         raise Fault(INVALID_METHOD_PARAMS, "TypeError: system.multicall has one parameter, a list of calls")
     return list(params[0])
@@ -362,7 +362,7 @@ def _listen(address: str, port: int) -> socket.socket:
 
 def _configure(sock: socket.socket) -> None:
     sock.setblocking(False)
-    with contextlib.suppress(OSError):  # macOS: the client has closed the connection meanwhile
+    with contextlib.suppress(OSError):  # fails on macOS if the client has already closed the connection
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)  # so that the loss of a client's machine is noticed
         for name, value in _KEEPALIVE:

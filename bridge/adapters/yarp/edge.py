@@ -43,13 +43,13 @@ _log = logging.getLogger(__name__)
 
 _SETTLE = 0.02
 _MARK_AGAIN = 3.0
-"""Seconds after the name server's return for which ports may be registered without their marks."""
+"""For this many seconds after the name server's return, ports may be registered without their marks."""
 
 _STOP_TIMEOUT = 0.4
 """Seconds per name-server command while the adapter stops; after a timeout it sends no more commands."""
 
 _ALIVE_SECONDS = 0.9
-"""Seconds since its last record for which another worker counts as alive; less than `election.SILENCE`."""
+"""Another worker counts as alive for this many seconds after its last record; less than `election.SILENCE`."""
 
 
 class YarpEdge(SideEdge):
@@ -122,7 +122,7 @@ class YarpEdge(SideEdge):
 
     def _update(self) -> None:
         """Read the name server's list, and adapt graph, ports and connections to it."""
-        started, peers = time.monotonic(), self.ports.peers()  # read before the list, which then includes them all
+        started, peers = time.monotonic(), self.ports.peers()  # before the list, which then includes all peers
         contacts = self._network.list_ports()
         if contacts is None:
             self._disconnected = True
@@ -195,7 +195,7 @@ class YarpEdge(SideEdge):
         """Report an unreachable name server, ports that cannot be opened or connected, and unknown types."""
         unreachable = [f"the YARP network: {self._network.trouble}"] if self._network.trouble else []
         untyped = [
-            f"{node.port} does not announce its type; give one: yarp.topics, topic {node.topic}"
+            f"{node.port} does not announce its type; set one in yarp.topics for the topic {node.topic}"
             for node in self._endpoints.untyped()
         ]
         return [*unreachable, *self.ports.warnings(), *sorted(self._graph.trouble.values()), *untyped]

@@ -38,24 +38,24 @@ _PERIOD = 2.0
 """Seconds between queries of the master; if it does not answer, the last result stays valid."""
 
 _YOUNG = 3.0
-"""Seconds after a change of ports in which each update queries the master: it registers them a moment later."""
+"""For this many seconds after ports change, each update queries the master, which lists the ports a moment later."""
 
 _CARRIER = "tcpros"
 """A carrier that ports of programs with YARP's ROS support offer; others are only registered at the master."""
 
 _ROSOUT = "/rosout"
-"""A node of every roscore, not a YARP port: a name server that finds it has queried the master."""
+"""A node of every roscore, not a YARP port: a name server that resolves this name has queried the master."""
 
 
 class Ros1Ports:
-    """Detection of the ports that YARP 3's own ROS support has joined to ROS 1; for one thread.
+    """Detects the ports that YARP 3's own ROS support has joined to ROS 1. Used on one thread.
 
-    A ``yarpserver --ros`` also registers the ports ``/topic@/node`` of its programs at a ROS 1 master, where they use
-    TCPROS with all nodes (``RosNameSpace.cpp``, ``SubscriberOnSql.cpp``, ``Node.cpp`` of 3.9.1). If
-    Midspan's ROS 1 side is on that master, it bridges their topics; through the YARP side, messages would arrive twice.
+    A ``yarpserver --ros`` also registers the ports ``/topic@/node`` of its programs at a ROS 1 master, and they talk
+    TCPROS to all ROS 1 nodes (``RosNameSpace.cpp``, ``SubscriberOnSql.cpp``, ``Node.cpp`` of 3.9.1). If Midspan's
+    ROS 1 side is on that master, it bridges their topics; if the YARP side did too, messages would arrive twice.
 
     Args:
-        config: whether this daemon has a ROS 1 side, and the address of its master.
+        config: determines whether this daemon has a ROS 1 side, and the address of its master.
     """
 
     def __init__(self, config: Config, naming: NameClient) -> None:
@@ -71,7 +71,7 @@ class Ros1Ports:
 
     @cached_property
     def _master(self) -> XmlRpcClient | None:
-        """A client of the master, created on demand: most networks do not need it."""
+        """A client of the master, created on demand because most networks do not need it."""
         return _client(self._config)
 
     def select(self, contacts: Mapping[str, PortContact]) -> frozenset[str]:
@@ -79,7 +79,7 @@ class Ros1Ports:
         nested = {name: parts.node for name in contacts if (parts := NestedName.parse(name)).is_nested and parts.node}
         if not nested or self._master is None:
             return frozenset()
-        from bridge.adapters.ros1_peers import Ros1Error  # imports all of HTTP, 2 MB
+        from bridge.adapters.ros1_peers import Ros1Error  # imports the HTTP modules, 2 MB
 
         now, seen = time.monotonic(), frozenset(contacts[name] for name in nested)
         if seen != self._seen:
@@ -95,7 +95,7 @@ class Ros1Ports:
         candidates = {name for name in nested if self._joined or name in self._at_master}
         joined = frozenset(name for name in candidates if self._supports_tcpros(contacts[name]))
         if joined - self._ports:
-            text = "%s: bridged by the ROS 1 side, as the YARP name server has joined the network to its master"
+            text = "%s: bridged by the ROS 1 side, because the YARP name server has joined the network to its master"
             _log.info(text, ", ".join(sorted(joined - self._ports)))
         self._ports = joined
         return joined
@@ -105,11 +105,11 @@ class Ros1Ports:
             self._master.close()
 
     def _query(self, master: XmlRpcClient, nested: Mapping[str, str], contacts: Mapping[str, PortContact]) -> None:
-        """Query which nodes the master lists with the same port number, and if the name server uses this master."""
+        """Query which nodes the master lists with the same port number, and whether the name server uses the master."""
         nodes = sorted(set(nested.values()))
         rosout, *uris = master.calls([("lookupNode", (self._caller, node)) for node in (_ROSOUT, *nodes)])
         numbers = {node: _number(uri) for node, uri in zip(nodes, uris, strict=True)}
-        # Only numbers are compared: for a loopback address the master gets the machine's name.
+        # Only port numbers are compared, because the master gets the machine's name in place of a loopback address.
         same = {node for node in nodes if node in contacts and contacts[node].port == numbers[node]}
         self._at_master = frozenset(name for name, node in nested.items() if node in same)
         if (number := _number(rosout)) and _ROSOUT not in contacts:
@@ -117,7 +117,7 @@ class Ros1Ports:
             self._joined = known is not None and (known.host, known.port) == (urlsplit(rosout).hostname, number)
 
     def _supports_tcpros(self, contact: PortContact) -> bool:
-        """Return whether a port's program supports TCPROS; assumed until it has registered its carriers."""
+        """Return whether a port's program supports TCPROS; assume so until it has registered its carriers."""
         known = self._offers.get(contact)
         if known is None:
             offers = [str(value) for value in self._naming.get_property(contact.name, "offers")]
@@ -165,9 +165,9 @@ class NodePort:
     """A port that a YARP program opened as ``/topic@/node``.
 
     Attributes:
-        type: ROS 2 name of its type, "" if unknown.
-        publishes: whether it writes; else it reads.
-        latched: whether it sends its last message to late joiners.
+        type: the ROS 2 name of the port's type, "" if unknown.
+        publishes: whether the port writes messages; otherwise it reads them.
+        latched: whether the port sends its last message to late joiners.
     """
 
     port: str
@@ -201,9 +201,9 @@ class YarpContext:
         daemon: the daemon's name.
         names: the names of Midspan's ports.
         refused: called for each refused message or request: topic, reason, explanation.
-        changed: called on changes of connections, ports or workers: wakes up the name-server thread.
-        limit: most bytes of a message.
-        ip: address to listen on, None for the default.
+        changed: called when connections, ports or workers change; wakes up the name-server thread.
+        limit: the maximum message size in bytes.
+        ip: the address to listen on, None for the default.
     """
 
     registry: Registry
@@ -220,7 +220,7 @@ class YarpContext:
 
 
 class YarpGraph:
-    """The ports in the name server's list; one thread calls `update`, others read the result.
+    """The ports in the name server's list; one thread calls `update`, and others read the result.
 
     Attributes:
         known: the inspected ports, by name.
@@ -240,12 +240,12 @@ class YarpGraph:
         self, naming: NameClient, contacts: Iterable[PortContact], peers: Iterable[str],
         ros1: frozenset[str] = frozenset(),
     ) -> None:  # fmt: skip
-        """Update from the name server's list; ``peers`` are connected to Midspan's ports, ``ros1`` joined to ROS 1."""
+        """Read the name server's list; ``peers`` are connected to Midspan's ports, ``ros1`` are joined to ROS 1."""
         self.contacts = {contact.name: contact for contact in contacts}
         self.ros1 = ros1
         peers = frozenset(peers)
         self._strangers = peers - self.contacts.keys()
-        for name, known in list(self.known.items()):  # in place: connection threads remove items, too
+        for name, known in list(self.known.items()):  # in place, because connection threads remove items, too
             if self.contacts.get(name) != known.contact:
                 self.known.pop(name, None)
         self._check_unreachable()
@@ -267,7 +267,7 @@ class YarpGraph:
     # -- who made a port -----------------------------------------------------------------------------------------------
 
     def made_by(self, name: str) -> MadeBy:
-        """Return who created a port. Unregistered ports are native: bridges register theirs."""
+        """Return who created a port. Unregistered ports are native, because bridges register theirs."""
         if name.startswith(PRESENCE):
             return MadeBy.MIDSPAN
         if name not in self.contacts:
@@ -311,11 +311,11 @@ class YarpGraph:
         return known
 
     def _query_latched(self, name: str, known: KnownPort) -> None:
-        """Query a publisher once whether it is latched.
+        """Ask a publisher once whether it is latched.
 
-        The port has this property before it listens. The name server gets it only later, since it stores no properties
-        of unregistered names; a message received in between would not be cached. A port that does not listen yet is
-        unreachable, so that it is not connected before it is queried.
+        The port has this property before it listens. The name server gets the property only later, because it stores
+        none for unregistered names; a message received in between would not be cached. A port that does not listen yet
+        is marked as unreachable, so that it is not connected before it has been asked.
         """
         if known.queried or NestedName.parse(name).role != PUBLISHER:
             return

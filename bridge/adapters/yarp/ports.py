@@ -1,4 +1,4 @@
-"""The bridge's ports on a YARP network: opened, connected and closed by the plan."""
+"""The bridge's ports on a YARP network: opened, connected and closed according to the plan."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ _log = logging.getLogger(__name__)
 _THREADS = 8
 _CONNECT_SECONDS = 2.0
 _RETRY = 2.0
-"""Seconds before the next try to open a port."""
+"""Seconds before the next attempt to open a port."""
 
 _LINK_RETRY = 0.5
-"""Seconds before the next try to connect a port."""
+"""Seconds before the next attempt to connect a port."""
 
 _STOP_SECONDS = 1.0
 _LEAVE_SECONDS = 0.02
-"""Seconds for each idle thread to end."""
+"""Seconds for each idle thread to exit."""
 
 
 @dataclass(eq=False)
@@ -57,7 +57,7 @@ class OwnPort:
 
 
 class OwnPorts:
-    """The open ports; for one thread, except `input_ports` and `peers`.
+    """The open ports. All methods except `input_ports` and `peers` are called on one thread.
 
     Args:
         awake: returns whether another Midspan worker is present and not stalled.
@@ -65,7 +65,7 @@ class OwnPorts:
 
     Attributes:
         own: the open ports, by name.
-        trouble: time of the next try and error, by a port's name or by the names of a connection's two ends.
+        trouble: the time of the next attempt and the error, by a port's name or by the names of a connection's ends.
     """
 
     def __init__(self, context: YarpContext, awake: Callable[[str], bool], callers: Callers) -> None:
@@ -94,7 +94,7 @@ class OwnPorts:
         ]
 
     def peers(self) -> set[str]:
-        """Return all ports that write to Midspan's ports, and all ports with a held message."""
+        """Return all ports that write to Midspan's ports, and all ports whose message is held."""
         peers = set[str]()
         for port in list(self.own.values()):
             if port.input_port is not None:
@@ -132,7 +132,7 @@ class OwnPorts:
         stale = [name for name, port in owned.items() if plan.get(name) != port.plan or self._stale(port, outputs)]
         self._close([owned.pop(name) for name in stale])
         now = time.monotonic()
-        for key in list(self.trouble):  # in place: connecting threads write to it, too
+        for key in list(self.trouble):  # in place, because connecting threads write to it, too
             if key.partition(" ")[0] not in plan:
                 self.trouble.pop(key, None)
         for name, planned in plan.items():
@@ -161,13 +161,13 @@ class OwnPorts:
             opened = self._create(port, self._free_name(port.name), output)
             self.own[port.name] = opened
             self._taken |= {opened.core.name}
-            if output is not None and port.writes:  # before it opens, so that every new reader gets the cached messages
+            if output is not None and port.writes:  # before opening, so that every new reader gets the cached messages
                 output.add(OutputPort(opened.core, port.content))
             opened.core.open()
-            if self._stopped:  # `stop` was called before this port was open, so it did not close it
+            if self._stopped:  # `stop` was called before this port was open, and therefore did not close it
                 self._close([opened])
                 return
-            # Before any connection: an unmarked port looks like a YARP program's.
+            # Mark the port before it has any connection: an unmarked port looks like a YARP program's.
             self._naming.set_property(opened.core.name, OWNER, self._owner)
             if port.rpc:
                 self._callers.watch(opened.core)
@@ -188,7 +188,7 @@ class OwnPorts:
             owner = [str(value) for value in self._naming.get_property(wanted, OWNER)]
             if owner and (owner == [self._owner] or not self._awake(owner[0])):
                 return wanted
-        raise NamingError("another program has a port of this name; choose other names by yarp.output and yarp.input")
+        raise NamingError("another program has a port of this name; choose other names with yarp.output and yarp.input")
 
     def _create(self, port: PortPlan, name: str, output: TopicOutput | None) -> OwnPort:
         if port.rpc:
@@ -245,7 +245,7 @@ class OwnPorts:
         self._context.changed()
 
     def close_replaced(self, contacts: Mapping[str, PortContact]) -> None:
-        """Close ports whose names other programs have registered: of two ports opened at once, the second one stays."""
+        """Close ports whose names other programs have registered: of two ports opened at once, the later one stays."""
         owned = self.own
         replaced = [
             key
@@ -256,7 +256,7 @@ class OwnPorts:
         self._close([owned.pop(key) for key in replaced])
 
     def restore_marks(self, contacts: Mapping[str, PortContact], *, returned: bool) -> None:
-        """Register and mark the ports that the name server has lost; mark all if it has just returned."""
+        """Restore and mark the ports that the name server has lost; if it has just returned, mark all ports."""
         for port in self.own.values():
             lost = port.core.name not in contacts
             if lost:
@@ -270,7 +270,7 @@ class OwnPorts:
             if not self._context.names.may_be(name):
                 continue
             owner = [str(value) for value in self._naming.get_property(name, OWNER)]
-            # A worker may have been killed before it marked the port; another program may use the same number now.
+            # A worker may have been killed before it marked the port; another program may now use its port number.
             if owner == [self._owner] or (not owner and not connections.responds(contact, timeout=_CONNECT_SECONDS)):
                 self._naming.unregister(name)
 
@@ -341,10 +341,10 @@ class OwnPorts:
         for port, end in zip(ports, ends, strict=True):
             try:
                 end.result(max(0.0, deadline - time.monotonic()))
-            except CancelledError:  # the adapter is stopping, and the pool no longer runs it
+            except CancelledError:  # the adapter is stopping, and the pool no longer runs its jobs
                 self._end(port.core)
             except TimeoutError:
-                _log.warning("closing ports takes long; it continues in the background")
+                _log.warning("closing ports takes long, and continues in the background")
                 return
             except Exception:
                 _log.exception("cannot close a port")
@@ -359,7 +359,7 @@ class OwnPorts:
     def stop(self) -> None:
         """Close all ports permanently."""
         self._stopped = True
-        owned, self.own = self.own, {}  # another thread may be iterating over it
+        owned, self.own = self.own, {}  # another thread may be iterating over the old one
         self._close(list(owned.values()))
         for pool in (self._links, self._ends):
             pool.close(_LEAVE_SECONDS)

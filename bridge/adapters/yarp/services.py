@@ -52,7 +52,7 @@ class ServedPort:
         """Handle a request, on its connection's thread."""
         peer = message.peer
         if self._made_by(peer.route.source) is MadeBy.MIDSPAN:
-            self._reply(message, CallError("this is a call of Midspan itself, which it does not serve"))
+            self._reply(message, CallError("Midspan does not serve its own calls"))
             return
         try:
             request, peer.profile = self._bottles.request_to_hub(message.payload, peer.profile)
@@ -117,11 +117,11 @@ class ServedPort:
 # -- clients of RPC ports, with one connection for each call -----------------------------------------------------------
 
 MOST = 64
-"""Most concurrent calls of one port."""
+"""Maximum number of concurrent calls to one port."""
 
 _NUMBERS = itertools.count(1)
 _IDLE = 4
-"""Most idle connections, for the next calls."""
+"""Maximum number of idle connections to a port, which the next calls reuse."""
 
 
 class PortCaller:
@@ -212,7 +212,7 @@ class _PortCall:
         self._core: PortCore | None = None
 
     def run(self, core: PortCore | None) -> None:
-        """Call and pass on the reply, on an idle connection or, if that is closed, on a new one."""
+        """Make the call on an idle connection or, if that is closed, on a new one, and pass on the reply."""
         result: bytes | CallError
         fresh: PortCore | None = None
         try:
@@ -302,7 +302,7 @@ class YarpServices:
         return plan
 
     def conversion(self, type_name: str, type_hash: str = "") -> ServiceConversion:
-        """Return a conversion that only checks requests and replies; each port itself converts them to its content."""
+        """Return a conversion that only checks requests and replies; the ports convert them, each to its content."""
         known = self._registry.service_ros2(type_name, type_hash)
         request, response = self._registry.hub_service_check(type_name, type_hash)
         return ServiceConversion(known, known, request, None, response, None)
@@ -324,7 +324,7 @@ class YarpServices:
             if name in self._served:
                 raise MessageTypeError(
                     f"{name} has the type {self._served[name].side_type.name} on YARP",
-                    "rename one of the services by a rule",
+                    "rename one of the services with a rule",
                 )
             self._served[name] = service
         self._context.changed()

@@ -1,4 +1,4 @@
-"""The bridge's ports for a topic: inputs from YARP programs, outputs to them, and their envelopes."""
+"""The bridge's ports for a topic: inputs from YARP programs, outputs to them, and message envelopes."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ def stamp(text: str) -> int | None:
 
 
 def on_system_clock(stamp_ns: int | None) -> int | None:
-    """Return the stamp if it is near the system's clock, and not simulated or a machine's uptime; else None."""
+    """Return a stamp that is within a day of the system's clock; None for simulated times and uptimes."""
     return stamp_ns if stamp_ns is not None and abs(time.time_ns() - stamp_ns) < _DAY_NS else None
 
 
 HOLD_SECONDS = 2.0
-"""Seconds for which the newest message of a new peer is held, until it is known who created the port."""
+"""Seconds for which the newest message of a new peer is held if it is not known yet who created the port."""
 
 MAX_HELD = 64
 
@@ -69,8 +69,8 @@ class InputPort:
     """An input port, which converts messages and delivers them to its topic's route.
 
     Attributes:
-        only: returns whether messages of a peer are accepted; None: of all peers.
-        source: the id of the endpoint to which messages are attributed; None: the sending port.
+        only: returns whether messages of a peer are accepted; None accepts those of all peers.
+        source: the id of the endpoint to which messages are attributed; None attributes them to the sending port.
         made_by: returns who created a port.
         refused: called for each refused message: topic, reason, explanation.
     """
@@ -98,21 +98,21 @@ class InputPort:
             return
         deliver = self._deliver
         if deliver is None or made_by is MadeBy.UNKNOWN or peer in self._held:
-            self.release()  # an earlier one must be delivered first
+            self.release()  # an earlier message must be delivered first
             self._hold(peer, message)
             self.release()  # a route may have been connected meanwhile
             return
         self._pass_on(message, deliver)
 
     def _hold(self, peer: str, message: PortMessage) -> None:
-        """Hold a message, in place of its peer's earlier one, or after one that is being delivered."""
+        """Hold a message in place of an earlier one of its peer, but wait while that is being delivered."""
         with self._changed:
             self._changed.wait_for(lambda: not ((held := self._held.get(peer)) and held.delivering))
             if peer in self._held or len(self._held) < MAX_HELD:
                 self._held[peer] = _Held(time.monotonic(), message)
 
     def deliver_to(self, deliver: Deliver | None) -> None:
-        """Deliver messages to this route from now on; the next `release` delivers the held ones to it."""
+        """Deliver messages to this route from now on; the next `release` delivers the held messages to it."""
         self._deliver = deliver
 
     def waiting(self) -> set[str]:
@@ -136,7 +136,7 @@ class InputPort:
                     self._changed.notify_all()
 
     def _next(self) -> tuple[str, PortMessage, Deliver] | None:
-        """Return a held message that can be delivered; the peer's next message waits until then."""
+        """Return a held message that can be delivered; the peer's next message waits until it has been."""
         now, deliver = time.monotonic(), self._deliver
         if deliver is None:
             return None
@@ -174,7 +174,7 @@ class OutputPort:
 
 
 class TopicOutput:
-    """The output of one topic and type; thread-safe. ``stamped``: its messages begin with a header."""
+    """The output of one topic and type; thread-safe. ``stamped``: the topic's messages begin with a header."""
 
     def __init__(self, topic: str, side_type: SideType, stamped: bool, contents: Contents) -> None:
         self.topic, self.side_type = topic, side_type
@@ -223,8 +223,8 @@ class TopicOutput:
 
         Args:
             cdr: the message.
-            command: busy readers miss it, so that commands are never queued.
-            strict: busy readers get it later; else only the newest.
+            command: skip busy readers, so that commands are never queued.
+            strict: queue the message for busy readers; otherwise they get only the newest message.
         """
         LARGE_MESSAGES.passed(len(cdr))
         failure: MessageError | None = None
@@ -261,7 +261,7 @@ class TopicOutput:
 
     @property
     def lock(self) -> threading.RLock:
-        """A lock for publishing and caching a message, so that late joiners receive all in order."""
+        """A lock to hold while publishing and caching a message, so that late joiners receive all in order."""
         return self._lock
 
 

@@ -1,4 +1,4 @@
-"""The base of the key dialects' edges: session, other Midspans on the network, and endpoints."""
+"""The base class of the edges of zenoh dialects: session, other Midspans on the network, and endpoints."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ TICK = 0.25
 """Seconds between two calls of `KeyEdge.tick`."""
 
 RETRY_SECONDS = 1.0
-"""Pause between two attempts of a client to connect to its router."""
+"""Seconds between two attempts of a client to connect to its router."""
 
 _CLIENT_WAIT_MS = 1500
-"""Limit of one such attempt."""
+"""Time limit of one such attempt, milliseconds."""
 
 LINK_SECONDS = 0.5
-"""Seconds after which a new link has delivered all tokens; a query right after it opens returns none."""
+"""Seconds after which a new link has delivered all tokens; a query right after the link opens returns none."""
 
 
 class OwnEndpoint(Protocol):
@@ -83,7 +83,7 @@ class KeyEdge(SideEdge):
 
     @override
     def start(self, listener: EdgeListener) -> None:
-        """Open the session; it joins the network as soon as it can, also after a disconnection.
+        """Open the session, which joins the network as soon as it can, including after a disconnection.
 
         In client mode zenoh opens no session before the router responds, so the edge's thread opens it.
         """
@@ -144,7 +144,7 @@ class KeyEdge(SideEdge):
     @override
     def stop(self) -> None:
         self._stopping.set()
-        if self._ticker.is_alive():  # a client's attempt to connect is not awaited; its thread closes the session
+        if self._ticker.is_alive():  # do not wait for a client's attempt to connect; its thread closes the session
             self._ticker.join(2.0 if self._context is not None else 0.1)
         context, self._context = self._context, None
         if context is None:
@@ -165,13 +165,13 @@ class KeyEdge(SideEdge):
 
     @abstractmethod
     def opened(self, session: zenoh.Session) -> None:
-        """Start to follow the graph on the open session."""
+        """Start following the graph on the open session."""
 
     def closing(self) -> None:
         """Release the resources of the session before it closes."""
 
     def tick(self, now: float) -> None:
-        """Do periodic work; called each `TICK` with the monotonic time."""
+        """Do periodic work; called every `TICK` seconds with the monotonic time."""
 
     def _tick_on(self) -> None:
         while self._context is None:
@@ -202,7 +202,7 @@ class KeyEdge(SideEdge):
 
     @override
     def network(self) -> str | None:
-        """Return the id of this session on its network; None while it has no link."""
+        """Return the id of this session on its network; None while the session has no link."""
         context = self._context
         return str(context.session.zid()) if context is not None and self._linked_since is not None else None
 
@@ -221,7 +221,7 @@ class KeyEdge(SideEdge):
         return neighbors.settled(since)
 
     def register(self, endpoint: AnyEndpoint, prepare: Callable[[], None] = nothing) -> AnyEndpoint:
-        """Prepare and announce an endpoint that closes with the edge; returns it."""
+        """Prepare and announce an endpoint, and return it; it is closed with the edge."""
         with self._lock:
             self._endpoints.add(endpoint)
         prepare()
@@ -238,14 +238,14 @@ def configured(
 ) -> list[Endpoint]:
     """Return the publishers that the configuration lists because they do not announce themselves.
 
-    Those of unknown types are included.
+    Publishers of unknown types are included.
     """
     endpoints = []
     for key in dialect.keys:
         assert key.topic is not None
         try:
             known = ros2(key.type)
-        except Exception:  # the engine fails with it, too, and reports the reason
+        except Exception:  # the engine will fail in the same way, and report the reason
             known = SideType(key.type, "", "")
         endpoints.append(endpoint(key.topic, known))
     return endpoints

@@ -1,8 +1,8 @@
 """The edge of the ros1 dialect: the keys of zenoh-plugin-ros1; see `ros1_discovery`.
 
 Samples do not identify their publisher, so all native bridges of one key count as one publisher. Latching is not
-announced: for the topics in the configuration's ``latched``, the hub retains the last message. ROS 1 actions cross as
-topics.
+announced: for the topics in the configuration's ``latched``, the hub retains the last message. ROS 1 actions are
+bridged as topics.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class Ros1KeysEdge(KeyEdge):
         return list({(e.kind, e.id): e for e in endpoints}.values())
 
     def _endpoint(self, kind: Kind, topic: AnnouncedTopic) -> Endpoint:
-        if topic.md5 == "*":  # the bridge accepts any definition: use this machine's
+        if topic.md5 == "*":  # the bridge accepts any definition, so use this machine's
             with contextlib.suppress(MessageTypeError):
                 topic = replace(topic, md5=self._md5(kind, topic.type))
         latched = kind is Kind.PUBLISHER and any(glob.fullmatch(topic.name) for glob in self._latched)
@@ -106,7 +106,7 @@ class Ros1KeysEdge(KeyEdge):
 
     @override
     def why_not(self, topic: str, type_name: str) -> str:
-        """Return why a part of a ROS 2 action does not cross: ROS 1 has no such services and topics."""
+        """Return why a part of a ROS 2 action is not bridged: ROS 1 has no such services and topics."""
         action = split(topic)[1] and ("/action/" in type_name or type_name.startswith("action_msgs/"))
         return "actions of ROS 2 do not cross to the ros1 dialect" if action else ""
 
@@ -187,7 +187,7 @@ def _or_failed(convert: Callable[[bytes], bytes] | None) -> Callable[[bytes], by
 
 
 AGAIN = 3.0
-"""Least seconds between two republications of latched messages for further bridges."""
+"""Minimum seconds between two republications of latched messages for further bridges."""
 
 SETTLE = 0.5
 """Seconds within which a bridge both subscribes and announces the subscription, in either order."""
@@ -196,9 +196,9 @@ SETTLE = 0.5
 class Ros1KeyPublisher(KeyPublisher):
     """A publisher of a hub topic in the ros1 dialect.
 
-    The dialect has no latching: bridges use plain zenoh subscribers and do not query earlier messages. So latched
-    messages are published again when the key gets its first subscriber, and when another bridge announces a
-    subscription. Earlier subscribers receive them once more. A plain ``get`` on the key returns them, too.
+    The dialect has no latching: bridges use plain zenoh subscribers and do not query earlier messages. Therefore
+    latched messages are published again when the key gets its first subscriber, and when another bridge announces a
+    subscription; earlier subscribers then receive them again. A plain ``get`` on the key returns them, too.
     """
 
     def __init__(self, context: KeyContext, topic: str, key: str, qos: Qos, announcement: Announcement) -> None:
@@ -218,7 +218,7 @@ class Ros1KeyPublisher(KeyPublisher):
         if not self._qos.latched or self._due is not None:
             return
         if first and now - self._since < SETTLE:
-            return  # the key's first subscriber has received them; a later announcement may be another bridge's
+            return  # the key's first subscriber has received them; a later announcement may come from another bridge
         self._due = max(now + SETTLE, self._last + AGAIN)
 
     def tick(self, now: float) -> None:

@@ -1,18 +1,19 @@
 """Keys of zenoh-plugin-ros1, and the beacons with which its bridges announce their topics and services.
 
-A topic's samples travel on ``<type in hex>/<md5>/<bridge namespace>/<topic>``, the payload is the ROS 1 message as sent
-over TCPROS, without an attachment. The bridge namespace is ``*`` by default. A service is a queryable on the same kind
-of key, with the service's type and md5; a bridge whose server failed replies with the error's text instead of a
-response. Bridges announce their endpoints on ``ros1_discovery_info/<discovery namespace>/{pub|sub|srv|cl}/<type in
-hex>/<md5>/<bridge namespace>/<topic>``, the discovery namespace being ``*``. Read in zenoh-plugin-ros1,
+A topic's samples are published on ``<type in hex>/<md5>/<bridge namespace>/<topic>``; the payload is the ROS 1 message
+as sent over TCPROS, without an attachment. The bridge namespace is ``*`` by default. A service is a queryable on the
+same kind of key, with the service's type and md5; a bridge whose server failed replies with the error's text instead
+of a response. Bridges announce their endpoints on ``ros1_discovery_info/<discovery namespace>/{pub|sub|srv|cl}/<type
+in hex>/<md5>/<bridge namespace>/<topic>``, where the discovery namespace is ``*``. Source: zenoh-plugin-ros1,
 ``topic_utilities.rs``, ``discovery.rs`` and ``abstract_bridge.rs``, of May 2025; free_fleet's clients use the same data
 keys (its ``utils.py``).
 
-The beacons work like ALOHA. A bridge that has a topic puts an empty sample on its discovery key each second; after
-three seconds without one the topic counts as withdrawn. A bridge that receives another bridge's beacon on the same key
-may stop its own, and resumes after a second without any (``aloha_declaration.rs``, ``aloha_subscription.rs``). A native
-bridge that stopped because of Midspan would appear to be offline, so Midspan's beacons always yield. A bridge that
-receives Midspan's beacon first may still stop: the beacons of all Midspans on a key leave it time to resume.
+The beacons work like ALOHA. A bridge that has a topic puts an empty sample on the topic's discovery key each second;
+after three seconds without a beacon the topic counts as withdrawn. A bridge that receives another bridge's beacon on
+the same key may stop its own beacons, and resumes them after a second without any (``aloha_declaration.rs``,
+``aloha_subscription.rs``). A native bridge that stopped because of Midspan would appear to be offline, so Midspan's
+beacons always yield. A bridge that receives Midspan's beacon first may still stop; therefore the Midspans on a key
+together leave enough time between beacons for the bridge to resume.
 """
 
 from __future__ import annotations
@@ -89,16 +90,17 @@ PERIOD = 1.0
 
 _PAUSE = 2.25
 """Periods between Midspan's beacons. A bridge that stopped needs one period without beacons, and up to one more until
-it resumes; both fit in between, and it is still less than the plugin's three."""
+it resumes. The interval is longer than both, and still shorter than the plugin's limit of three periods."""
 
 _LOST = 4
-"""Periods without a beacon after which a topic is dropped: one more than the plugin's, as two beacons may have met."""
+"""Periods without a beacon after which a topic is dropped: one more than the plugin's limit, because two beacons may
+have collided."""
 
 _SOON = 0.5
-"""Periods within which a second beacon on one key comes from another bridge."""
+"""A second beacon on the same key within this many periods comes from another bridge."""
 
 _FORGOTTEN = 60
-"""Periods without a beacon after which a bridge counts as new: it may pause for long while another bridge sends
+"""Periods without a beacon after which a bridge counts as new: a bridge may pause for long while another one sends
 beacons."""
 
 _MAX_TOPICS = 20_000
@@ -120,7 +122,7 @@ class _Beacon:
         self._publisher.put(b"", source_info=next(self._infos))
 
     def postpone(self, now: float) -> None:
-        """Postpone the next beacon, as this or another Midspan has just sent one on the key."""
+        """Postpone the next beacon, because this or another Midspan has just sent one on the key."""
         self.due = now + _PAUSE * PERIOD
 
     def close(self) -> None:
@@ -130,8 +132,8 @@ class _Beacon:
 class Aloha:
     """Receives the beacons of native bridges and sends Midspan's own beacons; thread-safe.
 
-    ``changed`` is called when a topic appears or disappears, ``newcomer`` when a bridge starts to announce a
-    subscription, with the topic and whether the bridge is the first one.
+    ``changed`` is called when a topic appears or disappears. ``newcomer`` is called when a bridge starts announcing a
+    subscription, with the topic and whether this bridge is the first.
     """
 
     def __init__(
@@ -229,7 +231,8 @@ class Aloha:
     def _is_new(self, place: tuple[Kind, AnnouncedTopic], bridge: str, before: float | None, now: float) -> bool:
         """Return whether a beacon comes from a new bridge.
 
-        A time stamp that the bridge set identifies it; otherwise two beacons in quick succession come from two bridges.
+        A time stamp that the bridge set identifies the bridge. Without time stamps, two beacons in quick succession
+        come from two bridges.
         """
         bridges = self._bridges.setdefault(place, {})
         last = bridges.get(bridge, 0.0)

@@ -34,8 +34,9 @@ _MAX_TOKENS = 50_000
 class Ros2ddsGraph:
     """Follows the tokens of all bridges; thread-safe. Keys without ``prefix`` ("" or like ``robot1/``) are ignored.
 
-    A bridge may announce a publisher of a key again, with another QoS or after its link was lost. Its endpoint then has
-    another id, so that a message of it is never attributed to the previous endpoint, whose cached messages are dropped.
+    A bridge may announce a publisher of a key again, with another QoS or after its link was lost. The publisher's
+    endpoint then gets a new id, so that its messages are never attributed to the previous endpoint, whose cached
+    messages are dropped.
     """
 
     def __init__(self, session: zenoh.Session, prefix: str, changed: Callable[[], None]) -> None:
@@ -44,8 +45,8 @@ class Ros2ddsGraph:
         self._lock = threading.Lock()
         self._tokens: dict[str, tuple[Token, ...]] = {}
         self._bridges: set[str] = set()
-        self._publishers: dict[str, dict[str, list[Token]]] = {}  # by key and bridge, the newest last
-        self._numbers: dict[tuple[str, str], int] = {}  # of the current publisher, by bridge and key
+        self._publishers: dict[str, dict[str, list[Token]]] = {}  # by key and by bridge, the newest last
+        self._numbers: dict[tuple[str, str], int] = {}  # the number of the current publisher, by bridge and key
         self._next_number = itertools.count(1)
         self._refused = 0
         self._subscriber = follow_tokens(session, tokens.ALL, self._on_token)
@@ -74,7 +75,7 @@ class Ros2ddsGraph:
             return {self._publisher_id(zid, key): known[-1] for zid, known in self._publishers.get(key, {}).items()}
 
     def who(self, key: str, sample: zenoh.Sample) -> tuple[str, Token | None]:
-        """Return the id of the publisher that sent a sample, "" if no bridge did, and its token, None before it."""
+        """Return the id of a sample's publisher, "" if no bridge sent it, and its token, None if not received yet."""
         zid = sender(sample)
         with self._lock:
             known = self._publishers.get(key, {}).get(zid)
@@ -118,7 +119,7 @@ class Ros2ddsGraph:
             self._changed()
 
     def _count(self, zid: str, text: str, *, put: bool) -> None:
-        """Track which sessions are bridges: those whose own token is alive."""
+        """Track which sessions are bridges: those that have declared a bridge's token."""
         if text == tokens.alive_key(zid):
             if put and len(self._bridges) < _MAX_TOKENS:
                 self._bridges.add(zid)
@@ -165,18 +166,19 @@ def endpoint_id(zid: str, key: str) -> str:
 
 
 _NAMING = "_SendGoal", "_GetResult"
-"""Suffixes of the part types from which the action's type follows."""
+"""Suffixes of the types of action parts that contain the action's type."""
 
 
 class TokenAnnouncer:
-    """Midspan's tokens: one for each key and kind, with the strongest QoS offered or requested there.
+    """Midspan's tokens: one for each key and kind, with the strongest QoS that is offered or requested there.
 
-    An action has a single token while Midspan serves or calls its goals or results. A server's token is declared once
-    all five parts exist, like the plugin's (``src/node_info.rs``), so that a client that sends a goal receives its
-    first feedback.
+    An action has a single token while Midspan serves or calls its send_goal or get_result service. A server's token is
+    declared once all five parts exist, as in the plugin (``src/node_info.rs``), so that a client that sends a goal
+    receives the first feedback.
 
-    The plugin creates a route on a session's first token for a key, and drops it when any of them is withdrawn; so the
-    old token is withdrawn before one with another QoS is declared (its ``src/routes_mgr.rs``).
+    The plugin creates a route on a session's first token for a key, and drops the route when any token for the key is
+    withdrawn. Therefore the old token is withdrawn before a token with another QoS is declared
+    (``src/routes_mgr.rs``).
     """
 
     def __init__(self, session: zenoh.Session) -> None:
@@ -223,7 +225,7 @@ class TokenAnnouncer:
 
 
 def _text(wanted: list[Token], *, declared: bool) -> str:
-    """Return the key of the token for these; "" while an action is incomplete and not ``declared``."""
+    """Return the key of the token for these endpoints; "" while an action is incomplete and not ``declared``."""
     if not wanted:
         return ""
     if not action_of(wanted[0].key):

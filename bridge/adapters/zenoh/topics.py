@@ -28,9 +28,9 @@ Withdraw = Callable[[], None]
 class KeyContext:
     """The shared state of one edge's endpoints.
 
-    ``limit`` is the largest request or reply in bytes; ``executor`` runs calls that may wait for zenoh, ``ends``
-    handles the ends of queries, ``delays`` runs delayed calls; ``small`` and ``bulk`` convert received messages, urgent
-    ones first; ``closed`` is called with each endpoint that has closed.
+    ``limit`` is the maximum size of a request or reply in bytes; ``executor`` runs calls that may wait for zenoh,
+    ``ends`` handles the ends of queries, ``delays`` runs delayed calls; ``small`` and ``bulk`` convert received
+    messages, urgent ones first; ``closed`` is called with each endpoint that has closed.
     """
 
     session: zenoh.Session
@@ -46,9 +46,9 @@ class KeyContext:
 class Announcement:
     """Announces an endpoint, and withdraws the announcement when the endpoint closes.
 
-    It is published once the endpoint exists, as others call, publish or query as soon as they receive it. An endpoint
-    that closes before that is not announced. ``announce`` returns the function that withdraws it; the default does
-    nothing.
+    It is published once the endpoint exists, because peers call, publish or query as soon as they receive it. An
+    endpoint that closes before that is not announced. ``announce`` returns the function that withdraws the
+    announcement; by default, nothing is announced.
     """
 
     def __init__(self, announce: Callable[[], Withdraw] = lambda: nothing) -> None:
@@ -105,7 +105,7 @@ class PlainSink:
 
 
 class KeyPublisher:
-    """Publishes messages of the hub on a plain key, and replies to a ``get`` with the latched ones.
+    """Publishes messages of the hub on a plain key, and replies to a ``get`` with the latched messages.
 
     ``qos`` determines whether messages are cached, and how many per source; with ``newest`` a ``get`` returns only the
     newest message.
@@ -179,7 +179,7 @@ class KeyPublisher:
 
 
 class SampleQueue:
-    """A bounded queue that drops its oldest messages; for commands (depth 1, volatile) it holds only the newest."""
+    """A bounded queue that drops its oldest messages; for commands (depth 1, volatile) it stores only the newest."""
 
     def __init__(self, deliver: Deliver, qos: Qos, context: KeyContext) -> None:
         self.lost = 0

@@ -107,7 +107,8 @@ class ActionCaller(ActionTopics):
     # -- ROS 1 ---------------------------------------------------------------------------------------------------------
 
     def _connect(self) -> None:
-        self._client.discovered()  # a part is opened because a server is on the graph; `_choose` may not know it yet
+        # a part is opened because a server is on the graph, which `_choose` may not have received yet
+        self._client.discovered()
         if not self._open or self._subscriptions:
             return
         self._advertise(discovery.GOAL, self._types.goal, _QUEUE)
@@ -126,7 +127,7 @@ class ActionCaller(ActionTopics):
         self._close_topics()
 
     def poll(self, servers: Sequence[FoundServer]) -> None:
-        """Check the connections; called some ten times per second with the native servers that are alive."""
+        """Check the connections; called about ten times per second with the native servers that are alive."""
         self._executor.submit(lambda: self._poll(servers))
 
     def _poll(self, servers: Sequence[FoundServer]) -> None:
@@ -177,7 +178,7 @@ class ActionCaller(ActionTopics):
         return source.removesuffix(" latched") == publisher_id(server.link(part), latching=False)
 
     def _on_status(self, payload: bytes, source: str, _time: int | None) -> None:
-        """Schedule the newest status list; older ones are skipped, as each names all goals."""
+        """Schedule the newest status list; older lists are skipped, because each list names all goals."""
         waiting, self._newest = self._newest, (payload, source)
         if waiting is None:
             self._executor.submit(self._take_statuses)
@@ -203,7 +204,7 @@ class ActionCaller(ActionTopics):
     # -- goals ---------------------------------------------------------------------------------------------------------
 
     def _send_goal(self, request: bytes, done: Done) -> Abandon:
-        """Send a goal whose frames are known; reject or postpone any other."""
+        """Send a goal whose frames are known; reject or postpone any other goal."""
         try:
             uuid, body = wire.read_with_uuid(request)
             body, trouble = self._guard.check(self._types.goal_body, body)
@@ -244,7 +245,7 @@ def endpoint_id(server: FoundServer, part: str) -> str:
 
 
 class _StartedCall:
-    """A call that begins only after its caller has received the function that abandons it."""
+    """A call that may be abandoned before it has begun."""
 
     def __init__(self) -> None:
         self._abandon: Abandon | None = None
@@ -262,7 +263,7 @@ class _StartedCall:
 
 
 class PartCaller(OpenPart):
-    """One of an action's services; see `bridge.routing.edge.EdgeCaller`."""
+    """A client of one of an action's services; see `bridge.routing.edge.EdgeCaller`."""
 
     def __init__(self, executor: InlineExecutor, begin: Call, close: Callable[[], None]) -> None:
         super().__init__(close)

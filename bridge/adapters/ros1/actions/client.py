@@ -25,20 +25,23 @@ from bridge.messages.errors import ConversionError
 _log = logging.getLogger(__name__)
 
 RESULT_SECONDS = 2.0
-"""How long a result may arrive after the status list reports its goal's end; later it counts as lost and is empty."""
+"""How long a result may arrive after the status list reports its goal's end.
+
+After that it counts as lost, and clients receive an empty result.
+"""
 
 CONNECT_SECONDS = 5.0
 """How long a goal or a cancel request waits for the connections to a newly discovered server."""
 
 SHOWN_SECONDS = 10.0
-"""How long an ended goal stays in the status topic: as in Jazzy's servers."""
+"""How long an ended goal stays in the status topic, as in the action servers of ROS 2 Jazzy."""
 
 ALIVE_SECONDS = 1.0
 """Period of unchanged status messages while the server lists its goals; they show that the server is alive."""
 
 CALM_SECONDS = 0.05
 FEW_GOALS = 32
-"""With more goals than these, the status topic is published at most every `CALM_SECONDS`, as it names all of them."""
+"""With more goals, the status topic is published at most every `CALM_SECONDS`, because each message lists all goals."""
 
 LOST = "lost sight of the goal: "
 """Prefix of the text of a goal whose state is no longer reported; clients may depend on it."""
@@ -60,7 +63,7 @@ class ClientOutput(Protocol):
 class ActionlibClient:
     """The goals of one action.
 
-    ``name`` is the action's name on ROS 1, ``clock`` returns monotonic seconds, ``empty`` is an empty result's bytes.
+    ``name`` is the action's name on ROS 1, ``clock`` returns monotonic seconds, ``empty`` is a serialized empty result.
     """
 
     def __init__(self, name: str, output: ClientOutput, clock: Callable[[], float], empty: bytes) -> None:
@@ -142,7 +145,7 @@ class ActionlibClient:
         return nothing
 
     def _abandon(self, goal: TrackedGoal) -> None:
-        """Drop an unsent goal whose send_goal client left."""
+        """Drop an unsent goal whose send_goal client has left."""
         goal.asker = None
         if goal.body is not None and not goal.refused:
             self._drop(goal, "its caller left")
@@ -154,7 +157,7 @@ class ActionlibClient:
         self._gone = ""
 
     def connected(self) -> None:
-        """Send waiting goals: all five topics are connected."""
+        """Send waiting goals, because all five topics are connected."""
         self._ready = True
         for goal in self._goals.unfinished():
             if goal.body is not None:
@@ -162,20 +165,20 @@ class ActionlibClient:
         self.reach(reachable=True)
 
     def disconnected(self) -> None:
-        """Hold back goals while a connection with the server is missing; it may return."""
+        """Hold back goals while a connection to the server is missing; the connection may return."""
         self._ready = False
         self.reach(reachable=False)
 
     def reach(self, *, reachable: bool) -> None:
-        """Set whether the server is connected to the cancel topic, which suffices to stop it."""
+        """Set whether the server is connected to the cancel topic, which suffices to cancel its goals."""
         self._cancels.reachable = reachable
         self._cancels.send()
 
     def lost(self, reason: str) -> None:
-        """Lose contact with the server; until `found` is called, goals are rejected.
+        """Handle the loss of contact with the server; until `discovered` is called, goals are rejected.
 
-        No state is published for its goals, as they may still be executing. Clients of get_result receive UNKNOWN, with
-        a text that begins with `LOST`.
+        No state is published for its goals, because they may still be executing. Clients of get_result receive UNKNOWN,
+        with a text that begins with `LOST`.
         """
         self._ready, self._gone, self._listed = False, reason, False
         self._cancels.reachable = False
@@ -198,7 +201,7 @@ class ActionlibClient:
         self.lost(reason)
 
     def statuses(self, found: Iterable[GoalStatus]) -> None:
-        """Adopt the server's status list; the first is published even if empty: the server has no goals."""
+        """Adopt the server's status list; publish the first one even if the server has no goals."""
         self._changed, self._listed = self._changed or not self._listed, True
         named: set[str] = set()
         for status in found:
@@ -220,7 +223,7 @@ class ActionlibClient:
         goal = self._goal(status)
         if goal is None or goal.whole or goal.result_delivered or goal.refused:
             return
-        if goal.result is not None:  # the goal was already ended as lost, but no client has received that result
+        if goal.result is not None:  # it counted as lost, but no client has received the empty result
             self._goals.remove(goal)
             goal.result = None
             self._goals.add(goal)
@@ -233,7 +236,7 @@ class ActionlibClient:
         self._flush()
 
     def feedback(self, status: GoalStatus, body: bytes) -> None:
-        """Deliver feedback, also if the result overtook it on its own connection."""
+        """Deliver feedback, even if the goal's result overtook it on another connection."""
         goal = self._goal(status)
         if goal is None:
             return
@@ -243,7 +246,7 @@ class ActionlibClient:
         self._flush()
 
     def tick(self) -> None:
-        """Handle expired waits; called some ten times per second."""
+        """Handle expired waits; called about ten times per second."""
         now = self._clock()
         while self._lost_results and self._lost_results[0][0] <= now:
             _, goal = self._lost_results.popleft()
@@ -267,7 +270,7 @@ class ActionlibClient:
         return len(self._goals)
 
     def _send(self, goal: TrackedGoal) -> None:
-        # A server cancels a goal whose stamp is older than that of the last cancel request, except stamp zero.
+        # A server cancels a new goal with a stamp that is not after that of the last cancel request, except stamp zero.
         body, goal.body = goal.body or b"", None
         self._output.publish(GOAL, wire.action_goal(GoalId(ZERO, goal.id), body))
 
@@ -279,7 +282,7 @@ class ActionlibClient:
             self._goals.remove(goal)
             goal = None
         ours = goal is not None and goal.lost and goal.ours
-        if goal is not None and goal.lost:  # it is reported again
+        if goal is not None and goal.lost:  # the server reports it again
             self._goals.remove(goal)
             goal = None
         if goal is None and not self._goals.full:
@@ -290,7 +293,7 @@ class ActionlibClient:
         return goal
 
     def _follow(self, goal: TrackedGoal, status: GoalStatus) -> None:
-        """Adopt a reported state, unless it would step back."""
+        """Adopt a reported state, unless it precedes the goal's current state."""
         self._accept(goal, status)
         state = TO_ROS2[Ros1State.parse(status.state)]
         if goal.refused or state <= goal.state or goal.state.ended:

@@ -1,6 +1,6 @@
-"""Checks the frames of goals against the side's transforms: a goal in an unknown frame may never end.
+"""Checks the frames of goals against the side's transforms, because a goal in an unknown frame may never end.
 
-move_base keeps such a goal ACTIVE forever, also if its frame begins with a slash, which tf2 does not allow.
+move_base leaves such a goal ACTIVE forever, and also a goal whose frame begins with a slash, which tf2 does not allow.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from bridge.messages.transcode.conversion import SideType
 TF_TYPES = ("tf2_msgs/TFMessage", "tf/tfMessage")
 
 MAX_FRAMES = 100_000
-"""Beyond this number, every frame is accepted: a frame of ``/tf_static`` that was dropped would not be sent again."""
+"""Beyond this number, every frame is accepted, because a dropped frame of ``/tf_static`` would not be sent again."""
 
 _HEADER = "std_msgs/Header"
 _LENGTH = struct.Struct("<I")
@@ -85,7 +85,7 @@ class _Walk:
                 yield from self.message(self.schema.types[kind.base], f"{path}.")
             else:
                 self.skip(self.count())
-            if self.at == before:  # a message without fields: any number of them takes no bytes
+            if self.at == before:  # a message without fields; any number of such messages has no bytes
                 return
 
 
@@ -95,7 +95,7 @@ def has_headers(schema: Schema) -> bool:
 
 
 def frames_in(schema: Schema, data: bytes) -> list[FrameId]:
-    """Return the frames of all headers in a ROS 1 message, in order; raises `ConversionError` if malformed."""
+    """Return the frames of all headers in a ROS 1 message, in order; raises `ConversionError` if it is malformed."""
     walk = _Walk(schema, data)
     frames = list(walk.message(schema.root, ""))
     if walk.at != len(data):
@@ -113,7 +113,7 @@ def without_slashes(data: bytes, frames: list[FrameId]) -> bytes:
 
 
 def empty(schema: Schema) -> bytes:
-    """Return a ROS 1 message with zero numbers and empty strings and sequences: all of its bytes are zero."""
+    """Return a ROS 1 message whose numbers are zero and whose strings and sequences are empty: all bytes are zero."""
     return bytes(_empty_size(schema, schema.root))
 
 
@@ -137,7 +137,7 @@ class KnownFrames:
         self._full = False
 
     def learn(self, payload: bytes) -> None:
-        """Learn the frames of a TFMessage, of a malformed one those before the error."""
+        """Learn the frames of a TFMessage; if it is malformed, those before the error."""
         if self._full:
             return
         with contextlib.suppress(struct.error):
@@ -149,7 +149,7 @@ class KnownFrames:
         return bool(self._known)
 
     def trouble(self, frames: list[FrameId]) -> str:
-        """Return why a goal in these frames cannot be reached (a missing or unknown frame), "" if all are known."""
+        """Return why a goal in these frames is unreachable (a missing or unknown frame), "" if all are known."""
         for _, frame, where, pose in frames:
             if not frame and pose:
                 return f"{where} is empty"
@@ -175,10 +175,10 @@ def _transform_frames(payload: bytes) -> Iterator[bytes]:
 _log = logging.getLogger(__name__)
 
 KNOW_SECONDS = 2.0
-"""A frame counts as unknown only if it is in none of the transforms received for this long."""
+"""A frame counts as unknown only once transforms have been received for this long and none of them has it."""
 
 SILENT_SECONDS = 10.0
-"""How long to wait for the first transform if topics for transforms exist; after that, every frame is accepted."""
+"""How long to wait for a first transform while topics for transforms exist; after that, every frame is accepted."""
 
 _WARN_SECONDS = 60.0
 _MAX_TOPICS = 100
@@ -201,7 +201,7 @@ class FrameGuard:
         self._reports: deque[tuple[float, str]] = deque(maxlen=10)
 
     def open(self, user: object) -> None:
-        """Start to receive transforms for a user."""
+        """Start receiving transforms for a user."""
         with self._lock:
             if not self._users:
                 self._opened, self._heard, self._frames = time.monotonic(), float("inf"), KnownFrames()
@@ -226,7 +226,7 @@ class FrameGuard:
             subscription.close()
 
     def _follow(self) -> list[TopicSubscription]:
-        """Subscribe to missing topics; return the superfluous subscriptions, to be closed without the lock."""
+        """Subscribe to missing topics; return superfluous subscriptions, which the caller closes without the lock."""
         wanted = self._topics if self._users and self._network.check_frames else frozenset()
         removed = [self._subscriptions.pop(topic) for topic in self._subscriptions.keys() - wanted]
         for topic in wanted - self._subscriptions.keys():
@@ -241,8 +241,8 @@ class FrameGuard:
     def check(self, schema: Schema, body: bytes) -> tuple[bytes, str | None]:
         """Check a goal's frames; raises `ConversionError` if the goal is malformed.
 
-        Returns the goal without leading slashes in its frames, and why it must not be sent: "" if it may, None if that
-        is not known yet because too few transforms have been received.
+        Returns the goal without leading slashes in its frames, and why it must not be sent: "" if it may be sent, None
+        if that is not known yet because too few transforms have been received.
         """
         if not self._network.check_frames or not has_headers(schema):
             return body, ""
@@ -254,7 +254,7 @@ class FrameGuard:
         return body, trouble if self._frames else ""
 
     def report(self, action: str, trouble: str) -> None:
-        """Report why a goal was rejected: ROS 2's response has no text."""
+        """Report why a goal was rejected, because ROS 2's response has no text."""
         _log.warning("%s: a goal is rejected: %s", action, trouble)
         self._reports.append((time.monotonic(), f"{action}: a goal was rejected: {trouble}"))
 

@@ -59,7 +59,7 @@ class ActionNetwork:
             name.
         publish: ``publish(topic, side_type, qos)``.
         refuse: ``refuse(topic, reason, why)`` reports a bad message.
-        check_frames: goals in unknown frames are rejected.
+        check_frames: whether goals in unknown frames are rejected.
     """
 
     own: Callable[[], str]
@@ -74,9 +74,9 @@ class ActionNetwork:
 
 @dataclass(frozen=True, slots=True)
 class ActionMessages:
-    """The message types of an action: ActionGoal, ActionResult, ActionFeedback, and the two of actionlib_msgs.
+    """The message types of an action: ActionGoal, ActionResult, ActionFeedback, and the two types of actionlib_msgs.
 
-    The bodies are the Goal and the Result without headers.
+    ``goal_body`` and ``result_body`` are the Goal and the Result without headers.
     """
 
     goal: SideType
@@ -115,7 +115,7 @@ def learn(network: ActionNetwork, topics: Mapping[str, str]) -> None:
 
 
 class OpenPart:
-    """A part of an action in use: a `bridge.routing.edge.EdgeSubscription` or `bridge.routing.edge.EdgeServer`."""
+    """An open part of an action: a `bridge.routing.edge.EdgeSubscription` or `bridge.routing.edge.EdgeServer`."""
 
     lost = 0
 
@@ -164,16 +164,16 @@ class ActionTopics:
             self._network.refuse(f"{self.name}/{part}", "bad", str(err))
 
 
-# -- publications towards actionlib servers ----------------------------------------------------------------------------
-# The master does not announce new subscribers. But a server subscribes to its goals and cancel requests last
+# -- publications for actionlib servers --------------------------------------------------------------------------------
+# The master does not announce new subscribers. But an actionlib server subscribes to its goals and cancel requests last
 # (``ActionServer.initialize`` of actionlib, in C++ and in Python), and then connects to their publishers at once. If
-# Midspan still publishes, that connection shows that a restarted server is complete.
+# Midspan still publishes these topics, the connection shows that a restarted server is complete.
 
 KEPT_SECONDS = 60.0
 """How long a publication lingers; a later server is discovered by the regular polling of the master."""
 
 _MOST = 100
-"""Limit of lingering publications; beyond it, those released first are closed."""
+"""Maximum number of lingering publications; beyond it, those released first are closed."""
 
 Publish = Callable[[str, SideType, Qos], TopicPublisher]
 
@@ -181,14 +181,14 @@ Publish = Callable[[str, SideType, Qos], TopicPublisher]
 class LingeringPublishers:
     """Opens publications, and closes released ones: at once if a server is present, else after a while.
 
-    ``publish`` opens one; ``is_gone`` returns whether an action has no server now.
+    ``publish`` opens a publication; ``is_gone`` returns whether an action currently has no server.
     """
 
     def __init__(self, publish: Publish, is_gone: Callable[[str], bool]) -> None:
         self._publish, self._is_gone = publish, is_gone
         self._lock = threading.Lock()
         self._open: dict[str, _Lent] = {}
-        """By topic; released ones are in the order of their release."""
+        """The publications by topic; those that were released are in the order of their release."""
 
     def publish(self, topic: str, side_type: SideType, qos: Qos) -> TopicPublisher:
         """Publish on a topic, reusing a lingering publication of the same type."""

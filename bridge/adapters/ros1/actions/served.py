@@ -83,7 +83,7 @@ class ServedAction(ActionTopics):
 
     @property
     def dropped(self) -> int:
-        """Messages that slow clients missed."""
+        """Number of messages that slow clients missed."""
         return sum(publisher.dropped for publisher in list(self._publishers.values()))
 
     def _give(self, part: str, type_name: str, call: Call) -> None:
@@ -173,7 +173,7 @@ class ServedAction(ActionTopics):
 
     def _on_cancel(self, payload: bytes, source: str, _time: int | None) -> None:
         client = node_of(source)
-        unread = self._unread(client, listed=False)  # asked before `submit`: goals already read are ahead of this job
+        unread = self._unread(client, listed=False)  # before `submit`: goals already read are ahead of this job
         self._executor.submit(lambda: self._read(discovery.CANCEL, lambda: self._cancel(payload, client, unread)))
 
     def _cancel(self, payload: bytes, client: Client, unread: bool) -> None:
@@ -222,7 +222,7 @@ class PartPublisher(OpenPart):
 
     @property
     def dropped(self) -> int:
-        """Messages that slow clients missed."""
+        """Number of messages that slow clients missed."""
         return self._action.dropped if self._part == ros2_action.FEEDBACK else 0
 
     def send(self, payload: bytes, source: str) -> None:  # noqa: ARG002 - an action has one server
@@ -231,4 +231,4 @@ class PartPublisher(OpenPart):
             self._action.send(self._part, payload)
 
     def drop_source(self, source: str) -> None:
-        """Do nothing: when the server leaves, its services are withdrawn, and that ends the goals."""
+        """Do nothing: when the server leaves, its services are withdrawn, which ends the goals."""

@@ -1,8 +1,8 @@
 """An actionlib server that forwards goals of actionlib clients to an action on the hub.
 
-It has no threads, sockets or system clock, like `bridge.adapters.ros1.actions.client`. It behaves like actionlib's
-``ActionServer`` toward its clients (https://github.com/ros/actionlib, 1.14); instead of user callbacks it calls the
-hub's three services.
+Like `bridge.adapters.ros1.actions.client`, it uses no threads, sockets or system clock. Toward its clients it behaves
+like actionlib's ``ActionServer`` (https://github.com/ros/actionlib, 1.14), but instead of user callbacks it calls the
+three services of the hub's action server.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ RESULT_SECONDS = 60.0
 """A result is sent once, and again to each client that connects to the result topic within this time."""
 
 MAX_RESULT_BYTES = 16 << 20
-"""Limit of the bytes of results that may be sent again; the oldest are dropped first."""
+"""Maximum total size of the results that are stored to be sent again; the oldest are dropped first."""
 
 MAX_GOALS = 10_000
-"""Limit of the entries of the status list; further goals are rejected."""
+"""Maximum number of entries in the status list; further goals are rejected."""
 
 CALM_SECONDS = 0.05
 FEW_GOALS = 32
-"""A status list with more entries is published at most every `CALM_SECONDS`, since each message has all of them."""
+"""A status list with more entries is published at most every `CALM_SECONDS`, since each message contains them all."""
 
 _CANCELED_EARLIER = "the goal's stamp is not after that of the last cancel request"
 _ANY = bytes(wire.UUID_SIZE)
@@ -69,8 +69,9 @@ class ServerOutput(Protocol):
 class _ListedGoal:
     """One goal of the status list.
 
-    ``ours`` is whether a ROS 1 client sent it; otherwise a hub client did, and ROS 1 only sees it. ``uuid`` is its id
-    on the hub, None for a cancel request whose goal has not arrived; ``gone`` is the time at which the goal ended.
+    ``ours`` is whether a ROS 1 client sent it; otherwise a hub client did, and ROS 1 clients only see its status.
+    ``uuid`` is its id on the hub, None for a cancel request whose goal has not arrived; ``gone`` is the time at which
+    the goal ended.
     """
 
     id: str
@@ -90,7 +91,7 @@ class _ListedGoal:
 class ActionlibServer:
     """The goals of one action.
 
-    ``clock`` returns monotonic seconds, ``now`` the time for ROS 1's stamps; ``empty`` is an empty result's bytes.
+    ``clock`` returns monotonic seconds, ``now`` the time for ROS 1's stamps; ``empty`` is a serialized empty result.
     """
 
     def __init__(
@@ -114,7 +115,7 @@ class ActionlibServer:
         self._flush()
 
     def forget_time(self) -> None:
-        """Forget the stamp of the last cancel request, since the clock was set: earlier stamps are accepted again."""
+        """Forget the stamp of the last cancel request: the clock was set, so goals with earlier stamps are accepted."""
         self._last_cancel = ZERO
 
     # -- events of ROS 1 clients ---------------------------------------------------------------------------------------
@@ -138,7 +139,7 @@ class ActionlibServer:
         return listed
 
     def _again(self, entry: _ListedGoal) -> None:
-        """Handle a goal whose id is listed already: end it if its cancel request arrived first, else ignore it."""
+        """Handle a goal whose id is already listed: end it if its cancel request arrived first, else ignore it."""
         if entry.state is Ros1State.RECALLING and entry.uuid is None:
             self._end(entry, Ros1State.RECALLED, self._empty, "")
         elif entry.gone is not None:
@@ -160,12 +161,12 @@ class ActionlibServer:
         return id_
 
     def cancel(self, request: GoalId) -> None:
-        """Handle a cancel request: an empty one is for all goals, an id for one, a stamp for all goals up to it."""
+        """Handle a cancel request for one goal (id), for all goals up to a time (stamp), or for all goals (neither)."""
         if self._closed:
             return
         everything = request == GoalId(ZERO, "")
         if everything:
-            # one call for all goals, so that goals of the hub's clients are canceled, too
+            # one call for all goals, so that goals of hub clients are canceled, too
             self._output.call(CANCEL_GOAL, wire.cancel_request(GoalInfo(_ANY, ZERO)), self._cancel_answered)
         for entry in list(self._entries.values()):
             before = request.stamp != ZERO and entry.stamp <= request.stamp
@@ -189,7 +190,7 @@ class ActionlibServer:
         self._output.call(CANCEL_GOAL, wire.cancel_request(GoalInfo(entry.uuid, ZERO)), self._cancel_answered)
 
     def _cancel_answered(self, reply: bytes | CallError) -> None:
-        """Log a failed cancel request; ROS 1 clients only notice that the goal ends in a state other than canceled."""
+        """Log a failed cancel request; ROS 1 clients see only that the goal ends in a state other than canceled."""
         reason = str(reply)
         if isinstance(reply, bytes):
             try:
@@ -276,7 +277,7 @@ class ActionlibServer:
             self._set(entry, _STARTED[entry.state])
         elif state is GoalState.CANCELING and entry.state in _CANCELING:
             self._set(entry, _CANCELING[entry.state])
-        elif state.ended and not entry.ours:  # goals of ROS 1 clients end by get_result
+        elif state.ended and not entry.ours:  # goals of ROS 1 clients end with get_result's reply
             self._set(entry, self._final(entry, state))
             entry.gone = self._clock()
 
@@ -303,7 +304,7 @@ class ActionlibServer:
     # -- the list ------------------------------------------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Publish the list when it is due, and drop expired goals and results; called some ten times per second."""
+        """Publish the list when it is due, and drop expired goals and results; called about ten times per second."""
         now = self._clock()
         for entry in [e for e in self._entries.values() if e.gone is not None and e.gone <= now - LIST_SECONDS]:
             del self._entries[entry.id]

@@ -95,7 +95,7 @@ def removal_calls(state: MasterState, dead: Iterable[NodeEntry]) -> list[Call]:
     calls: list[Call] = []
     for entry in dead:
         node, uri = entry.node, entry.uri
-        # The master ignores these if another process has taken the node's name meanwhile, as its address differs.
+        # The master ignores these if another process has taken the node's name meanwhile, because its address differs.
         for method, links in (("unregisterPublisher", state.publishers), ("unregisterSubscriber", state.subscribers)):
             calls += [(method, (node, k.topic, uri)) for k in links if k.node == node and k.uri == uri]
         calls += [
@@ -162,8 +162,8 @@ Changed = Callable[[], None]
 class NodeConnections:
     """The connections between one node and all others, in both directions.
 
-    ``changed`` is called when another node joined, left or sent a record; ``visited`` when one has connected to this
-    node, and so has an entry on the master by now.
+    ``changed`` is called when another node has joined, left or sent a record; ``visited`` when another node has
+    connected to this one, and therefore has an entry on the master by now.
     """
 
     def __init__(self, caller: Caller, changed: Changed, visited: Changed) -> None:
@@ -175,7 +175,7 @@ class NodeConnections:
         self._closed = False
 
     def follow(self, entries: Iterable[NodeEntry]) -> None:
-        """Connect to each of these nodes; a node that is no longer listed keeps its connection while it lasts."""
+        """Connect to each of these nodes; the connection to a node that is no longer listed stays while it lasts."""
         with self._lock:
             if self._closed:
                 return
@@ -199,7 +199,7 @@ class NodeConnections:
             return sorted((link.entry for link in self._out.values() if link.alive), key=lambda e: e.node)
 
     def announce(self, record: bytes) -> None:
-        """Send a record to all connected nodes; one that does not read it is disconnected, and reconnects."""
+        """Send a record to all connected nodes; a node that does not read it is disconnected, and will reconnect."""
         self._record = record
         with self._lock:
             self._in = [sock for sock in self._in if _send(sock, record)]
@@ -260,7 +260,7 @@ class _NodeConnection:
             try:
                 sock = self._connect()
             except TimeoutError:
-                # it neither responds nor refuses: its sighting has the time of its last record
+                # the node neither responds nor refuses; its sighting keeps the time of its last record
                 pass
             except (OSError, OverflowError, ValueError, Ros1Error) as err:
                 self._live(False, str(err))

@@ -1,8 +1,9 @@
-"""Probes each publisher and server on the graph by a TCPROS handshake, and informs subscriptions and callers.
+"""Probes each publisher and server on the graph with a TCPROS handshake, and informs subscriptions and callers.
 
-The connection to a publisher stays open for a moment, and the next subscription reuses it. To the publisher
-it is a subscriber. Programs that wait for one before they publish (``get_num_connections`` of rospy, ``getOutputCount``
-of a YARP port, which counts one until its next write) send their first message there, some of them their only one.
+The connection to a publisher stays open for a moment, and the next subscription reuses it. To the publisher, this
+connection is a subscriber. Programs that wait for a subscriber before they publish (with ``get_num_connections`` of
+rospy or ``getOutputCount`` of a YARP port, which counts a closed connection until its next write) send their first
+message over it, and for some that is the only message.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ _log = logging.getLogger(__name__)
 HANDSHAKE_SECONDS = 2.0
 
 HOLD_SECONDS = 1.0
-"""How long a publisher's connection is held for a subscription. Nothing is read meanwhile, so one that publishes some
-megabytes and waits for its subscribers may be delayed by this time, once."""
+"""How long the connection to a publisher is held for a subscription. Nothing is read from it meanwhile, so a publisher
+that sends some megabytes and waits for its subscribers may be delayed by this time, once."""
 
 LATCH_SECONDS = 1.0
 """Delay after which a publisher that does not latch is probed once more: rospy registers a publisher with the master
@@ -44,9 +45,9 @@ _LONGEST_WAIT = 10.0
 class Ros1Context:
     """The shared state of the edge's endpoints.
 
-    ``pool`` calls other nodes, ``loop`` reads connections; ``book`` has this node's topics; ``node`` returns its name,
-    ``origin`` is the daemon's; ``found`` is called on new facts about a publisher or server; ``limit`` is the largest
-    message in bytes.
+    ``pool`` calls other nodes, ``loop`` reads connections; ``book`` has this node's topics; ``node`` returns this
+    node's name, ``origin`` is the daemon's name; ``found`` is called on new facts about a publisher or server;
+    ``limit`` is the maximum message size in bytes.
     """
 
     pool: PeerPool
@@ -77,13 +78,13 @@ class Facts:
         return cls(header["type"], header["md5sum"], definition, latching, native)
 
     def fits(self, md5: str) -> bool:
-        """Return whether it is native and has the wanted type."""
+        """Return whether the peer is native and has the type with this MD5 sum ("*" or "" for any)."""
         return self.native and md5 in (self.md5, "*", "")
 
 
 @dataclass(slots=True)
 class _Attempt:
-    """The probing of one peer: the next attempt and the last error; ``refused``: its address has no listener."""
+    """The probing of one peer: the next attempt and the last error; ``refused``: nothing listens at its address."""
 
     due: float = 0.0
     wait: float = _FIRST_WAIT
@@ -100,10 +101,10 @@ Handshake = Callable[[str, str, str, float], ProbedConnection]
 
 
 class Prober:
-    """Probes every new publisher (or server) once, and those that do not respond again with growing pauses.
+    """Probes every new publisher (or server), with growing pauses until it responds.
 
-    ``changed`` is called with each one whose facts changed. ``holds``: a native one's connection is held for `take` for
-    a while, else it is closed at once.
+    ``changed`` is called with each peer whose facts have changed. ``holds``: whether the connection to a native peer is
+    held for `take` for a while; otherwise it is closed at once.
     """
 
     def __init__(
@@ -194,7 +195,7 @@ class Prober:
             self.learned(link, Facts.of(header))
 
     def learned(self, link: Registration, facts: Facts) -> None:
-        """Adopt the header that a subscription received, as the publisher may have advertised again."""
+        """Adopt the header that a subscription received, because the publisher may have advertised again."""
         with self._lock:
             if self._facts.get(link) in (None, facts):
                 return
@@ -212,13 +213,13 @@ class Prober:
             return link in self._open
 
     def is_gone(self, link: Registration) -> bool:
-        """Return whether the last connection was refused: the address has no listener."""
+        """Return whether the last connection was refused because nothing listens at the address."""
         with self._lock:
             attempt = self._open.get(link)
         return attempt is not None and attempt.refused
 
     def _shake(self, link: Registration, *, held: bool = False) -> ProbedConnection:
-        # rospy drops an older connection of the same caller, so one that no subscription reuses needs another name.
+        # rospy drops an older connection of the same caller, so a connection that is not held needs another name.
         caller = self._caller() if held else f"{self._caller()}_probe"
         return self._handshake(caller, link.uri, link.topic, HANDSHAKE_SECONDS)
 

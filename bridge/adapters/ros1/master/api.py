@@ -27,10 +27,10 @@ Reply = list[Any]
 """``[code, message, value]``."""
 
 REPLACED_SECONDS = 2.0
-"""Seconds in which a replaced node cannot register: it may not have noticed yet, and would end its successor."""
+"""For this many seconds a replaced node cannot register: it may not know yet, and would shut down its successor."""
 
 NEW_SECONDS = 5.0
-"""Seconds in which a subscriber is new: the update about a publisher may overtake the reply to its registration.
+"""For this many seconds a subscriber counts as new: a publisher update may overtake the reply to its registration.
 
 rospy then drops the update, and roscpp disconnects from the publisher. The update is repeated after `REPEAT_SECONDS`.
 """
@@ -41,7 +41,7 @@ GRAPH = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
 
 
 class Outbox(Protocol):
-    """Queues calls to nodes; those to one address are made in order."""
+    """Queues calls to nodes; calls to the same address are made in order."""
 
     def publisher_update(self, api: str, topic: str, publishers: list[str]) -> None:
         """Report the publishers of a topic to a subscriber."""
@@ -50,10 +50,10 @@ class Outbox(Protocol):
         """Report a parameter's value to a subscriber."""
 
     def shut_down(self, api: str, node: str, reason: str) -> None:
-        """Have a node end."""
+        """Ask a node to shut down."""
 
     def after(self, seconds: float, call: Callable[[], None]) -> None:
-        """Make a call of the API later."""
+        """Run ``call`` after ``seconds``."""
 
 
 class _Subscriber(NamedTuple):
@@ -68,9 +68,9 @@ class MasterApi:
 
     Args:
         uri: the master's own address.
-        outbox: for the calls to nodes.
-        changed: is called after each change of registrations or parameters.
-        shut_down: is called upon ``shutdown``; None if that is refused.
+        outbox: queues the calls to nodes.
+        changed: called after each change of registrations or parameters.
+        shut_down: called when a client requests ``shutdown``; None to refuse such requests.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class MasterApi:
         self.parameters = ParameterTree()
         self._outbox, self._changed, self._shut_down = outbox, changed, shut_down
         self._replaced: dict[Link, float] = {}
-        """Nodes that were replaced, with the time when they were."""
+        """Replaced nodes, each with the time of its replacement."""
         self._new_subscribers: dict[_Subscriber, float] = {}
         """New subscribers with the time of their registration, oldest first."""
         self._repeats: set[_Subscriber] = set()
@@ -117,7 +117,7 @@ class MasterApi:
         }
 
     def _checked(self, function: Callable[..., Reply], failure: object, *check: Check) -> Callable[..., Reply]:
-        """Return a method that checks its parameters, and reports errors as replies; ``failure`` is their value."""
+        """Return a method that checks its parameters, and reports errors as replies with the value ``failure``."""
 
         def method(*params: Any) -> Reply:
             if not params:
@@ -142,7 +142,7 @@ class MasterApi:
         return method
 
     def shut_down(self, caller: str, message: object) -> Reply:
-        """End the master, if that is allowed."""
+        """Shut the master down, if that is allowed."""
         if self._shut_down is None:
             return [0, "this master is a part of Midspan, which starts and stops it", 0]
         _log.info("shut down by %s: %s", caller, message)
@@ -171,9 +171,9 @@ class MasterApi:
         return [1, f"parameter {key} set", 0]
 
     def _send_updates(self, caller: str, key: str, value: Any) -> None:
-        """Send a new value to its subscribers.
+        """Send a parameter's new value to its subscribers.
 
-        The node that set it gets only updates of keys inside a structure.
+        The node that set the value receives only updates of keys inside a structure.
         """
         for update in self.parameters.updates(key, value, self.registrations.keys(Kind.PARAMETER)):
             for link in self.registrations.links(Kind.PARAMETER, update.subscribed_key):
@@ -248,7 +248,7 @@ class MasterApi:
         return self._unregister(Kind.SUBSCRIBER, topic, caller, api)
 
     def register_publisher(self, caller: str, topic: str, kind: str, api: str) -> Reply:
-        """Register a publisher, and report it to the subscribers; return them."""
+        """Register a publisher, and report it to the topic's subscribers; return the subscribers."""
         self._register(Kind.PUBLISHER, topic, caller, api)
         self.registrations.set_type(topic, kind, publisher=True)
         self._report_publishers([topic])
@@ -257,7 +257,7 @@ class MasterApi:
         return [1, f"Registered [{caller}] as publisher of [{topic}]", subscribers]
 
     def unregister_publisher(self, caller: str, topic: str, api: str) -> Reply:
-        """Unregister a publisher, and report that to the subscribers."""
+        """Unregister a publisher, and report its removal to the topic's subscribers."""
         reply = self._unregister(Kind.PUBLISHER, topic, caller, api)
         if reply[2]:
             self._report_publishers([topic])
@@ -274,12 +274,12 @@ class MasterApi:
         if self._replaced:
             self._replaced = {link: at for link, at in self._replaced.items() if now - at < REPLACED_SECONDS}
             if Link(node, api) in self._replaced and node in self.registrations.nodes:
-                raise InvalidError(f"a new node of the name [{node}] has replaced the one at {api}")
+                raise InvalidError(f"a new node named [{node}] has replaced the node at {api}")
         removal = self.registrations.register(kind, key, node, api, service_api)
         if removal is not None:
             self._replaced[Link(node, removal.api)] = now
             self._outbox.shut_down(removal.api, node, "new node registered with same name")
-            reported = key if kind is Kind.PUBLISHER else ""  # by the caller
+            reported = key if kind is Kind.PUBLISHER else ""  # the calling method reports it
             self._report_publishers([topic for topic in removal.topics if topic != reported])
 
     def _add_new_subscriber(self, subscriber: _Subscriber) -> None:
@@ -317,7 +317,7 @@ class MasterApi:
                 self._changed()
 
     def remove_dead(self, node: str, api: str) -> bool:
-        """Remove a dead node's registrations, unless another node has replaced it; report that to subscribers."""
+        """Unless another node has replaced a dead node, remove its registrations, and report that to subscribers."""
         with self.lock:
             entry = self.registrations.nodes.get(node)
             if entry is None or entry.api != api:

@@ -1,4 +1,4 @@
-"""A plain node, as any ROS 1 program has: topics of raw messages, including topics of a Midspan."""
+"""A plain ROS 1 node, which publishes and subscribes to raw messages, including those of a Midspan's topics."""
 
 from __future__ import annotations
 
@@ -40,8 +40,9 @@ class PlainNodeEvents(NamedTuple):
     Attributes:
         publishers: returns the addresses of the nodes that the master lists as publishers of a topic; may raise
             `Ros1Error`.
-        changed: a connection of a topic has begun or ended.
-        shutdown: another node, the master or a user requests this node's shutdown, with the reason; it may close it.
+        changed: called when a connection of a topic has begun or ended.
+        shutdown: called with the reason when another node, the master or a user requests this node's shutdown; may
+            close the node.
     """
 
     publishers: Callable[[str], Iterable[str]]
@@ -50,7 +51,7 @@ class PlainNodeEvents(NamedTuple):
 
 
 class _Subscription:
-    """One subscribed topic; ``readers`` are its connections by the address of the publisher's node, None at first."""
+    """One subscribed topic; ``readers`` are its connections by the publisher node's address, None until connected."""
 
     def __init__(self, side_type: SideType, deliver: Deliver, limit: int, entry: SubscribedTopic) -> None:
         self.type, self.deliver, self.limit, self.entry = side_type, deliver, limit, entry
@@ -59,21 +60,21 @@ class _Subscription:
 
 
 class PlainNode:
-    """A node with its slave API and its connections; its owner registers it with the master.
+    """A node with its slave API and its connections; the caller registers it with the master.
 
     Args:
-        name: its global name.
-        master_uri: as the slave API reports it.
-        address: of this machine, and where to listen.
-        events: its callbacks.
-        origin: the mark of a Midspan in the headers of its publications; "" for none.
-        label: beginning of the names of its threads.
+        name: the node's global name.
+        master_uri: the master's address, which the slave API reports.
+        address: the address of this machine, and the address to listen on.
+        events: the node's callbacks.
+        origin: the mark of a Midspan in the headers of the node's publications; "" for none.
+        label: the prefix of the names of the node's threads.
 
     Attributes:
-        uri: the address of its slave API.
+        uri: the address of the node's slave API.
 
     Raises:
-        OSError: it cannot listen there.
+        OSError: the node cannot listen on this address.
     """
 
     def __init__(
@@ -109,7 +110,7 @@ class PlainNode:
     def subscribe(self, topic: str, side_type: SideType, deliver: Deliver, limit: int = MAX_MESSAGE) -> None:
         """Subscribe to a topic; `follow` connects to its publishers.
 
-        ``limit`` is the largest message in bytes. Raises `ValueError` if the topic is subscribed to already.
+        ``limit`` is the maximum message size in bytes. Raises `ValueError` if the topic is already subscribed to.
         """
         if topic in self._subscriptions:
             raise ValueError(f"{topic} is subscribed to already; unsubscribe first")
@@ -196,13 +197,13 @@ class PlainNode:
         with sock:  # closes it unless the reader has taken it over
             try:
                 self._read(subscription, topic, uri, sock, header)
-            except OSError:  # it has disconnected
+            except OSError:  # the publisher has disconnected
                 self._retry_later(subscription, uri)
 
     def _read(self, subscription: _Subscription, topic: str, uri: str, sock: DeadlineSocket, header: Header) -> None:
         node = header.get("callerid", uri)
         if header.get("md5sum") != subscription.type.type_id:
-            _log.warning("%s publishes another %s on %s; it is not read", node, header.get("type"), topic)
+            _log.warning("%s publishes a different %s on %s, which is not read", node, header.get("type"), topic)
             return
         reader = PublisherConnection(
             sock, topic, uri, lambda payload: subscription.deliver(payload, uri),

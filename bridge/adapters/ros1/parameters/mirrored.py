@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 _Values = dict[str, ParameterValue]
 _USED = ("list_parameters", "get_parameters", "get_parameter_types", "describe_parameters", "set_parameters")
 _LOGGED = 5
-"""Unknown names in one log line."""
+"""Maximum number of unknown names in one log line."""
 
 _READ_ONLY = "routing.parameters has write: false"
 
@@ -35,9 +35,10 @@ _READ_ONLY = "routing.parameters has write: false"
 class MirroredNode:
     """One rule whose parameters a ROS 2 node owns. All but the constructor runs on the parameters' thread.
 
-    If both sides changed a value since the last comparison, the node's counts, as when the node starts. A value that
-    the node rejects is reset in ROS 1. ``wake`` schedules a comparison; it may be called from any thread. In the
-    attributes, a parameter's key is what follows the rule's name in ROS 1.
+    If both sides have changed a value since the last comparison, the node's value wins, as it does when the node
+    starts. A value that the node rejects is reset in ROS 1. ``wake`` schedules a comparison, and may be called from any
+    thread. Unless noted, the attributes are keyed by the part of a parameter's name that follows the rule's name in
+    ROS 1.
     """
 
     def __init__(self, rule: ParameterRule, context: ParameterContext, wake: Callable[[], None]) -> None:
@@ -49,10 +50,10 @@ class MirroredNode:
         self._busy = False
         self._ask_types = False
         self._declared: frozenset[str] = frozenset()
-        self._agreed: _Values = {}  # the value of both sides at the last comparison
+        self._agreed: _Values = {}  # the values that both sides had at the last comparison
         self._unknown: frozenset[str] = frozenset()
-        self._problems: dict[str, str] = {}  # of the last comparison, by the name in ROS 1
-        self._rejected: dict[str, str] = {}  # the last value that the node did not accept, by the name in ROS 1
+        self._problems: dict[str, str] = {}  # problems of the last comparison, by the name in ROS 1
+        self._rejected: dict[str, str] = {}  # why the node did not accept the last value, by the name in ROS 1
 
     @property
     def count(self) -> int:
@@ -70,7 +71,7 @@ class MirroredNode:
         return bool(self._clients) and all(client.ready for client in self._clients.values())
 
     def covers(self, key: str) -> bool:
-        """Return whether a name on ROS 1's parameter server can be a copy by this rule."""
+        """Return whether a name on ROS 1's parameter server can be a copy that this rule made."""
         ros1 = self.rule.ros1
         inside = key == ros1 or key.startswith(f"{ros1}/")
         return inside and self._names.takes(key.removeprefix(ros1).removeprefix("/"))
@@ -172,7 +173,7 @@ class MirroredNode:
         return self._set(shown, changes)
 
     def _representable(self, node: _Values) -> _Values:
-        """Return the values that ROS 1 can have: it has no name that is both a value and a namespace."""
+        """Return the values that ROS 1 can represent; there, no name can be both a value and a namespace."""
         shown: _Values = {}
         for path, value in sorted(node.items()):  # a name comes before the names below it
             key = self._names.ros1(path)
@@ -180,7 +181,7 @@ class MirroredNode:
             if above is not None:
                 self._problems[key] = (
                     f"not copied, since {self._names.ros1(above)} has a value and ROS 1 does not allow names below it;"
-                    " choose between them by 'names' in routing.parameters"
+                    " choose between them with 'names' in routing.parameters"
                 )
                 continue
             try:
@@ -210,7 +211,7 @@ class MirroredNode:
         return changes
 
     def _converted(self, key: str, value: Any, kind: ParameterType) -> ParameterValue | None:
-        """Return a value of ROS 1 in the type of the node's parameter, None if ROS 2 has no such value."""
+        """Convert a value of ROS 1 to the type of the node's parameter; None if that type has no such value."""
         try:
             return to_ros2(value, kind)
         except UnrepresentableError as err:
@@ -227,7 +228,7 @@ class MirroredNode:
         return {}
 
     def _report_unknown(self, ros1: Mapping[str, Any]) -> None:
-        """Report names in ROS 1 that the node does not have; they stay, as they may belong to another program."""
+        """Report names in ROS 1 that the node lacks; they are not deleted, as another program may have set them."""
         known = [self._names.ros2(path) for path in self._declared]
         unknown = {
             path for path in ros1 if path not in self._declared and self._names.takes(path) and self._names.ros2(path)
@@ -238,7 +239,7 @@ class MirroredNode:
             hint = f" (similar: {similar[0]})" if similar else ""
             self._problems[self._names.ros1(path)] = (
                 f"set in ROS 1, but {self.rule.node} has no parameter {name}{hint}; delete it in ROS 1, or exclude it"
-                " by 'names' in routing.parameters"
+                " with 'names' in routing.parameters"
             )
         new = sorted(self._names.ros1(path) for path in unknown - self._unknown)
         if new:

@@ -27,7 +27,7 @@ from bridge.messages.transcode.conversion import SideType
 _log = logging.getLogger(__name__)
 
 MAX_CALLS = 1000
-"""Limit of pending calls of one service; each has a connection."""
+"""Maximum number of pending calls of one service; each uses a connection."""
 
 _MAX_ERROR = 64 * 1024
 _KEPT = 8
@@ -70,7 +70,7 @@ class _Pending:
             self.cut()
 
     def cut(self) -> None:
-        """Close the call's connection, so that a request that is not sent yet stays unsent."""
+        """Close the call's connection, so that a request that has not been sent yet will not be sent."""
         if self.connection is not None:
             self.connection.cut()
 
@@ -120,7 +120,7 @@ class _ServerConnection(ServiceConnection):
         else:
             reason = body[:_MAX_ERROR].decode(errors="replace")
             pending.finish(CallError(reason or "the server reported a failure and gave no reason"))
-        # it may have replied before receiving the whole request, or may send data or close right after the reply
+        # the server may have replied before receiving the whole request, or may send data or close after its reply
         if self.is_at_rest():
             self._owner.freed(self, served=True)
         else:
@@ -187,7 +187,7 @@ class Ros1Caller:
 
     @property
     def load(self) -> CallerLoad:
-        """Its current load."""
+        """The caller's current load."""
         with self._lock:
             return CallerLoad(len(self._calls), len(self._connections), len(self._free))
 
@@ -224,13 +224,13 @@ class Ros1Caller:
             self._closed, self._link = True, None
             calls, connections = list(self._calls), list(self._connections)
         for pending in calls:
-            pending.finish(CallError(f"{self.name} no longer crosses"))
+            pending.finish(CallError(f"{self.name} is no longer bridged"))
             pending.cut()  # its connection may be newer than the list
         for connection in connections:
             connection.cut()
 
     def freed(self, connection: _ServerConnection, *, served: bool) -> None:
-        """Reuse or close an idle connection; ``served``: it has carried a call."""
+        """Reuse or close an idle connection; ``served``: the connection has carried a call."""
         with self._lock:
             keep = not self._closed and connection.link == self._link and len(self._free) < _KEPT
             if keep:
@@ -242,7 +242,7 @@ class Ros1Caller:
 
     def lost(self, connection: _ServerConnection, trouble: str) -> None:
         """Handle the end of a connection."""
-        _log.debug("%s: connection to %s: it %s", self.name, connection.link.node, trouble)
+        _log.debug("%s: the server %s %s", self.name, connection.link.node, trouble)
         with self._lock:
             self._connections.discard(connection)
             if connection in self._free:
@@ -252,7 +252,7 @@ class Ros1Caller:
     def _why_not(self) -> str:
         """Return why a call cannot begin now, "" if it can. The lock is held."""
         if self._closed:
-            return f"{self.name} no longer crosses"
+            return f"{self.name} is no longer bridged"
         if self._link is None:
             return f"{self.name} has no server on ROS 1 now"
         if len(self._calls) >= MAX_CALLS:

@@ -29,10 +29,10 @@ _CHUNK = 64 * 1024
 """Size limit of messages that the loop's thread reads; larger ones would delay other connections."""
 
 _MAX_AHEAD = 4096
-"""Limit of the bytes that are read from a peer during a call, before the reply; the rest stays in the socket."""
+"""Maximum number of bytes that are read from a peer during a call, before the reply; the rest stays in the socket."""
 
 _TRUSTED = 16 * 2**20
-"""Limit of the bytes that are allocated when a length is announced; more are allocated only as they arrive."""
+"""Maximum number of bytes that are allocated when a length is announced; more are allocated only as they arrive."""
 
 _STOPS = "was closed because the bridge is stopping"
 
@@ -72,7 +72,7 @@ class ServiceConnection(PolledConnection):
         """Handle the completion of a send, on any thread."""
 
     def start(self) -> None:
-        """Begin to read; called on the thread that has been reading so far."""
+        """Start reading; called on the thread that has been reading so far."""
         try:
             trouble = "" if self._loop.add(self) else _STOPS
         except OSError as err:
@@ -100,7 +100,7 @@ class ServiceConnection(PolledConnection):
         self._ended(trouble)
 
     def send(self, *parts: bytes) -> bool:
-        """Send without blocking: a thread sends what the socket does not accept. Return False if the peer has left."""
+        """Send without blocking; a thread sends what the socket does not accept. Return False if the peer has left."""
         with self._lock:
             if self._over:
                 return False
@@ -181,7 +181,7 @@ class ServiceConnection(PolledConnection):
             self._advance()
 
     def read_ahead(self) -> None:
-        """Buffer what the peer sends during a call, so that an end of the connection after it is noticed."""
+        """Buffer what the peer sends during a call, so that the end of the connection behind that data is noticed."""
         data = self._available(partial(receive_now, self._sock), _MAX_AHEAD - len(self._ahead), "left")
         if not data:
             return
@@ -192,7 +192,7 @@ class ServiceConnection(PolledConnection):
             self.ready()
 
     def _available(self, receive: Callable[[int], bytes], count: int, at_end: str) -> bytes:
-        """Return available data; b"" if there is none yet, or if the connection has ended, which this handles."""
+        """Return available data; b"" if there is none yet, or if the connection has ended, which is handled here."""
         try:
             data = receive(count)
         except BlockingIOError:

@@ -21,7 +21,7 @@ from bridge.messages.transcode.conversion import SideType
 _log = logging.getLogger(__name__)
 
 MAX_CLIENTS = 1000
-"""Limit of connections to one service; each carries one call at a time."""
+"""Maximum number of connections to one service; each carries one call at a time."""
 
 _NEEDED = ("md5sum", "callerid")
 _YES = ("1", "true")
@@ -42,7 +42,7 @@ class _ClientConnection(ServiceConnection):
 
     @override
     def ready(self) -> None:
-        """Read a request; during a call, only notice whether the client has left."""
+        """Read a request; during a call, only detect whether the client has left."""
         if self.listens:
             super().ready()
         else:
@@ -84,29 +84,29 @@ class _ClientConnection(ServiceConnection):
             abandon()
 
     @override
-    def _too_large(self, size: int) -> bool:  # the error is sent once it is skipped
+    def _too_large(self, size: int) -> bool:  # the error is sent once the request has been skipped
         return True
 
     @override
     def _skipped(self, size: int) -> None:
-        # only now: closing a connection with unread bytes would discard the error
+        # not earlier, because closing a connection with unread bytes would discard the error
         self._loop.listen(self, data=False)
         self._reply(CallError(f"the request has {size} bytes, limits.message allows {self._limit}"))
 
     def _done(self, turn: int, result: bytes | CallError) -> None:
-        """Send a call's reply, from any thread; a second one, or one after the client left, is dropped."""
+        """Send a call's reply, from any thread; drop a second reply, and a reply after the client has left."""
         if self._end_wait(turn)[1]:
             self._reply(result)
 
     def _end_wait(self, turn: int = 0) -> tuple[Abandon | None, int]:
-        """End the wait for a reply (of one turn if given); return its abandon function and its turn."""
+        """End the wait for a reply, only of ``turn`` if given; return its abandon function and its turn."""
         with self._state:
             if not self._waits or turn not in (0, self._turn):
                 return None, 0
             self._waits = False
             abandon, self._abandon = self._abandon, None
             if not turn and abandon is None:
-                self._left = self._turn  # the call is just being started: the starting thread abandons it
+                self._left = self._turn  # the call is being started; the thread that starts it will abandon it
             return abandon, self._turn
 
     def _reply(self, result: bytes | CallError) -> None:
@@ -178,7 +178,7 @@ class Ros1Server:
 
     @property
     def is_full(self) -> bool:
-        """Whether it accepts no more clients."""
+        """Whether the service accepts no more clients."""
         return self.clients >= MAX_CLIENTS
 
     def add(self, client: _ClientConnection) -> bool:
@@ -206,7 +206,7 @@ class Ros1Server:
 
 
 class ServiceServers:
-    """The services of this node; ``changed`` is called when one is added or removed, to update the master.
+    """The services of this node; ``changed`` is called when a service is added or removed, to update the master.
 
     Attributes:
         traffic: the totals of all services, including those that have ended.
@@ -230,7 +230,7 @@ class ServiceServers:
             if name in self._servers:
                 raise MessageTypeError(
                     f"{name} is already served on ROS 1 as {self._servers[name].side_type.name}",
-                    "rename one of the two by a rule: a ROS 1 service has one server",
+                    "rename one of the two with a rule, because a ROS 1 service has only one server",
                 )
             self._servers[name] = server
         self._changed()

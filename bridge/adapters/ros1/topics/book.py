@@ -21,7 +21,7 @@ _NEEDED = ("topic", "md5sum", "callerid")
 
 
 class SubscribedTopic:
-    """One topic that this node subscribes to, shared by its subscriptions; ``users`` is their number."""
+    """One topic that this node subscribes to, shared by ``users`` subscriptions."""
 
     def __init__(self, topic: str) -> None:
         self.topic, self.users = topic, 0
@@ -47,9 +47,9 @@ class SubscribedTopic:
 
 
 class TopicBook:
-    """The topics that this node should be registered for, and their connections. Thread-safe.
+    """The topics for which this node should be registered, and their connections. Thread-safe.
 
-    ``changed`` is called when a topic is added or removed, so that it is registered with the master or unregistered;
+    ``changed`` is called when a topic is added or removed, so that the registration with the master is updated;
     ``peer_changed`` is called when a subscriber has joined or left.
     """
 
@@ -80,7 +80,7 @@ class TopicBook:
                 raise MessageTypeError(
                     f"{topic} is already published on ROS 1 as {publication.side_type.name}, it cannot also be"
                     f" {side_type.name} (md5 {side_type.type_id})",
-                    "rename one of the two by a rule: a ROS 1 node has one type per topic",
+                    "rename one of the two with a rule, because a ROS 1 node has one type per topic",
                 )
             publication.latches += latched
             publication.users += 1
@@ -138,7 +138,7 @@ class TopicBook:
         return {p.topic: p.side_type.name for p in self._publications()}
 
     def subscriptions(self) -> dict[str, str]:
-        """Return the subscribed topics, all with the type "*", since publishers of several types may be read."""
+        """Return the subscribed topics, all with the type "*", because publishers of several types may be read."""
         with self._lock:
             return dict.fromkeys(self._subscribed, ANY)
 
@@ -197,7 +197,7 @@ class TopicBook:
                 publication.admit(sock, caller)
             return error
         # rospy never retries a publisher whose connection header was an error or missing: the failed connection stays
-        # in its list, and while it is listed, the master's updates about that publisher are ignored (rospy 1.15.15;
+        # in rospy's list, and while it is listed, the master's updates about that publisher are ignored (rospy 1.15.15;
         # observed with workers that were killed in sequence). A connection that ends after its header is removed as
         # usual. So a subscriber that connects just after a publication has ended still gets the publication's header.
         if ended is not None and header["md5sum"] in (ANY, ended["md5sum"]):
@@ -207,11 +207,11 @@ class TopicBook:
         return f"{self._node()} is not a publisher of {topic}"
 
     def _note_rejected(self, publication: Publication, header: Header) -> None:
-        """Record a subscriber with another definition of the type; at most its own node would report that otherwise."""
+        """Record a subscriber with another definition of the type, which no other node but its own might report."""
         ours = publication.side_type
         theirs = f"{header.get('type', ours.name)} with md5 {header['md5sum']}"
         with self._lock:
             if len(self._rejected) < _MAX_REJECTED:
                 self._rejected[publication.topic, header["callerid"]] = (
-                    f"it requests {theirs}, Midspan publishes {ours.name} with md5 {ours.type_id}"
+                    f"it requests {theirs}, but Midspan publishes {ours.name} with md5 {ours.type_id}"
                 )

@@ -138,7 +138,7 @@ def test_of_two_nodes_of_one_name_that_start_at_the_same_time_one_remains(
     master.call("registerPublisher", "/node", "/rosout", STRING, B)
     shutdown = (A, "shutdown", "/node", "new node registered with same name")
     assert master.outbox.pop() == [shutdown]
-    replaced = "a new node of the name [/node] has replaced the one at http://host:1/"
+    replaced = "a new node named [/node] has replaced the node at http://host:1/"
     for method, *params in [
         ("registerService", "/srv", "rosrpc://host:9", A), ("registerSubscriber", "/t", "*", A),
         ("registerPublisher", "/t", STRING, A), ("subscribeParam", A, "/p"),

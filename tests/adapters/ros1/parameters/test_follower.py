@@ -305,7 +305,7 @@ def test_unknown_names_are_reported(master: RosMaster, hubs: tuple[Hub, Hub], sh
     master.call("setParam", "/names/gian", 2.0)
     master.call("setParam", "/names/lens/focs", 2.0)
     master.call("setParam", "/names/lens/focus/x", 3)  # replaces the copy by a namespace
-    cure = "delete it in ROS 1, or exclude it by 'names' in routing.parameters"
+    cure = "delete it in ROS 1, or exclude it with 'names' in routing.parameters"
     want = [
         f"parameter /names/{key}: set in ROS 1, but /names_node has no parameter {name} (similar: {similar}); {cure}"
         for key, name, similar in (("gian", "gian", "gain"), ("lens/focs", "lens.focs", "lens.focus"))

@@ -361,8 +361,8 @@ def test_closing_ends_pending_calls(bench):
         assert arrived.wait(20)
         bench.caller.close()
         bench.caller.close()
-        assert ends.error() == "/serve no longer crosses"
-        assert bench.call().error() == "/serve no longer crosses"
+        assert ends.error() == "/serve is no longer bridged"
+        assert bench.call().error() == "/serve is no longer bridged"
         until(lambda: bench.caller.load.connections == 0, "all connections are closed")
 
 
@@ -379,7 +379,7 @@ def test_a_large_request_to_a_server_that_does_not_read(bench):
         bench.warm()
         stuck = bench.call(bytes(50 * LIMIT))
         bench.caller.close()
-        assert stuck.error() == "/serve no longer crosses"
+        assert stuck.error() == "/serve is no longer bridged"
         blocked.set()
 
 

@@ -342,7 +342,7 @@ def test_a_clean_stop_ends_calls_and_leaves_nothing(master, tmp_path):
             assert edge.ask("stop")["seconds"] < AT_ONCE, "the limit of Edge.stop"
             assert "/stopped is no longer served" in peer.ask("result", id=request)["error"]
             assert edge.ask("calls", id=served)["abandoned"] == [0]
-            assert ends(edge, caller) == {"0": ["error: /stays no longer crosses"]}
+            assert ends(edge, caller) == {"0": ["error: /stays is no longer bridged"]}
             assert master.state() == before
             until(lambda: edge.ask("status")["threads"] < 10, "the threads end", SECONDS)
 
