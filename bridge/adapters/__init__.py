@@ -1,1 +1,1 @@
-"""Edges: one package per side, the only one that imports the side's middleware; also the XML-RPC client for ROS 1."""
+"""The edges: one package per side, which alone imports the side's middleware; also the XML-RPC client for ROS 1."""

@@ -18,10 +18,10 @@ class Presence(Protocol):
     """The Midspan workers on one network."""
 
     def announce(self, record: bytes) -> None:
-        """Send a record to all others."""
+        """Send a record to all other workers."""
 
     def sightings(self) -> Sequence[Sighting]:
-        """Return the others that are on the network now."""
+        """Return the other workers that are on the network now."""
 
 
 class SideEdge(Edge):
@@ -66,19 +66,19 @@ class SideEdge(Edge):
         known = self._registry.ros2(type_name)
         if type_hash and type_hash != known.type_id:
             raise MessageTypeError(
-                f"{type_name}: its publisher has {type_hash}, this machine's definition has {known.type_id}",
+                f"{type_name}: its publisher has {type_hash}, but this machine's definition has {known.type_id}",
                 "install the same version of the message package on both, or give its .msg folder in types.folders",
             )
         return known
 
     @override
     def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """Return a conversion that keeps the bytes and validates them, as programs on the side may send anything."""
+        """Return a conversion that keeps the bytes and validates them: programs on the side may send anything."""
         return self.from_hub(endpoint.type, endpoint.type_id)
 
     @override
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """Return a conversion that keeps the bytes and validates them, as DDS drops malformed ones silently."""
+        """Return a conversion that keeps the bytes and validates them: DDS drops malformed messages silently."""
         known = self._own_type(type_name, type_hash)
         return Conversion(known, known, self._registry.hub_check(type_name))
 

@@ -1,7 +1,7 @@
 """One thread that reads many connections: topics with only small messages, and service calls.
 
-With one thread per connection, waiting for messages and for the interpreter, thread switches outnumber messages: 500
-topics at 10 Hz caused 50,000 switches per second.
+With one thread per connection, each waiting for messages and for the interpreter lock, there are more thread switches
+than messages: 500 topics at 10 Hz caused 50,000 switches per second.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ _log = logging.getLogger(__name__)
 _JOIN_SECONDS = 1.0
 
 _KEEPALIVE = (("TCP_KEEPIDLE", 60), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 9))
-"""Same values as rospy's and roscpp's subscribers: the loss of a peer's machine is noticed after 2.5 minutes."""
+"""The values of rospy's and roscpp's subscribers; the loss of a peer's machine is detected after 2.5 minutes."""
 
 
 class PolledConnection(ABC):
     """A TCP connection that the loop reads.
 
-    With ``listens`` its messages are read. Otherwise the loop calls it only so that it notices the end of the
-    connection, and it may have the loop `pause` when the peer sends more than it is willing to buffer.
+    While ``listens`` is true, its messages are read. Otherwise the loop calls it only so that the end of the connection
+    is detected, and the connection may call `ConnectionLoop.pause` if the peer sends more than it is willing to buffer.
     """
 
     joins: ClassVar[bool] = False
-    """Whether reading it takes so little time that earlier messages may wait for it (`bridge.hub.lane.joining`)."""
+    """Whether reading takes so little time that earlier messages may wait meanwhile (`bridge.hub.lane.joining`)."""
 
     def __init__(self, sock: socket.socket) -> None:
         self.listens, self.paused = True, False
         keep_alive(sock)
-        # without its family and type, this would ask the system, which fails on macOS if the peer has disconnected
+        # with family and type, the constructor need not query them, which fails on macOS if the peer has disconnected
         self._sock = socket.socket(sock.family, sock.type, sock.proto, fileno=sock.detach())
         self._sock.settimeout(None)
         self._lock = threading.Lock()
@@ -53,11 +53,11 @@ class PolledConnection(ABC):
 
     @abstractmethod
     def on_ready(self) -> Callable[[], None] | None:
-        """Read available data without blocking; return a function for the loop to call after removing this, or None."""
+        """Read available data without blocking; return None, or a function to call once the loop no longer reads it."""
 
     @abstractmethod
     def abandon(self) -> None:
-        """Close the connection, as the loop ends."""
+        """Close the connection, because the loop is stopping or reading has failed."""
 
 
 def keep_alive(sock: socket.socket) -> None:
@@ -90,7 +90,7 @@ else:
     def send_now(sock: socket.socket, *parts: bytes) -> int:
         """Send as much as the socket accepts, and return the number of bytes; raises `BlockingIOError` if none.
 
-        Meanwhile no thread may wait for the socket; one that reads it has checked that it is readable.
+        No thread may block on the socket meanwhile; a thread that reads it must have checked that it is readable.
         """
         sock.setblocking(False)
         try:
@@ -100,7 +100,7 @@ else:
 
 
 def receiver(sock: socket.socket, count: int) -> Callable[[], bytes]:
-    """Return a function that calls `receive_now`, without a frame of Python if the system allows."""
+    """Return a function that works like `receive_now`, without a Python stack frame if the system allows that."""
     if hasattr(socket, "MSG_DONTWAIT"):
         return partial(sock.recv, count, socket.MSG_DONTWAIT)
     return partial(receive_now, sock, count)
@@ -108,7 +108,7 @@ def receiver(sock: socket.socket, count: int) -> Callable[[], bytes]:
 
 def is_readable(sock: socket.socket) -> bool:
     """Return whether a socket has data or its end to read."""
-    if hasattr(select, "poll"):  # for descriptors of any number
+    if hasattr(select, "poll"):  # unlike select, it accepts any descriptor
         poll = select.poll()
         poll.register(sock, select.POLLIN)
         return bool(poll.poll(0))
@@ -116,7 +116,7 @@ def is_readable(sock: socket.socket) -> bool:
 
 
 class ConnectionLoop(ThreadedLoop):
-    """Calls `PolledConnection.on_ready` when data is available; thread-safe. The first source starts its thread."""
+    """Calls `PolledConnection.on_ready` when data is available; thread-safe. The first source starts the thread."""
 
     def __init__(self, name: str = "midspan-ros1-intake") -> None:
         super().__init__(name, self._abandon, _log)
@@ -124,13 +124,14 @@ class ConnectionLoop(ThreadedLoop):
         self._joining: Joining | None = None
 
     def add(self, source: PolledConnection) -> bool:
-        """Start to read a source; return False if it is closed or the loop is stopped. Raises `OSError`."""
+        """Start reading a source; return False if it is closed or the loop is stopped. Raises `OSError`."""
         with self._lock:
             number = source.fileno()
             if self._stopping or number < 0:
                 return False
             self.start()
-            self._sources[number] = source  # first: the thread may call the source, which may use the loop, at once
+            # before `watch`, because the thread may call the source at once, and the source may use the loop
+            self._sources[number] = source
             try:
                 self.watch(number, partial(self._on_ready, source))
             except BaseException:

@@ -63,7 +63,7 @@ def read_header(sock: DeadlineSocket) -> dict[str, str]:
     """Read exactly one header, until the socket's deadline."""
     (length,) = _LENGTH.unpack(read_exactly(sock, 4))
     if length > MAX_HEADER:
-        raise Ros1ProtocolError(f"the connection header announces {length} bytes, the limit is {MAX_HEADER}")
+        raise Ros1ProtocolError(f"the connection header announces {length} bytes, but the limit is {MAX_HEADER}")
     return decode(read_exactly(sock, length))
 
 

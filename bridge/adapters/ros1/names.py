@@ -8,7 +8,7 @@ The rule, part by part of a name:
 
 1. empty parts are removed (``//`` becomes ``/``, a trailing ``/`` is dropped), and a leading ``/`` is added if missing;
 2. every character other than ``[A-Za-z0-9_]`` becomes ``_``;
-3. a part that starts with a digit is prefixed by ``n``: ``/camera/1/image`` becomes ``/camera/n1/image``;
+3. a part that starts with a digit is prefixed with ``n``: ``/camera/1/image`` becomes ``/camera/n1/image``;
 4. a name that is still longer than 247 characters is cut, and ends in ``_`` and eight hex digits of its SHA-256.
 """
 
@@ -22,7 +22,7 @@ MAX_LENGTH = 247
 """rmw's RMW_TOPIC_MAX_NAME_LENGTH."""
 
 MAX_NAMES = 20000
-"""Number of illegal names in a `NameTable` beyond which those that left the graph are dropped."""
+"""Maximum number of illegal names in a `NameTable`; beyond it, those that have left the graph are dropped."""
 
 _LEGAL = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 _FORBIDDEN = re.compile(r"[^A-Za-z0-9_]")
@@ -43,9 +43,9 @@ def hub_name(side_name: str) -> str:
 class NameTable:
     """Maps hub names back to ROS 1 names that are or were on the ROS 1 graph.
 
-    A name on the graph that equals the hub name has precedence, else the first in alphabetical order. Names that are
-    illegal on the hub are kept when they leave the graph, so that a topic keeps its name when its subscriber is
-    restarted.
+    A name on the graph that equals the hub name has precedence, else the first name in alphabetical order. Names that
+    are illegal on the hub stay in the table when they leave the graph, so that a topic keeps its name when its
+    subscriber is restarted.
     """
 
     def __init__(self) -> None:

@@ -13,14 +13,14 @@ _log = logging.getLogger(__name__)
 
 AT_ONCE = 2
 """Concurrent requests to one address. rospy's TCPROS server and roscpp's XML-RPC server have a backlog of five
-connections (``listen(5)``). If there are more, some are dropped, including those of other nodes, and TCP retries them a
-second later."""
+connections (``listen(5)``). If there are more connections, some are dropped, including those of other nodes, and TCP
+retries them a second later."""
 
 Job = Callable[[], None]
 
 
 class PeerPool:
-    """Two pools of threads: one for addresses that responded or are new, one for those whose last request failed.
+    """Two pools of threads: one for addresses that responded or are new, one for addresses whose last request failed.
 
     A job whose address has failed since it was queued changes pools, so that dead nodes delay only each other.
     """
@@ -52,7 +52,7 @@ class PeerPool:
 
     def _run_next(self, address: str, line: _PeerJobs) -> None:
         with self._lock:
-            job = line.jobs.popleft() if line.jobs else lambda: None  # another thread took it
+            job = line.jobs.popleft() if line.jobs else lambda: None  # another thread took the job
         try:
             job()
         except Exception:
@@ -83,7 +83,7 @@ class PeerPool:
             self._failed &= alive
 
     def stop(self) -> None:
-        """Start no more jobs; running ones end by their own deadlines."""
+        """Start no further jobs; running jobs end by their own deadlines."""
         self._fresh.close()
         self._doubtful.close()
 

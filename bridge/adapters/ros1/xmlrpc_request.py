@@ -13,7 +13,7 @@ from xml.parsers import expat
 from typing_extensions import override
 
 _PATHS = ("/", "/RPC2")
-"""Python's clients replace an empty path by /RPC2."""
+"""Python's clients replace an empty path with /RPC2."""
 
 _NO_XML = re.compile(r"[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -26,15 +26,15 @@ class Limits:
     """Limits of a server.
 
     Attributes:
-        connections: open at once; beyond that, the one that has been idle longest is closed.
-        body: bytes of one request.
-        buffered: bytes of all requests that are being received or served.
-        head: bytes of a request's HTTP header.
-        depth: nested arrays and structures.
+        connections: number of open connections; beyond it, the one that has been idle longest is closed.
+        body: size of one request in bytes.
+        buffered: total size in bytes of all requests that are being received or served.
+        head: size of a request's HTTP header in bytes.
+        depth: levels of nested arrays and structures.
         values: number of values in one request.
-        seconds: for a whole request to arrive, and for a whole response to be accepted; longer for large ones.
-        threads: that make calls.
-        response: bytes of the response to one request.
+        seconds: time for a whole request to arrive, and for a whole response to be accepted; large ones have more.
+        threads: number of threads that run methods.
+        response: size of the response to one request in bytes.
     """
 
     connections: int = 1024
@@ -51,7 +51,7 @@ class Limits:
 DEFAULT_LIMITS = Limits()
 
 SLOWEST = 100_000
-"""Bytes per second by which the time for a request or a response grows with its size."""
+"""Slowest accepted rate in bytes per second: the time limit of a request or response grows by its size over this."""
 
 
 class _Decoder(xmlrpc.client.Unmarshaller):
@@ -199,5 +199,5 @@ def encode_responses(results: Iterable[object], limits: Limits) -> bytes:
 
 
 def _encode(text: str) -> bytes:
-    """Replace what XML cannot represent: connected nodes may have any bytes in their names."""
+    """Encode XML without the characters that it cannot represent; names of connected nodes may contain any bytes."""
     return _NO_XML.sub("\ufffd", text).encode()

@@ -1,4 +1,4 @@
-"""The configured contents of ports: of topics, and of the requests and replies of services."""
+"""The configured contents of ports: for topics, and for the requests and replies of services."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ OK, FAIL = Vocab("ok"), Vocab("fail")
 
 
 class CallBottles:
-    """Converter of the calls of one service, for one content and profile. All methods are thread-safe.
+    """Converts the calls of one service to Bottles and back. All methods are thread-safe.
 
-    A reply without fields is ``[ok]``. A failed call gets the reply ``[fail]`` and the reason; a received ``[fail]`` is
-    an error, as in YARP's modules.
+    A reply without fields is ``[ok]``. The reply to a failed call is ``[fail]`` with the reason, and a received
+    ``[fail]`` counts as an error, as in YARP's modules.
 
     Args:
         type_name: ROS 2 name of the service's type.
-        type_hash: its hash, "" for this machine's definition.
-        request: the content of the request's Bottle; empty for all fields as nested lists.
-        reply: the same for the reply.
+        type_hash: the type's hash, "" for this machine's definition.
+        request: the entries of the request's Bottle; empty for all fields as nested lists.
+        reply: the entries of the reply's Bottle; empty for all fields as nested lists.
         profile: the profile to write for peers whose profile is unknown.
 
     Raises:
@@ -68,11 +68,11 @@ class CallBottles:
         self._silent = not schemas[1].root.fields and not reply
 
     def request_to_yarp(self, cdr: bytes, profile: Profile | None) -> list[Buffer]:
-        """Convert a request for a port, in its dialect; raises `ConversionError`."""
+        """Convert a request for a port with this profile; raises `ConversionError`."""
         return self._request[profile or self._profile].to_yarp(cdr).payload
 
     def request_to_hub(self, payload: Buffer, profile: Profile | None) -> tuple[bytes, Profile]:
-        """Convert a port's request; return its CDR and dialect, detected if unknown; raises `ConversionError`."""
+        """Convert a port's request; return its CDR and profile, detected if unknown. Raises `ConversionError`."""
         likely = profile or self._profile
         first: ConversionError | None = None
         for known in (likely, Profile.YARP3 if likely is Profile.YARP4 else Profile.YARP4):
@@ -121,7 +121,7 @@ class ForeignPort:
 
 
 class Contents:
-    """The rules by topic and port, and their converters; ``now_ns`` returns the stamp for messages without one."""
+    """The rules by topic and port, and their converters; ``now_ns`` returns the stamp for messages without a stamp."""
 
     now_ns: Callable[[], int] = staticmethod(time.time_ns)
 
@@ -167,7 +167,7 @@ class Contents:
         return CallBottles(self._registry, type_name, type_hash, request.fields, reply.fields, self.profile)
 
     def of_service(self, service: str) -> tuple[Content, Content]:
-        """Return the contents of a service's RPC port: of requests, and of replies."""
+        """Return the contents of the requests and of the replies of a service's RPC port."""
         rule = self.served_by(service) or next(
             (rule for pattern, rule in self._services if pattern.fullmatch(service)), None
         )

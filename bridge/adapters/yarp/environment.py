@@ -28,7 +28,7 @@ def enabled(config: Config) -> Enabled:
 
 def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:
     """Return the environment for a YARP worker, derived from the environment of its parent."""
-    env = {**environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}  # the wheels would start Python a second time
+    env = {**environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}  # prevents the ROS wheels from restarting Python
     if config.yarp.namespace is not None:
         env["YARP_NAMESPACE"] = config.yarp.namespace
     return env

@@ -28,7 +28,7 @@ OWNER = "midspan_owner"
 """Property of each of Midspan's ports at the name server: the id of the worker that opened it."""
 
 DAEMON = "midspan"
-"""Property that names the daemon: of its presence port, and of the topic ports that it bridges."""
+"""Property with the daemon's name, set on its presence port and on the topic ports that it bridges."""
 
 
 def new_id(length: int = 32) -> str:
@@ -38,7 +38,7 @@ def new_id(length: int = 32) -> str:
 
 @dataclass(frozen=True, slots=True)
 class PortNames:
-    """The configured schemes, with ``{topic}`` for the topic's name; ``daemon`` makes conflicting names unique."""
+    """The configured schemes of port names, where ``{topic}`` is the topic; ``daemon`` resolves conflicts of names."""
 
     output_scheme: str
     input_scheme: str
@@ -46,7 +46,7 @@ class PortNames:
     daemon: str
 
     def may_be(self, name: str) -> bool:
-        """Return whether the scheme can produce this port name."""
+        """Return whether one of the schemes can produce this port name."""
         return any(
             name.startswith(scheme.partition("{topic}")[0]) and name.endswith(scheme.partition("{topic}")[2])
             for scheme in (self.output_scheme, self.input_scheme, self.rpc_scheme)
@@ -96,7 +96,7 @@ class _Names(NameClient):
 
 
 class YarpNetwork:
-    """The network of one name server, for one thread; the embedded name server stores its registry in ``state``."""
+    """The network of one name server. Used on one thread; an embedded name server stores its registry in ``state``."""
 
     def __init__(self, section: YarpSection, state: Path) -> None:
         self._section = section

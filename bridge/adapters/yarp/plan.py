@@ -17,7 +17,7 @@ from yarp_compat.wire.profile import Profile
 
 @dataclass(frozen=True, slots=True)
 class PlannedLink:
-    """A planned connection; ``carrier`` "" is the default, ``profile`` None the one that the peer announces."""
+    """A planned connection; a ``carrier`` of "" is the default, a ``profile`` of None is what the peer announces."""
 
     carrier: str = ""
     profile: Profile | None = None
@@ -31,9 +31,10 @@ class PortPlan:
         writes: True for an output of its topic, False for an input.
         type: ROS 2 name.
         type_hash: "" for this machine's definition of the type.
-        own: True for the topic's main port, open to any peer; False for a port that serves only those in ``links``.
-        source: id of the endpoint to which its messages are attributed; None attributes them to each peer.
-        reply: content of the reply, for a service; ``topic`` is then the service's name, ``content`` the request's.
+        own: True for the topic's main port, open to any peer; False for a port that serves only the peers in ``links``.
+        source: id of the endpoint to which messages are attributed; None attributes them to the sending peers.
+        reply: content of the reply if the port serves a service, whose name is then in ``topic``, while ``content`` is
+            that of the request.
     """
 
     name: str

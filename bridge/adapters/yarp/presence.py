@@ -1,7 +1,8 @@
 """The Midspan workers on one YARP network, and the records that they exchange.
 
-Each worker has a port ``/midspan/daemon/<id>`` and connects it to all others. The connections of a dead worker close;
-those of a stalled one stay open. The same port answers YARP programs: ``definition std_msgs/String``.
+Each worker has a port ``/midspan/daemon/<id>`` and connects it to the ports of all others. The connections of a dead
+worker close; those of a stalled worker stay open. The same port answers commands of YARP programs, such as
+``definition std_msgs/String``.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from yarp_compat.wire.values import Vocab
 _MAX_RECORD = 1 << 20
 _RETRY = 2.0
 _LONGEST_RETRY = 16.0
-"""Most seconds before the next try to connect an unreachable worker; dead workers stay registered forever."""
+"""Maximum seconds before the next attempt to connect to an unreachable worker; dead ones stay registered forever."""
 
 
 class WorkerPresence:
@@ -56,7 +57,7 @@ class WorkerPresence:
         if self._left:
             return
         self._core.open()
-        if self._left:  # meanwhile, when `close` could not close it yet
+        if self._left:  # `close` was called meanwhile, before it could close the port
             self._core.close()
             return
         self.mark()
@@ -80,7 +81,7 @@ class WorkerPresence:
             self._tried[name] = contact, pauses, now + pauses.pause(0.0)
             if self._core.add_output(name)[0]:
                 self._record(name, None)
-        for name in self._tried.keys() - others.keys():  # in place: connection threads remove items, too
+        for name in self._tried.keys() - others.keys():  # in place, because connection threads remove items, too
             self._tried.pop(name, None)
         with self._lock:
             self._listed_since = max(self._listed_since, started)

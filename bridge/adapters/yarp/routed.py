@@ -22,10 +22,10 @@ class RoutedTopics:
 
     Args:
         ports: the ports that receive for the subscriptions; the name-server thread opens and closes them.
-        wake: has the name-server thread update the ports.
+        wake: wakes the name-server thread, which updates the ports.
 
     Attributes:
-        outputs: the published topics; read it without changing it.
+        outputs: the published topics; must not be modified.
     """
 
     def __init__(self, registry: Registry, contents: Contents, ports: OwnPorts, wake: Callable[[], None]) -> None:
@@ -86,7 +86,7 @@ class RoutedTopics:
                 output = self.outputs[topic] = TopicOutput(topic, side_type, stamped, self._contents)
             elif output.side_type != side_type:
                 raise MessageTypeError(
-                    f"{topic} has the type {output.side_type.name} on YARP", "rename one of the topics by a rule"
+                    f"{topic} has the type {output.side_type.name} on YARP", "rename one of the topics with a rule"
                 )
             publisher = output.publisher(qos, self._closed)
         self._wake()

@@ -1,8 +1,9 @@
 """The edge of the JSON dialect: configured keys, for programs without ROS.
 
-A sample is a JSON object with the message's fields, encoding ``application/json``. Endpoints are not announced: a
-configured key is a topic with one publisher. Latched messages from the hub are cached, and a plain ``get`` on the key
-returns the newest one. A key with a service type is called by a ``get`` whose payload is the request.
+A sample is a JSON object with the message's fields, and has the encoding ``application/json``. Endpoints are not
+announced; each configured key is a topic with one publisher. Latched messages from the hub are cached, and a plain
+``get`` on the key returns the newest of them. A key with a service type is called with a ``get`` whose payload is the
+request.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class JsonKeysEdge(KeyEdge):
 
     @override
     def opened(self, session: zenoh.Session) -> None:
-        """Do nothing: programs do not announce keys, the configuration lists them."""
+        """Do nothing: programs do not announce keys, but the configuration lists them."""
 
     @override
     def endpoints(self) -> Sequence[Endpoint]:
@@ -65,7 +66,7 @@ class JsonKeysEdge(KeyEdge):
 
     @override
     def why_not(self, topic: str, type_name: str) -> str:
-        """Return why a topic has no JSON key; "" if it has one of its type."""
+        """Return why a topic has no JSON key of its type; "" if it has one."""
         key = self._out.get(topic)
         if key is None:
             return "zenoh.dialects lists no JSON key for it"
@@ -80,13 +81,13 @@ class JsonKeysEdge(KeyEdge):
 
     @override
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """Return the conversion to JSON. Since JSON has field names, the publisher must use the same definition."""
+        """Return the conversion to JSON; the definition must be the publisher's, because JSON has field names."""
         known = self._own_type(type_name, type_hash)
         return Conversion(known, known, cdr_to_text(self._registry, type_name))
 
     @override
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
-        """Return the conversion to JSON and back; as JSON has field names, the definition must equal the server's."""
+        """Return the conversion to JSON and back; the definition must be the server's, because JSON has field names."""
         known = self._registry.service_ros2(type_name, type_hash)
         request, response = f"{known.name}_Request", f"{known.name}_Response"
         to_side, to_hub = partial(cdr_to_text, self._registry), partial(text_to_cdr, self._registry)
@@ -97,7 +98,7 @@ class JsonKeysEdge(KeyEdge):
 
     @override
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:
-        """Subscribe to a key; for a latched one, first query programs and zenoh storages with a ``get``."""
+        """Subscribe to a key; if it is latched, also query programs and zenoh storages with a ``get``."""
         key = self._in[topic]
         name = str(key.key)
         part = self.register(KeySubscription(self.context, name, qos, deliver, lambda _: name, Announcement()))

@@ -41,7 +41,7 @@ def is_marked(zid: str) -> bool:
 
 
 def sender(sample: zenoh.Sample) -> str:
-    """Return the session that sent or time-stamped a sample (a router may do the latter); "" if it has neither."""
+    """Return the session that sent or time-stamped a sample (a router may do the latter); "" if it is unknown."""
     info = sample.source_info
     if info is not None:
         return str(info.source_id.zid)

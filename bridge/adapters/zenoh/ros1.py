@@ -108,7 +108,7 @@ class Ros1KeysEdge(KeyEdge):
     def why_not(self, topic: str, type_name: str) -> str:
         """Return why a part of a ROS 2 action is not bridged: ROS 1 has no such services and topics."""
         action = split(topic)[1] and ("/action/" in type_name or type_name.startswith("action_msgs/"))
-        return "actions of ROS 2 do not cross to the ros1 dialect" if action else ""
+        return "ROS 2 actions are not bridged to the ros1 dialect" if action else ""
 
     @override
     def warnings(self) -> list[str]:
@@ -116,7 +116,7 @@ class Ros1KeysEdge(KeyEdge):
 
     @override
     def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """Return the conversion to the hub; the type must be known here, as keys carry no definition."""
+        """Return the conversion to the hub; the type must be known here, because keys have no definition."""
         return self._registry.ros1_to_hub(endpoint.type, endpoint.type_id)
 
     @override

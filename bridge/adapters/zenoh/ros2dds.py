@@ -1,10 +1,10 @@
 """The edge of the ros2dds dialect: the keys of zenoh-plugin-ros2dds.
 
 A topic's or service's key is the namespace of its bridge and its ROS 2 name without the leading slash. The payload is
-CDR; topics have no attachment. Transient-local publishers are zenoh's advanced publishers, servers are queryables.
-Liveliness tokens announce all of them (`bridge.adapters.zenoh.ros2dds_tokens`), an action as a whole
-(zenoh-plugin-ros2dds of August 2026: ``src/ros2_utils.rs``, ``route_publisher.rs``, ``route_subscriber.rs``,
-``route_service_srv.rs``, ``route_service_cli.rs``).
+CDR; topics have no attachment. Transient-local publishers are zenoh's advanced publishers, and servers are queryables.
+Liveliness tokens announce all endpoints, those of an action together (`bridge.adapters.zenoh.ros2dds_tokens`). Source:
+zenoh-plugin-ros2dds of August 2026, ``src/ros2_utils.rs``, ``route_publisher.rs``, ``route_subscriber.rs``,
+``route_service_srv.rs``, ``route_service_cli.rs``.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class Ros2ddsEdge(KeyEdge):
     def why_not(self, topic: str, type_name: str) -> str:
         """Return why a key is not available: it cannot carry both CDR and JSON."""
         key = self._key(topic)
-        return f"the key {key} carries JSON by zenoh.dialects" if key in self._json_keys else ""
+        return f"the key {key} carries JSON according to zenoh.dialects" if key in self._json_keys else ""
 
     @override
     def warnings(self) -> list[str]:
@@ -106,7 +106,7 @@ class Ros2ddsEdge(KeyEdge):
             return []
         taken = {self._key(e.topic) for e in self._graph.endpoints()} & self._json_keys
         return self._graph.warnings() + [
-            f"{key}: a ros2dds bridge uses this key, which carries JSON by zenoh.dialects; give one another name"
+            f"{key}: a ros2dds bridge uses this key, which zenoh.dialects assigns to JSON; rename one of the two"
             for key in sorted(taken)
         ]
 
@@ -115,7 +115,7 @@ class Ros2ddsEdge(KeyEdge):
 
     @override
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:
-        """Subscribe to a key; the announced QoS is that of its publishers."""
+        """Subscribe to a key, and announce the QoS of its publishers."""
         graph, announcer = self._graph, self._announcer
         assert graph is not None
         assert announcer is not None
@@ -136,15 +136,15 @@ class Ros2ddsEdge(KeyEdge):
 
             wanted = qos.depth if static else _announced_depth(graph, key)
             part = LatchedSubscription(self.context, key, qos, deliver, source_of, announcement, depth, wanted)
-            # publishers announced since its creation did not reach it
+            # publishers announced while the subscription was created did not update its depth
             return self.register(part, lambda: part.ask_for(_announced_depth(graph, key)))
         return self.register(KeySubscription(self.context, key, qos, deliver, source_of, announcement))
 
     def _source_of(self, graph: Ros2ddsGraph, key: str, side_type: SideType, sample: zenoh.Sample) -> str:
         """Return the endpoint that published a sample.
 
-        A bridge's time stamp has the id of its session; a plain program's has its own or a router's. A sample of an
-        unknown publisher is attributed to the key's first publisher of this type.
+        A bridge's time stamps have the id of the bridge's session; a plain program's have the id of the program or of a
+        router. A sample of an unknown publisher is attributed to the key's first publisher of this type.
         """
         publisher, token = graph.who(key, sample)
         if token is not None:
@@ -181,8 +181,8 @@ class Ros2ddsEdge(KeyEdge):
     def serve(self, name: str, side_type: SideType, call: Call) -> KeyServer:
         """Serve a key, and announce it to the bridges.
 
-        A bridge ignores zenoh's error reply, as DDS has none, and its client keeps waiting. Clients of an action get a
-        rejecting response instead, if its type has one.
+        A bridge ignores zenoh's error reply, because DDS has none, and its client keeps waiting. Clients of an action
+        get a rejecting response instead, if the type of the response allows it.
         """
         key = self._key(name)
         request, _ = self._registry.service_schemas(side_type.name, side_type.type_id)

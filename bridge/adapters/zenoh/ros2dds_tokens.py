@@ -4,9 +4,9 @@
 nodes publish, ``MS`` one that they subscribe to; in key and type a slash is written ``§``. The QoS is ``<K if
 keyed>:<reliability>:<durability>:<history>,<depth>[:<user data>]`` with DDS's numbers; an empty field is DDS's default,
 and the user data is ROS 2's ``typehash=RIHS01_<hex>;`` (since Iron). ``SS/<key>/<type>`` is a service that its nodes
-serve, ``SC`` one that they call; both without a hash. ``AS`` and ``AC`` are a whole action, whose services and topics
-have no separate tokens. Source: zenoh-plugin-ros2dds, ``src/liveliness_mgt.rs``, ``ros2_utils.rs``,
-``route_action_srv.rs`` and ``route_action_cli.rs``, of August 2026.
+serve, ``SC`` one that they call; neither has a hash. ``AS`` (served) and ``AC`` (called) are a whole action, whose
+services and topics have no separate tokens. Source: zenoh-plugin-ros2dds, ``src/liveliness_mgt.rs``,
+``ros2_utils.rs``, ``route_action_srv.rs`` and ``route_action_cli.rs``, of August 2026.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Token:
 
 
 def alive_key(zid: str) -> str:
-    """Return the key of the token by which a bridge is alive."""
+    """Return the key of the token that shows that a bridge is alive."""
     return f"@/{zid}/@ros2_lv"
 
 

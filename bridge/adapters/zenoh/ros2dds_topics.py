@@ -23,7 +23,7 @@ from bridge.routing.edge import Deliver
 
 
 class Ros2ddsPublisher:
-    """Publishes messages of the hub; latched ones through one advanced publisher per source."""
+    """Publishes messages of the hub, latched messages through one advanced publisher per source."""
 
     dropped = 0  #: zenoh does not report drops on a congested link
     has_subscribers = True  #: subscriptions are not counted
@@ -38,7 +38,7 @@ class Ros2ddsPublisher:
         self._sinks: dict[str, PlainSink | LatchedPublisher] = {}
 
     def send(self, payload: bytes, source: str) -> None:
-        """Publish a message; a latched one through its source's publisher."""
+        """Publish a message; a latched message is sent through its source's publisher."""
         name = source if self._qos.latched else ""
         with self._lock:
             if not self._open:
@@ -80,7 +80,7 @@ _MAX_PUBLISHERS = 4096
 
 
 class LatchedSubscription(KeySubscription):
-    """Receives live samples, and requests ``wanted`` cached ones of each publisher once.
+    """Receives live samples, and requests ``wanted`` cached samples from each publisher once.
 
     ``depth`` returns how many cached samples of a source are delivered.
     """
@@ -134,7 +134,7 @@ class LatchedSubscription(KeySubscription):
                 self._kept.setdefault(sender(sample), []).append((sample, source))
 
     def done(self, zid: str) -> None:
-        """Deliver a session's cached samples in order, then its live ones that were held back."""
+        """Deliver a session's cached samples in order, then the live samples that were held back."""
         with self._asking:
             self._asked[zid] -= 1
             if self._asked[zid] > 0:
@@ -166,7 +166,7 @@ class LatchedSubscription(KeySubscription):
 def is_later(number: int | None, stamp: int, last_number: int | None, last_stamp: int) -> bool:
     """Return whether a sample follows its publisher's last one, by source number or, without one, by time stamp.
 
-    A publisher that restarts with the same id numbers from 0 again, with later time stamps.
+    A publisher that restarts with the same id starts numbering from 0 again, with later time stamps.
     """
     if number is None or last_number is None:
         return not stamp or stamp > last_stamp

@@ -34,10 +34,10 @@ class KeyCaller(CallClient):
 
 
 class KeyServer(CallServer):
-    """Serves one key. zenoh does not report a client's exit: its call continues, and the reply is lost.
+    """Serves one key. zenoh does not report a client's exit, so the client's call continues, and the reply is lost.
 
     Args:
-        nothing: the request for a query without payload; None if the service's request has fields.
+        nothing: the request that a query without payload means; None if the service's request has fields.
         asked: expression of the keys whose queries are calls; "" means ``key``.
     """
 
@@ -52,7 +52,7 @@ class KeyServer(CallServer):
 
     @override
     def _is_call(self, query: zenoh.Query) -> bool:
-        """Return whether a query is a call; one with a wildcard only explores."""
+        """Return whether a query is a call; a query with a wildcard is not, because it only explores."""
         return self._expression.includes(query.key_expr)
 
     @override

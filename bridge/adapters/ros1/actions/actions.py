@@ -46,7 +46,7 @@ class Ros1Actions:
         self._stopping = threading.Event()
 
     def stop(self) -> None:
-        """Stop the thread; the engine has closed all endpoints before."""
+        """Stop the thread; the engine has already closed all endpoints."""
         self._stopping.set()
         thread = self._thread  # it exits by itself if nothing is open
         if thread is not None and thread is not threading.current_thread():
@@ -71,10 +71,10 @@ class Ros1Actions:
         return {ros2_action.part_name(name, p) for name in self._found.servers for p in ros2_action.PARTS}
 
     def is_part(self, topic: str, type_name: str) -> bool:
-        """Return whether a topic belongs to an action, and so does not cross as a topic.
+        """Return whether a topic belongs to an action, and therefore is not bridged as a topic.
 
         That also holds for an action that is served or called here while a node has registered only some of its topics:
-        a second subscription would cost messages, since a rospy publisher accepts one connection from each node.
+        a second subscription would lose messages, because a rospy publisher accepts one connection from each node.
         """
         wanted = self._found.topics.get(topic) or self._in_use(topic.rpartition("/")[0]).get(topic)
         return wanted is not None and type_name in ("", "*", wanted)
@@ -105,7 +105,7 @@ class Ros1Actions:
     def warnings(self) -> list[str]:
         """Return actions that cannot be offered, and recently rejected goals."""
         held = [
-            f"{s.name}: {s.rival} serves this action on ROS 1 itself, so the hub's is not offered there"
+            f"{s.name}: {s.rival} serves this action on ROS 1 itself, so the hub's action is not offered there"
             for s in list(self._served.values())
             if s.rival
         ]

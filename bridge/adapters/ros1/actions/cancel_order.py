@@ -1,12 +1,13 @@
 """Keeps the order of one client's goals and cancel requests, which arrive on two TCP connections.
 
-An actionlib client sends a cancel request after the goal that it names. The goal arrives later if its connection is
-read later, or if TCP has to retransmit a segment; so a request that may have overtaken a goal is held for it here.
-Nothing else is held: a request for known goals cancels them at once. A held request never starts a goal.
+An actionlib client sends a cancel request after the goal that it names. The goal arrives after the request if its
+connection is read later, or if TCP has to retransmit a segment; therefore a request that may have overtaken a goal is
+held here until the goal arrives. Nothing else is held: a request for known goals cancels them at once. A held request
+never starts a goal.
 
-A request for all goals has neither an id nor a stamp. If its client has an unread goal when it arrives, that goal may
-have been sent before or after it; it is canceled, as a request that comes too late would not stop the robot. An
-actionlib server handles both in any order (``action_server.py`` in actionlib 1.14).
+A request for all goals has neither an id nor a stamp. If its client has an unread goal when the request arrives, the
+goal may have been sent before or after the request. Such a goal is canceled, because a request that misses its goal
+would not stop the robot. An actionlib server handles both in any order (``action_server.py`` in actionlib 1.14).
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ CROSSING_SECONDS = 1.0
 TCP retransmits a lost segment after 0.2 to 1 s (RFC 6298)."""
 
 LONGEST_SECONDS = 30.0
-"""How long such a request is held if that connection is never read."""
+"""How long a cancel request is held if its client's goal connection is never read."""
 
 MAX_HELD = 1000
-"""Limit of held requests; beyond it, the oldest are released early."""
+"""Maximum number of held requests; beyond it, the oldest are released early."""
 
 Client = tuple[str, str]
 """Name and XML-RPC address of a client's node."""
@@ -47,7 +48,7 @@ class GoalServer(Protocol):
 class UnreadGoals(Protocol):
     """Returns whether a client may have sent a goal that is not delivered yet.
 
-    With ``listed`` also if the master lists the client as a publisher but this node is not connected to it yet.
+    ``listed``: also if the master lists the client as a publisher but this node is not connected to it yet.
     """
 
     def __call__(self, client: Client, *, listed: bool) -> bool:
@@ -56,7 +57,7 @@ class UnreadGoals(Protocol):
 
 @dataclass(eq=False, slots=True)
 class _Held:
-    """A held request: it waits for the goal that it names, or for the unread goals of its client."""
+    """A held request, which waits for the goal that it names, or for the unread goals of its client."""
 
     request: GoalId
     client: Client
@@ -86,7 +87,7 @@ class CancelOrder:
         self.release()
 
     def cancel(self, request: GoalId, client: Client, *, unread: bool) -> None:
-        """Forward or hold a request; ``unread``: its client had unread goals when it arrived."""
+        """Forward or hold a request; ``unread``: its client had unread goals when the request arrived."""
         now = self._clock()
         if request.id and not self._server.knows(request.id):
             self._hold(_Held(GoalId(ZERO, request.id), client, now, now + CROSSING_SECONDS))
@@ -98,7 +99,7 @@ class CancelOrder:
         self._server.cancel(request)
 
     def release(self) -> None:
-        """Forward held requests whose time is over; called some ten times per second."""
+        """Forward held requests whose time is over; called about ten times per second."""
         now = self._clock()
         for held in list(self._held):
             if now < held.since + LONGEST_SECONDS and self._unread(held.client, listed=bool(held.request.id)):

@@ -1,8 +1,8 @@
 """Pending cancel requests of hub clients to an actionlib server.
 
-A goal and the request to cancel it use two connections to the server. A request that names a goal is sent once the
-server reports the goal, or after `CROSSING_SECONDS`. A request for several goals is sent at once, and repeated for each
-goal that the server reports only later.
+A goal and the request to cancel it use two connections to the server, so the request could arrive first. A request that
+names a goal is sent once the server reports the goal, or after `CROSSING_SECONDS`. A request for several goals is sent
+at once, and repeated for each goal that the server reports only later.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ANY = bytes(wire.UUID_SIZE)
 
 @dataclass(eq=False, slots=True)
 class _Cancel:
-    """A pending cancel request; ``single``: it names one goal; ``unsent`` is None once it was sent."""
+    """A pending cancel request; ``single``: it names one goal; ``unsent`` is its message, None once it is sent."""
 
     goals: Sequence[TrackedGoal]
     single: bool
@@ -96,11 +96,11 @@ class CancelRequests:
             cancel.done(TERMINATED if missed else wire.cancel_response(CancelCode.NONE, canceling))
 
     def refuse_unsent(self, before: float) -> None:
-        """Refuse unsent requests from before a time."""
+        """Refuse requests from before a time that have not been sent."""
         self._refuse([c for c in self._open if c.unsent is not None and c.since <= before])
 
     def refuse_all(self) -> None:
-        """Refuse all requests: the server can no longer confirm them."""
+        """Refuse all requests, because the server can no longer confirm them."""
         self._refuse(self._open)
 
     def _refuse(self, cancels: Sequence[_Cancel]) -> None:

@@ -35,7 +35,7 @@ class FoundServer:
     uri: str
 
     def link(self, topic: str) -> Registration:
-        """Return its registration for one of the five topics."""
+        """Return the server's registration for one of the five topics."""
         return Registration(self.node, f"{self.name}/{topic}", self.uri)
 
 
@@ -43,7 +43,7 @@ class FoundServer:
 class FoundActions:
     """The servers of each action, ordered by node name, and the topics of actions with their types.
 
-    The topics include those of actions that only have clients; none of them crosses as a topic.
+    The topics include those of actions that only have clients; none of them is bridged as a topic.
     """
 
     servers: Mapping[str, tuple[FoundServer, ...]]
@@ -102,7 +102,7 @@ def _type(name: str, types: Mapping[str, str]) -> str:
 
 
 def is_native(server: FoundServer, facts: Mapping[Registration, Facts]) -> bool | None:
-    """Return whether a server is native, not made by Midspan; None until it has responded."""
+    """Return whether a server is native rather than Midspan's; None until it has responded."""
     known = [facts.get(server.link(part)) for part in FROM_SERVER]
     return None if None in known else all(f is not None and f.native for f in known)
 

@@ -14,10 +14,10 @@ KEEP_SECONDS = 3600.0
 
 MAX_ENDED = 10_000
 MAX_ENDED_BYTES = 64 << 20
-"""Limits of stored ended goals, and of the bytes of their results; the oldest are dropped first."""
+"""Limits of the number of stored ended goals, and of the total size of their results; the oldest are dropped first."""
 
 MAX_OPEN = 10_000
-"""Goals of one action that have not ended; more are rejected."""
+"""Maximum number of goals of one action that have not ended; further goals are rejected."""
 
 
 @dataclass(eq=False, slots=True)
@@ -25,17 +25,17 @@ class TrackedGoal:
     """One goal.
 
     Attributes:
-        body: the goal message that is not sent yet; None once sent, and for goals of ROS 1 clients.
-        ours: a client of the hub sent it.
+        body: the goal message until it is sent; None after that, and for goals of ROS 1 clients.
+        ours: whether a client of the hub sent the goal.
         asker: the pending send_goal call.
         waiting: the pending get_result calls.
-        listed: the server's status list has contained it.
-        refused: it was rejected, so ROS 2 has no such goal.
-        lost: its state is no longer reported, and UNKNOWN on ROS 2; it may still be executing.
-        result: its bytes, None until the goal has ended and the result has arrived or is given up.
-        text: the reason for its final state, from the server or from this bridge.
-        result_delivered: a client has received the result.
-        whole: the result came from the server.
+        listed: whether the server's status list has contained the goal.
+        refused: whether the goal was rejected, so that ROS 2 has no such goal.
+        lost: whether the server no longer reports the goal; its state on ROS 2 is UNKNOWN, and it may be executing.
+        result: the serialized result, None until the goal has ended and the result has arrived or counts as lost.
+        text: the reason for the final state, from the server or from this bridge.
+        result_delivered: whether a client has received the result.
+        whole: whether the result came from the server.
     """
 
     uuid: bytes
@@ -57,28 +57,28 @@ class TrackedGoal:
 
     @property
     def info(self) -> GoalInfo:
-        """Its UUID and the time of its acceptance."""
+        """The goal's UUID and the time of its acceptance."""
         return GoalInfo(self.uuid, self.stamp)
 
     @property
     def reason(self) -> str:
-        """Why it was not reached; "" if it was."""
+        """Why the goal was not reached; "" if it was."""
         return "" if self.state is GoalState.SUCCEEDED else self.text
 
     @property
     def unconfirmed(self) -> bool:
-        """Whether it was sent, and the server has not reported it yet."""
+        """Whether the goal has been sent, but not yet reported by the server."""
         sent = self.ours and self.body is None
         return sent and self.state is GoalState.UNKNOWN and not self.refused and not self.lost
 
     @property
     def accepted(self) -> bool:
-        """Whether the server accepted it."""
+        """Whether the server accepted the goal."""
         return self.state is not GoalState.UNKNOWN and not self.refused
 
 
 class GoalStore:
-    """All goals of one action by UUID and by ROS 1 id; ended ones are kept for an hour, within limits."""
+    """All goals of one action by UUID and by ROS 1 id; ended goals are stored for an hour, within limits."""
 
     def __init__(self) -> None:
         self._by_uuid: dict[bytes, TrackedGoal] = {}

@@ -52,7 +52,7 @@ TO_ROS2: Mapping[Ros1State, GoalState] = {
     Ros1State.REJECTED: GoalState.ABORTED,
     Ros1State.LOST: GoalState.ABORTED,
 }
-"""For accepted goals; one that is REJECTED or RECALLED before it was accepted is rejected on ROS 2."""
+"""For accepted goals; a goal that is REJECTED or RECALLED before it was accepted is rejected on ROS 2."""
 
 TO_ROS1: Mapping[GoalState, Ros1State] = {
     GoalState.UNKNOWN: Ros1State.ABORTED,
@@ -63,12 +63,12 @@ TO_ROS1: Mapping[GoalState, Ros1State] = {
     GoalState.CANCELED: Ros1State.PREEMPTED,
     GoalState.ABORTED: Ros1State.ABORTED,
 }
-"""For executing goals; one that never executed becomes RECALLING and RECALLED instead of the states of a preemption."""
+"""For executing goals; one that never executed becomes RECALLING and RECALLED instead of PREEMPTING and PREEMPTED."""
 
 
 # -- ids ---------------------------------------------------------------------------------------------------------------
-# A goal from the hub is ``midspan-<uuid>`` on ROS 1, so that the UUID follows from the text, also after a restart of
-# the worker. A goal of a ROS 1 client gets a version 5 UUID (RFC 9562) of action name and text.
+# A goal from the hub has the id ``midspan-<uuid>`` on ROS 1, so that the UUID follows from the id even after a restart
+# of the worker. A goal of a ROS 1 client gets a version 5 UUID (RFC 9562) of the action's name and the goal's id.
 
 PREFIX = "midspan-"
 
@@ -88,5 +88,5 @@ def uuid_in(text: str) -> bytes | None:
 
 
 def uuid_of(action: str, text: str) -> bytes:
-    """Return the UUID of any ROS 1 id, always the same for one id."""
+    """Return the UUID of any ROS 1 id, always the same for the same action and id."""
     return uuid_in(text) or uuid.uuid5(_SPACE, f"{action} {text}".encode(errors="surrogateescape").hex()).bytes

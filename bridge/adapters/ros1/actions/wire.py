@@ -1,9 +1,9 @@
-"""Bytes of actionlib's messages and of a ROS 2 action's parts, around unchanged goals, feedback and results.
+"""Serializes and parses actionlib's messages and the parts of a ROS 2 action; goals, feedback and results stay bytes.
 
 ROS 1 (actionlib_msgs 1.13, https://github.com/ros/common_msgs/tree/noetic-devel/actionlib_msgs/msg): an ActionGoal is
 Header, GoalID, goal; an ActionResult and an ActionFeedback are Header, GoalStatus, body. ROS 2's parts
 (https://design.ros2.org/articles/actions.html, action_msgs 2.0) are serialized as ROS 1 would do it: without alignment,
-a UUID is 16 bytes, a time two 32-bit integers. A result is preceded by the status's text
+a UUID as 16 bytes, and a time as two 32-bit integers. A result is preceded by the status's text
 (`bridge.messages.definitions.parts.STATUS_TEXT`).
 """
 
@@ -16,10 +16,10 @@ from typing import NamedTuple
 from bridge.messages.errors import ConversionError
 
 MAX_STATUSES = 20_000
-"""Goals that one status message may name."""
+"""Maximum number of goals that one status message may name."""
 
 MAX_TEXT = 1000
-"""Characters of a status's text that cross; the rest is cut off."""
+"""Maximum number of characters of a status's text that are bridged; the rest is cut off."""
 
 _TIME = struct.Struct("<II")
 _LENGTH = struct.Struct("<I")
@@ -133,7 +133,7 @@ def read_goal_id(payload: bytes) -> GoalId:
 
 
 def action_goal(goal: GoalId, body: bytes) -> bytes:
-    """Serialize an ActionGoal. Its header's stamp is zero, as no server reads it and the clock may be simulated."""
+    """Serialize an ActionGoal. The header's stamp is zero: no server reads it, and the clock may be simulated."""
     return _header(0, ZERO) + goal_id(goal) + body
 
 
@@ -168,7 +168,7 @@ def read_statuses(payload: bytes) -> list[GoalStatus]:
     cursor.header()
     count = cursor.number()
     if count > MAX_STATUSES:
-        raise ConversionError(f"a GoalStatusArray names {count} goals, at most {MAX_STATUSES} are read")
+        raise ConversionError(f"a GoalStatusArray names {count} goals, but at most {MAX_STATUSES} are read")
     entries = [cursor.status() for _ in range(count)]
     cursor.end()
     return entries

@@ -1,8 +1,8 @@
 """The thread that calls the master: reads its graph, and maintains this node's registrations.
 
 A rospy node registers once and never again. Here the node's wanted registrations are compared with the master's state
-at each read, and the differences are corrected; so a restarted master, or one that lost the registrations, has them
-again after one read.
+at each read, and the differences are corrected. Therefore a master that was restarted, or that lost the registrations,
+has them again after one read.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Master:
 
     @property
     def simulated(self) -> bool:
-        """Whether the master's nodes run on ``/clock``, by ``/use_sim_time`` at the time of joining."""
+        """Whether the master's nodes run on ``/clock``, according to ``/use_sim_time`` at the time of joining."""
         return self._membership.simulated
 
     def start(self) -> None:
@@ -77,7 +77,7 @@ class Master:
         self._wake.set()
 
     def doubt(self, service: str) -> None:
-        """Look up a service's address again in the next read, as the known one failed."""
+        """Look up a service's address again in the next read, because the known address failed."""
         self._reader.doubt(service)
 
     def evicted(self) -> None:
@@ -98,7 +98,7 @@ class Master:
             try:
                 self._membership.leave(client)
             except Ros1Error as err:
-                _log.info("not unregistered, the master is unreachable: %s", err)
+                _log.info("not unregistered, because the master is unreachable: %s", err)
 
     def _loop(self) -> None:
         while True:

@@ -24,7 +24,7 @@ class Membership:
     """Joins the network of a master, and leaves it. Used on one thread.
 
     Attributes:
-        simulated: whether the network's nodes run on ``/clock``, by `SIM_TIME` at the time of joining.
+        simulated: whether the network's nodes run on ``/clock``, according to `SIM_TIME` at the time of joining.
     """
 
     def __init__(
@@ -53,8 +53,8 @@ class Membership:
                 _log.info("the name %s is taken on this ROS 1 network; this node is %s", self._node.name, name)
                 self._node.name = name
                 self._reader.caller = name
-            # Another daemon may be choosing a name, too: the one that then reads the other's entry chooses another
-            # name.
+            # Another daemon may be choosing the same name at the same time; a daemon that then reads the other's entry
+            # chooses another name.
             entry = self.entry()
             self._client.calls([("setParam", (entry.node, entry.parameter, entry.as_dict()))])
             state = self._reader.read()
@@ -88,7 +88,7 @@ class Membership:
             (self.simulated,) = (bool(v) for v in self._client.calls([("getParam", (self._node.name, SIM_TIME))]))
 
     def _free_name(self, state: MasterState, dead: set[str]) -> str:
-        """Return this node's name, or a variant if a live node has it, which the master would shut down."""
+        """Return this node's name, or a variant if a live node, which the master would shut down, has the name."""
         first = self._node.name
         second = f"{first}_{re.sub(r'[^A-Za-z0-9_]', '_', self._daemon)}"
         for name in (first, second, *(f"{second}_{n}" for n in range(2, 2 + _SPARE_NAMES))):

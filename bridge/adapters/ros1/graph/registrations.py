@@ -1,4 +1,4 @@
-"""This node's registrations: the calls by which the master's state becomes what the node wants."""
+"""This node's registrations: the calls that make the master's state match them."""
 
 from __future__ import annotations
 
@@ -74,11 +74,11 @@ class NodeRegistrations:
                 self._refused.discard(action)
 
     def corrected(self) -> None:
-        """Continue after all calls of `corrections` were made."""
+        """Clear the record of ended publications, after all calls of `corrections` were made."""
         self._ended.clear()
 
     def _service_calls(self, state: MasterState) -> list[Call]:
-        """Return the calls for services: a master has one server per name, and the last to register replaces it."""
+        """Return the calls for services; a master has one server per name, which the last to register replaces."""
         name, uri, wanted = self._node.name, self._node.uri, self._node.services()
         has = {link.topic: link.uri for link in state.servers if link.node == name}
         taken = {link.topic for link in state.servers if link.node != name and not self._is_dead(link)}

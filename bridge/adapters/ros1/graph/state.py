@@ -11,11 +11,11 @@ from bridge.adapters.ros1_peers import Ros1ProtocolError, XmlRpcClient
 _TRIES = 3
 
 _RATE = 200_000
-"""Bytes of state that are requested from a master per second. 500 topics make 250 kB, which cost ``rosmaster`` 4 ms of
-CPU time: they delay messages, of which less than 1 % may be affected."""
+"""Bytes of state that are read from a master per second. The state of 500 topics has 250 kB, which costs ``rosmaster``
+4 ms of CPU time. Each read delays messages, and less than 1 % of them may be affected."""
 
 _LONGEST = 2.0
-"""Longest seconds between two reads, unless the configuration sets more."""
+"""Longest time between two reads in seconds, unless the configuration sets a longer one."""
 
 PRESENCE = "/midspan/nodes"
 """Master parameter with an entry for each Midspan node."""
@@ -47,9 +47,9 @@ def node_of(publisher: str) -> tuple[str, str]:
 class MasterState:
     """The state of a master at one time.
 
-    ``run`` changes when the master is restarted: its run id and its process. ``network`` is its ``/run_id``, which
-    roscore sets, or a bare rosmaster's address and process id. ``uris`` are the nodes' XML-RPC addresses; ``presence``
-    has the entries of `PRESENCE` by their key.
+    ``run`` contains the run id and the process id, so it changes when the master is restarted. ``network`` is the
+    master's ``/run_id``, which roscore sets, or a bare rosmaster's address and process id. ``uris`` are the nodes'
+    XML-RPC addresses; ``presence`` has the entries of `PRESENCE` by their key.
     """
 
     run: str
@@ -110,7 +110,7 @@ class MasterReader:
         return self._state
 
     def _addresses(self, services: list[tuple[str, list[str]]], uris: Mapping[str, str]) -> frozenset[Registration]:
-        """Return each service's server; look up its address once, and again if its node changes or it is doubted."""
+        """Return each service's server; look up an address once, and again if its node changes or it is doubted."""
         listed = {Registration(nodes[0], name, uris.get(nodes[0], "")) for name, nodes in services if nodes}
         doubted, self._doubted = self._doubted, set()
         self._servers = {k: uri for k, uri in self._servers.items() if k in listed and k.topic not in doubted}

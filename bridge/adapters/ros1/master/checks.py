@@ -1,4 +1,4 @@
-"""Checks of the parameters of the master API's calls, with the texts that ``rosmaster`` has for each error."""
+"""Checks of the parameters of the master API's calls, with ``rosmaster``'s text for each error."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 from bridge.adapters.ros1.master.names import ANY_TYPE, resolve
 
 Check = Callable[[Any, str], Any]
-"""Returns the checked value for the rest of the call, from a value and the calling node; raises `InvalidError`."""
+"""Checks a value from a node, and returns it in the form that the method expects; raises `InvalidError`."""
 
 MAX_NAME = 2048
-"""Limit in characters of a name or address."""
+"""Maximum length of a name or address in characters."""
 
 
 class InvalidError(Exception):
@@ -61,7 +61,7 @@ def address(parameter: str) -> Check:
 
 
 def name(parameter: str, *, root: bool = False) -> Check:
-    """Accept a name, and resolve it for the calling node; ``root``: also the global namespace."""
+    """Accept a name, and resolve it for the calling node; ``root``: also accept the global namespace."""
 
     def check(value: Any, caller: str) -> str:
         if not value or not isinstance(value, str):

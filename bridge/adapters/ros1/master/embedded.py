@@ -28,32 +28,32 @@ _QUICK = (
 """Methods with short replies; ``getParam`` and ``getSystemState`` have long replies."""
 
 _DISTRIBUTION = {"/rosdistro": "noetic\n", "/rosversion": "1.16.0\n"}
-"""Parameters that roscore sets, the last release's values."""
+"""Parameters that roscore sets, with the values of its last release."""
 
 _ROSCORE = "/roslaunch"
 """The node that sets roscore's parameters."""
 
 _RESPAWN_SECONDS = 1.0
-"""Seconds after the end of the node ``/rosout`` until this master's own starts, as roscore's does."""
+"""Seconds after the end of the node ``/rosout`` until this master starts its own, as roscore does."""
 
 
 class EmbeddedMaster:
-    """A ROS 1 master of this process.
+    """A ROS 1 master in this process.
 
     Args:
-        address: to listen on, with ``port``.
-        uri: its address for nodes; default: with the address that it listens on.
-        state: file for its state, None if it is not kept.
+        address: the address to listen on, with ``port``.
+        uri: the master's address for nodes; by default it contains the address that the master listens on.
+        state: the file for the master's state, None to keep no state.
         purge: seconds without an answer after which a dead node is removed; 0 for never.
-        shut_down: is called upon the API's ``shutdown``; None if that is refused.
-        rosout: whether it has the node ``/rosout`` while no other program runs that.
+        shut_down: called when a client requests ``shutdown``; None to refuse such requests.
+        rosout: whether the master runs the node ``/rosout`` while no other program does.
 
     Attributes:
-        uri: its address.
-        api: its registrations and parameters.
+        uri: the master's address.
+        api: the master's registrations and parameters.
 
     Raises:
-        OSError: it cannot listen there.
+        OSError: the master cannot listen on this address and port.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class EmbeddedMaster:
         self._liveness = Liveness(self.nodes, self.api.set_reachable, self._on_dead, purge)
 
     def start(self) -> None:
-        """Restore the state, and start to serve."""
+        """Restore the state, and start serving."""
         restored: Nodes = {}
         if self._state is not None:
             if saved.load(self._state, self.api):
@@ -96,13 +96,13 @@ class EmbeddedMaster:
     def _start_rosout(self) -> None:
         stale = self.nodes().get(NODE)
         if stale is not None and not is_elsewhere(self.api):
-            # of a killed master; another node may have its port now, and is not to be shut down
+            # a killed master's node; another node may have its port now, and must not be shut down
             self.api.remove_dead(NODE, stale)
         self._respawn_rosout()
         self._respawns = True
 
     def _respawn_rosout(self) -> None:
-        """Run the node in place of this master's previous one, unless the name is registered."""
+        """Run the node ``/rosout`` in place of this master's previous one, unless the name is registered."""
         if NODE in self.nodes():
             return
         if self._rosout is not None:
@@ -126,7 +126,7 @@ class EmbeddedMaster:
         if self._rosout is not None:
             self._rosout.close()
         self._server.close()
-        if self._writer is not None:  # first, since a daemon that stops waits only a second
+        if self._writer is not None:  # before the rest, because a stopping daemon waits only a second
             self._writer.close()
         self._liveness.close()
         self.calls.close()

@@ -1,10 +1,10 @@
-"""Removal of dead nodes: those whose slave API no longer answers.
+"""Removes dead nodes: those whose slave API no longer answers.
 
-A node that is killed cannot unregister. ``rosmaster`` lists it for ever; subscribers then try to connect to it, and
+A node that is killed cannot unregister. ``rosmaster`` lists it forever; subscribers then try to connect to it, and
 tools show it. Here each node is asked for its process id now and then. If its machine refuses the connection, its
-process has ended. A node that is only unreachable may come back with its network, so it has more time.
+process has ended. A node that is only unreachable may come back with its network, so it is given more time.
 
-A node that has never answered stays: seen from this machine, its address may lead elsewhere, such as ``localhost`` or a
+A node that has never answered stays. Its address may lead elsewhere from this machine, for example ``localhost`` or a
 host name that only the robot's own machines resolve, while the nodes there reach each other.
 """
 
@@ -23,10 +23,10 @@ from bridge.concurrency import WorkerPool
 _log = logging.getLogger("midspan.ros1.master")
 
 UNREACHABLE_SECONDS = 600.0
-"""Seconds until a node is removed if its machine does not answer at all, unless the configured seconds are more."""
+"""Seconds until a node is removed if its machine does not answer at all, unless a longer time is configured."""
 
 RESTORED_SECONDS = 3.0
-"""Seconds until a node that was restored from the state file is removed, unless the configured seconds are fewer."""
+"""Seconds until a node that was restored from the state file is removed, unless a shorter time is configured."""
 
 _MIN_FAILURES = 3
 _TIMEOUT = 2.0
@@ -56,9 +56,9 @@ class Liveness:
 
     Args:
         nodes: returns the registered nodes.
-        alive: is called with name and address of a node at each of its answers.
-        dead: is called with name and address of a dead node.
-        seconds: how long a node has not answered before it counts as dead; 0 to remove none.
+        alive: called with a node's name and address each time it answers.
+        dead: called with the name and address of a dead node.
+        seconds: the time without an answer after which a node counts as dead; 0 to remove none.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Liveness:
         self._thread = threading.Thread(target=self._run, name="midspan-ros1-liveness", daemon=True)
 
     def start(self, restored: Nodes) -> None:
-        """Start to check; ``restored`` nodes have answered, and may have ended while the master was not running."""
+        """Start checking; ``restored`` nodes have answered, and may have ended while the master was not running."""
         self._restored = set(restored.items())
         self._answered = set(restored.items())
         if self._seconds > 0:
@@ -116,9 +116,9 @@ class Liveness:
         node = (name, api)
         try:
             ask(api, _TIMEOUT, "getPid", CALLER)
-        except RefusedError:  # an error, too, is an answer of the node
+        except RefusedError:  # an error is an answer of the node, too
             self._on_answer(node)
-        except ExhaustedError:  # this process lacks descriptors to ask with
+        except ExhaustedError:  # this process has no file descriptor left to connect with
             pass
         except UnreachableError as err:
             self._on_failure(node, refused=err.refused)
@@ -135,7 +135,7 @@ class Liveness:
             self._failures.pop(node, None)
             self._restored.discard(node)
             self._answered.add(node)
-        self._alive(*node)  # each time: it may have registered again since the last one
+        self._alive(*node)  # each time, because the node may have registered again since its last answer
 
     def _on_failure(self, node: tuple[str, str], *, refused: bool) -> None:
         now = time.monotonic()
@@ -150,7 +150,7 @@ class Liveness:
         if unknown:
             if failures.count == _MIN_FAILURES:
                 _log.warning(
-                    "the node %s has never answered at %s, so this master cannot notice its end; if it runs on another"
+                    "the node %s has never answered at %s, so this master cannot detect its exit; if it runs on another"
                     " machine, set ROS_IP or ROS_HOSTNAME there", *node,
                 )  # fmt: skip
         elif dead:

@@ -2,7 +2,7 @@
 
 Each address has its own queue, which one thread of a pool empties in order; a newer value replaces a queued older one.
 A node that does not answer in time keeps its queue, and is called again later on a thread of another pool, so that it
-delays no others. A node that refuses the connection has ended, and its queue is dropped.
+does not delay other nodes. A node that refuses the connection has ended, and its queue is dropped.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _THREADS, _SLOW_THREADS = 32, 8
 _RETRY_SECONDS = (1.0, 2.0, 5.0)
 _TRIES = 60
 _MAX_QUEUED = 10_000
-"""Calls that wait for one address, beyond which the oldest is dropped."""
+"""Maximum number of calls that wait for one address; beyond it, the oldest is dropped."""
 
 
 class _Call(NamedTuple):
@@ -49,7 +49,7 @@ class NodeCalls:
     """Queues the calls to nodes, and makes them.
 
     Args:
-        rejected: is called with a subscriber of a parameter that rejects an update, and the subscribed key.
+        rejected: called with a subscriber of a parameter that rejects an update, and with the subscribed key.
     """
 
     def __init__(self, rejected: Callable[[Link, str], None]) -> None:
@@ -71,12 +71,12 @@ class NodeCalls:
         self._put(subscriber.api, ("parameter", key, subscribed_key, subscriber.node), call)
 
     def shut_down(self, api: str, node: str, reason: str) -> None:
-        """Have a node end."""
+        """Ask a node to shut down."""
         call = _Call("shutdown", (CALLER, f"[{node}] Reason: {reason}"), None, "")
         self._put(api, ("shutdown", node), call)
 
     def after(self, seconds: float, call: Callable[[], None]) -> None:
-        """Make a call of the API later."""
+        """Run ``call`` after ``seconds``."""
         self._retries.after(seconds, call)
 
     def drop(self, api: str) -> None:
@@ -108,7 +108,7 @@ class NodeCalls:
             idle = queue is None
             if queue is None:
                 queue = self._queues[api] = _Queue()
-            queue.calls.pop(key, None)  # the newer one goes to the end, so that the last value of each parameter wins
+            queue.calls.pop(key, None)  # the newer call goes to the end, so that the last value of each parameter wins
             queue.calls[key] = call
             if len(queue.calls) > _MAX_QUEUED:
                 dropped = next(iter(queue.calls))
@@ -148,12 +148,12 @@ class NodeCalls:
             return key, queue.calls.pop(key)
 
     def _remove(self, api: str, queue: _Queue) -> None:
-        """Remove a queue, unless a later one has its address. The lock is held."""
+        """Remove a queue, unless a later queue has replaced it. The lock is held."""
         if self._queues.get(api) is queue:
             del self._queues[api]
 
     def _requeue(self, queue: _Queue, key: tuple[str, ...], call: _Call) -> None:
-        """Put a failed call in front again, unless a newer call has replaced it."""
+        """Put a failed call back at the front, unless a newer call has replaced it."""
         with self._lock:
             if key not in queue.calls:
                 queue.calls = {key: call, **queue.calls}
@@ -166,7 +166,7 @@ class NodeCalls:
             if done:
                 self._remove(api, queue)
         level = logging.INFO if queue.failures == 1 else logging.DEBUG
-        _log.log(level, "a call of the node at %s failed%s: %s", api, "" if done else ", and is repeated", err)
+        _log.log(level, "a call to the node at %s failed%s: %s", api, "" if done else ", and will be repeated", err)
         if not done:
             pause = _RETRY_SECONDS[min(queue.failures, len(_RETRY_SECONDS)) - 1]
             self._retries.after(pause, lambda: self._retry(api, queue))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from bridge.adapters.ros1.master.names import canonical, join, split
 
 MAX_BYTES = 256 * 2**20
-"""Size limit of all parameters, about as they are in memory."""
+"""Limit of the approximate size of all parameters in memory, bytes."""
 
 MAX_DEPTH = 100
 """Limit of nested namespaces and values."""
@@ -23,9 +23,9 @@ class Update(NamedTuple):
 
     Attributes:
         subscribed_key: the key that they subscribe to.
-        key: the key that has the value: the subscribed one, or one below it.
-        value: ``{}`` for a deleted parameter.
-        inner: whether the value is only a part of the one that was set.
+        key: the key that has the value: the subscribed key, or a key below it.
+        value: the new value, ``{}`` for a deleted parameter.
+        inner: whether the value is only a part of the value that was set.
     """
 
     subscribed_key: str
@@ -120,7 +120,7 @@ class ParameterTree:
         return list(_names("/", self._values))
 
     def updates(self, key: str, value: Any, subscribed: Sequence[str]) -> list[Update]:
-        """Return the updates for subscribers that follow from a new value; ``{}`` if it was deleted.
+        """Return the updates for subscribers that follow from a new value, ``{}`` for a deleted parameter.
 
         ``subscribed`` are the keys with subscribers. All keys end with a slash.
         """
@@ -131,7 +131,7 @@ class ParameterTree:
             if key.startswith(_with_slash(name)):
                 updates.append(Update(name, key, value, inner=False))
             elif inner is not None and _with_slash(name).startswith(key) and name not in inner:
-                updates.append(Update(name, name, {}, inner=True))  # it was in the old value only
+                updates.append(Update(name, name, {}, inner=True))  # the key was only in the old value
         known = set(subscribed)
         for name in inner or ():
             if name in known:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 MAX_REGISTRATIONS = 200_000
 MAX_TYPES = 100_000
-"""Number of topic types beyond which the types of topics without nodes are dropped."""
+"""Maximum number of topic types; beyond it, the types of topics without nodes are dropped."""
 
 
 class Kind(Enum):
@@ -31,7 +31,7 @@ class Node:
     """A registered node.
 
     Attributes:
-        api: its XML-RPC address.
+        api: the node's XML-RPC address.
         reachable: whether it has answered this master since it registered.
         keys: for each kind, the names that it has registered, in order.
     """
@@ -43,7 +43,7 @@ class Node:
 
     @property
     def empty(self) -> bool:
-        """Whether it has no registration left."""
+        """Whether the node has no registration left."""
         return not any(self.keys.values())
 
 
@@ -69,7 +69,7 @@ class Registrations:
         self._count = 0
 
     def register(self, kind: Kind, key: str, node: str, api: str, service_api: str = "") -> Removal | None:
-        """Register a node; return its previous registrations, removed because its address has changed.
+        """Register a node; return its previous registrations if they were removed because its address has changed.
 
         A service has one server: the last one that registered.
         """
@@ -88,7 +88,7 @@ class Registrations:
         return removal
 
     def unregister(self, kind: Kind, key: str, node: str, api: str) -> tuple[str, int]:
-        """Remove a registration if it is current; return a message, and the number of removed ones.
+        """Remove a registration if it is current; return a message, and the number of removed registrations.
 
         ``api`` is the service's address for a service, else the node's.
         """
@@ -132,7 +132,7 @@ class Registrations:
         return Removal(entry.api, list(entry.keys[Kind.PUBLISHER]))
 
     def set_type(self, topic: str, kind: str, *, publisher: bool) -> None:
-        """Store a topic's type: a publisher's has precedence, ``*`` never replaces a type."""
+        """Store a topic's type; a publisher's type has precedence, and ``*`` never replaces a type."""
         unknown, definite = topic not in self.types, kind != "*"
         if (unknown or definite) if publisher else (unknown and definite):
             self.types[topic] = kind
@@ -157,7 +157,7 @@ class Registrations:
         return [[key, [link.node for link in links]] for key, links in self._links[kind].items()]
 
     def __iter__(self) -> Iterator[tuple[Kind, str, Link, str]]:
-        """Yield kind, name, node and service address of each registration, in an order that restores all."""
+        """Yield kind, name, node and service address of each registration, in an order for registering them again."""
         for kind, names in self._links.items():
             for key, links in names.items():
                 for link in links:

@@ -1,6 +1,6 @@
-"""The node ``/rosout``: it publishes all messages of the topic ``/rosout`` on ``/rosout_agg``.
+"""The node ``/rosout``, which publishes all messages of the topic ``/rosout`` on ``/rosout_agg``.
 
-Tools subscribe to the latter, so that each node sends its log once. ``roscore`` starts such a node, too.
+Tools subscribe to the latter, so that each node sends its log only once. ``roscore`` starts such a node, too.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _MAX_MESSAGE = 2**20
 def is_elsewhere(api: MasterApi) -> bool:
     """Return whether another program's node of this name is registered and publishes.
 
-    The node is asked, since another one may have taken the port of a node that has ended.
+    The node is asked, because another node may have taken the port of a node that has ended.
     """
     node = api.registrations.nodes.get(NODE)
     if node is None:
@@ -57,7 +57,7 @@ class RosoutNode:
         bind: the address on which to listen.
 
     Raises:
-        OSError: it cannot listen there.
+        OSError: the node cannot listen on this address.
     """
 
     def __init__(self, api: MasterApi, master_uri: str, bind: str) -> None:

@@ -23,7 +23,7 @@ _VERSION = 1
 _PAUSE = 0.1
 _FAILED_PAUSE = 30.0
 _SHARE = 20
-"""The file is written at most for this part of the time."""
+"""The pause before the next write is at least this many times as long as the last write took."""
 
 _JOIN_SECONDS = 2.0
 _BINARY, _TIME = "\0binary", "\0time"
@@ -31,7 +31,7 @@ _BINARY, _TIME = "\0binary", "\0time"
 
 
 def load(file: Path, api: MasterApi) -> bool:
-    """Restore a master's state; return False without a valid file. Renames and reports an invalid one."""
+    """Restore a master's state; return False if there is no valid file. An invalid file is reported and renamed."""
     try:
         text = file.read_text(encoding="utf-8")
     except FileNotFoundError:

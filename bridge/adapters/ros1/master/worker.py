@@ -18,7 +18,7 @@ from bridge.worker import Health, Worker, WorkerFailedError
 class MasterWorker(Worker):
     """Runs a ROS 1 master at ``ros1.listen``.
 
-    With ``stoppable``, nodes may end its process with the call ``shutdown`` of the API.
+    With ``stoppable``, nodes may end the process by calling ``shutdown`` of the API.
     """
 
     def __init__(self, *, stoppable: bool = False) -> None:
@@ -45,7 +45,7 @@ class MasterWorker(Worker):
 
     @override
     def reload(self, config: Config) -> bool:
-        """Apply a new configuration; other addresses, another state file or another ``ros1.purge`` need a restart."""
+        """Apply a new configuration; a changed address, state file or ``ros1.purge`` needs a restart."""
         old, self._config = self._config, config
         return old is not None and _settings(old) == _settings(config)
 

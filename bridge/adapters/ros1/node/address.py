@@ -1,9 +1,9 @@
 """The address of this machine's ROS 1 nodes, from ``ROS_HOSTNAME``, ``ROS_IP`` and ``ROS_IPV6``.
 
 The rules are those of rosgraph (https://wiki.ros.org/ROS/NetworkSetup, https://wiki.ros.org/ROS/EnvironmentVariables):
-``ROS_HOSTNAME`` precedes ``ROS_IP``. Without both, the address is the machine's name, unless that is a loopback name:
-then it is the first address of a network interface. A node with a loopback address listens only there, any other one on
-all interfaces.
+``ROS_HOSTNAME`` has precedence over ``ROS_IP``. Without both, the address is the machine's name or, if that is a
+loopback name, the first address of a network interface. A node with a loopback address listens only there, any other
+node on all interfaces.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class NodeAddress:
 
     @property
     def in_uri(self) -> str:
-        """The host as a URI contains it."""
+        """The host in the form that a URI contains."""
         return f"[{self.host}]" if ":" in self.host else self.host
 
     def listen(self) -> socket.socket:
@@ -58,7 +58,7 @@ def _check(given: str, name: str) -> None:
     elif name == "ROS_HOSTNAME" and ":" in given and not _is_ipv6(given):
         trouble = "it must not contain a port"
     elif name == "ROS_IP" and not _is_address(given):
-        trouble = "it is no IPv4 or IPv6 address without a port"
+        trouble = "it is not an IPv4 or IPv6 address without a port"
     if trouble:
         _log.warning("%s is %r: %s; ROS 1 nodes cannot connect to this one", name, given, trouble)
 
@@ -77,7 +77,7 @@ def _is_ipv6(text: str) -> bool:
 
 def _bind(given: str, *, ipv6: bool) -> str:
     if given != "localhost" and given != "::1" and not given.startswith("127."):
-        return "::" if ipv6 else "0.0.0.0"  # noqa: S104 - all interfaces, as every ROS 1 node
+        return "::" if ipv6 else "0.0.0.0"  # noqa: S104 - all interfaces, like every ROS 1 node
     if ipv6:
         return "::1"
     return given if given.startswith("127.") else "127.0.0.1"
@@ -93,7 +93,7 @@ def _machine(*, ipv6: bool) -> str:
 
 
 def _interfaces(*, ipv6: bool) -> Iterator[str]:
-    """Yield the addresses of the network interfaces, IPv6 first if it is used; link-local ones need an interface."""
+    """Yield the network interfaces' addresses, IPv6 first if used, without link-local ones, which need an interface."""
     families = (socket.AF_INET6, socket.AF_INET) if ipv6 else (socket.AF_INET,)
     entries = [entry for interface in psutil.net_if_addrs().values() for entry in interface]
     for family in families:

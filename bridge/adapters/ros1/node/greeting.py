@@ -25,10 +25,10 @@ _log = logging.getLogger(__name__)
 
 _SECONDS = 5.0
 _MAX_OPEN = 1000
-"""Limit of connections without a complete header; beyond it, new ones are closed."""
+"""Maximum number of connections without a complete header; beyond it, new connections are closed."""
 
 _MAX_BYTES = 32 * 2**20
-"""Limit of the bytes of incomplete headers, over all connections."""
+"""Maximum total size of incomplete headers over all connections, bytes."""
 
 _ACCEPTED_AT_ONCE = 64
 _ADMITTED_AT_ONCE = 16
@@ -55,7 +55,7 @@ class TcprosServer(PolledConnection):
 
     @override
     def on_ready(self) -> Callable[[], None] | None:
-        """Accept the waiting connections; return how to pause if the system is out of descriptors."""
+        """Accept waiting connections; if the system is out of descriptors, return a function that pauses accepting."""
         for _ in range(_ACCEPTED_AT_ONCE):
             try:
                 sock, _ = self._sock.accept()
@@ -94,7 +94,7 @@ class TcprosServer(PolledConnection):
             return
         try:
             greeting = _Greeting(sock, self)
-        except OSError as err:  # it has disconnected
+        except OSError as err:  # the peer has disconnected
             _log.debug("a ROS 1 peer was not admitted: %s", err)
             sock.close()
             return
@@ -152,7 +152,7 @@ class _Greeting(PolledConnection):
 
     @override
     def on_ready(self) -> Callable[[], None] | None:
-        """Receive a part of the header, and not a byte after it."""
+        """Receive a part of the header, but no byte after it."""
         try:
             data = receive_now(self._sock, min(self._size - len(self._buffer), 65536))
         except BlockingIOError:

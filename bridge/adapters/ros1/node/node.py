@@ -1,7 +1,7 @@
 """Midspan's node on the ROS 1 graph: its slave API, its TCPROS server, and the topics and services to register.
 
-`bridge.adapters.ros1.graph.master` registers it. Unlike rospy and roscpp, it needs no master to start, and registers
-again with a restarted master. The process's log is not published on ``/rosout``.
+`bridge.adapters.ros1.graph.master` registers the node. Unlike nodes of rospy and roscpp, it needs no master to start,
+and registers again with a restarted master. The process's log is not published on ``/rosout``.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class NodeEvents(NamedTuple):
     """The node's callbacks; they may be called on any thread.
 
     Attributes:
-        changed: the master should be read.
-        shutdown: another node, the master or a user requests this node's shutdown, with the reason.
-        visit: another Midspan node has connected, with its header and this node's address; returns "" or why it is
-            rejected.
-        subscribed: a subscriber of a topic has connected.
+        changed: called when the master should be read.
+        shutdown: called with the reason when another node, the master or a user requests this node's shutdown.
+        visit: called when another Midspan node has connected, with its header and this node's address; returns "" or
+            why the other node is rejected.
+        subscribed: called with the topic when a subscriber has connected.
     """
 
     changed: Changed
@@ -50,7 +50,7 @@ class Ros1Node:
     """The node: ``uri`` (XML-RPC), ``port`` (TCPROS), ``address`` (of its services).
 
     Attributes:
-        name: it may be changed while nothing is registered under the old one.
+        name: the node's name; may be changed while nothing is registered under the old name.
         parameter_changed: called when a subscribed parameter has changed.
     """
 
@@ -97,7 +97,7 @@ class Ros1Node:
         return dict.fromkeys(self._servers.names(), self.address)
 
     def stop(self) -> None:
-        """Close everything; `Master` must have unregistered the node before."""
+        """Close everything, after `Master` has unregistered the node."""
         self._tcpros.close()
         self._book.close()
         self._server.close()
@@ -109,7 +109,7 @@ class Ros1Node:
         return changed is not None
 
     def _admit(self, sock: DeadlineSocket, header: Header) -> str:
-        """Pass a peer to the topics, the services, or the links between Midspan nodes; return "" or why not."""
+        """Pass a peer to the topics, services or links between Midspan nodes; return "" or why it is rejected."""
         if FIELD in header:
             return self._events.visit(sock, header, self.uri)
         if "topic" in header:

@@ -29,11 +29,11 @@ class SlaveState:
 
     Attributes:
         name: the node's name.
-        uri: its XML-RPC address.
+        uri: the node's XML-RPC address.
         master: the master's address.
-        tcpros: host and port for subscribers.
-        book: its topics.
-        calls: number of calls of its services, bytes received and bytes sent.
+        tcpros: the host and port for subscribers.
+        book: the node's topics.
+        calls: the number of calls to the node's services, bytes received and bytes sent.
     """
 
     name: Callable[[], str]
@@ -49,9 +49,9 @@ class SlaveEvents:
     """The callbacks for calls of the API, on the server's threads.
 
     Attributes:
-        publishers_changed: a subscribed topic has other publishers.
-        parameter_changed: a subscribed parameter has another value; returns False if none is subscribed.
-        shutdown: another node, the master or a user requests the node's shutdown, with the reason.
+        publishers_changed: called when the publishers of a subscribed topic have changed.
+        parameter_changed: called when a subscribed parameter has changed; returns False if none is subscribed.
+        shutdown: called with the reason when another node, the master or a user requests the node's shutdown.
     """
 
     publishers_changed: Callable[[], None]

@@ -20,13 +20,13 @@ from bridge.messages.registry import Registry
 _log = logging.getLogger(__name__)
 
 PERIOD = 1.0
-"""Seconds between two comparisons; the master reports changes in ROS 1 at once, a ROS 2 node reports none."""
+"""Seconds between two comparisons; the master reports changes in ROS 1 at once, but a ROS 2 node reports none."""
 
 _SETTLE = 0.02
-"""Least seconds between two comparisons: several parameters are often set together."""
+"""Minimum seconds between two comparisons, because several parameters are often set together."""
 
 MAX_JOBS = 1000
-"""Largest number of calls and replies that wait for the thread."""
+"""Maximum number of calls and replies that wait for the thread."""
 
 _BUSY = "too many calls of parameter services wait for ROS 1's parameter server"
 _MAX_SHOWN = 20
@@ -83,7 +83,7 @@ class ParameterSharing:
         return [{"ros1": rule.ros1, "node": rule.node, "owner": rule.owner, "shared": count} for rule, count in rules]
 
     def _submit(self, job: Callable[[], None], waits: Done | None) -> None:
-        """Run a job on the thread; a call for which the queue is full ends with an error."""
+        """Run a job on the thread; if its queue is full, a call ends with an error instead."""
         if waits is not None and len(self._jobs) >= MAX_JOBS:
             waits(CallError(_BUSY))
             return
@@ -125,13 +125,13 @@ class ParameterSharing:
         self._trouble = ""
         copies = self._store.copies
         left = [key for key in copies if not any(mirrored.covers(key) for mirrored in self._mirrored)]
-        self._store.copy(dict.fromkeys(left), copies.difference(left))  # copies by a rule that no longer exists
+        self._store.copy(dict.fromkeys(left), copies.difference(left))  # copies that a former rule made
         for offered in self._offered:
             offered.follow(trees)
         for mirrored in self._mirrored:
             mirrored.follow()
 
     def _close(self) -> None:
-        """Leave the hub: the network is unreachable, or another worker shares the parameters."""
+        """Leave the hub while the network is unreachable or another worker shares the parameters, or at the end."""
         for part in self._parts:
             part.close()

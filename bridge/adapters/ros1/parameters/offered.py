@@ -54,7 +54,7 @@ class OfferedNode:
 
     @property
     def count(self) -> int:
-        """Number of its parameters."""
+        """Number of the node's parameters."""
         return len(self._told or ())
 
     def follow(self, trees: Mapping[str, Any]) -> None:
@@ -110,7 +110,7 @@ class OfferedNode:
             self._publish(MessageWriter(self._event_schema).message(message))
 
     def call(self, service: str, request: bytes, done: Done) -> Abandon:
-        """Schedule a call; runs on zenoh's receiving thread."""
+        """Schedule a call; called on zenoh's receiving thread."""
         self._submit(lambda: done(self._answer(service, request)), done)
         return lambda: None
 
@@ -145,7 +145,7 @@ class OfferedNode:
         }  # fmt: skip
 
     def _list_parameters(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """List names like rclcpp's node_parameters.cpp: the depth counts the dots after a prefix, 0 is any."""
+        """List names like rclcpp's node_parameters.cpp; the depth counts dots after a prefix, and 0 means any depth."""
         prefixes, depth = request["prefixes"], request["depth"]
 
         def wanted(name: str) -> bool:

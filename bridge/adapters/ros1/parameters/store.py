@@ -52,9 +52,9 @@ class ParameterServer:
         self.copies: frozenset[str] = frozenset()
 
     def watch(self, keys: Sequence[str]) -> dict[str, Any]:
-        """Read parameters or namespaces, {} for one that is not set, and subscribe to changes of them and below them.
+        """Read parameters or namespaces ({} if not set), and subscribe to changes of them and of the keys below them.
 
-        A restarted master has no subscriptions, so each call subscribes.
+        A restarted master has no subscriptions, so each call subscribes again.
         """
         self._watched |= set(keys)
         me = self._caller()
@@ -79,7 +79,8 @@ class ParameterServer:
     def copy(self, values: Mapping[str, Any], copies: Collection[str]) -> list[str]:
         """Write like `write`, and list ``copies`` for `close` or, after a crash, for the next process.
 
-        A name is listed before it is set, and until it is deleted; a name that the master does not list is not set.
+        A name is listed before it is set, and stays listed until it is deleted; a name that cannot be listed is not
+        set.
         """
         listed = frozenset(copies)
         self._list(self.copies | listed)

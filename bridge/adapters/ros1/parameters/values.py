@@ -1,7 +1,7 @@
 """Values of parameters in ROS 1 (XML-RPC) and in ROS 2 (``rcl_interfaces/msg/ParameterValue``), and their names.
 
-ROS 1 has 32-bit integers, doubles, bools, text, bytes, lists of anything and namespaces (wiki.ros.org/Parameter
-Server). ROS 2 has 64-bit integers, lists of one type each and, instead of namespaces, dots in names (Jazzy,
+ROS 1 has 32-bit integers, doubles, bools, strings, bytes, lists of anything and namespaces (wiki.ros.org/Parameter
+Server). ROS 2 has 64-bit integers, lists with elements of one type and, instead of namespaces, dots in names (Jazzy,
 "Parameters").
 """
 
@@ -52,7 +52,7 @@ class UnrepresentableError(Exception):
 class ParameterValue:
     """A value in ROS 2's types. Values of one kind with the same text are equal, including NaN.
 
-    ``content`` is a bool, int, float, text, bytes, or a list of one of the first four; None if it is not set.
+    ``content`` is a bool, int, float, str, bytes, or a list of one of the first four types; None if it is not set.
     """
 
     kind: ParameterType
@@ -113,8 +113,8 @@ def to_ros1(value: ParameterValue) -> Any:
 def to_ros2(value: Any, like: ParameterType = ParameterType.NOT_SET) -> ParameterValue:
     """Convert a value of ROS 1's parameter server for a ROS 2 node; raises `UnrepresentableError`.
 
-    ``like`` is the type of the node's parameter: a whole number becomes a double, and a whole double an integer, since
-    `rosparam set` does not distinguish them. An empty list fits any type.
+    ``like`` is the type of the node's parameter. To match it, an integer becomes a double, and a double with an integer
+    value an integer, because `rosparam set` does not distinguish them. An empty list matches any type of lists.
     """
     if isinstance(value, xmlrpc.client.Binary):
         return ParameterValue(ParameterType.BYTE_ARRAY, value.data)
@@ -166,7 +166,7 @@ def flatten(tree: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
 
 
 class ParameterNames:
-    """The names that a rule covers, on both networks; ``rest`` is the part after `ParameterRule.ros1`, ``a/b``."""
+    """The names that a rule covers, on both networks; paths such as ``a/b`` are relative to `ParameterRule.ros1`."""
 
     def __init__(self, rule: ParameterRule) -> None:
         self.rule = rule
@@ -185,7 +185,7 @@ class ParameterNames:
         return ".".join(part for part in (self.rule.prefix, path.replace("/", ".")) if part)
 
     def rest(self, ros2_name: str) -> str | None:
-        """Return the rest of a node's parameter name; None if the rule excludes it, or ROS 1 has no such names."""
+        """Return the path of a node's parameter; None if the rule excludes it, or its name is not valid in ROS 1."""
         name, prefix = ros2_name, self.rule.prefix
         if prefix:
             if name != prefix and not name.startswith(f"{prefix}."):

@@ -222,7 +222,7 @@ class ServiceServers:
         """Serve a service; raises `MessageTypeError`."""
         if not side_type.type_id or side_type.type_id == "*":
             raise MessageTypeError(
-                f"the md5 sum of {side_type.name} is unknown, ROS 1 clients would reject it",
+                f"the md5 sum of {side_type.name} is unknown, so ROS 1 clients would reject it",
                 "give the type's .srv folder under types.folders",
             )
         server = Ros1Server(name, side_type, call, self._remove_server, self.traffic)

@@ -22,13 +22,13 @@ from bridge.messages.transcode.conversion import SideType
 from bridge.routing.edge import Endpoint, Kind, MadeBy
 
 _OF_EVERY_NODE = ("/get_loggers", "/set_logger_level")
-"""A dead node leaves these on the master, too; they are not reported."""
+"""Services of every node. A dead node leaves them on the master, too, so they are not reported."""
 
 _CHECK_PERIOD = 2.0
 
 
 class Ros1Services(Follower[Ros1Caller]):
-    """The services of one edge; ``wake`` polls the master, ``doubt`` reports a service with an outdated address."""
+    """The services of one edge; ``wake`` has the master read, ``doubt`` reports a service's address as outdated."""
 
     def __init__(self, context: Ros1Context, wake: Callable[[], None], doubt: Callable[[str], None]) -> None:
         super().__init__(context, self._handshake, "server")
@@ -47,7 +47,7 @@ class Ros1Services(Follower[Ros1Caller]):
         self._check_rivals()
 
     def _check_rivals(self) -> None:
-        """Check that native servers of the same names are alive: nothing else notices their exit."""
+        """Check that native servers of the same names are alive, because nothing else detects their exit."""
         if time.monotonic() < self._check_due:
             return
         self._check_due = time.monotonic() + _CHECK_PERIOD
@@ -83,7 +83,7 @@ class Ros1Services(Follower[Ros1Caller]):
                 yield f"{link.topic}: its server {link.node} does not announce its type: {trouble}"
         for link in self._rivals():
             if not self.is_gone(link):
-                yield f"{link.topic}: {link.node} serves it on ROS 1 itself, so the hub's is not offered there"
+                yield f"{link.topic}: {link.node} serves it on ROS 1 itself, so the hub's service is not offered there"
 
     def _handshake(self, caller: str, uri: str, service: str, seconds: float) -> tuple[DeadlineSocket, Header]:
         try:

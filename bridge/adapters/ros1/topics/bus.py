@@ -15,12 +15,12 @@ class TopicConnection(PolledConnection):
     """A connection of one topic.
 
     Attributes:
-        id: its number within this process.
+        id: the connection's number within this process.
         peer: the node of a subscriber, or the XML-RPC address of a publisher.
-        bytes: number of bytes of messages so far, with their lengths.
+        bytes: number of bytes of messages so far, including their length fields.
         messages: number of messages so far.
         dropped: number of messages that were not delivered.
-        done: whether it has ended.
+        done: whether the connection has ended.
     """
 
     direction: ClassVar[str]
@@ -41,7 +41,7 @@ class TopicConnection(PolledConnection):
         return f"[{self._far[0]}]:{self._far[1]}" if ":" in self._far[0] else f"{self._far[0]}:{self._far[1]}"
 
     def bus_info(self, topic: str) -> list[Any]:
-        """Return an entry of ``getBusInfo``; the last text is as ``rosnode info`` parses it."""
+        """Return an entry of ``getBusInfo``; its text has the form that ``rosnode info`` parses."""
         place = f"[{self._far[0]}:{self._far[1]} on socket {self.fileno()}]"
         text = f"{self.transport} connection on port {self._near[1]} to {place}"
         return [self.id, self.peer, self.direction, self.transport, topic, not self.done, text]

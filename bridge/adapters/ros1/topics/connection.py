@@ -18,14 +18,14 @@ from bridge.adapters.ros1_peers import DeadlineSocket, Ros1ProtocolError
 _log = logging.getLogger(__name__)
 
 MAX_MESSAGE = 512 * 2**20
-"""Size limit in bytes; an announcement of more counts as corrupt, and the connection is closed."""
+"""Size limit in bytes; a larger announced size counts as corrupt, and the connection is closed."""
 
 _CLOSED = "the publisher closed the connection"
 _LENGTH = struct.Struct("<I")
 _CHUNK = 64 * 1024
 _LARGE = 32 * 1024
 _TRUSTED = 16 * 2**20
-"""Bytes that are allocated on announcement; more only after these have arrived."""
+"""Maximum number of bytes that are allocated when a length is announced; more only after these have arrived."""
 
 Refused = Callable[[str, str], None]
 """``refused(reason, why)``: a message is not delivered; ``reason`` is ``bad`` or ``large``."""
@@ -34,8 +34,8 @@ Refused = Callable[[str, str], None]
 class PublisherConnection(TopicConnection):
     """Reads one publisher's messages until the connection ends.
 
-    The loop's thread reads them until a large one comes. From then on, and without a loop, a separate thread does.
-    ``dropped`` is the number of messages above the limit, which are not delivered.
+    The loop's thread reads them until a large message arrives; from then on, or without a loop, a separate thread reads
+    them. ``dropped`` is the number of messages above the limit, which are not delivered.
     """
 
     direction, joins = "i", True
@@ -52,7 +52,7 @@ class PublisherConnection(TopicConnection):
         self._thread = threading.Thread(target=self._run, name=f"midspan-ros1-in{topic}", daemon=True)
 
     def start(self) -> None:
-        """Begin to read, unless closed."""
+        """Start reading, unless closed."""
         with self._lock:
             if self.done:
                 return
@@ -86,7 +86,7 @@ class PublisherConnection(TopicConnection):
 
     @override
     def on_ready(self) -> Callable[[], None] | None:
-        """Deliver small messages; return how to continue at a large message or at the end, else None."""
+        """Deliver small messages; return a function that handles a large message or the end, None if there is none."""
         try:
             alone = self._take_small()
         except BlockingIOError:
@@ -177,7 +177,7 @@ class PublisherConnection(TopicConnection):
             (size,) = _LENGTH.unpack_from(buffer, at)
             if size > MAX_MESSAGE:
                 raise Ros1ProtocolError(
-                    f"the publisher announces a message of {size} bytes, the limit is {MAX_MESSAGE}"
+                    f"the publisher announces a message of {size} bytes, but the limit is {MAX_MESSAGE}"
                 )
             at += 4
             if size > self._limit:

@@ -18,22 +18,23 @@ from bridge.adapters.ros1.topics.bus import TopicConnection
 _log = logging.getLogger(__name__)
 
 MAX_WAITING = 64 * 2**20
-"""Limit of queued bytes for one subscriber, not counting the newest message."""
+"""Maximum number of queued bytes for one subscriber, not counting the newest message."""
 
 MAX_MESSAGES = 20_000
-"""Limit of queued messages for one subscriber, over all sources."""
+"""Maximum number of queued messages for one subscriber, over all sources."""
 
 _LENGTH = struct.Struct("<I")
 _MAX_UNEXPECTED = 64 * 1024
-"""Bytes that a subscriber may send after its header; TCPROS has none, and they are discarded."""
+"""Maximum number of bytes that a subscriber may send after its header; TCPROS defines none, so they are discarded."""
 
 
 class SubscriberConnection(TopicConnection):
     """Sends messages to one subscriber without ever blocking the sender.
 
     While the socket's buffer has room, the sender's thread writes. A slower subscriber gets a separate thread and a
-    queue of at most ``depth`` messages per source and `MAX_WAITING` bytes; the oldest of the source are dropped.
-    ``node`` is the subscriber's name; ``ended`` is called when the loop notices that it has disconnected.
+    queue of at most ``depth`` messages per source and `MAX_WAITING` bytes; beyond that, the oldest messages of the same
+    source are dropped. ``node`` is the subscriber's name; ``ended`` is called when the loop detects that the subscriber
+    has disconnected.
     """
 
     direction = "o"
@@ -93,13 +94,13 @@ class SubscriberConnection(TopicConnection):
             self._bytes = 0
             with contextlib.suppress(OSError):
                 self._sock.shutdown(socket.SHUT_RDWR)
-            if not self._writing:  # else the thread closes it
+            if not self._writing:  # otherwise the writing thread closes the socket
                 self._sock.close()
             self._condition.notify()
 
     @override
     def on_ready(self) -> Callable[[], None] | None:
-        """Discard what the subscriber sends; return how to handle the end of the connection."""
+        """Discard what the subscriber sends; if the connection has ended, return a function that handles that."""
         try:
             data = receive_now(self._sock, _MAX_UNEXPECTED)
         except BlockingIOError:

@@ -1,7 +1,7 @@
 """One topic that this node publishes, shared by the bridge's publishers of that topic.
 
 A ROS 1 node has one publication per topic, while the hub may have any number of publishers. Latched messages are
-retained for each of them, and every late joiner receives all.
+retained for each of these publishers, and every late joiner receives all of them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Publication:
     """The connections to a topic's subscribers; ``changed`` is called when one joined or left.
 
     Attributes:
-        users: number of publishers that share it.
+        users: number of publishers that share the publication.
         latches: number of those that latch.
         published: bytes of all published messages.
     """
@@ -84,8 +84,8 @@ class Publication:
     def admit(self, sock: DeadlineSocket, subscriber: str) -> None:
         """Send the header and the retained messages to a new subscriber; raises `OSError`.
 
-        It replaces an earlier connection of the same node, which the peer may have lost. A subscriber that is admitted
-        as the publication ends is disconnected after the header.
+        The connection replaces an earlier one of the same node, which the peer may have lost. A subscriber that is
+        admitted while the publication ends is disconnected after the header.
         """
         sock.sendall(encode(self.header()))
         connection = SubscriberConnection(sock, f"midspan-ros1-out{self.topic}", subscriber, self.remove)
@@ -156,5 +156,5 @@ class Publication:
 
 
 def figure(number: int) -> int | float:
-    """Return a number as XML-RPC can represent it: integers have 32 bits."""
+    """Return a number in a form that XML-RPC, whose integers have 32 bits, can represent."""
     return number if number < 2**31 else float(number)

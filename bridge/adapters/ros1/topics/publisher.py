@@ -14,7 +14,7 @@ class Ros1Publisher:
     def __init__(self, book: TopicBook, topic: str, side_type: SideType, qos: Qos) -> None:
         if not side_type.type_id or side_type.type_id == "*":
             raise MessageTypeError(
-                f"the md5 sum of {side_type.name} is unknown, ROS 1 subscribers would reject it",
+                f"the md5 sum of {side_type.name} is unknown, so ROS 1 subscribers would reject it",
                 "give the type's .msg folder under types.folders",
             )
         self._book = book

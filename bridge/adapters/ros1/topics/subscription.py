@@ -1,7 +1,7 @@
 """Subscriptions: connections to the native publishers of one topic.
 
-They connect only to publishers that are known to be native and of the subscription's type. Messages of a Midspan are
-not even received, and a latched message is not lost while its publisher is not yet known.
+A subscription connects only to publishers that are known to be native and to have the subscription's type. Therefore
+messages of a Midspan are not even received, and a latched message is not lost while its publisher is still unknown.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ _log = logging.getLogger(__name__)
 _FIRST_WAIT = 0.2
 _LONGEST_WAIT = 5.0
 SETTLE_SECONDS = 0.5
-"""How long a new publisher is left unread. Meanwhile the other sides create their endpoints of the topic; messages sent
-before these have discovered their peers would be lost, so they wait in the connection. Fast DDS often needs over 0.2
-s."""
+"""How long the connection to a new publisher is left unread. Meanwhile the other sides create their endpoints of the
+topic; messages sent before these endpoints have discovered their peers would be lost, so they wait in the connection.
+Fast DDS often needs over 0.2 s."""
 
 
 @dataclass(slots=True)
@@ -34,8 +34,8 @@ class _PublisherState:
     """One publisher that the subscription connects to.
 
     Attributes:
-        fresh: until a connection to it has failed or ended.
-        latching: whether it announced to the current connection that it latches.
+        fresh: whether no connection to the publisher has failed or ended yet.
+        latching: whether the publisher announced on the current connection that it latches.
     """
 
     reader: PublisherConnection | None = None
@@ -56,7 +56,7 @@ class _PublisherState:
 
 
 class Ros1Subscription:
-    """Maintains a connection to each native publisher of one topic with the wanted type; TCP loses nothing."""
+    """Maintains a connection to each native publisher of one topic with the wanted type; TCP loses no messages."""
 
     lost = 0
 
@@ -88,8 +88,8 @@ class Ros1Subscription:
     def unread(self, node: str, uri: str, *, listed: bool) -> bool:
         """Return whether a node may have published a message that is not delivered yet.
 
-        That is so if its connection is not read yet, or has unread bytes. ``listed``: also if no connection to the
-        node has been made yet, although the master lists it as a publisher of the topic.
+        That is the case if the connection to the node is not read yet, or has unread bytes. ``listed``: also if there
+        is no connection to the node yet, although the master lists it as a publisher of the topic.
         """
         link = Registration(node, self.topic, uri)
         with self._lock:
@@ -137,7 +137,7 @@ class Ros1Subscription:
             self._failed(link, source, err)
             return
         facts = Facts.of(header)
-        with sock:  # closes it unless the reader has taken it over
+        with sock:  # closes the socket unless the reader has taken it over
             if not facts.fits(self._md5):
                 self._prober.doubt(link, "the publisher changed its type or its origin")
                 return
@@ -179,7 +179,8 @@ class Ros1Subscription:
             source.postpone()
         if isinstance(err, UnreachableError):
             self._context.pool.failed(link.uri)
-        if not isinstance(err, ExhaustedError):  # it may be dead although listed: unknown until it responds to a probe
+        if not isinstance(err, ExhaustedError):
+            # the publisher may be dead although it is listed, so it is unknown until it responds to a probe
             self._prober.doubt(link, str(err))
 
     def _ended(self, link: Registration, source: _PublisherState, reader: PublisherConnection, trouble: str) -> None:

@@ -54,7 +54,7 @@ class Ros1Topics(Follower["Ros1Subscription"]):
     ) -> Ros1Subscription:  # fmt: skip
         """Subscribe to the native publishers of a topic with this type, under this node's name plus ``suffix``.
 
-        ``fresh``: messages from before the subscription are not delivered, as commands require.
+        ``fresh``: do not deliver messages from before the subscription, as commands require.
         ``settle``: leave a new publisher unread until the other sides have created their endpoints of the topic.
         """
         from bridge.adapters.ros1.topics.subscription import SETTLE_SECONDS, Ros1Subscription

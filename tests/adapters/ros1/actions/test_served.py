@@ -182,7 +182,7 @@ def test_a_native_server_keeps_its_name(master, edge):
     with peer_on(master, "rival_client") as client, peer_on(master, "rival_server") as peer:
         act = Served(edge, client, "/rival")
         server = peer.ask("server", name="/rival")["id"]
-        reason = "/rival: /rival_server serves this action on ROS 1 itself, so the hub's is not offered there"
+        reason = "/rival: /rival_server serves this action on ROS 1 itself, so the hub's action is not offered there"
         until(lambda: reason in edge.ask("status")["warnings"], "a warning is reported", SECONDS)
         until(
             lambda: master.state()["publishers"]["/rival/status"] == ["/rival_server"],

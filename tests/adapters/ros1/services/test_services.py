@@ -288,7 +288,7 @@ def test_a_native_server_keeps_its_name(master, edge):
         native = peer.ask("serve", service="/owned", type=SET_BOOL)["id"]
         server_of(edge, "/owned")
         served = edge.ask("serve", service="/owned", type=SET_BOOL)["id"]
-        warning = "/owned: /owner serves it on ROS 1 itself, so the hub's is not offered there"
+        warning = "/owned: /owner serves it on ROS 1 itself, so the hub's service is not offered there"
         until(lambda: warning in edge.ask("status")["warnings"], "a warning is reported", SECONDS)
         peer.drop(native)
         registered(master, "/owned")
