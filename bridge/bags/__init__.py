@@ -1,1 +1,1 @@
-"""Bags: files of messages, in the formats that people use."""
+"""Bags: files of recorded messages, in the formats of ROS 1, rosbag2 and MCAP."""

@@ -146,7 +146,7 @@ class Bag(ABC):
     def columns(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[Columns]:
-        """Yield the same as `messages`, in blocks."""
+        """Yield the same messages as `messages`, in blocks."""
         return in_columns(self.messages(topics, start_ns, end_ns))
 
     def skip_damage(self, on_damage: Callable[[BagError], None]) -> None:  # noqa: B027 - a file of SQLite cannot

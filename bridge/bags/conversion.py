@@ -1,6 +1,6 @@
-"""Conversion of a bag's topics to the hub's types or to ROS 1's, by the conversions that the bridge itself uses.
+"""Converts a bag's topics to the hub's types or to ROS 1's, with the conversions that the bridge itself uses.
 
-A type that is not installed, or only in another version, comes from the bag's own definition.
+For a type that is not installed, or only in another version, the bag's own definition is used.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ class TopicForm:
     """A topic in the format of another file.
 
     Attributes:
-        type_name: as that world spells it.
+        type_name: the type's name as that format spells it.
         type_hash: ``RIHS01_...`` or md5; "" if unknown.
         definition: the full definition, "" if unknown.
         convert: converts a message's bytes; None if they stay the same. Raises `ConversionError` for invalid bytes.
         left_out: ROS 1 fields that have no counterpart.
         name: the topic's name, "" if it stays the same.
-        undefined: why no definition is known, with the cure; None if one is, and if the bag's own cannot be read.
+        undefined: why no definition is known, with the cure; None if one is known, or if the bag has an unreadable one.
     """
 
     type_name: str
@@ -105,7 +105,7 @@ def to_ros1(registry: Registry, topic: BagTopic, path: Path = Path("bag")) -> To
 
 
 class FileTopics:
-    """The topics and types of one file of ROS 2, whose readers know one definition of each type."""
+    """The topics and types of one file of ROS 2, whose readers support only one definition of each type."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -115,7 +115,7 @@ class FileTopics:
     def add(self, topic: BagTopic, form: TopicForm) -> None:
         """Add a topic; raises `BagError` if its name or the definition of one of its types differs from an earlier one.
 
-        A name that two topics would get goes to the first, as on the hub.
+        If two topics would get the same name, the first one gets it, as on the hub.
         """
         if (other := self._names.get(form.name, topic.name)) != topic.name:
             problem = f"{topic.name} would become {form.name}, as {other} does"
@@ -148,7 +148,7 @@ def _form(conversion: Conversion) -> TopicForm:
 
 
 def _feedback(registry: Registry, topic: BagTopic, type_hash: str) -> TopicForm:
-    """Return actionlib's feedback for that of a ROS 2 action. ROS 2's has no stamp, so the stamps are zero."""
+    """Return actionlib's form of a ROS 2 action's feedback. ROS 2's feedback has no stamp, so the stamps are zero."""
     convert = registry.hub_to_ros1(topic.type_name, type_hash).convert or bytes
     target = registry.ros1_action_feedback(registry.action_to_ros1(topic.type_name.removesuffix(_FEEDBACK)))
 
@@ -161,7 +161,7 @@ def _feedback(registry: Registry, topic: BagTopic, type_hash: str) -> TopicForm:
 
 
 def _statuses(registry: Registry, name: str, type_hash: str) -> TopicForm:
-    """Return actionlib's status list for that of a ROS 2 action."""
+    """Return actionlib's form of a ROS 2 action's status list."""
     convert = registry.hub_to_ros1(actions.STATUSES, type_hash).convert or bytes
     target = registry.ros1(_STATUSES)
 

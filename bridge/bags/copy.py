@@ -1,4 +1,4 @@
-"""Copies a bag into another format, or a part of it, or the readable rest of a damaged one."""
+"""Copies a bag into another format, or copies a part of a bag, or what is readable of a damaged bag."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class BagSelection:
     Attributes:
         names: a filter of topic names.
         start_ns, end_ns: ``start_ns <= time < end_ns``.
-        latched: also copy the last messages of latched topics before the start, with the start's time.
+        latched: also copy the last messages of latched topics before the start, with the start as their time.
     """
 
     names: NameFilter | None = None
@@ -40,7 +40,7 @@ class BagSelection:
     latched: bool = False
 
     def chosen(self, bag: Bag) -> list[BagTopic]:
-        """Return the selected topics of a bag; raises `BagError` for a name that matches none."""
+        """Return the selected topics of a bag; raises `BagError` for a name that matches no topic."""
         if self.names is None:
             return list(bag.topics)
         for name in self.names.idle(topic.name for topic in bag.topics):
@@ -64,8 +64,8 @@ class Copied:
 
     Attributes:
         messages: number of copied messages.
-        data: their bytes, as read.
-        unknown: topics that were left out because the format has no place for them, with the reason.
+        data: number of their bytes, as read.
+        unknown: topics that were left out because the format cannot hold them, with the reason.
         refused: number of messages by topic that were left out because their bytes do not match their type.
         lost: fields of ROS 1 types without a counterpart in ROS 2, by type.
         damage: the damaged places that were skipped.
@@ -97,7 +97,7 @@ def convert(
     bag: Bag, target: Path, kind: Kind, registry: Registry, choice: BagSelection = BagSelection(),
     compression: str = "", *, skip_unknown: bool = False, skip_bad: bool = False, on_progress: OnProgress = _quiet,
 ) -> Copied:  # fmt: skip
-    """Copy a bag into any format, by the bridge's conversions between ROS 1 and ROS 2.
+    """Copy a bag into any format, using the bridge's conversions between ROS 1 and ROS 2.
 
     Raises `BagError` for a topic that the format cannot hold (unless ``skip_unknown``), a message that does not match
     its type (unless ``skip_bad``), a damaged bag, and a target that exists or cannot be written.
@@ -141,7 +141,7 @@ def cut(
     bag: Bag, target: Path, choice: BagSelection = BagSelection(), compression: str = "", *, mend: bool = False,
     on_progress: OnProgress = _quiet,
 ) -> Copied:  # fmt: skip
-    """Copy a part of a bag into the same format, its messages and types as they are.
+    """Copy a part of a bag into the same format, without changing messages and types.
 
     With ``mend``, damaged data is left out and listed in `Copied.damage`. Raises `BagError`.
     """
@@ -166,7 +166,7 @@ def cut(
                 return done
         writer = copier if isinstance(bag, McapBag) else _writer(making, bag.kind, compression or usual)
         _copy(bag, writer, forms, _mended(columns, done.damage) if mend else columns, done, on_progress=on_progress)
-    done.damage[:] = {str(err): err for err in done.damage}.values()  # a chunk that was read twice is listed twice
+    done.damage[:] = {str(err): err for err in done.damage}.values()  # a chunk may have been read twice
     return done
 
 
@@ -175,7 +175,7 @@ def _writer(path: Path, kind: Kind, compression: str) -> BagWriter:
 
 
 def _check_sound(bag: Bag) -> None:
-    """Raise the error of a damaged bag; one that only lacks its end is read up to there."""
+    """Raise the error of a damaged bag, except for a bag that only lacks its end, which is read up to there."""
     if bag.trouble is not None and not bag.unfinished:
         raise BagError(bag.trouble.path, bag.trouble.what, bag.trouble.offset, "'midspan bag mend' saves the rest")
 
@@ -183,7 +183,7 @@ def _check_sound(bag: Bag) -> None:
 def _copy_chunks(
     bag: McapBag, copier: McapCopy, choice: BagSelection, compression: str, done: Copied, on_progress: OnProgress
 ) -> None:
-    """Copy all channels, even those of other encodings; chunks within the times stay compressed."""
+    """Copy all channels, even those of other encodings; chunks that lie within the times stay compressed."""
     start = 0 if choice.start_ns is None else choice.start_ns
     end = _FOREVER if choice.end_ns is None else choice.end_ns
     try:

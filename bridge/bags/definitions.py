@@ -8,7 +8,7 @@ Facts about rosbags 0.11 (typesys/msg.py and store.py, highlevel/anyreader.py):
 - In ``ros2msg`` it reads each name without ``/msg/`` or ``/action/`` as a message, so a type of a service, such as
   ``my_robot/srv/Ask_Event``, can only be decoded from ``ros2idl``.
 - It prefixes a type name of one word with the folder of the type that contains it, even if that is ``pkg/action``.
-- It hashes ``char`` under a type id of its own, whereas rosidl hashes a ``.msg`` file's ``char`` as ``uint8``.
+- It hashes ``char`` with a separate type id, whereas rosidl hashes a ``.msg`` file's ``char`` as ``uint8``.
 - It refuses a whole ``.db3`` if the hash of one stored definition differs from the type's hash.
 
 rosbag2 stores the text of the ``.srv`` file as the definition of a service event (rosbag2_cpp,
@@ -35,10 +35,10 @@ MSG, IDL = "ros2msg", "ros2idl"
 _LINE = "=" * 80
 _IDL_START = f"{_LINE}\nIDL: "
 _CACHED = 500
-"""Definitions that are not parsed again: thousands of topics may share a type."""
+"""Maximum number of cached definitions, which are not parsed again; thousands of topics may share a type."""
 
 LARGEST = 256 << 10
-"""Characters of a definition that rosbags' parser gets: it parses some 150,000 a second."""
+"""Maximum characters of a definition that rosbags' parser gets; it parses some 150,000 characters per second."""
 
 _IDL_NAMES = {
     "bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double",
@@ -69,7 +69,7 @@ def stored_definition(type_name: str, definition: str) -> StoredDefinition:
 
 @lru_cache(maxsize=_CACHED)
 def hashed_definition(type_name: str, definition: str, type_hash: str) -> str:
-    """Return the text of a definition from which rosbags computes ``type_hash``, "" if it computes another one."""
+    """Return the text of a definition from which rosbags computes ``type_hash``, "" if it computes another hash."""
     from rosbags.typesys import Stores, get_typestore
 
     for text in (definition, stored_definition(type_name, definition).text):
@@ -82,7 +82,7 @@ def hashed_definition(type_name: str, definition: str, type_hash: str) -> str:
 
 
 def _rosbags_types(type_name: str, text: str) -> Any:
-    """Return the types of a definition as rosbags parses them; empty if it cannot."""
+    """Return the types of a definition as rosbags parses them; empty if rosbags cannot parse it."""
     from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
     if len(text) > LARGEST:
@@ -92,7 +92,7 @@ def _rosbags_types(type_name: str, text: str) -> Any:
         if not text.startswith(_IDL_START):
             return get_types_from_msg(text, type_name)
         for section in text.split(f"{_LINE}\n")[1:]:
-            body = re.sub(r"(?m)^\s*#.*$", "", section.partition("\n")[2])  # it does not parse #include
+            body = re.sub(r"(?m)^\s*#.*$", "", section.partition("\n")[2])  # rosbags does not parse #include
             types.update(get_types_from_idl(body))
         return types
     return {}
@@ -109,7 +109,7 @@ def full_schema(type_name: str, definition: str) -> Schema:
 def full_definition(type_name: str, encoding: str, text: str) -> str:
     """Return the definition that a bag stores for a ROS 2 type as full ``.msg`` text, "" if it cannot be parsed.
 
-    The text of a ``.srv`` or ``.action`` file becomes the definition of the one type of it that the bag contains.
+    If the text is that of a ``.srv`` or ``.action`` file, the result defines the part of it that ``type_name`` names.
     """
     if encoding == IDL:
         return _text_of_idl(type_name, text)
@@ -144,8 +144,9 @@ def _part_of_file(type_name: str, base: str, contents: tuple[str, ...], sections
 def without_char(schema: Schema) -> Schema:
     """Return the same types with ``uint8`` for ``char``, which ROS 2 serializes and hashes alike.
 
-    Two kinds of original text are replaced by generated text: one that names a type in three words, since ``.msg``
-    files have two, and that of a part of an action, since rosbags would prefix a name of one word with ``pkg/action``.
+    Two kinds of original text are replaced by generated text: text that names a type in three words, because ``.msg``
+    files use two, and the text of a part of an action, because rosbags would prefix a name of one word with
+    ``pkg/action``.
     """
     types = {name: _plain(definition) for name, definition in schema.types.items()}
     return Schema(types[schema.name], types)
@@ -196,7 +197,7 @@ def _text_of_idl(type_name: str, text: str) -> str:
         return ""
     constants, fields = types.pop(type_name)
     nested = (f"{_LINE}\nMSG: {name.replace('/msg/', '/')}\n{''.join(_msg_lines(*types[name]))}" for name in types)
-    return "".join((*_msg_lines(constants, fields), *nested)) or "\n"  # of an empty message
+    return "".join((*_msg_lines(constants, fields), *nested)) or "\n"  # the text of an empty message
 
 
 def _msg_lines(constants: Any, fields: Any) -> Iterator[str]:

@@ -21,10 +21,10 @@ _LARGEST_METADATA = 4 << 20
 
 
 class FilesBag(Bag):
-    """Several files as one bag, which merges their equal topics; `trouble` is the first file that cannot be opened.
+    """Several files as one bag, which merges their equal topics; `trouble` is that of the first unreadable file.
 
     Args:
-        files: of any format, compressed or not.
+        files: the files, of any format, compressed or not.
         open_file: opens one uncompressed file.
         broken: errors so far.
     """
@@ -86,7 +86,7 @@ class FilesBag(Bag):
     def messages(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[BagMessage]:
-        """Yield the messages of all files, each opened at its start; those that cannot be opened raise at the end."""
+        """Yield the messages of all files, reading each from its start on; unopened files raise an error at the end."""
         wanted = None if topics is None else set(topics)
         later = deque(self._parts)
         heads: list[tuple[int, int, BagMessage, Iterator[BagMessage]]] = []
@@ -138,7 +138,7 @@ class FilesBag(Bag):
 
 
 class FolderBag(FilesBag):
-    """A folder of rosbag2: its files are those in ``metadata.yaml``, else all with the endings of bags."""
+    """A folder of rosbag2: its files are those in ``metadata.yaml``, else all files with the extension of a bag."""
 
     def __init__(self, path: Path, open_file: Callable[[Path], Bag]) -> None:
         broken: list[BagError] = []
@@ -154,7 +154,7 @@ class FolderBag(FilesBag):
         by_message = str(metadata.get("compression_mode", "")).lower() == "message"
         packing = str(metadata.get("compression_format", "")) if by_message else ""
         if packing not in ("", "zstd"):
-            problem = f"its messages are compressed by {packing!r}; only zstd is read"
+            problem = f"its messages are compressed with {packing!r}; only zstd is supported"
             raise BagError(path, problem, None, "convert it with 'ros2 bag convert' on a machine with that plugin")
         super().__init__(path, files, open_file, broken)
         if not metadata and not self._broken:
@@ -164,7 +164,7 @@ class FolderBag(FilesBag):
 
 
 def _metadata(path: Path) -> dict[str, Any]:
-    """Return the contents of the folder's metadata file; nothing if it is missing, as after a recorder was killed."""
+    """Return the contents of the folder's metadata file; {} if it is missing, as after a recorder was killed."""
     file = path / METADATA
     if not file.is_file():
         return {}

@@ -1,4 +1,4 @@
-"""Select the definition that decodes a bag's topic: the bag's, else the one known here if the messages fit it."""
+"""Selects the definition that decodes a bag's topic: the bag's, else the one known here if the messages match it."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import SideType
 
 FOLDERS = "put the .msg files of the version that was recorded into a folder that types.folders names"
-"""The cure for a bag without a definition that fits."""
+"""The cure for a bag without a matching definition."""
 
 _CHECKED = 10
-"""Messages of each topic that are checked."""
+"""Number of messages of each topic that are checked."""
 
 _PADDING = 3
-"""Bytes by which DDS pads a message to a multiple of four."""
+"""Maximum number of bytes by which DDS pads a message to a multiple of four."""
 
 
 def ros2_type(registry: Registry, topic: BagTopic) -> SideType:
     """Return the ROS 2 type of a topic: by the bag's own definition, else by its hash, else by its name.
 
-    If the bag's definition does not have the bag's hash, the definition wins: the messages are written by it.
-    Raises `MessageTypeError` if the definition cannot be read, if it nests a type that is missing in it and differs
+    If the bag's definition does not have the bag's hash, the definition wins, because the messages were written with
+    it. Raises `MessageTypeError` if the definition cannot be read, if it nests a type that is missing in it and differs
     here, or if without a definition the type or its hash is unknown here.
     """
     name, type_hash = topic.type_name, topic.type_hash
@@ -54,7 +54,7 @@ def ros2_type(registry: Registry, topic: BagTopic) -> SideType:
 
 
 def ros1_md5(registry: Registry, topic: BagTopic) -> str:
-    """Return the md5 of the ROS 1 definition by which a topic is read; a bag's own definition wins over its md5.
+    """Return the md5 of the ROS 1 definition with which a topic is read; a bag's own definition wins over its md5.
 
     Python's rosbag does the same (rosbag/bag.py, ``_get_message_type``). Raises `MessageTypeError` if the definition
     cannot be read and its md5 is unknown here.
@@ -92,9 +92,10 @@ def _is_complete(topic: BagTopic) -> bool:
 
 
 def misfits(bag: Bag, topics: Iterable[BagTopic], registry: Registry) -> dict[BagTopic, BagError]:
-    """Return the topics whose first messages do not fit the definition known here, with the error for each.
+    """Return the topics whose first messages do not match the definition known here, with the error for each.
 
-    This concerns topics for which the bag has neither a complete definition nor a hash, as bags of Foxy and Humble.
+    This concerns topics for which the bag has neither a complete definition nor a hash, such as in bags of Foxy and
+    Humble.
     """
     errors: dict[BagTopic, BagError] = {}
     for topic in topics:

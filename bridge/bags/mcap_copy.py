@@ -54,10 +54,10 @@ _RECORD, _CHUNK = struct.Struct("<BQ"), struct.Struct("<QQQII")
 _INDEX = struct.Struct("<BQHI")
 _FOOTER = struct.Struct("<BQQQ")
 _PACKERS = 3
-"""Threads that compress: for each chunk one waits some milliseconds for Python's lock, while the others compress."""
+"""Number of threads that compress; one waits some milliseconds per chunk for Python's GIL while others compress."""
 
 _AHEAD = 8
-"""Chunks that may be in compression, or wait for it, while others are read; fewer if they are large."""
+"""Maximum number of chunks in compression or waiting for it while others are read; fewer if they are large."""
 
 _AHEAD_BYTES = 64 << 20
 
@@ -181,7 +181,7 @@ class ChunkedMcap(BagWriter):
         self._file.write(_bytes(builder))
 
     def _close_chunk(self) -> None:
-        """Compress the chunk on another thread; several may be in compression, and are written in their order."""
+        """Compress the chunk on another thread; several may be compressed at once, and are written in their order."""
         if self._parts:
             task = self._packer.submit(_pack, self._compression, b"".join(self._parts))
             self._packing.append((task, np.concatenate(self._heads), self._size))

@@ -35,9 +35,9 @@ _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQII")
 _LARGEST_TABLE = 16 << 20
-"""Bytes of a record that is neither a chunk nor a message."""
+"""Maximum bytes of a record that is neither a chunk nor a message."""
 _RUN = 1 << 20
-"""Bytes of messages outside of chunks that are read at once."""
+"""Maximum bytes of messages outside of chunks that are read at once."""
 
 _TEXTS = {"ros1msg", "ros2msg"}
 _WORLDS = {"cdr": World.ROS2, "ros1": World.ROS1}
@@ -50,9 +50,9 @@ class WholeChunk(NamedTuple):
 
     Attributes:
         offsets: position of each channel's index in ``indexes``.
-        counts: messages of each channel.
-        packed, size: bytes of its data in the file, and unpacked.
-        start, end: times of its first and last message.
+        counts: number of messages of each channel.
+        packed, size: size of the chunk's data in bytes, in the file and unpacked.
+        start, end: times of the first and the last message.
     """
 
     record: bytes
@@ -114,7 +114,7 @@ class McapBag(SpanBag):
         return rows
 
     def whole_chunk(self, span: FileSpan) -> WholeChunk | None:
-        """Return a chunk with its indexes, None for a piece without them; raises `BagError` if it is damaged."""
+        """Return a chunk with its indexes, None for a piece without indexes; raises `BagError` if it is damaged."""
         if not span.chunk:
             return None
         with reading(self.path, span.offset):
@@ -154,7 +154,7 @@ class McapBag(SpanBag):
             try:
                 with reading(self.path, at):
                     self._walk_record(opcode, at, body, length)
-            except BagError as err:  # its length is right, so the next record can be read
+            except BagError as err:  # the record's length is right, so the next record can be read
                 self.trouble = self.trouble or err
             at = after
 
@@ -197,7 +197,7 @@ class McapBag(SpanBag):
             self._spans.append(FileSpan(at, size, time, time, chunk=False))
 
     def _store_record(self, opcode: int, data: bytes) -> None:
-        """Keep a record that describes the whole file."""
+        """Store a record that describes the whole file."""
         stream = ReadDataStream(io.BytesIO(data))
         if opcode == Opcode.HEADER:
             header = Header.read(stream)
@@ -216,7 +216,7 @@ class McapBag(SpanBag):
                 self.channels[channel.id] = channel
 
     def _scan(self) -> Counter[int]:
-        """Search all chunks for channels and counts; reading a damaged one reports the damage later."""
+        """Search all chunks for channels and counts; a damaged chunk raises an error only when it is read later."""
         counts: Counter[int] = Counter()
         for number, span in enumerate(self._spans):
             try:
@@ -272,14 +272,14 @@ class McapBag(SpanBag):
         begin = _CHUNK.size + name + 8
         declared = int.from_bytes(body[begin - 8 : begin], "little")
         if declared != len(body) - begin:
-            raise BagError(self.path, f"a chunk has {len(body) - begin} bytes, and declares {declared}", span.offset)
+            raise BagError(self.path, f"a chunk has {len(body) - begin} bytes, but declares {declared}", span.offset)
         plain = unpack(compression, body[begin:], size)
         if crc and zlib.crc32(plain) != crc:
             raise BagError(self.path, "a chunk's checksum is wrong: its bytes were changed", span.offset)
         return plain, compression
 
     def _split(self, span: FileSpan) -> Rows:
-        """Return all messages of a piece, of all channels; channels that the piece defines are kept."""
+        """Return all messages of a piece, of all channels; store the channels that the piece defines."""
         data = self._plain(span)
         table, at, filled, size = new_table(len(data)), 0, 0, len(data)
         while True:

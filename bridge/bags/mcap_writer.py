@@ -1,4 +1,4 @@
-"""Writes MCAP: the hub's CDR as it is, in the form that ROS 2's tools and Foxglove read.
+"""Writes the hub's CDR unchanged to MCAP, in the form that ROS 2's tools and Foxglove read.
 
 Facts from the format (https://mcap.dev/spec, https://mcap.dev/spec/registry): profile ``ros2``, message encoding
 ``cdr``, schema encoding ``ros2msg`` or ``ros2idl`` with the full definition (`bridge.bags.definitions`). The channel
@@ -23,7 +23,7 @@ Compression = Literal["zstd", "lz4", "none"]
 
 PROFILE = "ros2"
 CHUNK_BYTES = 1 << 20
-"""Uncompressed bytes from which a chunk is closed; a larger message fills a separate chunk."""
+"""Uncompressed size in bytes above which a chunk is closed; a larger message fills a separate chunk."""
 
 _COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 _UNBOUNDED = 1 << 62
@@ -55,7 +55,7 @@ class ChannelInfo:
     more: dict[str, str] = field(default_factory=dict)
 
     def metadata(self) -> dict[str, str]:
-        """The channel's metadata."""
+        """Return the channel's metadata."""
         values = {"offered_qos_profiles": qos_yaml(self.qos), "topic_type_hash": self.type_hash}
         if self.side:
             values["side"] = self.side
@@ -69,7 +69,7 @@ class McapWriter:
 
     Args:
         stream: its ``write`` must accept all bytes at once.
-        compression: of the chunks.
+        compression: the compression of the chunks.
         chunk_bytes: see `CHUNK_BYTES`.
 
     Attributes:
@@ -86,7 +86,7 @@ class McapWriter:
         self._writer.start(PROFILE, f"midspan {__version__}")
 
     def channel(self, info: ChannelInfo) -> int:
-        """Add a channel and return its number for `write`. A file has at most 65,535."""
+        """Add a channel and return its number for `write`. A file has at most 65,535 channels."""
         encoding, text = stored_definition(info.type_name, info.definition or "")
         if info.definition == "":
             encoding = MSG
@@ -102,7 +102,7 @@ class McapWriter:
         self._writer.add_metadata(name, values)
 
     def write(self, channel: int, log_time: int, publish_time: int, data: bytes, sequence: int = 0) -> bool:
-        """Add a message: CDR with its header; times in nanoseconds since 1970. Raises `OSError` of the stream.
+        """Add a message: CDR with its header, times in nanoseconds since 1970. Raises the `OSError` of the stream.
 
         Returns:
             Whether this closed the chunk, so that all messages so far are written.
@@ -116,16 +116,16 @@ class McapWriter:
         return closed
 
     def closes(self, size: int) -> bool:
-        """Whether a message of ``size`` bytes would close the chunk."""
+        """Return whether a message of ``size`` bytes would close the chunk."""
         return self.pending + _RECORD + size > self._chunk_bytes
 
     def flush(self) -> None:
-        """Close the chunk: all messages are on the stream, and readable even if nothing follows."""
+        """Close the chunk; then all messages are on the stream, and readable even if nothing follows."""
         self._writer.flush()  # type: ignore[no-untyped-call]
         self.pending = 0
 
     def finish(self) -> None:
-        """Write the summary, the index for readers; nothing can be added afterwards."""
+        """Write the summary, which is the index for readers; nothing can be added afterwards."""
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._writer.flush()  # type: ignore[no-untyped-call]  # flushes the stream; the last chunk is closed
         self.pending = 0

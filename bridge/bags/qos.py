@@ -1,4 +1,4 @@
-"""QoS profiles as rosbag2 writes them: YAML, the policies as rmw's numbers (to version 8) or as names (from 9)."""
+"""QoS profiles as rosbag2 writes them: YAML with policies as rmw's numbers (to version 8) or as names (from 9)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _UNSET = frozenset({0, 3, "system_default", "unknown"})
 
 _MAX_UNKNOWN = 100
 _unknown: set[tuple[str, str]] = set()
-"""Unknown values that this process has reported, by policy; `_MAX_UNKNOWN` at most."""
+"""Unknown values that this process has reported, by policy; at most `_MAX_UNKNOWN`."""
 
 _Policy = TypeVar("_Policy", bound=IntEnum)
 

@@ -12,7 +12,7 @@ __all__ = ["Bag", "BagError", "BagMessage", "BagTopic", "open_bag"]
 
 
 def open_bag(path: Path) -> Bag:
-    """Open a bag by what the file holds, whatever its name; raises `BagError`."""
+    """Open a bag in the format of its content, whatever its name; raises `BagError`."""
     with reading(path):
         if path.is_dir():
             from bridge.bags.folder import FolderBag

@@ -1,7 +1,7 @@
 """Reads ROS 1's bags (http://wiki.ros.org/Bags/Format/2.0), indexed or not.
 
-Midspan writes them with `rosbags`, but does not read them with it: `rosbags` keeps an index of all messages in memory,
-unpacks chunks of any size, and refuses a bag without an index, as of a killed ``rosbag record``
+Midspan writes them with `rosbags`, but does not use it for reading: `rosbags` keeps an index of all messages in memory,
+unpacks chunks of any size, and refuses a bag without an index, such as that of a killed ``rosbag record``
 (``.bag.active``).
 """
 
@@ -32,7 +32,7 @@ _LARGEST_HEADER = 1 << 20
 _LARGEST_TABLE = 16 << 20
 _NS = 1_000_000_000
 _RUN = 1 << 20
-"""Bytes of messages outside of chunks that are read at once."""
+"""Maximum bytes of messages outside of chunks that are read at once."""
 
 _MESSAGE_FIELD = b"\x04\0\0\0op=\x02"
 _FIELDS_BEFORE = (0, 13, 17, 30)
@@ -85,7 +85,7 @@ class Ros1Bag(SpanBag):
             try:
                 with reading(self.path, at):
                     self._walk_record(parse_fields(self._read(at + 4, length)), at, body, size)
-            except BagError as err:  # its lengths are right, so the next record can be read
+            except BagError as err:  # the record's lengths are right, so the next record can be read
                 self.trouble = self.trouble or err
             at = body + size
         return None
@@ -93,7 +93,7 @@ class Ros1Bag(SpanBag):
     def _walk_record(self, fields: Fields, at: int, body: int, size: int) -> None:
         kind = fields[b"op"][0]
         if kind == _CHUNK:
-            if not size and not any(fields[b"size"]):  # it was never closed: its records follow it
+            if not size and not any(fields[b"size"]):  # the chunk was never closed; its records follow
                 return
             self._compressions.add(fields[b"compression"].decode(errors="replace")[:20])
             self._spans.append(FileSpan(at, body + size - at, 0, 0, chunk=True))
@@ -164,7 +164,7 @@ class Ros1Bag(SpanBag):
         return rows
 
     def _split(self, span: FileSpan, on_damage: Callable[[BagError], None]) -> Rows:
-        """Return the messages of a piece; if ``on_damage`` does not raise, without the damaged part."""
+        """Return the messages of a piece, without a damaged part unless ``on_damage`` raises the error."""
         data = self._plain(span, on_damage)
         table, at, filled, sound = new_table(len(data)), 0, 0, True
         while True:
@@ -202,7 +202,8 @@ class Ros1Bag(SpanBag):
     def _resume(self, data: bytes, table: NDArray[np.uint64], at: int, filled: int) -> tuple[int, int]:
         """Find the next message of a known connection after the damage at ``at``.
 
-        The search includes the data of the message before: if it contains a message, its length is wrong.
+        The search includes the data of the previous message: if that contains a message, the previous message's length
+        is wrong.
         """
         start = int(table[filled - 1, 3]) if filled else at + 1
         row = new_table(0)

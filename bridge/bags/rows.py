@@ -14,7 +14,7 @@ ROW_BYTES = 40
 """Bytes of a row; the rows of small messages need more memory than the messages themselves."""
 
 _BLOCK = 1 << 20
-"""Bytes of messages with their rows that become objects at a time."""
+"""Bytes of messages, with their rows, that are turned into objects at a time."""
 
 
 class Rows(NamedTuple):
@@ -25,7 +25,7 @@ class Rows(NamedTuple):
 
     @property
     def numbers(self) -> NDArray[np.uint64]:
-        """The channels or connections."""
+        """The numbers of the channels or connections."""
         return self.table[:, 0]
 
     @property
@@ -68,7 +68,7 @@ class Rows(NamedTuple):
         return Rows(bytes(data), table)
 
     def behind(self, earlier: Rows) -> Rows:
-        """Return these messages after earlier ones."""
+        """Return earlier messages, followed by these."""
         table = np.concatenate((earlier.table, self.table))
         table[len(earlier.table) :, 3] += len(earlier.data)
         return Rows(earlier.data + self.data, table)
@@ -104,6 +104,6 @@ class Rows(NamedTuple):
         return numbers, times, publish_times, self.messages()
 
     def columns(self, topic_of: Mapping[int, BagTopic]) -> Columns:
-        """Return the same with topics."""
+        """Return the messages with their topics."""
         numbers, times, publish_times, data = self.lists()
         return Columns(list(map(topic_of.__getitem__, numbers)), times, publish_times, data)

@@ -1,4 +1,4 @@
-"""Bags in files of pieces, each with the messages of some span of time; they are read piece by piece, by time."""
+"""Bags whose files consist of pieces, each with the messages of a span of time; pieces are read in order of time."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from bridge.bags.split import new_table
 from bridge.messages.definitions.schema import World
 
 _MORE = 4 << 20
-"""Bytes that a chunk may be longer in the file: its header, and what compression adds to random bytes."""
+"""Bytes that a chunk may be longer in the file, for its header and for what compression adds to random bytes."""
 
 _PIECE = 1 << 12
 """Compressed bytes of a damaged chunk that are unpacked at a time."""
 
 HELD = 128 << 20
-"""Bytes of messages and rows that are held back for earlier messages of later pieces.
+"""Maximum bytes of messages and rows that are held back because later pieces may have earlier messages.
 
-Beyond that, the earliest are yielded, although they may be out of order."""
+Beyond that, the earliest messages are yielded, although they may be out of order."""
 
 
 class FileSpan(NamedTuple):
@@ -41,7 +41,7 @@ class FileSpan(NamedTuple):
 
 
 class SpanBag(Bag):
-    """A bag of spans; subclasses find them and read their messages."""
+    """A bag of spans; subclasses find the spans and read their messages."""
 
     _on_damage: Callable[[BagError], None] | None = None
 
@@ -59,13 +59,13 @@ class SpanBag(Bag):
 
     @abstractmethod
     def _load(self, span: FileSpan) -> Rows:
-        """Return the messages of a span as stored; raises anything for bad bytes."""
+        """Return the messages of a span as stored; may raise any exception for bad bytes."""
 
     @override
     def columns(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[Columns]:
-        """Yield the messages in blocks; those of pieces that overlap are sorted within `HELD`."""
+        """Yield the messages in blocks; messages of overlapping pieces are sorted as far as `HELD` allows."""
         wanted = None if topics is None else set(topics)
         numbers = {number for number, topic in self.topic_of.items() if wanted is None or topic in wanted}
         spans = [
@@ -94,7 +94,7 @@ class SpanBag(Bag):
             yield from map(BagMessage, *columns)
 
     def _columns(self, block: Rows) -> Columns:
-        """Return the messages of a block, and unpack those of ROS 2 that rosbag2 compressed one by one."""
+        """Return the messages of a block, and unpack ROS 2 messages that rosbag2 compressed one by one."""
         columns = block.columns(self.topic_of)
         packed = [place for place in block.that_start_with(ZSTD) if columns.topics[place].world is World.ROS2]
         if not packed:
@@ -142,7 +142,7 @@ class SpanBag(Bag):
 
 
 def _due(rows: Rows, next_start: int) -> int:
-    """Return how many can be yielded: those that precede all later pieces, and more if too much is held back."""
+    """Return how many messages can be yielded: those before all later pieces, and more if too much is held back."""
     due = int(np.searchsorted(rows.times, np.uint64(next_start), "right"))
     weights = rows.weights()
     excess = int(weights[-1]) - HELD if due < len(weights) else 0
@@ -181,7 +181,7 @@ def unpack(compression: str, data: bytes | memoryview, size: int) -> bytes:
 def unpack_part(compression: str, data: bytes, size: int) -> bytes:
     """Unpack a damaged chunk of ROS 1 up to the damage.
 
-    Returns nothing if only its size or checksum is wrong, since the position of the damage is unknown then.
+    Returns nothing if only the size or the checksum is wrong, because then the position of the damage is unknown.
     """
     if size > MAX_CHUNK:
         return b""
@@ -216,6 +216,6 @@ def _unpack_zstd(data: bytes | memoryview, size: int) -> bytes:
         return b""
     declared = zstandard.frame_content_size(data)
     if declared not in (-1, size):
-        msg = f"a chunk declares {size} bytes, and its zstd frame {declared}"
+        msg = f"a chunk declares {size} bytes, but its zstd frame {declared}"
         raise ValueError(msg)
     return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)

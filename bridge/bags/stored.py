@@ -10,7 +10,10 @@ from bridge.messages.definitions.hashes import EMPTY_MD5, rihs01
 from bridge.messages.definitions.schema import Definition, Schema, World
 
 EMPTY = "\n"
-"""The text of a definition without fields, as `bridge.messages.definitions.text.full_text` writes it; "" is none."""
+"""The text of a definition without fields, as `bridge.messages.definitions.text.full_text` writes it.
+
+An empty text means that there is no definition.
+"""
 
 _HASH = re.compile(r"RIHS01_(?!0{64})[0-9a-f]{64}")
 _CACHED = 500
@@ -22,7 +25,7 @@ def stored_hash(text: str) -> str:
 
 
 def ros1_definition(text: str, md5: str) -> str:
-    """Return the definition of a ROS 1 type, "" if the bag has none; the md5 distinguishes an empty one."""
+    """Return the definition of a ROS 1 type, "" if the bag has none; the md5 tells whether the type has no fields."""
     return text or (EMPTY if md5 == EMPTY_MD5 else "")
 
 
@@ -30,7 +33,7 @@ def ros1_definition(text: str, md5: str) -> str:
 def ros2_definition(type_name: str, encoding: str, text: str, type_hash: str) -> str:
     """Return the full definition of a ROS 2 type, "" if the bag has none that can be parsed.
 
-    The hash, as the bag stores it, decides whether an empty text is an empty message; without a hash it is one. For
+    The hash, as the bag stores it, decides whether an empty text means an empty message; without a hash it does. For
     unknown types rosbag2 stores a special encoding, but rosbags stores an empty text.
     """
     if text or encoding != MSG:

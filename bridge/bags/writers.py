@@ -1,4 +1,4 @@
-"""Writes the bags of ROS 1 and the SQLite files of rosbag2 with `rosbags`; and the base of all writers.
+"""Writes ROS 1 bags and the SQLite files of rosbag2 with `rosbags`; also the base class of all writers.
 
 A bag is written in a temporary folder next to its target, and moved there when it is complete.
 """
@@ -35,11 +35,11 @@ _NS = 1_000_000_000
 
 
 class BagWriter(ABC):
-    """Writes one bag; raises `OSError` of the disk."""
+    """Writes one bag; methods raise `OSError` for errors of the disk."""
 
     @abstractmethod
     def add(self, topic: BagTopic, form: TopicForm) -> Any:
-        """Add a topic in its form; returns the place for `write`."""
+        """Add a topic in its form; return the place to pass to `write`."""
 
     @abstractmethod
     def write(
@@ -110,7 +110,7 @@ class Ros1(BagWriter):
 
 
 class Db3(BagWriter):
-    """A folder of rosbag2 with a file of SQLite and ``metadata.yaml``."""
+    """A folder of rosbag2 with an SQLite file and ``metadata.yaml``."""
 
     def __init__(self, path: Path) -> None:
         from rosbags.rosbag2 import Writer as Writer2
@@ -191,7 +191,7 @@ def kind_of(path: Path) -> Kind:
 def check_compression(path: Path, kind: Kind, compression: str) -> None:
     """Raise `BagError` for a compression that the format does not support."""
     if compression not in COMPRESSIONS[kind]:
-        msg = f"cannot be compressed by {compression}"
+        msg = f"cannot be compressed with {compression}"
         raise BagError(path, msg, None, f"{kind} has {', '.join(COMPRESSIONS[kind])}")
 
 
@@ -210,7 +210,7 @@ def complete_file(target: Path, kind: Kind) -> Iterator[Path]:
         raise BagError(target, "exists already", None, "remove it, or choose another name")
     temporary = target.parent / f".{target.name}.{secrets.token_hex(4)}"
     try:
-        temporary.mkdir(0o700)  # inside `try`, since a signal may come as soon as it exists
+        temporary.mkdir(0o700)  # inside `try`, because a signal may arrive as soon as the folder exists
         path = temporary / target.name
         yield path
         if kind == "db3" and target.suffix:  # only the file, without its folder

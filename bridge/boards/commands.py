@@ -1,7 +1,7 @@
-"""Commands for the joints of one control board: the newest one, and the joints that move by it.
+"""Commands for the joints of one control board: the newest command, and the joints that it moves.
 
-A command is valid for a limited time, then zero velocity is sent once. A new command replaces the previous one,
-without a queue: commands that arrive while the board does not answer are stale by then, and dropped.
+A command is valid for a limited time; after that, zero velocity is sent once. A new command replaces the previous one,
+without a queue: commands that arrive while the board does not answer would be stale once it answers, and are dropped.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Board(Protocol):
     """The calls of `yarp_compat.dev.controlboard.client.ControlBoardClient` that commands need."""
 
     def call(self, method: str, *args: Any) -> Sequence[Any]:
-        """Call a method; the first value of the reply is whether it succeeded."""
+        """Call a method; the first value of the reply is whether the call succeeded."""
 
     def state(self, name: str) -> tuple[Any, ...] | None:
         """Return the newest values of the board's state stream."""
@@ -65,7 +65,7 @@ class CommandSlot:
         return True
 
     def halt(self, joints: tuple[int, ...], seconds: float) -> bool:
-        """Replace the waiting command by a halt; return whether it is confirmed in time."""
+        """Replace the waiting command with a halt; return whether it is confirmed in time."""
         with self._lock:
             self._halted.clear()
             self._command = Halt(joints)
@@ -82,7 +82,7 @@ class CommandSlot:
             self.dropped += 1
 
     def pop(self) -> JointCommand | Halt | None:
-        """Return the waiting command, which no longer waits then."""
+        """Remove and return the waiting command."""
         with self._lock:
             command, self._command = self._command, None
         return command
@@ -103,7 +103,7 @@ class Execution(Enum):
     DONE = auto()
     REJECTED = auto()
     LATE = auto()
-    """It expired, or the joints cannot be commanded in this mode."""
+    """The command expired, or the joints cannot be commanded in this mode."""
 
 
 class JointDrive:
@@ -121,7 +121,7 @@ class JointDrive:
     def reconnect(self, board: Board, axes: int) -> None:
         """Stop the joints that moved when the connection was lost, now and once more when ``until`` has passed.
 
-        The board may execute a command late that it received before the loss.
+        The board may be late to execute a command that it received before the loss.
         """
         self.moving = tuple(joint for joint in self.moving if joint < axes)
         if _stop(board, self.moving):
@@ -133,7 +133,7 @@ class JointDrive:
             return Execution.LATE
         drives = command.method.startswith("velocity")
         others = tuple(joint for joint in self.moving if joint not in command.joints)
-        if drives:  # also if the call fails: part of it may have arrived
+        if drives:  # even if the call fails, since a part of it may have arrived
             self.moving, self.until = others + command.joints, command.until
         if not board.call(command.method, command.joints, command.values)[0]:
             return Execution.REJECTED

@@ -37,7 +37,7 @@ OnJoints = Callable[[Joints, JointData, float], None]
 
 
 class BoardLink:
-    """The link to one board. Its thread writes the attributes, the connection's thread the states; others only read.
+    """The link to one board. Its thread writes the attributes, the connection's thread `states`; others only read.
 
     Args:
         section: the board's configuration.
@@ -72,7 +72,7 @@ class BoardLink:
             self._thread.join()
 
     def command(self, velocities: Sequence[float], positions: Sequence[float], names: Sequence[str]) -> str:
-        """Move the named joints (radians, radians per second); returns why it is invalid, "" if it is valid."""
+        """Move the named joints (radians, radians per second); return why the command is invalid, "" if it is valid."""
         board = self.joints
         if board is None:
             return self.trouble
@@ -92,7 +92,7 @@ class BoardLink:
         return "" if self._commands.put(command) else "the board is being halted"
 
     def halt(self) -> None:
-        """Discard the pending command and stop all joints; raises `TimeoutError` if the board does not confirm it."""
+        """Discard the pending command and stop all joints; raises `TimeoutError` if the board does not confirm that."""
         joints = self.joints
         if joints is None:
             raise TimeoutError(f"{self._section.remote} cannot be stopped: {self.trouble}")
@@ -116,7 +116,7 @@ class BoardLink:
     def _prepare(self, client: ControlBoardClient) -> None:
         names = self._section.joints or tuple(self._name(client, axis) for axis in range(client.axes))
         if len(names) != client.axes:
-            raise OSError(f"{self._section.remote} has {client.axes} joints, and the configuration names {len(names)}")
+            raise OSError(f"{self._section.remote} has {client.axes} joints, but the configuration names {len(names)}")
         kinds = [client.call("getJointTypeRPC", axis) for axis in range(client.axes)]
         meters = [bool(kind[0]) and kind[1] == modes.VOCAB_JOINTTYPE_PRISMATIC for kind in kinds]
         self._last_state = time.monotonic()

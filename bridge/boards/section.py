@@ -11,13 +11,13 @@ from bridge.config.sections.section import ModuleSection, OptionalTopic, PortNam
 class ControlBoardSection(Section):
     """One board."""
 
-    remote: PortName = Field(description="What the names of the board's ports begin with: `/cer/mobile_base`.")
-    joint_states: TopicName = setting("/joint_states", "Topic of its joints' state on the hub (`JointState`, radians).")
+    remote: PortName = Field(description="Prefix of the names of the board's ports, such as `/cer/mobile_base`.")
+    joint_states: TopicName = setting("/joint_states", "Topic of the joint states on the hub (`JointState`, radians).")
     command: OptionalTopic = setting(
-        "", "Topic of commands to its joints (`JointState`: velocities, or positions); empty: it takes none."
+        "", "Topic of commands to the joints (`JointState`: velocities, or positions); empty: no commands."
     )
-    joints: tuple[str, ...] = setting((), "Names of its joints, in its order; empty: the names that the board reports.")
-    timeout: float = setting(0.2, "Seconds after its last command at which a joint stops.", gt=0.0, le=0.5)
+    joints: tuple[str, ...] = setting((), "Joint names, in the board's order; empty: the names that the board reports.")
+    timeout: float = setting(0.2, "A joint stops this many seconds after its last command.", gt=0.0, le=0.5)
 
 
 class ControlBoardsSection(ModuleSection):

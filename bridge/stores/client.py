@@ -25,7 +25,7 @@ _ALIVE = "@sync/alive/*/*"
 
 
 class StoreClient:
-    """Reads and writes one replica, preferably ``daemon``'s; `StoreError` if none is on the hub within 2 s."""
+    """Reads and writes one replica, preferably ``daemon``'s; raises `StoreError` if none is on the hub within 2 s."""
 
     def __init__(self, space: KeySpace, daemon: str) -> None:
         self._space = space
@@ -70,7 +70,8 @@ class StoreClient:
     def change(self, make: Callable[[], Sequence[Write[Any]]]) -> None:
         """Write what ``make`` returns, based on the store's current content; raises `StoreError`.
 
-        If one of the keys was changed meanwhile, nothing is written and ``make`` is called again: no change is lost.
+        If one of the keys was changed meanwhile, nothing is written and ``make`` is called again, so that no change is
+        lost.
         """
         for _ in range(_TRIES):
             known = {f"{kind}/{name}": [ns, replica] for kind, name, ns, replica, _ in self.digest()}
@@ -128,6 +129,6 @@ class StoreClient:
         except HubError as err:
             raise StoreError(str(err)) from None
         if not answers:
-            refused = "or access between the machines refuses this (hub.open.trusted)"
+            refused = "access between the machines may be denied (hub.open.trusted)"
             raise StoreError(f"the store of {self.daemon} did not answer; {refused}")
         return answers

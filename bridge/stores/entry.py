@@ -1,9 +1,9 @@
 """One key of the store: its name, its value, and its version (who wrote it, when, and based on what).
 
-Names are used in zenoh keys unchanged, and never become paths. A version's ``seen`` has, for each replica, the latest
-of its changes to this key that the writer knew of, including this change. It distinguishes a version that follows
-another from a concurrent one, however many changes lie between (a version vector; Parker et al., Detection of mutual
-inconsistency in distributed systems, 1983).
+Names are used in zenoh keys unchanged, and never become paths. A version's ``seen`` has, for each replica, the stamp of
+the replica's latest change to this key that the writer knew of, including this change. It distinguishes a version that
+follows another from a concurrent one, however many changes lie between (a version vector; Parker et al., Detection of
+mutual inconsistency in distributed systems, 1983).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class StoreError(RuntimeError):
 
 
 def json_object(data: bytes, refusal: str = "it is not a JSON object") -> dict[str, Any]:
-    """Parse a JSON object; raises `StoreError` with the text ``refusal`` if the bytes are not one."""
+    """Parse a JSON object; raises `StoreError` with the text ``refusal`` if the bytes are not a JSON object."""
     try:
         value = json.loads(data)
     except (ValueError, RecursionError):
@@ -54,7 +54,7 @@ def check_name(name: str) -> str:
 
 
 MOST_SEEN = 32  # replicas listed in a version; those with the oldest changes are dropped first
-OLDEST = 1  # the stamp of imported values: older than any written one
+OLDEST = 1  # the stamp of imported values, which is older than that of any written value
 LATEST = (1 << 32) * 1_000_000_000
 """Upper bound of a stamp, in nanoseconds since 1970: the limit of zenoh's 64-bit NTP time."""
 
@@ -82,7 +82,7 @@ class Version:
 
 @dataclass(frozen=True, slots=True)
 class StoreEntry:
-    """A key and one version of its value; ``body`` is None if it was deleted, ``encoding`` is zenoh's."""
+    """A key and one version of its value; ``body`` is None if it was deleted, ``encoding`` is a zenoh encoding."""
 
     kind: str
     name: str
@@ -119,8 +119,8 @@ class Conflict:
         """Describe the conflict with the lost value, so that it can be restored by hand."""
         return (
             f"{self.lost.kind} {self.lost.name!r} was changed at {self.holds.version.origin} and at"
-            f" {self.lost.version.origin} concurrently; the later change wins, of {self.holds.version.origin},"
-            f" {_when(self.holds)}: {_what(self.holds)}; lost is that of {self.lost.version.origin},"
+            f" {self.lost.version.origin} concurrently; the later change wins: {self.holds.version.origin},"
+            f" {_when(self.holds)}: {_what(self.holds)}; the other is lost: {self.lost.version.origin},"
             f" {_when(self.lost)}: {_what(self.lost)}"
         )
 

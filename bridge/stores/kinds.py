@@ -166,7 +166,7 @@ _FLAGS = bytes(MapFlag)
 
 
 def _write_map(name: str, grid: MapGrid2D) -> bytes:
-    """Encode a map under this name, which may differ from its own."""
+    """Encode a map under this name, which may differ from the map's own name."""
     streams = [zlib.compress(np.ascontiguousarray(cells).data, _LEVEL) for cells in (grid.occupancy, grid.flags)]
     _check(grid.occupancy.tobytes(), _OCCUPANCY, "occupancy")
     _check(grid.flags.tobytes(), _FLAGS, "flags")
@@ -332,7 +332,7 @@ LINK = _json_kind("link", link_json, _json_link)
 BEHAVIOR = _json_kind("behaviour", behavior_json, _json_behavior)
 """The rules of an area for robots, under the area's name."""
 CURRENT: ValueKind[str] = _json_kind("current", lambda name: {"map": name}, lambda found: _text(found, "map"))
-"""The current one of a kind: under ``map``, the name of the current map."""
+"""The current value of a kind; the key ``map`` has the name of the current map."""
 
 KINDS: dict[str, ValueKind[Any]] = {
     kind.name: kind for kind in (MAP, MAP3D, LOCATION, AREA, BEHAVIOR, PATH, OBJECT, LINK, CURRENT)

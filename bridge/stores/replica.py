@@ -27,7 +27,7 @@ Body = tuple[bytes, str]  # a value's bytes and their encoding
 
 @dataclass(frozen=True, slots=True)
 class StoreLimits:
-    """Upper limits of a replica: values, their bytes, tombstones of deleted keys, and days for which these are kept."""
+    """Upper limits of a replica: values, their bytes, tombstones of deleted keys, and days that tombstones stay."""
 
     keys: int = 10_000
     size: int = 1 << 30
@@ -37,7 +37,7 @@ class StoreLimits:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A key was written or deleted by the daemon ``origin``; ``here``: through this replica."""
+    """A write or deletion of a key by the daemon ``origin``; ``here``: through this replica."""
 
     kind: str
     name: str
@@ -76,7 +76,7 @@ class Replica:
         self._closed = False
 
     def get(self, kind: str, name: str) -> Body | None:
-        """Return a key's value, None if it has none."""
+        """Return a key's value, None if the key has none."""
         with self._lock:
             self._check_open()
             known = self._known.get((kind, name))
@@ -136,7 +136,7 @@ class Replica:
     def write(self, changes: Mapping[Key, Body | None], *, oldest: bool = False) -> list[StoreEntry]:
         """Write values, or delete them (None), in one transaction; it is on the disk when this returns.
 
-        With ``oldest`` the values are older than any other: keys with a value or a tombstone keep it, and are not
+        With ``oldest``, the values count as older than any other: keys with a value or a tombstone keep it, and are not
         returned. Raises `StoreError` if the store is full or the file cannot be written; then nothing has changed.
         """
         with self._lock:
@@ -156,7 +156,7 @@ class Replica:
         with self._lock:
             self._check_open()
             known = self._known.get(entry.key)
-            # from a plain zenoh program, which has no versions: it counts as a change of the current one
+            # an entry of a plain zenoh program has no version, and counts as a change of the current version
             if not entry.version.seen:
                 before = None if known is None else known.version
                 version = follow(before, entry.version.stamp, entry.version.origin)
@@ -214,7 +214,7 @@ class Replica:
     def close(self) -> None:
         """Close the file, then call back for pending changes. Safe to call twice.
 
-        A callback that reads the store then fails, since it is closed.
+        A callback that reads the store then fails, because the store is closed.
         """
         with self._lock:
             if self._closed:
@@ -228,7 +228,7 @@ class Replica:
         now = self._last = max(time.time_ns(), self._last + 1)
         if oldest:
             now = OLDEST
-        # if the key's last writer had a clock ahead, this change is stamped after it; other keys keep the local time
+        # if the clock of the key's last writer was ahead, stamp this change after that; other keys use the local time
         above = 0 if before is None else before.version.stamp.ns + 1
         if above >= LATEST:
             msg = f"{key[0]} {key[1]!r} has the latest possible time stamp; delete it at its origin"

@@ -87,8 +87,8 @@ def places_writes(places: Places, extras: Extras) -> list[Write[Any]]:
 def import_at_start(store: Store, section: StoreSection) -> None:
     """Import the files named in the configuration; keys that the store has, or had and deleted, keep their state.
 
-    Imported values are older than any written one: a machine that joins a deployment with its own files changes nothing
-    there. A file that cannot be read is logged, and does not prevent the other imports.
+    Imported values count as older than any written value, so a machine that joins a deployment with its own files
+    changes nothing there. A file that cannot be read is logged, and does not prevent the other imports.
     """
     for key, path in (("maps", section.maps), ("locations", section.locations)):
         if path is None:
@@ -117,7 +117,7 @@ class StoreService:
 
     Args:
         config: the configuration.
-        alone: name of the module with a process, and so a replica, of its own; "" in the daemon's modules worker.
+        alone: name of the module whose separate process has its own replica; "" in the daemon's modules worker.
         join: creates a node of the first name on the hub, which uses the second name on the control plane.
     """
 

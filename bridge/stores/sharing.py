@@ -6,7 +6,7 @@ Below ``midspan/store/<domain>/``::
     @sync/alive/<zid>/<daemon>  a liveliness token for each replica
     @sync/digest/<zid>          query: which versions differ from these digests
     @sync/fetch/<zid>/**        query for entries; each reply is under .../<kind>/<name>
-    @sync/write/<zid>           query that writes (`bridge.stores.client`), optionally only over given versions
+    @sync/write/<zid>           query that writes (`bridge.stores.client`), optionally only if the versions are as given
 
 Wildcard subscriptions do not match a key that starts with ``@``. A machine that is not trusted can query values and
 digests, but neither write nor reply (`bridge.hub.security.access`).
@@ -45,7 +45,7 @@ _NOT_AN_OBJECT = "the query is not a JSON object"
 
 
 class StoreSync:
-    """Synchronizes a replica from its construction on; closes ``space``; compares every ``period`` seconds."""
+    """Synchronizes a replica from its construction on, and compares it every ``period`` seconds; closes ``space``."""
 
     def __init__(self, replica: Replica, space: KeySpace, zid: str, period: float = PERIOD) -> None:
         self._replica, self._space, self._zid, self._period = replica, space, zid, period
@@ -274,7 +274,7 @@ class StoreSync:
         return True
 
     def _refuse(self, zid: str, reason: str) -> None:
-        """Log once for each replica that it cannot be understood."""
+        """Log that a replica's version is incompatible, once for each replica."""
         with self._wake:
             new = zid in self._others and zid not in self._strangers
             if new:

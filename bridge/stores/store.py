@@ -26,7 +26,7 @@ _COMPANIONS: dict[str, ValueKind[Any]] = {AREA.name: BEHAVIOR}  # deleted and re
 
 @dataclass(frozen=True, slots=True)
 class Write(Generic[T]):
-    """A value to write under a name, or a deletion if it is None."""
+    """A value to write under a name, or a deletion if the value is None."""
 
     kind: ValueKind[T]
     name: str
@@ -68,7 +68,7 @@ def rename_writes(values: Values, kind: ValueKind[Any], old: str, new: str) -> l
 
 
 def _moved(values: Values, old: str, new: str) -> list[Write[Any]]:
-    """Return the writes that move a map's places to another map, and choose that if the map was the current one."""
+    """Return the writes that move a map's places to another map, and make that the current map if the old one was."""
     writes: list[Write[Any]] = []
     kinds: tuple[ValueKind[Any], ...] = (LOCATION, AREA, OBJECT)
     for kind in kinds:
@@ -170,7 +170,7 @@ class Store:
             raise StoreError(f"area {area!r}: {err}") from None
 
     def areas(self, map_name: str) -> MapAreas:
-        """Return the areas on a map with their behaviors. What cannot be read keeps robots out."""
+        """Return the areas on a map with their behaviors. Robots keep out of areas that cannot be read."""
         named: dict[str, tuple[Map2DArea, AreaBehavior]] = {}
         unread: list[str] = []
         warnings: list[str] = []

@@ -98,5 +98,5 @@ def test_a_folder_with_another_message_compression_is_refused(tmp_path: Path) ->
     metadata = folder / "metadata.yaml"
     text = metadata.read_text().replace("compression_mode: ''", "compression_mode: MESSAGE")
     metadata.write_text(text.replace("compression_format: ''", "compression_format: lz4"))
-    with pytest.raises(BagError, match=r"its messages are compressed by 'lz4'"):
+    with pytest.raises(BagError, match=r"its messages are compressed with 'lz4'"):
         open_bag(folder)

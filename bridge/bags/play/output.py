@@ -1,4 +1,4 @@
-"""The output of a play on the hub: its publishers, its clock, and the zero that ends a velocity."""
+"""The output of a play on the hub: its publishers, its clock, and the zero velocities that stop the robot."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class HubOutput:
         return self._publishers[key]
 
     def _define(self, params: dict[str, Any]) -> dict[str, Any]:
-        """Return the definition of a type, which a worker lacks; called on a thread of the hub."""
+        """Return the definition of a type to a worker that lacks it; called on a thread of the hub."""
         name = str(params.get("name", ""))
         type_hash, definition = self._definitions.get(name, ("", ""))
         return {"name": name, "hash": type_hash, "definition": definition} if definition else {}
@@ -89,7 +89,7 @@ class HubOutput:
             self._clock.put(_CLOCK.pack(_LITTLE, seconds, nanoseconds))
 
     def end_velocities(self) -> bool:
-        """Command zero on each topic with a played velocity; return whether there was any."""
+        """Command zero velocity on each topic with a played velocity; return whether there was any."""
         with self._lock:
             moving, self._moving = self._moving, {}
             for end, zero in moving.items():
@@ -97,7 +97,7 @@ class HubOutput:
         return bool(moving)
 
     def finish(self) -> None:
-        """Refuse further velocities, from a thread that still plays, and end those that were played."""
+        """Refuse further velocities from a thread that is still playing, and end those that were played."""
         with self._lock:
             self._finished = True
         with suppress(HubError):

@@ -1,7 +1,7 @@
 """Plays bags, message by message, each when it is due.
 
-Commands are never late, latched or queued: a late one is dropped, a step skips them, and zero ends a velocity at the
-end, on a pause and on a stop.
+Commands are never late, latched or queued: a late command is dropped, and a step skips commands. Zero velocity is sent
+at the end, on a pause and on a stop.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from bridge.hub.errors import HubClosedError, HubError
 from bridge.messages.errors import ConversionError
 
 COMMAND_LATE = 0.1
-"""Seconds of delay from which a command is too late to be published."""
+"""Delay in seconds above which a command is too late to be published."""
 
 LEAST_SECONDS = 0.1
 """Minimum duration of a loop, so that a bag of one message is not played without a pause."""
@@ -55,7 +55,7 @@ class PlayOutput(Protocol):
         ...
 
     def end_velocities(self) -> bool:
-        """Command zero on each topic with a played velocity."""
+        """Command zero velocity on each topic with a played velocity."""
         ...
 
 
@@ -92,7 +92,7 @@ class Player:
                 self._output.end_velocities()
 
     def _once(self) -> bool:
-        """Play from start to end; return False if it was stopped."""
+        """Play from start to end; return False if the play was stopped."""
         source, timeline = self._source, self.timeline
         kept = source.kept()
         for topic, reason in source.bad:
@@ -164,7 +164,7 @@ class Player:
             self._report(f"{topic.name}: a message was skipped: {why}")
 
     def _report_lag(self) -> None:
-        """Report that it cannot keep up, and again whenever the lag has doubled."""
+        """Report that the play cannot keep up, and again whenever the lag has doubled."""
         behind = self.timeline.behind
         if behind > 2 * self._reported:
             self._reported = behind

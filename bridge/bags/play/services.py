@@ -1,4 +1,4 @@
-"""Pause and step by services on the hub, for clients without a terminal, on any side that the rules allow."""
+"""Services on the hub that pause and step a play, for clients without a terminal, on any side that the rules allow."""
 
 from __future__ import annotations
 

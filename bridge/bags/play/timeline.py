@@ -8,7 +8,7 @@ from collections.abc import Callable
 from enum import Enum
 
 LATE = 0.2
-"""Lag of a message, in seconds, above which the bag's time is set back to it, so that it does not run ahead."""
+"""Lag of a message in seconds above which the bag's time is set back to the message, so as not to run ahead of it."""
 
 MAX_STEPS = 1000
 """Maximum number of pending steps."""
@@ -103,7 +103,7 @@ class Timeline:
     def next(self, time_ns: int) -> Due:
         """Wait until a message of this time is due, or for another event; call it again after that.
 
-        Deadlines count from when the bag's time started to run, so that too long waits do not add up.
+        Deadlines count from when the bag's time started to run, so that the excess of long waits does not add up.
         """
         with self._changed:
             self._next = max(self._next, time_ns)
@@ -159,7 +159,7 @@ class Timeline:
             self._changed.notify_all()
 
     def step(self) -> bool:
-        """Play one message while paused; return False if it is not paused, or too many steps are pending."""
+        """Play one message while paused; return False if time is not paused, or too many steps are pending."""
         with self._changed:
             if not self._paused or self._steps >= MAX_STEPS:
                 return False

@@ -1,4 +1,4 @@
-"""Select the topics of bags to play, with their names and types, and the reasons for leaving out others."""
+"""Selects the topics of bags to play, with their names and types, and the reasons for leaving out others."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class PlayTopic:
         topic: the topic in the bag.
         name: the name on the hub.
         convert: converts the bag's bytes to CDR, or checks them; raises `bridge.messages.errors.ConversionError`.
-        definition: of the type, for participants without it; "" if unknown.
+        definition: the type's definition, for participants that lack it; "" if unknown.
         command: whether it moves the robot.
         static: whether it has static transforms, which are published once, at the start.
     """
@@ -76,8 +76,9 @@ class LeftOut:
 class CommandTopics:
     """Recognizes topics that move a robot, by type and name: those of docs/operate/security.md, and more.
 
-    The access rules of the hub must not block state topics; here `--commands` can include a topic again. So a name like
-    a command's is enough for any type, and the topics of the joints that this configuration drives count too.
+    The access rules of the hub must not block state topics, but here `--commands` can include a topic again. Therefore
+    a name like that of a command is enough, whatever the type, and the topics of the joints that this configuration
+    drives count, too.
     """
 
     def __init__(self, config: Config) -> None:
@@ -91,7 +92,7 @@ class CommandTopics:
         self._driven = {*velocities, *driven} - {""}
 
     def has(self, name: str, type_name: str) -> bool:
-        """Whether messages of this type (ROS 2's name) on this topic of the hub move a robot."""
+        """Return whether messages of this type (ROS 2's name) on this topic of the hub move a robot."""
         if type_name.endswith(_GOAL) or name in self._driven or COMMAND_NAME.search(name):
             return True
         last = name.rpartition("/")[2]
@@ -129,7 +130,7 @@ class PlayChoice:
 def choose(
     bags: Iterable[Bag], registry: Registry, config: Config, wanted: PlayChoice
 ) -> tuple[dict[Bag, list[PlayTopic]], list[LeftOut]]:
-    """Return the topics to play of each bag, and those that were selected but are left out."""
+    """Return the topics of each bag to play, and those that were selected but are left out."""
     moving = CommandTopics(config)
     playable: dict[Bag, list[PlayTopic]] = {}
     left: dict[LeftOut, None] = {}
