@@ -46,7 +46,7 @@ class BagTopic:
     """A topic of a bag as one publisher or group of publishers offered it; one name may have several objects.
 
     Attributes:
-        type_name: as its world spells it.
+        type_name: the type's name as its world spells it.
         world: the world whose serialization its messages have.
         definition: the type's full definition, "" if the bag has no readable one.
         type_hash: md5 or ``RIHS01_...``, "" if unknown.

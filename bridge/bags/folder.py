@@ -21,7 +21,7 @@ _LARGEST_METADATA = 4 << 20
 
 
 class FilesBag(Bag):
-    """Several files as one bag, which merges their equal topics; `trouble` is that of the first unreadable file.
+    """Several files as one bag, which merges their equal topics; `trouble` is the error of the first unreadable file.
 
     Args:
         files: the files, of any format, compressed or not.
@@ -86,7 +86,7 @@ class FilesBag(Bag):
     def messages(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[BagMessage]:
-        """Yield the messages of all files, reading each from its start on; unopened files raise an error at the end."""
+        """Yield the messages of all files, reading each from its start time; raise at the end if one did not open."""
         wanted = None if topics is None else set(topics)
         later = deque(self._parts)
         heads: list[tuple[int, int, BagMessage, Iterator[BagMessage]]] = []

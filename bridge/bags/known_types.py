@@ -85,7 +85,7 @@ def typed(topic: BagTopic, path: Path) -> BagTopic:
 
 
 def _is_complete(topic: BagTopic) -> bool:
-    """Whether the bag defines the ROS 2 type of a topic and all types that it nests."""
+    """Return whether the bag defines the ROS 2 type of a topic and all types that it nests."""
     with suppress(MessageTypeError):
         return bool(topic.definition and full_schema(topic.type_name, topic.definition))
     return False

@@ -34,7 +34,7 @@ def parse_qos(text: str) -> tuple[Qos, ...]:
 def merged_qos(offered: tuple[Qos, ...]) -> Qos:
     """Return one profile for all publishers of a topic; without publishers, the default one.
 
-    It is transient local if any publisher is, best effort if all are, and as deep as the deepest.
+    The profile is transient local if any publisher is, best effort if all are, and as deep as the deepest.
     """
     if not offered:
         return Qos()

@@ -1,4 +1,4 @@
-"""Threads for requests to other nodes, so that dead and slow ones do not delay the others."""
+"""Threads for requests to other nodes, so that dead and slow nodes do not delay the others."""
 
 from __future__ import annotations
 

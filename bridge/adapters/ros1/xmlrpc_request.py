@@ -32,7 +32,7 @@ class Limits:
         head: size of a request's HTTP header in bytes.
         depth: levels of nested arrays and structures.
         values: number of values in one request.
-        seconds: time for a whole request to arrive, and for a whole response to be accepted; large ones have more.
+        seconds: time for a whole request to arrive, and for a whole response to be accepted; large ones get more.
         threads: number of threads that run methods.
         response: size of the response to one request in bytes.
     """
@@ -51,7 +51,7 @@ class Limits:
 DEFAULT_LIMITS = Limits()
 
 SLOWEST = 100_000
-"""Slowest accepted rate in bytes per second: the time limit of a request or response grows by its size over this."""
+"""Slowest accepted rate, bytes per second: a request or response has its size divided by this as additional time."""
 
 
 class _Decoder(xmlrpc.client.Unmarshaller):

@@ -109,7 +109,7 @@ class YarpNetwork:
         self.trouble = ""
 
     def list_ports(self) -> list[PortContact] | None:
-        """Return all registered ports, None if no name server answers; the embedded one is read only after changes."""
+        """Return all registered ports, None if no name server answers; an embedded one is read only after changes."""
         server = self.naming.server
         changes = None if server is None else server.changes
         if self._listed is not None and self._listed[0] == changes:

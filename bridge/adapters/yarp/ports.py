@@ -359,7 +359,7 @@ class OwnPorts:
     def stop(self) -> None:
         """Close all ports permanently."""
         self._stopped = True
-        owned, self.own = self.own, {}  # another thread may be iterating over the old one
+        owned, self.own = self.own, {}  # another thread may be iterating over the old mapping
         self._close(list(owned.values()))
         for pool in (self._links, self._ends):
             pool.close(_LEAVE_SECONDS)

@@ -222,7 +222,7 @@ class Ros1KeyPublisher(KeyPublisher):
         self._due = max(now + SETTLE, self._last + AGAIN)
 
     def tick(self, now: float) -> None:
-        """Put the latched messages again when they are due."""
+        """Publish the latched messages again when they are due."""
         due = self._due
         if due is not None and now >= due:
             self._due, self._last = None, now

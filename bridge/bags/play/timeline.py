@@ -159,7 +159,7 @@ class Timeline:
             self._changed.notify_all()
 
     def step(self) -> bool:
-        """Play one message while paused; return False if time is not paused, or too many steps are pending."""
+        """Play one message while paused; return False if the play is not paused, or too many steps are pending."""
         with self._changed:
             if not self._paused or self._steps >= MAX_STEPS:
                 return False

@@ -48,7 +48,7 @@ class Ros1Actions:
     def stop(self) -> None:
         """Stop the thread; the engine has already closed all endpoints."""
         self._stopping.set()
-        thread = self._thread  # it exits by itself if nothing is open
+        thread = self._thread  # the thread exits by itself if nothing is open
         if thread is not None and thread is not threading.current_thread():
             thread.join(1.0)
         self._publishers.close()

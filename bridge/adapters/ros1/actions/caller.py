@@ -50,7 +50,7 @@ class ActionCaller(ActionTopics):
 
     @property
     def in_use(self) -> bool:
-        """Return whether a part is open, or goals are stored."""
+        """Whether a part is open, or goals are stored."""
         return bool(self._open) or self._client.kept > 0
 
     def caller(self, part: str) -> PartCaller:

@@ -2,8 +2,8 @@
 
 An actionlib client sends a cancel request after the goal that it names. The goal arrives after the request if its
 connection is read later, or if TCP has to retransmit a segment; therefore a request that may have overtaken a goal is
-held here until the goal arrives. Nothing else is held: a request for known goals cancels them at once. A held request
-never starts a goal.
+held here until the goal arrives, which is then canceled at once. Nothing else is held: a request for known goals
+cancels them at once.
 
 A request for all goals has neither an id nor a stamp. If its client has an unread goal when the request arrives, the
 goal may have been sent before or after the request. Such a goal is canceled, because a request that misses its goal

@@ -170,7 +170,7 @@ class ActionlibClient:
         self.reach(reachable=False)
 
     def reach(self, *, reachable: bool) -> None:
-        """Set whether the server is connected to the cancel topic, which suffices to cancel its goals."""
+        """Set whether the server is connected to the cancel topic; that suffices for canceling its goals."""
         self._cancels.reachable = reachable
         self._cancels.send()
 
@@ -223,7 +223,7 @@ class ActionlibClient:
         goal = self._goal(status)
         if goal is None or goal.whole or goal.result_delivered or goal.refused:
             return
-        if goal.result is not None:  # it counted as lost, but no client has received the empty result
+        if goal.result is not None:  # the result counted as lost, but no client has received the empty one
             self._goals.remove(goal)
             goal.result = None
             self._goals.add(goal)

@@ -45,7 +45,7 @@ class FrameId(NamedTuple):
 
 @dataclass(slots=True)
 class _Walk:
-    """A traversal of a message's bytes by its definition."""
+    """A traversal of a message's bytes according to its definition."""
 
     schema: Schema
     data: bytes

@@ -1,13 +1,14 @@
 """The Midspan nodes on a ROS 1 network: a master parameter per node, and this daemon's dead predecessors.
 
 Each Midspan node has an entry below ``/midspan/nodes`` on the master: ``{owner, daemon, node, uri, pid, port}``. Its
-key depends only on the node's address, so that two nodes of one name never overwrite each other's entry. ``owner`` is a
-random identity in the state folder, by which a daemon recognizes its dead predecessors; it removes their registrations
-from the master, but no others.
+key depends only on the node's address, so that two nodes with the same name never overwrite each other's entry.
+``owner`` is a random identity in the state folder, by which a daemon recognizes its dead predecessors; it removes their
+registrations from the master, but no others.
 
-The nodes exchange everything else over direct connections, so that a crash is noticed at once: the connection breaks.
-Each node connects to every other one's TCPROS port with the header field ``midspan_presence`` (the URI of the target
-node), receives the same field, and then that node's records, each as a little-endian 32-bit length and the bytes.
+The nodes exchange everything else over direct connections, so that a crash, which breaks the connection, is noticed at
+once. Each node connects to every other node's TCPROS port with the header field ``midspan_presence`` (the URI of the
+target node), receives the same field, and then that node's records, each as a little-endian 32-bit length and the
+bytes.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ def others(state: MasterState, own: NodeEntry) -> list[NodeEntry]:
 
 
 def is_alive(caller: str, entry: NodeEntry) -> bool:
-    """Return whether an entry's node responds, and is the process that made the entry. Blocks up to a second."""
+    """Return whether an entry's node responds, and is the process that created the entry. Blocks up to a second."""
     try:
         return bool(ask(entry.uri, _LIVENESS_SECONDS, "getPid", caller) == entry.pid)
     except Ros1Error:

@@ -281,7 +281,7 @@ class FollowingEnd(Protocol):
 
     @property
     def restless(self) -> bool:
-        """Whether it needs to connect."""
+        """Whether the subscription or caller needs to connect."""
 
     def close(self) -> None:
         """Close it. Safe to call twice."""

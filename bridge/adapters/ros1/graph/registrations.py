@@ -38,7 +38,7 @@ class NodeRegistrations:
         self._ended: set[str] = set()
 
     def corrections(self, state: MasterState, entry: NodeEntry) -> list[Call]:
-        """Return the calls that correct this node's registrations, and its entry."""
+        """Return the calls that correct this node's registrations, and its entry on the master."""
         name, uri = self._node.name, self._node.uri
         self._ended |= self._node.take_removed()
         published, subscribed = self._node.publications(), self._node.subscriptions()

@@ -42,7 +42,7 @@ class StandingGraph:
 
     Attributes:
         state: the graph, None if it is unknown.
-        unlisted: whether it has registrations that the master does not list.
+        unlisted: whether the graph has registrations that the master does not list.
     """
 
     def __init__(self, connections: Callable[[], Connections]) -> None:

@@ -27,7 +27,10 @@ Reply = list[Any]
 """``[code, message, value]``."""
 
 REPLACED_SECONDS = 2.0
-"""For this many seconds a replaced node cannot register: it may not know yet, and would shut down its successor."""
+"""For this many seconds a replaced node cannot register.
+
+The node may not have noticed its replacement yet, and would shut its successor down.
+"""
 
 NEW_SECONDS = 5.0
 """For this many seconds a subscriber counts as new: a publisher update may overtake the reply to its registration.
@@ -163,7 +166,7 @@ class MasterApi:
         return [1, f"parameter {key} deleted", 0]
 
     def set_param(self, caller: str, key: str, value: Any) -> Reply:
-        """Set a parameter, or replace a namespace by a structure."""
+        """Set a parameter, or replace a namespace with a structure."""
         key = resolve(key, caller)
         self.parameters.set(key, value)
         self._send_updates(caller, key, value)
@@ -317,7 +320,7 @@ class MasterApi:
                 self._changed()
 
     def remove_dead(self, node: str, api: str) -> bool:
-        """Unless another node has replaced a dead node, remove its registrations, and report that to subscribers."""
+        """Remove a dead node's registrations and report that to subscribers, unless a new node has replaced it."""
         with self.lock:
             entry = self.registrations.nodes.get(node)
             if entry is None or entry.api != api:

@@ -194,7 +194,7 @@ class PlainNode:
             _log.debug("%s does not accept the connection of %s: %s", uri, self.name, err)
             self._retry_later(subscription, uri)
             return
-        with sock:  # closes it unless the reader has taken it over
+        with sock:  # closes the socket unless the reader has taken it over
             try:
                 self._read(subscription, topic, uri, sock, header)
             except OSError:  # the publisher has disconnected

@@ -228,7 +228,7 @@ class MirroredNode:
         return {}
 
     def _report_unknown(self, ros1: Mapping[str, Any]) -> None:
-        """Report names in ROS 1 that the node lacks; they are not deleted, as another program may have set them."""
+        """Report names in ROS 1 that the node lacks; they are not deleted, since another program may have set them."""
         known = [self._names.ros2(path) for path in self._declared]
         unknown = {
             path for path in ros1 if path not in self._declared and self._names.takes(path) and self._names.ros2(path)

@@ -302,7 +302,7 @@ class Ros1Caller:
         """Open a connection; raises `Ros1Error`. Blocks up to `_CONNECT_SECONDS`."""
         fields = {"md5sum": self.md5, "persistent": "1"}
         sock, _ = connect_service(self._context.node(), link.uri, link.topic, _CONNECT_SECONDS, **fields)
-        with sock:  # closes it unless the connection has taken it over
+        with sock:  # closes the socket unless the connection has taken it over
             try:
                 connection = _ServerConnection(sock, link, self, self._context.loop, self._context.limit)
             except OSError as err:

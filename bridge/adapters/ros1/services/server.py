@@ -154,7 +154,7 @@ class Traffic:
 
 
 class Ros1Server:
-    """One service of this node; its calls count in ``traffic``."""
+    """One service of this node; its calls are counted in ``traffic``."""
 
     def __init__(
         self, name: str, side_type: SideType, call: Call, closed: Callable[[Ros1Server], None], traffic: Traffic
@@ -253,7 +253,7 @@ class ServiceServers:
         ours, md5 = server.side_type, header["md5sum"]
         if md5 not in ("*", ours.type_id):
             return (
-                f"{server.name}: md5 sums differ: {header['callerid']} requests {md5}, it is {ours.name} with"
+                f"{server.name}: md5 sums differ: {header['callerid']} requests {md5}, but it is {ours.name} with"
                 f" {ours.type_id}; use the same version of {ours.name.split('/')[0]} on both sides"
             )
         if server.is_full:

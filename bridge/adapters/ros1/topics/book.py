@@ -78,7 +78,7 @@ class TopicBook:
                 self._published[topic] = publication
             elif publication.side_type.type_id != side_type.type_id:
                 raise MessageTypeError(
-                    f"{topic} is already published on ROS 1 as {publication.side_type.name}, it cannot also be"
+                    f"{topic} is already published on ROS 1 as {publication.side_type.name}, so it cannot also be"
                     f" {side_type.name} (md5 {side_type.type_id})",
                     "rename one of the two with a rule, because a ROS 1 node has one type per topic",
                 )
@@ -207,7 +207,7 @@ class TopicBook:
         return f"{self._node()} is not a publisher of {topic}"
 
     def _note_rejected(self, publication: Publication, header: Header) -> None:
-        """Record a subscriber with another definition of the type, which no other node but its own might report."""
+        """Record a subscriber with another definition of the type; otherwise at most its own node would report it."""
         ours = publication.side_type
         theirs = f"{header.get('type', ours.name)} with md5 {header['md5sum']}"
         with self._lock:

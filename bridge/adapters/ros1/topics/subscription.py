@@ -76,7 +76,7 @@ class Ros1Subscription:
 
     @property
     def restless(self) -> bool:
-        """Whether it needs to connect to a publisher."""
+        """Whether the subscription needs to connect to a publisher."""
         return any(source.reader is None for source in list(self._publishers.values()))
 
     @property

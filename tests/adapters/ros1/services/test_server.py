@@ -161,8 +161,8 @@ def test_probes_and_clients_of_any_md5(bench):
 def test_clients_that_are_rejected(bench):
     _, header = bench.connect(md5sum="0ther")
     assert header == {
-        "error": "/serve: md5 sums differ: /client requests 0ther, it is pkg/Serve with 5e7e; use the same version of"
-        " pkg on both sides"
+        "error": "/serve: md5 sums differ: /client requests 0ther, but it is pkg/Serve with 5e7e; use the same version"
+        " of pkg on both sides"
     }
     assert "/midspan does not serve /other" in bench.connect(service="/other")[1]["error"]
     assert "needs the field md5sum" in bench.connect(md5sum="")[1]["error"]
