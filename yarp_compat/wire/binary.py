@@ -31,14 +31,14 @@ _FAMILIES: dict[type, str] = {
     float: "float64", int: "int", Int64: "int", str: "string", bytes: "blob", bool: "vocab", Vocab: "vocab",
     Vocab64: "vocab", Int8: "int8", Int16: "int16", Float32: "float32", list: "list", tuple: "list", dict: "dict",
 }  # fmt: skip
-"""Families of types that may share one tag; a list with two families is always mixed."""
+"""Families of types that may share one tag. In a list with types of two families, each element has its own tag."""
 
 _ARRAY_TAGS = {"i1": tags.INT8, "u1": tags.INT8, "i2": tags.INT16, "u2": tags.INT16, "i4": tags.INT32,
                "u4": tags.INT32, "i8": tags.INT64, "u8": tags.INT64}  # fmt: skip
 
 
 Array = Callable[[Buffer, int, int, str], Any]
-"""Returns an array of numbers; arguments: the data, the offset, the count, the format character."""
+"""Returns an array of numbers, given the data, the offset, the count and the format character of `struct`."""
 
 _READ_WORD = Struct("<i").unpack_from
 _READ_TWO = Struct("<ii").unpack_from
@@ -48,7 +48,7 @@ _DOUBLE = Struct("<d").unpack_from
 
 _INT8 = {value: Int8(value) for value in range(-128, 128)}
 _KEPT: dict[str, Callable[[Any], Any]] = {"b": _INT8.__getitem__, "h": Int16, "q": Int64, "f": Float32}
-"""The classes of numbers whose size differs from their plain value's."""
+"""By format character: the classes of numbers whose size a plain int or float would not preserve."""
 
 
 class Encoder:
@@ -175,7 +175,7 @@ class Encoder:
         self.bottle(entries_of(value), out, depth + 2)
 
     def _array(self, values: Any, out: list[Buffer], depth: int) -> None:
-        """Append a numpy array: its memory, or lists of lists if it has several dimensions."""
+        """Append a numpy array, without a copy if possible; several dimensions become lists of lists."""
         if not hasattr(values, "dtype"):
             return self.bottle(list(values), out, depth)
         kind = values.dtype.str[1:]
@@ -205,7 +205,7 @@ def _utf8(text: str) -> bytes:
 
 
 class Decoder:
-    """A decoder of lists in one profile; ``array`` converts lists of numbers of one type, by default to a list."""
+    """A decoder of lists in one profile; ``array`` makes the results for lists of numbers of one type (None: lists)."""
 
     def __init__(self, profile: Profile, array: Array | None = None) -> None:
         self._float32 = profile.float32_tag
@@ -216,7 +216,7 @@ class Decoder:
         self._array = array
 
     def bottle(self, data: Buffer, offset: int) -> tuple[Any, int]:
-        """Decode a Bottle; return its values and end. Raises `WireError`, or `Incomplete` if the data ends early."""
+        """Decode a Bottle; return its values and its end. Raises `WireError`, or `Incomplete` if data is missing."""
         return self._bottle(data, offset, 0)
 
     def _bottle(self, data: Buffer, offset: int, depth: int) -> tuple[Any, int]:
@@ -228,7 +228,7 @@ class Decoder:
         return self._list(data, offset + 8, tag & tags.UNIT, count, depth)
 
     def _list(self, data: Buffer, offset: int, unit: int, count: int, depth: int) -> tuple[Any, int]:
-        """Decode the elements of a list; ``unit`` is the tag of all, or 0."""
+        """Decode the elements of a list; ``unit`` is the tag that all of them share, or 0."""
         if depth > tags.MAX_DEPTH:
             raise WireError(f"lists are nested deeper than {tags.MAX_DEPTH} at byte {offset}")
         if count < 0:
@@ -273,7 +273,7 @@ class Decoder:
         return values, offset
 
     def _mixed(self, data: Buffer, offset: int, count: int, depth: int) -> tuple[list[Any], int]:
-        """Decode elements with a tag each, together with the next int32, which all but the smallest types have."""
+        """Decode elements with a tag each. It is read with the int32 after it, which only small types may lack."""
         whole = len(data)
         if whole - offset < 5 * count:
             raise Incomplete(f"a list of {count} elements at byte {offset} needs at least {5 * count} bytes")
@@ -367,12 +367,12 @@ _ARRAYS4 = Decoder(Profile.YARP4, array)
 
 
 def encode(values: Sequence[Any], profile: Profile) -> bytes:
-    """Encode values, of the types in `values`, as a Bottle; raises `WireError` for unsupported values."""
+    """Encode values (of the types in `yarp_compat.wire.values`) as a Bottle; raises `WireError` for other values."""
     return b"".join(encode_parts(values, profile))
 
 
 def encode_parts(values: Sequence[Any], profile: Profile) -> list[Buffer]:
-    """Encode values like `encode`, in pieces, without copies of large arrays and blobs."""
+    """Encode values like `encode`, but return the bytes in pieces, without copying large arrays and blobs."""
     out: list[Buffer] = []
     try:
         (_ENCODER3 if profile is Profile.YARP3 else _ENCODER4).bottle(values, out)
@@ -382,18 +382,18 @@ def encode_parts(values: Sequence[Any], profile: Profile) -> list[Buffer]:
 
 
 def decode(data: Buffer, profile: Profile | None = None) -> list[Any]:
-    """Decode a Bottle in a profile (None: the one that fits all bytes, YARP 3 first); raises `WireError`."""
+    """Decode a Bottle in a profile (None: the first of YARP 3 and 4 that fits all bytes); raises `WireError`."""
     values: list[Any] = _decoded(data, profile, _DECODER3, _DECODER4)
     return values
 
 
 def decode_arrays(data: Buffer, profile: Profile | None = None) -> Any:
-    """Decode like `decode`, but lists of numbers of one type, also the Bottle itself, become numpy arrays (views)."""
+    """Decode like `decode`, but make lists of numbers of one type, even the Bottle itself, numpy arrays (views)."""
     return _decoded(data, profile, _ARRAYS3, _ARRAYS4)
 
 
 def decode_prefix(data: Buffer, profile: Profile, offset: int = 0) -> tuple[list[Any], int]:
-    """Decode the Bottle at an offset; return its values and its end. Raises `WireError`, or `Incomplete` if cut."""
+    """Decode the Bottle at an offset; return its values and its end. Raises `WireError`, or `Incomplete` if cut off."""
     return (_DECODER3 if profile is Profile.YARP3 else _DECODER4).bottle(data, offset)
 
 

@@ -18,7 +18,7 @@ _SPECIFIERS = 16
 
 
 class CarrierError(WireError):
-    """A carrier is not supported; the message names it and the supported ones."""
+    """Raised if a carrier is not supported; the message names it and the supported ones."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +102,7 @@ def recognize(opening: bytes | bytearray | memoryview) -> Carrier:
     raise WireError(f"unknown carrier {first!r}; use one of {', '.join(CARRIERS)}")
 
 
-LONGEST_NAME = 2048  # most bytes of a sender's name with its qualifiers
+LONGEST_NAME = 2048  # maximum bytes of a sender's name with its qualifiers
 _LENGTH = struct.Struct("<i")
 _PORT = struct.Struct(">H")
 _GROUP_SIZE = 6

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 
-MAX_NAME = 1024  # most characters of a port name
+MAX_NAME = 1024  # maximum characters of a port name
 
 _ADDRESS = re.compile(r"/(?P<host>[^:/]*):(?P<port>\d+)(?=/|$)")
 _REFUSED = re.compile(r"[\x00-\x20\x7f\"\\]")

@@ -14,7 +14,7 @@ from yarp_compat.wire import framing
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.framing import Buffer
 
-LARGEST = 65499  # most bytes of a message in one datagram
+LARGEST = 65499  # maximum bytes of a message in one datagram
 _HEAD = struct.Struct("<Ii")
 
 
@@ -42,7 +42,7 @@ def datagram(piece: bytes, number: int) -> bytes:
 
 
 class Assembler:
-    """Reassembly of messages from datagrams in order; a lost, late or duplicate datagram drops its message.
+    """Reassembles messages from datagrams in order; a lost, late or duplicate datagram drops its message.
 
     ``spoiled`` counts wrong checksums, ``incomplete`` messages without their beginning or end.
     """

@@ -1,4 +1,4 @@
-"""Reading and writing of typed values, element by element: list headers, tags and blocks of YARP's classes.
+"""Reads and writes typed values, element by element: the list headers, tags and blocks of YARP's classes.
 
 The reader is as liberal as YARP's, and limits depth and sizes because of hostile input. Sources of the rules:
 `yarp/os/idl/WireReader.cpp`, `WireWriter.cpp`, `yarp/os/Bottle.h`, and captures of YARP 3.9.1, 3.12.3 and 4.0.
@@ -35,9 +35,10 @@ _TAGGED_FLOAT32, _TAGGED_FLOAT64 = struct.Struct("<if"), struct.Struct("<id")
 class ElementReader:
     """A position (``at``) in a payload with the tags of a profile.
 
-    Every method reads the next element, and raises `WireError` if that is of another type and `Incomplete` if the bytes
-    end early. A call's outcome is read in the format of ``generation``, by default the profile's newest. ``left`` is
-    the number of elements left in the list, negative outside of any; ``unit`` is the tag of all its elements, or 0.
+    Every method reads the next element, and raises `WireError` if the element has another type and `Incomplete` if the
+    bytes end early. A call's outcome is read in the format of ``generation``, by default the profile's newest. ``left``
+    is the number of elements left in the list, negative outside of any list; ``unit`` is the tag that all elements of
+    the list share, or 0.
     """
 
     __slots__ = ("_outer", "at", "data", "generation", "left", "profile", "unit")
@@ -169,7 +170,7 @@ class ElementReader:
         return self.data[at:end]
 
     def numbers(self) -> tuple[int, int, memoryview | None]:
-        """Read a list of one type: tag, count and bytes; bytes are None, and the list stays open, if it is mixed."""
+        """Read the tag, count and bytes of a list of numbers; a mixed list has None for bytes, and stays open."""
         count = self.begin()
         tag = self.unit
         size = _SIZES[self.profile].get(tag)
@@ -212,7 +213,7 @@ class ElementReader:
 
 
 class ElementWriter:
-    """A buffer for a payload; without a generation, outcomes have the format of the profile's newest."""
+    """A buffer for a payload; outcomes have the format of ``generation``, by default the profile's newest."""
 
     __slots__ = ("_done", "_tail", "generation", "profile")
 
@@ -228,11 +229,11 @@ class ElementWriter:
         return self
 
     def begin(self, count: int, tag: int = 0) -> None:
-        """Begin a list of ``count`` elements, with their tag if all have the same, which is then not repeated."""
+        """Begin a list of ``count`` elements; if all have the same ``tag``, it is not repeated for each."""
         self._tail += _TWO_INT32.pack(LIST | tag, count)
 
     def integer(self, value: int, tag: int = INT32, *, tagged: bool = True) -> None:
-        """Write an integer of a tag's size, unsigned ones as bits; raises `WireError` if it does not fit."""
+        """Write an integer in its tag's size, as signed if it is larger; raises `WireError` if it does not fit."""
         try:
             size = _INTEGERS[tag].size
             if value > 0 and value >> (8 * size - 1) == 1:
@@ -266,7 +267,7 @@ class ElementWriter:
         self.vocab("ok" if value else "fail", tagged=tagged)
 
     def vocab(self, word: str, *, tagged: bool = True) -> None:
-        """Write a word of up to four one-byte characters; raises `WireError` for others."""
+        """Write a word of up to four one-byte characters; raises `WireError` for other words."""
         try:
             encoded = word.encode("latin-1")
         except (UnicodeEncodeError, AttributeError):
@@ -296,7 +297,7 @@ class ElementWriter:
         self.block(data)
 
     def raw(self, layout: struct.Struct, *values: Any) -> None:
-        """Write numbers and tags in a fixed layout; raises `WireError` if one does not fit."""
+        """Write numbers and tags in a fixed layout; raises `WireError` if a value does not fit."""
         try:
             self._tail += layout.pack(*values)
         except struct.error as error:

@@ -19,7 +19,7 @@ from yarp_compat.wire.errors import TooLargeError, WireError
 
 _HEAD = struct.Struct("<isBBB")
 
-LONGEST_TEXT = 4096  # most bytes of an envelope or command
+LONGEST_TEXT = 4096  # maximum bytes of an envelope or command
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ Buffer = bytes | bytearray | memoryview
 
 INDEX = frame(10)
 ACK = frame(0)
-DEFAULT_LIMIT = 64 << 20  # most bytes of a message by default
+DEFAULT_LIMIT = 64 << 20  # maximum bytes of a message by default
 
 _FILL = b"\xff" * 8
 _START = INDEX + b"\x02\x01" + _FILL

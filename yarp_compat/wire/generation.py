@@ -3,11 +3,11 @@
 YARP's generated (thrift) services have changed their replies to the same requests three times: first a bool, then an
 untagged number, a tagged number, and a list. The first of these sources that applies decides a client's generation:
 
-1. its bytes: YARP 4 has its own tags for numbers and asks for the protocol's version, and some methods exist only since
-   3.12;
+1. the client's bytes: YARP 4 has its own tags for numbers and asks for the protocol's version, and some methods exist
+   only since 3.12;
 2. the settings;
-3. findings: the YARP library that its process has loaded, or how it reacts to a reply;
-4. a guess, with the carrier of its connection as a hint.
+3. findings: the YARP library that the client's process has loaded, or how the client reacts to a reply;
+4. a guess, with the carrier of the connection as a hint.
 
 After a guess, replies that another release would misread are avoided (`yarp_compat.dev.returnvalue`).
 """
@@ -43,7 +43,7 @@ class Generation(Enum):
 
     @property
     def before_3_12(self) -> bool:
-        """Whether it is older than 3.12, which also reordered some streams."""
+        """Whether this generation is older than 3.12, which also reordered some streams."""
         return self in (Generation.YARP_3_6, Generation.YARP_3_11)
 
     @classmethod
@@ -73,7 +73,7 @@ _NOWHERE: PeerAddress = ("", 0)
 
 @dataclass(frozen=True, slots=True)
 class GenerationDecision:
-    """The generation for a client, and the reason; ``cure`` is the setting that replaces a guess, else empty."""
+    """The generation for a client, and the reason; ``cure`` names the setting that replaces a guess, or is empty."""
 
     peer: str
     generation: Generation
@@ -82,7 +82,7 @@ class GenerationDecision:
 
     @property
     def sure(self) -> bool:
-        """Whether it is more than a guess."""
+        """Whether the generation is more than a guess."""
         return not self.cure
 
     def as_dict(self) -> dict[str, str]:
@@ -95,7 +95,8 @@ class GenerationDecision:
 class ReleaseFinding:
     """An observation of a client.
 
-    ``sure``: only this generation explains it; ``overrides``: the client disclosed it itself, so settings are ignored.
+    ``sure``: only this generation explains the observation; ``overrides``: the client itself disclosed its generation,
+    so settings are ignored.
     """
 
     generation: Generation
@@ -116,13 +117,13 @@ _OF_ONE_DEVICE = re.compile(r"/(?:(?:navigation|locations|localization|user_comm
 
 
 def device_of(peer: str) -> str:
-    """Return the common beginning of the ports of one network client: its parameter ``local``."""
+    """Return the common prefix of the port names of one network client, which is its parameter ``local``."""
     match = _OF_ONE_DEVICE.search(peer)
     return peer[: match.start()] if match and match.end() == len(peer) and peer.startswith("/") else peer
 
 
 class Findings:
-    """Observations of clients, by device, whose ports all belong to one process. All our servers share them."""
+    """Observations of clients, by device (all ports of a device belong to one process). Servers may share them."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[str, PeerAddress], tuple[str, ReleaseFinding]] = {}  # with the port that disclosed it
@@ -131,7 +132,7 @@ class Findings:
         self._lock = threading.Lock()
 
     def get(self, peer: str, link: PeerAddress = _NOWHERE) -> ReleaseFinding | None:
-        """Return the finding on a client; if it is missing or a guess, prefer a sure one on its other devices."""
+        """Return the finding on a client, or if it is not sure, a sure one on another device of its process."""
         with self._lock:
             known = self._known.get(_key(peer, link))
             if known is not None and known[1].sure:
@@ -222,9 +223,9 @@ class Generations:
             self._remember(link, GenerationDecision(peer, Generation.YARP_4, f"{request}, as clients of 4.0 do"))
 
     def recognized(self, peer: str, profile: Profile, link: PeerAddress = _NOWHERE) -> None:
-        """Record that the client writes bytes that only this profile has; they override even an introduction.
+        """Record that the client writes bytes that only this profile has; they override even `introduced`.
 
-        (Clients of custom services may introduce themselves in 3.12 too.)
+        (In 3.12, clients of custom services may ask for the protocol's version too.)
         """
         if profile is not self.of(peer, link=link).generation.profile:
             self._remember(link, self._by_bytes(peer, profile))
@@ -293,7 +294,7 @@ class Generations:
         return is_new
 
     def forget(self, peer: str, link: PeerAddress = _NOWHERE) -> None:
-        """Discard the facts about a client whose connection began or ended; the next may have another release."""
+        """Discard the facts about a client whose connection began or ended: the next may have another release."""
         with self._lock:
             self._disclosed.pop((peer, link), None)
             self._inspected.discard((peer, link))

@@ -22,8 +22,8 @@ _ALWAYS = "Connection: close\r\nX-Content-Type-Options: nosniff\r\n"
 class PageRequest:
     """A browser's request.
 
-    ``target`` is the address as sent, ``path`` without slash and query; a form's fields are added to the query; a body
-    of ``length`` bytes follows; ``foreign``: the request comes from another site's page.
+    ``target`` is the address as sent, ``path`` its path without the slash, ``query`` its fields and those of a form; a
+    body of ``length`` bytes follows; ``foreign``: the request comes from another site's page.
     """
 
     target: str
@@ -82,7 +82,7 @@ _MARKS = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "
 
 
 def _escaped(text: str) -> str:
-    """Escape text for HTML, also in quotes; Python's ``html`` would import a table of 2,000 names."""
+    """Escape text for HTML, including quotes; Python's ``html`` would import a table of 2,000 names."""
     return text.translate(_MARKS)
 
 

@@ -34,14 +34,14 @@ class PortReader:
     """The base class of message callbacks: ``port.setReader(reader)``."""
 
     def read(self, connection: Any) -> bool:
-        """Handle a message, and reply with ``connection.getWriter()`` if wanted; return False if it is not usable.
+        """Handle a message, and reply with ``connection.getWriter()`` if there is one; return False if it is unusable.
 
         ``connection`` is a `ConnectionReader`; an invalid one (``connection.isValid()``) means that the port closes.
         """
         raise NotImplementedError(f"{type(self).__name__} has no read")
 
     def getReadType(self) -> Type:
-        """Return the type of data that it reads."""
+        """Return the type of data that this reader expects."""
         return Type()
 
 
@@ -49,11 +49,11 @@ class PortWriter:
     """The base class of objects that can be written to a connection."""
 
     def write(self, connection: Any) -> bool:
-        """Write this to a connection, a `ConnectionWriter`; return False if it cannot be written."""
+        """Write the object to a connection, a `ConnectionWriter`; return False if it cannot be written."""
         raise NotImplementedError(f"{type(self).__name__} has no write")
 
     def getWriteType(self) -> Type:
-        """Return the type of data that it writes."""
+        """Return the type of data that this object writes."""
         return Type()
 
     def onCommencement(self) -> None:

@@ -1,4 +1,4 @@
-"""Detection of a Bottle's end in bytes that arrive in pieces: replies have no length, so their structure is parsed.
+"""Detects a Bottle's end in bytes that arrive in pieces: replies have no length, so their structure is parsed.
 
 Each byte is parsed only once, independent of the number of pieces; strings and runs of numbers are skipped.
 """
@@ -14,7 +14,7 @@ from yarp_compat.wire.errors import Incomplete, WireError
 from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.profile import Profile
 
-LIMIT = 64 << 20  # most bytes of a reply by default
+LIMIT = 64 << 20  # maximum bytes of a reply by default
 ACKNOWLEDGED = 8  # bytes of the acknowledgement after a reply on tcp: ``YA``, a number, ``RP``
 
 _WORD = Struct("<i").unpack_from
@@ -37,7 +37,7 @@ class ReplyReader:
         self._walks = {known: _Walk(known, limit) for known in ([profile] if profile is not None else Profile)}
 
     def end(self, data: Buffer) -> int:
-        """Return the end of the reply in ``data``; raises `WireError` if invalid or too long, else `Incomplete`."""
+        """Return the end of the reply in ``data``; raises `WireError` if invalid or too long, or `Incomplete`."""
         ends: dict[Profile, int] = {}
         missing: Incomplete | None = None
         wrong: WireError | None = None
@@ -76,7 +76,7 @@ class ReplyReader:
 
 
 def plain_end(data: Buffer, profile: Profile | None) -> int:
-    """Return the end of a Bottle of numbers of one type, from its header; 0 for others, or an unclear profile."""
+    """Return the end of a Bottle of numbers of one type, from its header; 0 for others, or an ambiguous profile."""
     if len(data) < 8:
         return 0
     tag, count = _TWO(data, 0)
@@ -193,12 +193,12 @@ def _is_acknowledgement(data: Buffer, at: int) -> bool:
 
 
 ReplyEnd = Callable[[Buffer], int]
-"""Returns the end of the reply at the start of the bytes; raises Incomplete if it is not complete."""
+"""Returns the end of the reply at the start of the bytes; raises `Incomplete` if bytes are missing."""
 _LONG = 1 << 16
 
 
 class ReplyWatch:
-    """The search for a reply's end: by ``parse``, or of a Bottle or line; ``profile`` is the peer's, once known."""
+    """Finds a reply's end by ``parse``, or that of a Bottle or line; ``profile`` is the peer's, once it is known."""
 
     __slots__ = ("_carrier", "_limit", "_next_parse", "_parse", "_reader", "profile")
 

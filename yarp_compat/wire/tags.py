@@ -20,7 +20,7 @@ LIST = 256
 DICT = 512
 
 UNIT = 255  # mask for the tag of the elements in a list's tag
-MAX_DEPTH = 128  # most levels of nested lists; a dict counts twice. Real messages have fewer than ten
+MAX_DEPTH = 128  # maximum levels of nested lists; a dict counts twice. Real messages have fewer than ten
 
 _SIZES = {INT8: 1, INT16: 2, INT32: 4, INT64: 8, VOCAB32: 4}
 _FORMATS = {INT8: "b", INT16: "h", INT32: "i", INT64: "q"}

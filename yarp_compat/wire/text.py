@@ -2,8 +2,8 @@ r"""The text form of Bottles, for people, text carriers, envelopes and name serv
 
 Separators are space, tab, newline, carriage return and comma. ``(...)`` is a list, ``{1 2 255}`` a blob, ``[word]`` a
 vocab, ``"..."`` a string with the escapes ``\\ \" \n \r \0``; other words are numbers, ``true``, ``false``, ``null`` or
-strings (`yarp/os/impl/BottleImpl.cpp` and `Storable.cpp`; measured on YARP 4.0). YARP accepts any text: parts that are
-not closed at its end are dropped, here too.
+strings (`yarp/os/impl/BottleImpl.cpp` and `Storable.cpp`; measured on YARP 4.0). YARP accepts any text and drops
+parts that are not closed at its end; so does this module.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.tags import MAX_DEPTH
 from yarp_compat.wire.values import DictKey, Float32, Vocab, Vocab64, entries_of, merge, plain, vocab32, vocab64
 
-LARGEST_WORK = 4 << 20  # most characters parsed repeatedly in a text that is not well-formed
+LARGEST_WORK = 4 << 20  # maximum characters parsed repeatedly in a text that is not well-formed
 
 _NEXT = re.compile(
     r"""[ \t\n\r,]*+ (?: (\() | (?:

@@ -18,7 +18,7 @@ class Type:
 
     @classmethod
     def byName(cls, name: str, name_on_wire: str = "") -> Type:
-        """Return the type with a name, and with the name in other software."""
+        """Return the type with a name, and optionally a name in other software."""
         return cls(name, name_on_wire)
 
     @classmethod

@@ -16,11 +16,11 @@ Float32             FLOAT32                         ``1.5``
 ==================  ==============================  ===========================================
 
 The subclasses only store the wire type of a value; they compare and compute like their base classes. numpy arrays of
-numbers are lists with their element type (unsigned ones with the tag of the signed type, like YARP's vectors). Bytes of
+numbers are lists of their element type (unsigned types with the tag of the signed type, like YARP's vectors). Bytes of
 a string that are not UTF-8 become surrogate escapes, which are encoded as the same bytes.
 
-A dict's entry is a list on the wire, the key before the values. A single value is stored directly, any other number as
-a tuple: ``{"n": 1, "GROUP": (["a", 1], ["b", 2])}`` is ``((GROUP (a 1) (b 2)) (n 1))``. For writing,
+A dict's entry is a list on the wire, the key before the values. A single value is stored directly, any other number of
+values as a tuple: ``{"n": 1, "GROUP": (["a", 1], ["b", 2])}`` is ``((GROUP (a 1) (b 2)) (n 1))``. For writing,
 ``{"n": 1, "GROUP": Group(a=1, b=2)}`` is the same.
 """
 
@@ -58,7 +58,7 @@ class Float32(float):
 
 
 class Vocab(str):
-    """A word of up to eight one-byte characters, written as a number: four bytes, beyond four characters eight.
+    """A word of up to eight one-byte characters, written as a number of four bytes, or of eight if it is longer.
 
     YARP 3 has no eight-byte vocab: only the first four characters are written, as its programs do.
     """
@@ -127,7 +127,7 @@ def _key_of(key: str) -> tuple[Any, ...]:
 
 
 def merge(into: dict[str, Any], entries: Mapping[str, Any]) -> None:
-    """Update a dict. Equal keys are replaced with their values, since the older key may be of another type."""
+    """Update a dict. Equal keys are replaced together with their values: the older key may be of another type."""
     for key in entries:
         into.pop(key, None)
     into.update(entries)
