@@ -1,1 +1,1 @@
-"""Names of ports: the address of the name server, a client, and our own server."""
+"""Names of ports: the address of the name server, a client of it, and a name server."""

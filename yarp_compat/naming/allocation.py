@@ -1,8 +1,8 @@
 """Allocates port numbers (always the same for a name), port names and multicast addresses.
 
 Numbers range from 2 to 9999 above the name server's own; only after the last one are freed numbers reused for other
-names, as in yarpserver 3.12 (``AllocatorOnTriples.cpp``). Unlike there, numbers that a port registered explicitly are
-skipped, and if none is left a registration is refused instead of ending the server.
+names, as in yarpserver 3.12 (``AllocatorOnTriples.cpp``). Unlike in yarpserver, numbers that a port registered
+explicitly are skipped, and if no number is left, a registration is refused instead of ending the server.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ def numbers_outside(base: int) -> range:
     """Return the port numbers above the range of a name server at ``base``, or below it if there are too few.
 
     A yarpserver that lost its state allocates its numbers from the first on without testing them. If an open port
-    still uses such a number, the program that gets it fails ("address conflict"), every time, as names keep their
-    numbers.
+    still uses such a number, the program that gets it fails ("address conflict"), every time, because names keep
+    their numbers.
     """
     size = LAST_OFFSET + 1
     return range(base + size, base + 2 * size) if base + 2 * size <= 0x10000 else range(base - size, base)
@@ -100,7 +100,7 @@ class Allocator:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Restore what `state` returned, if in range; raises `KeyError`, `TypeError` or `ValueError` if invalid."""
+        """Restore the valid numbers of what `state` returned; raises `KeyError`, `TypeError` or `ValueError`."""
         numbers = {str(name): int(n) for name, n in state["numbers"].items() if self._first <= int(n) <= self._last}
         self._owner = {number: name for name, number in numbers.items()}
         self._number = {name: number for number, name in self._owner.items()}
@@ -111,7 +111,7 @@ class Allocator:
 
 
 class _Pool:
-    """Indices from 1 up; freed ones first."""
+    """A pool of indices from 1 up, which reuses freed indices first."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit

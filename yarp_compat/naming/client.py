@@ -28,11 +28,11 @@ from yarp_compat.wire.contact import PortContact, is_name
 from yarp_compat.wire.text import from_text, plain_text, value_text
 
 Lines = list[str]
-Words = list[Any]  # aliases, as a method below is named `list`
+Words = list[Any]  # aliases, because a method below is named `list`
 
 TIMEOUT = 5.0
 MAX_ANSWER = 32 << 20  # bytes of the largest accepted answer: a list of ten thousand ports is 1 MB
-PERIOD = 2.0  # seconds between two checks of the registered ports, plus or minus a quarter
+PERIOD = 2.0  # seconds between checks of the registered ports, plus or minus a quarter
 AT_ONCE = 5  # ports queried per check while all of them are registered
 _log = logging.getLogger("yarp.names")
 
@@ -116,7 +116,7 @@ class NameClient:
         contact = PortContact.from_registration(self.line(command))
         if contact is None:
             raise NameRefusedError(
-                f"the name server at {self._endpoint()} refused {command[1]}: it may be full, or have this name"
+                f"the name server at {self._endpoint()} refused {command[1]}: it may be full, or use this name itself"
             )
         for key, values in self._own_properties().items():
             self.line(["set", contact.name, key, *values])
@@ -154,7 +154,7 @@ class NameClient:
         return (current.host, current.port) != (registered.contact.host, registered.contact.port)
 
     def leave(self, name: str) -> None:
-        """Make `unregister` keep the registration, as another port has taken over the name."""
+        """Make `unregister` keep the registration, because another port has taken over the name."""
         self._taken_over.add(name)
 
     def query(self, name: str) -> PortContact | None:
@@ -205,7 +205,7 @@ class NameClient:
         """Send a command and return the answer's lines without the end mark; a Bottle such as ``[ok]`` is one line."""
         answer: Lines = []
         with self._ask(_text(command) + b"\n") as peer:
-            # a Bottle has no end mark, so the commands that return one are listed
+            # a Bottle has no end mark, so `_is_single` lists the commands that return a Bottle
             single = self._is_single(command)
             while True:
                 line = peer.line()
@@ -231,7 +231,7 @@ class NameClient:
 
     def _ask(self, data: bytes) -> LineSocket:
         address = self.address
-        with self._pending_lock:  # with it, `hurry` limits a command that it does not find here
+        with self._pending_lock:  # so that `hurry` either finds this command or has already shortened its timeout
             peer = LineSocket(address.host, address.port, self._timeout, limit=MAX_ANSWER)
             self._pending.add(peer)
         try:
@@ -297,7 +297,7 @@ def _is_quoted(value: Any) -> bool:
 
 
 def _text(command: Sequence[Any]) -> bytes:
-    """Encode a command without quotes, as old name servers do not parse them."""
+    """Encode a command without quotes, because old name servers do not parse them."""
     parts = [plain_text(w) if isinstance(w, str) else value_text(w) for w in command]
     text = " ".join(["NAME_SERVER", *parts]).replace('"', "")
     if "\n" in text or "\r" in text:
@@ -311,8 +311,8 @@ _OpenPort = tuple[NameClient, PortContact]  # a port and the client that registe
 class Keeper:
     """Keeps ports registered: registers them again after a name server has restarted without its registrations.
 
-    YARP's own ports do not do that. One thread per process queries a few ports at each name server in turn, and all of
-    them if one is missing or the name server was unreachable. The thread ends with the last port.
+    YARP's own ports do not register again. One thread per process queries a few ports at each name server in turn, and
+    all of them if one is missing or the name server was unreachable. The thread ends after the last port is removed.
     """
 
     def __init__(self) -> None:
@@ -358,7 +358,7 @@ class Keeper:
             self.check(open_ports)
 
     def check(self, open_ports: list[_OpenPort]) -> None:
-        """Query a few ports at each name server, together for all its clients, as each query is a connection."""
+        """Query a few ports at each name server, not a few per client, because each query is a connection."""
         self._round += 1
         servers: dict[Hashable, list[_OpenPort]] = {}
         for names, contact in open_ports:

@@ -1,7 +1,7 @@
 """Makes, ends and inspects connections between any two ports from a third program, as ``yarp connect`` does.
 
-It sends administrative commands to the writing port: ``[list] [out] /r`` queries the connection, ``[add] tcp://r``
-connects, ``[del] /r`` disconnects. All functions block, for a bounded time. `Connector` makes the persistent
+The functions send administrative commands to the writing port: ``[list] [out] /r`` queries the connection, ``[add]
+tcp://r`` connects, ``[del] /r`` disconnects. All functions block, for a bounded time. `Connector` makes the persistent
 connections of a name server, a few at a time, and retries failed ones.
 """
 
@@ -28,7 +28,7 @@ _LIST, _OUT, _ADD, _DEL, _VER = (Vocab(name) for name in ("list", "out", "add", 
 def connect(
     naming: Naming, source: str, target: str, carrier: str = "", *, timeout: float = text_client.TIMEOUT
 ) -> str:
-    """Connect two ports by ``carrier``, else by the one in a name (``udp://r``) or in the reading port's registration.
+    """Connect two ports over ``carrier``, else the one in a name (``udp://r``) or in the reading port's registration.
 
     Return the writing port's reply. Raises `PortError` if a port is missing or does not reply within ``timeout``
     seconds per step, or if they cannot connect, and `NoNameServerError`.
@@ -40,20 +40,20 @@ def connect(
 
 
 def disconnect(naming: Naming, source: str, target: str, *, timeout: float = text_client.TIMEOUT) -> str:
-    """End the connection between two ports and return the writing port's reply. Errors as `connect`."""
+    """End the connection between two ports and return the writing port's reply. Raises like `connect`."""
     writer = _find(naming, source, "source port")
     answer = _command(naming, writer, target, timeout, [_DEL, _name(target)])
     return _success(answer, f"no connection from {writer.name} to {target}")
 
 
 def carrier_between(naming: Naming, source: str, target: str, *, timeout: float = text_client.TIMEOUT) -> str:
-    """Return the carrier that connects two ports; empty if they are not connected. Errors as `connect`."""
+    """Return the carrier that connects two ports; empty if they are not connected. Raises like `connect`."""
     answer = _command(naming, _find(naming, source, "source port"), target, timeout)
     return next((str(v[1]) for v in answer if isinstance(v, list) and len(v) == 2 and v[0] == "carrier"), "")
 
 
 def is_connected(naming: Naming, source: str, target: str, *, timeout: float = text_client.TIMEOUT) -> bool:
-    """Whether two ports are connected; errors as `connect`."""
+    """Whether two ports are connected; raises like `connect`."""
     return bool(carrier_between(naming, source, target, timeout=timeout))
 
 
@@ -81,7 +81,7 @@ def responds(contact: PortContact, *, timeout: float = text_client.TIMEOUT) -> b
 
 
 def ping(naming: Naming, name: str, *, timeout: float = text_client.TIMEOUT) -> list[str]:
-    """Return a port's description of itself and its connections, as lines; errors as `connect`."""
+    """Return a port's description of itself and its connections, as lines; raises like `connect`."""
     return text_client.raw(_find(naming, name, "port"), "<ping>", "*\r\n", timeout)
 
 

@@ -21,17 +21,17 @@ class Directories:
     platform: str = sys.platform
 
     def home(self) -> str:
-        """The user's home directory."""
+        """Return the user's home directory."""
         return self.environment.get("USERPROFILE" if self._windows else "HOME", "")
 
     def temporary(self) -> str:
-        """The directory for temporary files."""
+        """Return the directory for temporary files."""
         if self._windows:
             return self.environment.get("TEMP", f"{self.home()}\\AppData\\Local\\Temp")
         return self.environment.get("TMPDIR", "/tmp")  # noqa: S108 - YARP's default
 
     def data(self) -> str:
-        """The user's data of all programs."""
+        """Return the directory of the user's data for all programs."""
         if self._windows:
             return self.environment.get("APPDATA", f"{self.home()}\\AppData\\Roaming")
         if self._mac:
@@ -39,7 +39,7 @@ class Directories:
         return self.environment.get("XDG_DATA_HOME", f"{self.home()}/.local/share")
 
     def config(self) -> str:
-        """The user's settings of all programs."""
+        """Return the directory of the user's settings for all programs."""
         if self._windows:
             return self.environment.get("APPDATA", f"{self.home()}\\AppData\\Roaming")
         if self._mac:
@@ -47,7 +47,7 @@ class Directories:
         return self.environment.get("XDG_CONFIG_HOME", f"{self.home()}/.config")
 
     def cache(self) -> str:
-        """The user's caches of all programs."""
+        """Return the directory of the user's caches for all programs."""
         if self._windows:
             return self.environment.get("LOCALAPPDATA", f"{self.home()}\\AppData\\Local")
         if self._mac:
@@ -55,50 +55,50 @@ class Directories:
         return self.environment.get("XDG_CACHE_HOME", f"{self.home()}/.cache")
 
     def runtime(self) -> str:
-        """Files that last as long as the user's session."""
+        """Return the directory of files that last as long as the user's session."""
         if self._windows:
             return f"{self.temporary()}\\runtime"
         default = f"{self.temporary()}/runtime-{self.environment.get('USER', '')}"
         return default if self._mac else self.environment.get("XDG_RUNTIME_DIR", default)
 
     def shared_data(self) -> list[str]:
-        """The system-wide data of all programs."""
+        """Return the directories of system-wide data for all programs."""
         return self._shared("XDG_DATA_DIRS", "/usr/local/share:/usr/share", "/usr/local/share:/usr/share")
 
     def shared_config(self) -> list[str]:
-        """The system-wide settings of all programs."""
+        """Return the directories of system-wide settings for all programs."""
         return self._shared("XDG_CONFIG_DIRS", "/etc/xdg", "/etc:/Library/Preferences")
 
     def data_home(self) -> str:
-        """The user's data of YARP: edited contexts and robots."""
+        """Return the directory of the user's YARP data: edited contexts and robots."""
         return self.environment.get("YARP_DATA_HOME", self._in(self.data(), "yarp"))
 
     def config_home(self) -> str:
-        """The user's settings of YARP, such as ``yarp.conf``."""
+        """Return the directory of the user's YARP settings, such as ``yarp.conf``."""
         return self.environment.get("YARP_CONFIG_HOME", self._in(self.config(), *self._config_suffix))
 
     def cache_home(self) -> str:
-        """The user's caches of YARP."""
+        """Return the directory of the user's YARP caches."""
         return self.environment.get("YARP_CACHE_HOME", self._in(self.cache(), "yarp"))
 
     def runtime_home(self) -> str:
-        """Files that last as long as YARP's programs."""
+        """Return the directory of files that last as long as YARP's programs."""
         return self.environment.get("YARP_RUNTIME_DIR", self._in(self.runtime(), "yarp"))
 
     def data_dirs(self) -> list[str]:
-        """The system-wide data of YARP."""
+        """Return the directories of system-wide YARP data."""
         if "YARP_DATA_DIRS" in self.environment:
             return self._split(self.environment["YARP_DATA_DIRS"])
         return [self._in(folder, "yarp") for folder in self.shared_data()]
 
     def config_dirs(self) -> list[str]:
-        """The system-wide settings of YARP."""
+        """Return the directories of system-wide YARP settings."""
         if "YARP_CONFIG_DIRS" in self.environment:
             return self._split(self.environment["YARP_CONFIG_DIRS"])
         return [self._in(folder, *self._config_suffix) for folder in self.shared_config()]
 
     def robot(self) -> str:
-        """The robot's name: ``YARP_ROBOT_NAME``, or ``default``."""
+        """Return the robot's name: ``YARP_ROBOT_NAME``, or ``default``."""
         return self.environment.get("YARP_ROBOT_NAME", "default")
 
     @property

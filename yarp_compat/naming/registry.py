@@ -1,8 +1,8 @@
 """The name server's logic, without sockets: commands and their replies.
 
-They are those of yarpserver 3.12.3 and 4.0 (``NameServiceOnTriples.cpp``, ``Subscriber.cpp``, and captures). In
-addition, names are validated, everything is bounded, and a port that repeats its registration unchanged (as ours do
-after an outage of the name server) keeps its state.
+The commands are those of yarpserver 3.12.3 and 4.0 (``NameServiceOnTriples.cpp``, ``Subscriber.cpp``, and captures). In
+addition, names are validated, everything is bounded, and a port that repeats its registration unchanged keeps its state
+(this package's ports repeat it after an outage of the name server).
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ class Command:
     changed: bool = False  # the state to save has changed
 
     def word(self, index: int) -> str:
-        """Return a word as text; empty if there are fewer."""
+        """Return a word as text; empty if the command has fewer words."""
         return plain_text(self.words[index]) if index < len(self.words) else ""
 
     def name(self, index: int) -> str:
-        """Return a word that is a string; empty if it is not (a browser's request ends with lists)."""
+        """Return a word if it is a string, else an empty string (a browser's request ends with lists)."""
         value = self.words[index] if index < len(self.words) else ""
         return str(value) if isinstance(value, str) else ""
 
@@ -103,7 +103,7 @@ def as_bottle(c: PortContact) -> list[Any]:
 
 
 def as_value(text: str) -> Any:
-    """Return the value of a property's text."""
+    """Return the value that a property's text represents; the text itself unless it is exactly one value."""
     try:
         values = from_text(text)
     except ValueError:
@@ -124,7 +124,7 @@ MAX_OWNED_DEPTH = 16
 
 @dataclass(slots=True)
 class PortEntry:
-    """A registered port; ``since``: seconds of the registry's clock; ``announced``: it has announced itself."""
+    """A registered port: when it was registered (``since``, registry's clock), and whether it has announced itself."""
 
     contact: PortContact
     since: float
@@ -223,7 +223,7 @@ class PortRegistry:
             return [OLD]
         known = self._ports.get(requested.name)
         if known and known.contact == requested:
-            known.since = self._clock()  # it registers again at a restarted name server: nothing else changes
+            known.since = self._clock()  # repeated after a restart of the name server: nothing else changes
             return self._described(command, requested.name)
         if known:
             self._remove(command, requested.name)
@@ -256,7 +256,7 @@ class PortRegistry:
         return PortContact(name, host, port, carrier)
 
     def _completed(self, requested: PortContact) -> PortContact | None:
-        """Allocate a missing name, address and number."""
+        """Allocate the name, multicast group and port number that a request leaves open; None if that is impossible."""
         name: str | None = requested.name
         if requested.name == "..." or requested.name.startswith("="):
             allocated = self._allocator.name()
@@ -282,7 +282,7 @@ class PortRegistry:
         return self._described(command, name)
 
     def _remove(self, command: Command, name: str, depth: int = 0) -> None:
-        """Remove a port and the entries that it owns (a port that writes by mcast owns its group's entry)."""
+        """Remove a port and the entries that it owns (a port that writes over mcast owns its group's entry)."""
         self._subscriptions.on_removed(name)
         entry = self._ports.pop(name, None)
         if entry is None:
@@ -305,7 +305,7 @@ class PortRegistry:
         entry = self._ports.get(name)
         if command.bot:
             line = as_bottle(entry.contact) if entry else ["port", ["error", -2, "port not known"]]
-            # a registration by a Bottle also gets its reply in lines, as from yarpserver
+            # like yarpserver, reply to a registration in lines even if the client requests a Bottle
             return [OLD, *line] if command.word(0) in ("register", "unregister") else line
         return [OLD, as_words(entry.contact)] if entry else [OLD]
 
@@ -388,7 +388,7 @@ class PortRegistry:
     def _do_announce(self, command: Command) -> list[Any]:
         name = command.name(1)
         alive = len(command.words) < 3 or command.words[2] != 0
-        # a port that a client cannot reach is not removed, as the fault may be on the client's side
+        # a port that a client cannot reach is not removed, because the fault may be on the client's side
         if alive and self._is_port(name):
             entry = self._ports[name]
             command.connections += self._subscriptions.on_announced(name, force=not entry.announced)

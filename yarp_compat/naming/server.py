@@ -1,8 +1,8 @@
-"""Our name server, a replacement for yarpserver.
+"""A name server that replaces yarpserver.
 
-It is a port like any other (``/root``): commands in lines from name clients, Bottles over any carrier, and requests of
-browsers all reach the same registry. It saves ports, properties and persistent connections in a file, so that a restart
-has no effect on running programs, and removes ports whose address refuses connections.
+It is a port like any other (``/root``): commands in lines from name clients, Bottles over any carrier, and requests
+from browsers all reach the same registry. It saves ports, properties and persistent connections in a file, so that a
+restart has no effect on running programs, and removes ports whose address refuses connections.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _REFUSED = (errno.ECONNREFUSED, getattr(errno, "WSAECONNREFUSED", errno.ECONNREF
 
 
 def refused(contacts: Iterable[PortContact], seconds: float) -> set[str]:
-    """Return the names of ports whose address refuses connections within a time; silent ones may be alive."""
+    """Return the names of ports whose address refuses a connection within a time; silent ports may be alive."""
     dead: set[str] = set()
     todo = [c for c in contacts if _is_address(c.host)]
     end = time.monotonic() + seconds
@@ -102,7 +102,7 @@ _log = logging.getLogger("yarp.names")
 
 LIMIT = 64 * 1024  # bytes of the longest accepted command
 GC_SECONDS = 60.0
-YOUNG = 5.0  # seconds without probes after the registration, which precedes listening
+YOUNG = 5.0  # seconds after a port's registration without probes: ports register before they listen
 PROBE_SECONDS = 1.0  # seconds to probe all ports; a slower port does not count as dead
 
 
@@ -119,11 +119,11 @@ class NameServer(Openable):
 
     def __init__(
         self,
-        host: str = "127.0.0.1",  # the address that it listens on and registers
+        host: str = "127.0.0.1",  # the address that the server listens on and registers
         port: int = DEFAULT_PORT,  # its TCP port number; it assigns numbers to ports from ``port + 2`` on
         *,
-        namespace: str = DEFAULT_NAMESPACE,  # its port's name, which is the network's name
-        # the file of its state; None: after a restart, ports must register again
+        namespace: str = DEFAULT_NAMESPACE,  # the name of the server's port, which is the network's name
+        # the file that stores the state; None: after a restart, ports must register again
         state: Path | None = None,
         gc_seconds: float = GC_SECONDS,  # the period of probes for dead ports; 0: only on the command ``gc``
         profile: Profile = Profile.YARP3,  # the dialect for clients that have not sent any Bottle
@@ -286,7 +286,7 @@ class NameServer(Openable):
             _log.warning("cannot write %s (%s): ports will be missing after a restart", self._state, err.strerror)
 
     def _run(self) -> None:
-        """Save changes, for at most a tenth of the time, and probe for dead ports periodically."""
+        """Save changes, spending at most a tenth of the time on it, and probe for dead ports periodically."""
         probed_at = time.monotonic()
         while not self._stop.is_set() or self._dirty:
             left = probed_at + self._gc_seconds - time.monotonic() if self._gc_seconds else threading.TIMEOUT_MAX

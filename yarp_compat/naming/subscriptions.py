@@ -1,7 +1,8 @@
 """Persistent connections: pairs of ports to connect whenever both are open, directly or through a YARP topic.
 
 They work as in yarpserver 3.12 (``SubscriberOnSql.cpp``): a connection is made when one of its ports announces that it
-listens (``announce``) after the other. With mode ``from`` it ends with its source, with ``to`` with its target.
+listens (``announce``) after the other. In the mode ``from``, a connection ends with its source, in ``to`` with its
+target.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ MODES = ("", "from", "to")
 class WantedConnection:
     """A connection to make, in the subscription's spelling: ``target`` has the carrier (``udp://r``).
 
-    ``force``: even if the writing port reports it as connected, as it may not have noticed yet that a former program
-    of this name has ended.
+    ``force``: connect even if the writing port reports that it is connected, because it may not have noticed yet that
+    the previous program of this name has ended.
     """
 
     source: str
@@ -77,12 +78,12 @@ class Subscriptions:
         self._all.pop((PortContact.parse(source).name, PortContact.parse(target).name), None)
 
     def on_announced(self, port: str, force: bool = False) -> list[WantedConnection]:
-        """Handle that a port listens (``force``: for the first time); return the connections to make now."""
+        """Handle the announcement of a port (``force``: its first one); return the connections to make now."""
         self._live.add(port)
         return [replace(connection, force=force) for connection in self._connections_of(port)]
 
     def on_removed(self, port: str) -> None:
-        """Handle that a port was unregistered or is dead."""
+        """Handle the removal of a port that was unregistered or is dead."""
         self._live.discard(port)
         ended = [
             key
@@ -101,7 +102,7 @@ class Subscriptions:
         return [connection for joined in self._joined(topic) for connection in self._wanted(joined)]
 
     def remove_topic(self, topic: str) -> None:
-        """Make a name no longer a YARP topic."""
+        """Remove a YARP topic."""
         self._topics.pop(topic, None)
 
     def topics(self) -> list[str]:
