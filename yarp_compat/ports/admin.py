@@ -1,7 +1,7 @@
 """Administrative commands, which YARP's companion, yarpmanager and robot interfaces send to a port.
 
-The texts of the answers are YARP's (measured; ``PortCore.cpp``), since tools match their first words. The one-letter
-port commands, which people type and tools send, are executed here too.
+The texts of the answers are YARP's (measured; ``PortCore.cpp``), because tools match their first words. This module
+also executes the one-letter port commands, which people type and tools send.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _HELP = (
 _NO_PLUGINS = "this port does not support portmonitor plug-ins: it is not a C++ program"
 _OK, _FAIL = Vocab("ok"), Vocab("fail")
 _UNKNOWN = [_FAIL, "send [help] for list of valid commands"]
-MOST_PROPERTIES = 1000  # limit for one port; further ones are refused
+MOST_PROPERTIES = 1000  # limit for one port; further properties are refused
 
 
 def answer(port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
@@ -71,7 +71,7 @@ def _is_input(words: Sequence[Any]) -> bool:
 
 
 def _pid(port: ConnectingPort, _words: Sequence[Any]) -> list[Any]:
-    """Answer the request of ROS that YARP 3's ports support and YARP 4's do not: clients detect the release by it."""
+    """Answer ROS's ``getPid``, which YARP 3's ports support and YARP 4's do not: clients detect the release by it."""
     return [1, "", os.getpid()] if port.profile is Profile.YARP3 else list(_UNKNOWN)
 
 

@@ -35,9 +35,9 @@ class MessageCounters:
     """Counts of messages sent, received, and ``dropped`` by reason.
 
     The reasons: ``replaced`` (by a newer message), ``full`` (the oldest in a full strict queue), ``lost`` (the
-    connection ended first), ``interrupted`` (the port was), ``malformed``, ``large`` (above the limit), ``no reader``,
-    ``failed`` (the port's owner raised an error), ``no text`` (not a Bottle, for a text carrier), and for datagrams
-    ``checksum`` and ``incomplete``.
+    connection ended first), ``interrupted`` (the port was interrupted), ``malformed``, ``large`` (above the limit),
+    ``no reader``, ``failed`` (the port's owner raised an error), ``no text`` (not a Bottle, for a text carrier), and
+    for datagrams ``checksum`` and ``incomplete``.
     """
 
     received: int = 0

@@ -1,4 +1,4 @@
-"""Detection of the YARP release of a client on this machine, by the library that its process has loaded (Linux).
+"""Detects the YARP release of a client on this machine by the library that its process has loaded (Linux).
 
 The file name of ``libYARP_os`` contains the full version: ``libYARP_os.so.3.9.1``. Processes of other users, in other
 containers or on other machines cannot be inspected.
@@ -24,7 +24,7 @@ _ESTABLISHED = "01"
 def inspect_client(
     generations: Generations, peer: str, profile: Profile | None, link: PeerAddress, address: PeerAddress | None = None
 ) -> None:
-    """Record the release that a client's process has loaded, if it is only guessed so far; once per connection.
+    """Record the release that a client's process has loaded, if it is only a guess so far; once per connection.
 
     ``address`` is the client's end of the connection, by default ``link``.
     """

@@ -1,4 +1,4 @@
-"""Creation and removal of a port's connections: outputs by name, inputs after the peer's introduction."""
+"""Adds and removes a port's connections: outputs by name, inputs after the peer has introduced itself."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from yarp_compat.wire.contact import ConnectionRoute, PortContact, is_port_name
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
 
-QUEUE = 64 << 20  # most bytes queued for one peer; a single message may be larger
+QUEUE = 64 << 20  # maximum bytes queued for one peer; a single message may be larger
 
 _log = logging.getLogger("yarp.ports")
 _JOIN = 5.0  # seconds to wait for each connection to end, and again after its socket is shut down
@@ -122,7 +122,7 @@ class ConnectingPort(PortBase):
         self, sock: socket.socket, route: ConnectionRoute, carrier: Carrier, profile: Profile | None,
         group: SendingGroup | None = None,
     ) -> None:  # fmt: skip
-        """Add an established output; raises `ConnectionAbortedError` if the port is closed or has too many."""
+        """Add an established output; raises `ConnectionAbortedError` if the port is closed or has too many outputs."""
         shared, on_lost = self._loop, self.connections.remove_output
         if shared is None:
             sock.close()
@@ -180,9 +180,10 @@ class ConnectingPort(PortBase):
         return _INPUT_TYPES.get(opened.carrier, BinaryInput)(self, sock, opened, rest, address)
 
     def _answer(self, sock: socket.socket, opened: Opening, rest: bytes, address: tuple[str, int]) -> Input | None:
-        """Answer an introduction; return the input, not started, or None after closing the connection.
+        """Answer an introduction; return the input, which is not started yet, or None after closing the connection.
 
-        It is closed if the peer has left, uses ``local`` from another process, or requires carrier modifiers.
+        The connection is closed if the peer has left, uses ``local`` from another process, or requires carrier
+        modifiers.
         """
         try:
             if opened.qualifiers and (opened.modifiers & _READER_MODIFIERS or "send" not in opened.modifiers):
@@ -191,7 +192,7 @@ class ConnectingPort(PortBase):
             if opened.carrier is carriers.MCAST:
                 return GroupInput(self, sock, opened, address)
             if opened.carrier is carriers.LOCAL:
-                _log.info("port %s: %s connects by local, which is for ports of one process", self.name, opened.sender)
+                _log.info("port %s: %s uses the carrier local from another process", self.name, opened.sender)
                 sock.close()
                 return None
             if opened.carrier is carriers.UDP:
@@ -214,8 +215,8 @@ class ConnectingPort(PortBase):
     def _refuse_modifiers(self, sock: socket.socket, opened: Opening) -> None:
         """Close a connection that requires carrier modifiers: its messages would be wrong without them.
 
-        Text carriers, on which people type, get an error text. Other carriers get no answer: C++ ports ignore its
-        content, and ``yarp connect`` fails only if the connection closes without an answer
+        Text carriers, on which people type, get an error text. Other carriers get no answer: C++ ports ignore the
+        content of an answer, and ``yarp connect`` fails only if the connection closes without an answer
         (``TcpCarrier::expectReplyToHeader``, 3.9 and 4.0).
         """
         with sock:

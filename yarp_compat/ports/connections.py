@@ -17,7 +17,7 @@ from yarp_compat.wire.contact import ConnectionRoute, rooted
 
 @dataclass(frozen=True, slots=True)
 class ConnectionEvent:
-    """A connection opened (``up``) or closed; the peer's ``address`` tells apart inputs with the same name."""
+    """A connection opened (``up``) or closed; the peer's ``address`` distinguishes inputs with the same name."""
 
     route: ConnectionRoute
     incoming: bool
@@ -28,8 +28,8 @@ class ConnectionEvent:
 _log = logging.getLogger("yarp.ports")
 
 MOST_INPUTS = 1000
-"""Input connections of one port. Beyond, the oldest without a message is closed; else the new one is refused."""
-MOST_OUTPUTS = 1000  # output connections of one port
+"""Maximum input connections of one port. A further one closes the oldest without a message, or is refused."""
+MOST_OUTPUTS = 1000  # maximum output connections of one port
 
 _QUERY_TOOLS = ("admin", "null")
 """Sender names of tools that only query a port or check that it exists; they cause no events."""
@@ -101,7 +101,7 @@ class Connections:
             self.leaving = [i for i in self.leaving if i is not connection]
 
     def add_output(self, output: AnyOutput) -> bool:
-        """Add an output; return False if the port is closed or has too many."""
+        """Add an output; return False if the port is closed or has too many outputs."""
         with self._lock:
             if self._closed or len(self.outputs) >= MOST_OUTPUTS:
                 return False

@@ -1,4 +1,4 @@
-"""Connections of the carrier udp, and the base classes for mcast."""
+"""Connections over udp, and the base classes for mcast."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from yarp_compat.wire.profile import Profile
 _log = logging.getLogger("yarp.ports")
 _LARGEST = 1 << 16
 RECEIVE_BUFFER = 4 << 20  # requested receive buffer in bytes, for busy readers
-_HOPS = 1  # datagrams do not cross routers, as those of YARP's ports do not
+_HOPS = 1  # like those of YARP's ports, datagrams do not cross routers
 
 
 def datagram_socket(like: socket.socket) -> socket.socket:
@@ -127,7 +127,7 @@ class SendingGroup:
 
 
 class DatagramOutput:
-    """An output of udp or mcast; outputs may share a ``group``. Datagrams that cannot be sent at once are dropped.
+    """An output over udp or mcast; outputs may share a ``group``. Datagrams that cannot be sent at once are dropped.
 
     ``lost`` is called when the peer is unreachable; ``dropped`` counts the port's drops.
     """
@@ -181,7 +181,7 @@ class DatagramOutput:
 
     def request(self, *_: object) -> bytes:
         """Raise `ConnectionRefusedError`: datagrams carry no replies."""
-        msg = f"{self.carrier.name} carries no replies: connect {self.route.source} to {self.route.target} by tcp"
+        msg = f"{self.carrier.name} carries no replies: connect {self.route.source} to {self.route.target} over tcp"
         raise ConnectionRefusedError(msg)
 
     def wait_idle(self, deadline: float | None) -> bool:  # noqa: ARG002

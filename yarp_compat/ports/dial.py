@@ -1,4 +1,4 @@
-"""Connection to another port, with the introduction."""
+"""Connects to other ports, and introduces this one."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def dial(contact: PortContact, carrier: Carrier, sender: str, qualifiers: str = 
 def dial_group(contact: PortContact, sender: str, qualifiers: str, group: Callable[[str], Group]) -> None:
     """Ask a port to join the multicast group of the messages, and wait until it listens; raises `OSError`.
 
-    It sends no answer: it closes the connection when it has joined the group, or is about to. ``group`` returns the
-    group for this machine's address from which the port is reached.
+    The port sends no answer: it closes the connection when it has joined the group, or is about to. ``group`` returns
+    the group for the address of this machine from which the port is reached.
     """
     end = time.monotonic() + PATIENCE
     with open_connection(contact.host, contact.port, lambda: end) as sock:

@@ -30,7 +30,7 @@ class Input:
 
     The messages of one connection are handled in sequence, each after the port's owner is done with the previous one;
     so a sender that waits for acknowledgements is as slow as the owner. ``already`` has the bytes that followed the
-    introduction; ``greeting`` is the answer to it, if not sent yet.
+    introduction; ``greeting`` is the answer to the introduction, if it is still to be sent.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Input:
         self._waiting: PortMessage | None = None
 
     def start(self, loop: PortLoop) -> None:
-        """Wait for the first bytes; a connection gets a thread when it sends something."""
+        """Wait for the first bytes; the connection gets its own thread when they arrive."""
         if self._already or self._greeting:
             self._begin()
         else:
@@ -70,7 +70,7 @@ class Input:
 
         try:
             loop.watch(self.sock, ready)
-        except (OSError, ValueError):  # more than the system's select can watch
+        except (OSError, ValueError):  # more sockets than the system's select can watch
             self._begin()
 
     def _begin(self) -> None:
@@ -84,7 +84,7 @@ class Input:
             self._end()
 
     def close(self) -> None:
-        """Begin to end the connection; the reply to the message that the owner is handling is still sent."""
+        """Begin to close the connection; the reply to the message that the owner is handling is still sent."""
         self._closing = True
         waiting = self._waiting
         if waiting is not None and waiting.retire():
@@ -94,7 +94,7 @@ class Input:
 
     @property
     def is_gone(self) -> bool:
-        """Whether the peer has closed the connection; valid only while it waits for a reply."""
+        """Whether the peer has closed the connection; valid only while the peer waits for a reply."""
         try:
             if not hasattr(socket, "MSG_DONTWAIT"):
                 return bool(select.select([self.sock], [], [], 0)[0]) and not self.sock.recv(1, socket.MSG_PEEK)
@@ -154,7 +154,7 @@ class Input:
         self._end()
 
     def _greet(self) -> None:
-        """Query the peer's dialect, then answer its introduction: it sends nothing before that.
+        """Query the peer's dialect, then answer its introduction; the peer sends nothing before the answer.
 
         Later, while a request is pending, a C++ port answers no queries (``PortCore::sendHelper`` holds the lock).
         """
@@ -178,7 +178,7 @@ class Input:
 
 
 class BinaryInput(Input):
-    """An input of tcp, fast_tcp or local."""
+    """An input over tcp, fast_tcp or local."""
 
     @override
     def handle_messages(self) -> bool:

@@ -18,7 +18,7 @@ _log = logging.getLogger("yarp.ports")
 
 PATIENCE = 10.0  # seconds within which a connection must introduce itself
 MOST_SILENT = 200
-"""Connections of one port that have not introduced themselves yet; beyond, the oldest is closed."""
+"""Maximum connections of one port that have not introduced themselves; a further one closes the oldest."""
 _PER_TURN = 32
 _PAUSE = 0.2
 _TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
@@ -83,7 +83,7 @@ class Listener:
                 next(iter(self.silent.values())).drop()
             try:
                 self.silent[sock] = _Introduction(self, sock, address[:2])
-            except OSError as error:  # the system cannot watch more
+            except OSError as error:  # the system cannot watch more sockets
                 _log.warning("cannot accept a connection: %s", error)
                 sock.close()
 
@@ -132,7 +132,7 @@ class _Introduction:
         except OSError:
             data = b""
         if not data:
-            self.drop()  # tools check like this that a port exists
+            self.drop()  # this is how tools check that a port exists
             return
         self._received += data
         try:

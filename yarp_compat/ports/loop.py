@@ -15,10 +15,10 @@ _shared: PortLoop | None = None
 
 
 class PortLoop(ThreadedLoop):
-    """The loop; ``users`` are the open ports."""
+    """The shared loop; ``users`` is the number of open ports."""
 
     def __init__(self) -> None:
-        # connections closed since the last poll still have their sockets
+        # a last step, because connections closed since the last poll still have their sockets
         super().__init__("yarp-loop", lambda: self.step(0.0), _log)
         self.users = 0
         self.start()
@@ -38,7 +38,7 @@ class PortLoop(ThreadedLoop):
 
 
 def acquire() -> PortLoop:
-    """Return the process's loop for a port that opens; the loop ends with the last port."""
+    """Return the process's loop for a port that opens; the loop ends when the last port closes."""
     global _shared
     with _lock:
         if _shared is None:

@@ -67,7 +67,7 @@ class PortMessage:
             self.give_up()
 
     def retire(self) -> bool:
-        """Stop waiting for a reply from another thread, as the port closes; return False if one was outstanding."""
+        """Stop waiting for a reply from another thread, when the port closes; return False if one was outstanding."""
         self.is_retired = True
         if self._later is None or self._answered:
             return True

@@ -1,4 +1,4 @@
-"""Connections of the carrier mcast: a port sends each message once, to a group, and all members receive it.
+"""Connections over mcast: a port sends each message once, to a group, and all members receive it.
 
 The name server allocates a group for each port and network interface that it writes from; the group is released with
 the last connection. The writer sends the group after its introduction and closes; the reader sends no answer. Then
@@ -33,7 +33,7 @@ _MAX_SENDERS = 4
 
 
 class GroupInput(DatagramInput):
-    """An input of mcast; closes ``caller``, which sent the group's address; raises `OSError` if it cannot join."""
+    """An input over mcast. Closes ``caller``, which sent the group's address; raises `OSError` if it cannot join."""
 
     def __init__(self, port: PortBase, caller: socket.socket, opened: Opening, address: tuple[str, int]) -> None:
         assert opened.group is not None
@@ -49,7 +49,7 @@ class GroupInput(DatagramInput):
 
     @override
     def start(self, loop: PortLoop) -> None:
-        """Wait for datagrams, on its own thread from the beginning."""
+        """Wait for datagrams, from the beginning on the input's own thread."""
         self._begin()
 
     @override
@@ -105,10 +105,11 @@ def _member_socket(group: Group, interface: str) -> socket.socket:
     """Return a socket that receives a group's datagrams on the interface with that address."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     with closed_on_failure(sock):
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # several readers on one machine may share it
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # several readers on one machine may share the group
         with contextlib.suppress(OSError):
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-        # Bound to the group, it does not receive datagrams of other groups on the same port; Windows cannot do that.
+        # A socket that is bound to its group does not receive datagrams of other groups on the same port. Windows
+        # cannot bind it to a group.
         sock.bind((group[0] if os.name == "posix" else "", group[1]))
         member = struct.pack("4s4s", socket.inet_aton(group[0]), socket.inet_aton(interface))
         sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
@@ -126,13 +127,13 @@ class SendingGroups:
     def join(self, owner: str, interface: str, profile: Profile) -> SendingGroup:
         """Return the group for one more reader, reached from the address ``interface``; call `leave` once for each.
 
-        Raises `CarrierError` if the name server allocates none or the readers' dialects differ, and `OSError` from the
-        name server or sockets.
+        Raises `CarrierError` if the name server allocates no group or the readers' dialects differ, and `OSError` from
+        the name server or sockets.
         """
         with self._lock:
             group = self._groups.get(interface) or self._new(owner, interface)
             if group.profile not in (None, profile):
-                msg = "readers by mcast receive the same bytes: readers of YARP 3 and YARP 4 cannot share a group"
+                msg = "readers over mcast receive the same bytes: readers of YARP 3 and YARP 4 cannot share a group"
                 raise CarrierError(f"{msg}; use udp or tcp")
             group.profile = profile
             group.readers += 1
@@ -140,8 +141,8 @@ class SendingGroups:
             return group
 
     def _new(self, owner: str, interface: str) -> SendingGroup:
-        # Derived from the port's name: the name server could give a name such as /tmp/port/1 to another port after it
-        # has forgotten the first; and names that the port `owns` are unregistered with it.
+        # The name is derived from the port's, because the name server could give a name such as /tmp/port/1 to another
+        # port after it has forgotten the first. Names that the port `owns` are unregistered with the port.
         name = f"{owner.replace('@', '/')}/mcast/{interface}"
         contact = self._naming.register(name, carrier="mcast")
         group: SendingGroup | None = None

@@ -41,7 +41,7 @@ class Naming(Protocol):
         """The range of TCP port numbers for ports; empty if the name server assigns them."""
 
     def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
-        """Register a port; fill in empty or 0 values. Raises `NoNameServerError`, `NameRefusedError` for the name."""
+        """Register a port; empty or 0 values are filled in. Raises `NoNameServerError`, or `NameRefusedError`."""
 
     def unregister(self, name: str) -> None:
         """Unregister a port; an unknown name is not an error."""
@@ -91,7 +91,7 @@ class LocalNaming(SilentNaming):
 
     @override
     def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
-        """Register a port; one with number 0 chooses a number and registers again."""
+        """Register a port; a port with the number 0 chooses a number and registers again."""
         with self._lock:
             if name in ("", "..."):
                 name = f"/tmp/port/{next(self._numbers)}"  # noqa: S108  # a port's name, not a file's

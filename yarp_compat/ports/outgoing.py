@@ -25,7 +25,7 @@ def to_line(payload: Payload, profile: Profile | None = None, *, plain: bool = F
 
 
 def from_line(line: bytes, profile: Profile) -> bytes:
-    """Return the Bottle of a line."""
+    """Return the bytes of the Bottle in a line."""
     return encode(from_text(line.decode(errors="surrogateescape")), profile)
 
 
@@ -42,13 +42,13 @@ class Item:
     dropped: bool = False  # a newer message replaced it, or the queue was full
 
     def copy_bytes(self) -> None:
-        """Copy the bytes: their owner may change them from now on."""
+        """Copy the bytes, so that their owner may change them from now on."""
         if self.buffers:
             self.buffers = [b"".join(self.buffers)]
 
 
 class SendQueue:
-    """A queue bounded in bytes, overhead included; one message always fits."""
+    """A queue bounded in bytes, overhead included; a single message always fits."""
 
     def __init__(self, limit: int, dropped: Callable[[str], None]) -> None:
         self._limit = limit
@@ -60,7 +60,7 @@ class SendQueue:
         return bool(self._items)
 
     def put(self, item: Item, strict: bool) -> None:
-        """Queue a message and drop the oldest if the queue is full; if not ``strict``, drop all queued ones."""
+        """Queue a message and drop the oldest if the queue is full; if not ``strict``, first drop all others."""
         if not strict:
             while (replaced := self.next()) is not None:
                 self._drop(replaced, "replaced")

@@ -1,4 +1,4 @@
-"""An output connection: sends at once as much as the socket accepts, and the rest on the shared thread."""
+"""An output connection, which sends as much as the socket accepts at once, and the rest on the shared thread."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from yarp_compat.wire.reply import ReplyEnd, ReplyWatch
 
 _log = logging.getLogger("yarp.ports")
 _POLL = 0.01
-"""Seconds between two attempts to send on a socket that the system's ``select`` cannot watch."""
+"""Seconds between attempts to send on a socket that the system's ``select`` cannot watch."""
 
 
 class Output:
     """One output connection on a stream of bytes.
 
-    At any time at most one thread uses the connection, its driver: a writing thread, or the shared thread while
-    messages are queued. Only the driver accesses ``_current`` and the socket's data.
+    At any time, at most one thread uses the connection. This thread, the driver, is a writing thread, or the shared
+    thread while messages are queued. Only the driver accesses ``_current`` and the socket's data.
 
     Attributes:
-        socket_side: the socket's side.
+        socket_side: the part that reads from and writes to the socket.
         waiters: number of threads that wait until the connection is free, or for their message.
     """
 
@@ -47,8 +47,8 @@ class Output:
         carrier: Carrier,  # the carrier of the connection
         loop: PortLoop,  # the shared thread
         lost: Callable[[Output], object],  # called when the connection is lost
-        limit: int,  # most bytes of a reply
-        room: int,  # most bytes of the queue
+        limit: int,  # maximum bytes of a reply
+        room: int,  # maximum bytes of the queue
         dropped: Counter[str] | None = None,  # counts the port's drops, by reason
     ) -> None:
         self.route = route
@@ -73,9 +73,9 @@ class Output:
         return self.socket_side.sock
 
     def begin(self, buffers: list[Buffer], strict: bool, wait: bool) -> Item | None:
-        """Send a message as far as the socket accepts it; the rest follows. Return None if the connection is closed.
+        """Send as much of a message as the socket accepts, the rest later; return None if the connection is closed.
 
-        ``strict``: do not replace queued messages; ``wait``: the caller keeps the bytes, and calls `finish`.
+        ``strict``: do not replace queued messages; ``wait``: the caller keeps the bytes unchanged, and calls `finish`.
         """
         item = Item(buffers, wait)
         with self._lock:
@@ -104,7 +104,7 @@ class Output:
         return item
 
     def finish(self, item: Item, deadline: float | None = None) -> bool:
-        """Wait until a message is sent (and acknowledged); return False if late, replaced or the connection closed."""
+        """Wait until a message is sent (and acknowledged); return False if it is late, replaced or lost."""
         if item is not self._current or not item.ours:
             with self._lock:
                 self._wait_for(lambda: item.done or item.dropped or self.closed, deadline)
@@ -120,7 +120,7 @@ class Output:
         except OSError:
             self._on_lost()
             return False
-        except BaseException:  # an interrupt from the keyboard
+        except BaseException:  # such as KeyboardInterrupt
             self.detach(item)
             raise
         self._settle(item)
@@ -133,11 +133,11 @@ class Output:
             self._drive_later()
 
     def _advance(self, item: Item) -> bool:
-        """Wait up to one step for a message; return whether it is complete."""
+        """Try for up to one step to complete a message; return whether it is sent and acknowledged."""
         return (not item.buffers or self._push(item)) and self._acknowledged()
 
     def _push(self, item: Item) -> bool:
-        """Wait up to one step until a message is sent; return whether it is."""
+        """Try for up to one step to send a message; return whether it is sent."""
         return self._acknowledged() and self._send(item, patient=True)
 
     def _acknowledged(self) -> bool:
@@ -175,7 +175,7 @@ class Output:
             self._loop.call_soon(self._drive)
 
     def _queue(self, item: Item, strict: bool) -> None:
-        """Queue a message; with the lock held."""
+        """Queue a message; the caller holds the lock."""
         item.copy_bytes()
         item.ours = False
         self._pending.put(item, strict)
@@ -189,7 +189,7 @@ class Output:
         self._loop.call_soon(self._drive)
 
     def _drive(self) -> None:
-        """Send queued messages; on the shared thread."""
+        """Send queued messages, on the shared thread."""
         try:
             events = self._step()
         except OSError:
@@ -243,7 +243,7 @@ class Output:
         return self._driven or self.socket_side.due
 
     def wait_idle(self, deadline: float | None) -> bool:
-        """Wait until all messages are sent and acknowledged; return False if not by the deadline."""
+        """Wait until all messages are sent and acknowledged; return False after the deadline."""
         with self._lock:
             if not self._wait_for(lambda: not self._driven or self.closed, deadline):
                 return False
@@ -257,8 +257,9 @@ class Output:
         """Send a request and wait for the reply until the deadline of the monotonic clock.
 
         ``parse`` finds the end of the reply; None: the end of a Bottle, or of a line for text carriers. Raises
-        `TimeoutError` (and closes, as the reply may still arrive), `ConnectionError` if the connection is lost,
-        `WireError` if the reply is invalid or above the limit (and closes), or if only an acknowledgement arrives.
+        `TimeoutError` (and closes the connection, because the reply may still arrive), `ConnectionError` if the
+        connection is lost, `WireError` if the reply is invalid or above the limit (and closes the connection), or if
+        only an acknowledgement arrives.
         """
         with self._lock:
             if self._driven:
@@ -294,7 +295,7 @@ class Output:
             raise TimeoutError(f"no reply from {self.route.target} in time")
 
     def check(self) -> None:
-        """Check the idle connection and read its acknowledgement; holds the lock, so writers see it as free."""
+        """Check an idle connection and read its acknowledgement; with the lock, so writers see it as free."""
         with self._lock:
             if self._driven or self.closed:
                 return
@@ -305,7 +306,7 @@ class Output:
         self._on_lost()
 
     def close(self) -> None:
-        """Close the connection, after a farewell if it is idle."""
+        """Close the connection; send a farewell first if it is idle."""
         with self._lock:
             if self.closed:
                 return
@@ -319,7 +320,7 @@ class Output:
             self._dispose()
             return
         with contextlib.suppress(OSError):
-            self.socket_side.shutdown()  # wakes up the driver, which closes it
+            self.socket_side.shutdown()  # wakes up the driver, which closes the socket
 
     def abandon(self) -> None:
         """Close the socket in a forked child process, without a farewell."""

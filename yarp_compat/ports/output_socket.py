@@ -14,7 +14,7 @@ from yarp_compat.wire.contact import ConnectionRoute
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.reply import ReplyWatch
 
-_STEP = 0.2  # seconds between two checks whether a waiting thread should stop waiting
+_STEP = 0.2  # seconds between checks of whether a waiting thread should stop
 _FAREWELL = 0.5  # seconds for a peer to acknowledge the end of a connection
 _CHUNK = 1 << 16
 _ACKNOWLEDGEMENTS: dict[Carrier, bytes | tuple[bytes, ...]] = {
@@ -25,7 +25,7 @@ _FAREWELLS = {carriers.TEXT: b"q\r\n", carriers.TEXT_ACK: b"q\r\n", carriers.HTT
 
 
 class OutputSocket:
-    """An output's socket, for its driver. ``patient`` calls block for one step; ``due``: an acknowledgement is."""
+    """An output's socket, for its driver. ``patient`` calls block for one step; ``due``: acknowledgement expected."""
 
     def __init__(self, sock: socket.socket, route: ConnectionRoute, carrier: Carrier, limit: int) -> None:
         sock.setblocking(False)
@@ -109,7 +109,7 @@ class OutputSocket:
         return bytes(received[:end])
 
     def is_connected(self) -> bool:
-        """Return whether the peer is connected, while no message is being sent; raises `OSError` on other errors."""
+        """Return whether the peer is connected, if no message is being sent; raises `OSError` on other errors."""
         try:
             if self.due:
                 self.read_ack()
@@ -133,7 +133,7 @@ class OutputSocket:
         return f"the connection from {self._route.source} to {self._route.target} is closed"
 
     def shutdown(self) -> None:
-        """Wake up the threads that wait for the peer; from any thread."""
+        """Wake up the threads that wait for the peer; thread-safe."""
         self.sock.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:

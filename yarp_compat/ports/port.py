@@ -30,8 +30,8 @@ from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.reply import ReplyEnd
 
 _log = logging.getLogger("yarp.ports")
-_CHECK_PERIOD = 0.5  # seconds between two checks of idle outputs
-_KEPT_FOR = 5.0  # seconds for which an input reserves the memory of a large message for the next one
+_CHECK_PERIOD = 0.5  # seconds between checks of idle outputs
+_KEPT_FOR = 5.0  # seconds for which an input keeps the memory of a large message for the next one
 
 
 class PortCore(ConnectingPort):
@@ -39,20 +39,22 @@ class PortCore(ConnectingPort):
 
     Args:
         name: the port's name; "" or "..." lets the name server choose one.
-        on_message: called for each message, on its connection's thread, which continues with the next one afterwards.
+        on_message: called for each message, on its connection's thread, which then continues with the next message.
             None: messages are dropped, and requests get an empty reply.
         naming: the name server.
         rpc: whether it is an RPC client or server, with at most one output.
         type_name: the announced type of its messages.
-        limit: most bytes of an accepted message or reply, and of each output's queue.
-        host: address to listen at; by default the one that the name server returns.
+        limit: maximum bytes of an accepted message or reply, and of each output's queue.
+        host: address to listen on; by default the one that the name server returns.
         number: its TCP port; 0: one of the naming's `numbers`, or assigned by the name server.
         profile: the dialect of Bottles made from text.
-        is_input: whether it reads, as announced.
+        is_input: whether it announces that it reads.
         is_output: whether it writes; otherwise outputs are refused.
         on_event: called when a connection opens or closes; must not block.
-        on_line: answers lines to a name server; receives them without ``NAME_SERVER``, with the peer's address.
-        replies: whether its owner replies, so that clients are queried for their dialect first; by default if ``rpc``.
+        on_line: answers command lines for a name server; called with the line, without ``NAME_SERVER``, and the peer's
+            address.
+        replies: whether its owner replies, so that clients are queried for their dialect first; by default like
+        ``rpc``.
     """
 
     def __init__(
@@ -86,7 +88,7 @@ class PortCore(ConnectingPort):
         self._interrupted = False
 
     def open(self) -> PortContact:
-        """Register the port and listen, after a pending close; raises `NamingError`, or `OSError` for the socket."""
+        """Wait for a pending close, register the port and listen; raises `NamingError`, or `OSError` for the socket."""
         self._closed.wait()
         with self._life:
             contact, sock = registered(self.naming, self.name, self._host, self._number)
@@ -170,10 +172,10 @@ class PortCore(ConnectingPort):
     ) -> int:  # fmt: skip
         """Send a message to all outputs, or the ``chosen``; return how many accepted it. Text carriers need Bottles.
 
-        The payload may be a function that encodes it in each output's dialect. ``strict``: queue it after messages that
-        are still being sent (a full queue drops the oldest); else it replaces them. ``wait``: block until it is sent to
-        all peers, and acknowledged if the carrier does that, at most ``timeout`` seconds; else never block. ``text``
-        returns the line for text carriers, by default the payload's.
+        The payload may be a function that encodes it in each output's dialect. ``strict``: queue the message after
+        those that are still being sent (a full queue drops the oldest); otherwise it replaces them. ``wait``: block
+        until it is sent to all peers, and acknowledged if the carrier has acknowledgements, for at most ``timeout``
+        seconds; otherwise never block. ``text`` returns the line for text carriers, by default the payload's text.
         """
         if self._interrupted:
             self.counters.dropped["interrupted"] += 1
@@ -202,7 +204,7 @@ class PortCore(ConnectingPort):
                         shared[output.group] = item  # one message for all readers of the group
                     begun.append((output, item))
             return _finish(begun, timeout) if wait else len(begun)
-        except BaseException:  # one cannot be encoded, or KeyboardInterrupt: the shared thread completes the others
+        except BaseException:  # WireError or KeyboardInterrupt: the shared thread completes the messages begun
             for output, item in begun:
                 output.detach(item)
             raise
@@ -212,8 +214,8 @@ class PortCore(ConnectingPort):
     ) -> bytes:
         """Send a request on the first output and wait for the reply, at most ``timeout`` seconds.
 
-        ``parse`` returns the end of the reply at the start of the bytes (raises Incomplete for more); by default at the
-        end of a Bottle. Raises like `Output.request`, and `ConnectionError` without an output.
+        ``parse`` returns the end of the reply at the start of the bytes, or raises `Incomplete` if bytes are missing;
+        by default the reply is a Bottle. Raises like `Output.request`, and `ConnectionError` without an output.
         """
         outputs = self.connections.outputs
         if not outputs or self._interrupted:
@@ -239,7 +241,7 @@ class PortCore(ConnectingPort):
         return any(output.busy for output in self.connections.outputs)
 
     def wait_writes(self, timeout: float | None = None) -> bool:
-        """Wait until all messages are sent, and acknowledged if the carrier does that; return False if late."""
+        """Wait until all messages are sent (and acknowledged, with some carriers); return False after ``timeout`` s."""
         deadline = None if timeout is None else time.monotonic() + timeout
         return all(output.wait_idle(deadline) for output in self.connections.outputs)
 

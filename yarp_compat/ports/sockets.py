@@ -58,7 +58,7 @@ def closed_on_failure(made: Closable) -> Iterator[None]:
         raise
 
 
-_STEP = 0.1  # seconds between two checks of a deadline that may change meanwhile
+_STEP = 0.1  # seconds between checks of a deadline that may change in the meantime
 _CONNECTING = (errno.EINPROGRESS, errno.EWOULDBLOCK, getattr(errno, "WSAEWOULDBLOCK", errno.EWOULDBLOCK))
 
 
@@ -66,7 +66,7 @@ _CONNECTING = (errno.EINPROGRESS, errno.EWOULDBLOCK, getattr(errno, "WSAEWOULDBL
 def host_checked(host: str) -> Iterator[None]:
     """Raise only `OSError` if ``host`` cannot be a host name, or if a port number is out of range.
 
-    The resolver raises `UnicodeError`, the methods of sockets raise `TypeError`.
+    Without this, the resolver raises `UnicodeError`, and the methods of sockets raise `TypeError` or `OverflowError`.
     """
     try:
         yield
@@ -75,10 +75,10 @@ def host_checked(host: str) -> Iterator[None]:
 
 
 def open_connection(host: str, port: int, end: Callable[[], float]) -> socket.socket:
-    """Connect over TCP; raises only `OSError`, also if ``host`` cannot be a host name.
+    """Connect over TCP; raises only `OSError`, even if ``host`` cannot be a host name (ports register any text).
 
-    Ports register any text as their host. ``end`` returns the deadline on the monotonic clock, and may return an
-    earlier one later. It does not limit the search for the host's addresses, which share the time that is left.
+    ``end`` returns the deadline on the monotonic clock, which may become earlier. It does not limit the lookup of the
+    host's addresses; the attempts to connect to them share the time that is left.
     """
     with host_checked(host):
         addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
@@ -194,8 +194,8 @@ _BACKLOG = 1024  # connections waiting to be accepted
 def registered(naming: Naming, name: str, host: str | None, number: int) -> tuple[PortContact, socket.socket]:
     """Register a port and listen; raises `NamingError`, or `OSError` if it cannot listen.
 
-    Without a ``host``, it uses the name server's, or any; without a ``number`` (0), a free one of the naming's
-    `numbers`, else the name server's or any.
+    Without a ``host``, the port listens on the one that the name server returns, or on any; without a ``number`` (0),
+    on a free one of the naming's `numbers`, else on the name server's or on any.
     """
     wanted = number or _free_number(naming.numbers, name)
     contact = naming.register(name, host or "", wanted)
@@ -213,7 +213,7 @@ def registered(naming: Naming, name: str, host: str | None, number: int) -> tupl
 
 
 def _free_number(numbers: range, name: str) -> int:
-    """Return a free number, always the same for a name if that is free; 0 if all are in use."""
+    """Return a free number, if possible always the same for a name; 0 if all are in use."""
     if not numbers:
         return 0
     first = random.randrange(len(numbers)) if name in ("", "...") else zlib.crc32(name.encode(errors="replace"))  # noqa: S311 - not a secret
@@ -228,10 +228,10 @@ def _free_number(numbers: range, name: str) -> int:
 
 
 def listening(host: str, number: int, *, host_fixed: bool, number_fixed: bool) -> socket.socket:
-    """Return a socket that listens at an address and number (0: any); raises `OSError` if it cannot.
+    """Return a socket that listens on an address and number (0: any); raises `OSError` if it cannot.
 
-    Unless ``host_fixed``, it listens at all of this machine's addresses if ``host`` is none of them (with address
-    translation); unless ``number_fixed``, at another number if that one is in use.
+    Unless ``host_fixed``, it listens on all of this machine's addresses if ``host`` is none of them (with address
+    translation); unless ``number_fixed``, on another number if ``number`` is in use.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:

@@ -108,7 +108,7 @@ class ByteStream:
         return len(self._spare)
 
     def give_back(self, seconds: float) -> None:
-        """Free the reserved memory if no large message arrived for ``seconds``. From any thread."""
+        """Free the reserved memory if no large message arrived for ``seconds``; thread-safe."""
         if self._spare and time.monotonic() - self._spared >= seconds:
             self._spare = bytearray()
 

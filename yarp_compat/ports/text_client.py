@@ -1,4 +1,4 @@
-"""Queries to any port by the text carrier, as YARP's tools send them: commands as text, answers as lines.
+"""Queries to any port over the text carrier, as YARP's tools send them: commands as text, answers as lines.
 
 The port answers ``CONNACK admin`` with ``Welcome admin``; each further answer ends with ``<ACK>`` (carrier text_ack).
 A line ``a`` precedes an administrative command, a line ``d`` a message for the port's owner.
@@ -19,7 +19,7 @@ from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text, to_text
 
-_STEP = 0.1  # seconds between two checks of the deadline, which may change meanwhile
+_STEP = 0.1  # seconds between checks of the deadline, which `hurry` may bring forward
 
 
 class LineSocket:
@@ -42,7 +42,7 @@ class LineSocket:
         self._socket = open_connection(self._host, self._port, lambda: self._end)
         try:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        except OSError:  # it was closed at once
+        except OSError:  # the peer has already closed the connection
             self.close()
             raise
         return self
@@ -72,7 +72,7 @@ class LineSocket:
                 unsent = unsent[sock.send(unsent) :]
 
     def line(self) -> str:
-        """Return the next line, without its end."""
+        """Return the next line, without its terminator."""
         at = self._buffer.find(b"\n")
         while at < 0:
             seen = len(self._buffer)
@@ -158,14 +158,15 @@ def _answer(peer: LineSocket, contact: PortContact) -> list[str]:
     return lines
 
 
-_DIALECT_COMMAND = "getPid"  # YARP 3 knows no such command and replies 1 ""; YARP 4 replies "fail"
-PATIENCE = 1.0  # seconds for a port to answer the query of its dialect
+_DIALECT_COMMAND = "getPid"  # a request from ROS: ports of YARP 3 reply 1 "", ports of YARP 4 reply "fail"
+PATIENCE = 1.0  # seconds for a port to answer the query for its dialect
 
 
 def ask_profile(contact: PortContact, timeout: float = PATIENCE) -> Profile | None:
     """Return the dialect of a port; None if unknown.
 
-    A C++ port does not answer this query while it waits for a reply itself, so do not query such a port.
+    A C++ port does not answer while it is itself waiting for a reply, so do not send this query to a port in that
+    state.
     """
     try:
         answer = admin(contact, [_DIALECT_COMMAND], timeout)

@@ -1,4 +1,4 @@
-"""Inputs of text: the carriers text and text_ack, the name server's carrier, and browsers.
+"""Text inputs: the carriers text and text_ack, the name server's carrier, and browsers.
 
 A browser gets a page about the port, sends a message from a form, or reads a stream of the port's messages.
 """
@@ -24,7 +24,7 @@ LONGEST_REQUEST = 64 << 10  # bytes of the longest line to a name server
 
 
 class TextInput(Input):
-    """An input of text or text_ack: a line with a command; for data and administration, a second one with a Bottle."""
+    """An input over text or text_ack: command lines; for data and administration, a line with a Bottle follows."""
 
     @override
     def handle_messages(self) -> bool:
@@ -64,7 +64,7 @@ class TextInput(Input):
 
 
 class NameInput(Input):
-    """An input of name_ser: lines that begin with ``NAME_SERVER``. Without ``on_line`` they are ordinary messages."""
+    """An input over name_ser: lines that begin with ``NAME_SERVER``. Without ``on_line`` they are ordinary messages."""
 
     @override
     def handle_messages(self) -> bool:
@@ -85,7 +85,7 @@ class NameInput(Input):
 
 
 class PageInput(Input):
-    """An input of http: one request."""
+    """An input over http: one request."""
 
     @override
     def handle_messages(self) -> bool:
