@@ -145,12 +145,12 @@ class Value(ValueBase, _Comparable):
 
     @staticmethod
     def makeValue(text: str) -> Value:
-        """Parse a text with one value; several become a string, none a null value."""
+        """Parse a text with one value. A text with several values becomes a string, an empty text a null value."""
         values = from_text(text)
         return Value.of(text if len(values) > 1 else values[0] if values else None)
 
     def fromString(self, text: str) -> None:
-        """Replace the value by the one of a text; several become a string."""
+        """Replace the value by the value in a text; a text with several values becomes a string."""
         self._value = Value.makeValue(text)._value
 
     def clone(self) -> Value:
@@ -159,7 +159,7 @@ class Value(ValueBase, _Comparable):
 
     @staticmethod
     def getNullValue() -> Value:
-        """Return the value that represents a missing one."""
+        """Return the null value, which represents a missing value."""
         return NULL
 
     makeInt, makeDouble, makeVocab = makeInt32, makeFloat64, makeVocab32  # YARP 2's names
@@ -232,7 +232,7 @@ class Bottle(Portable, _Comparable):
         self._edit().append(str(text))
 
     def addVocab32(self, word: str | int, *rest: str) -> None:
-        """Add a vocab of four bytes, given as word, number, or characters."""
+        """Add a vocab of four bytes, given as a word, a number, or single characters."""
         self._edit().append(word_of(word, *rest))
 
     def addList(self) -> Bottle:
@@ -262,7 +262,7 @@ class Bottle(Portable, _Comparable):
         self._edit().clear()
 
     def pop(self) -> Value:
-        """Remove the last value and return it; null if it does not exist."""
+        """Remove the last value and return it; null if the Bottle is empty."""
         return Value.of(self._edit().pop()) if self._values else NULL
 
     def size(self) -> int:
@@ -275,7 +275,7 @@ class Bottle(Portable, _Comparable):
 
     @override
     def find(self, key: str) -> Value:
-        """Return the value after a key: the second of the list that begins with it, or the one that follows it."""
+        """Return a key's value: the second value of the list that begins with the key, or the value after the key."""
         at = self._index(key)
         value = self._values[at] if at >= 0 else None
         return Bottle.of(value).get(1) if isinstance(value, list) else self.get(at + 1) if at >= 0 else NULL
@@ -448,7 +448,7 @@ class Property(PropertyBase, Searchable):
 
     @override
     def find(self, key: str) -> Value:
-        """Return the value under a key; null if it does not exist."""
+        """Return the value under a key; null if the key is missing."""
         values = entry_values(self._entries.get(key, ()))
         return Value.of(values[0]) if values else NULL
 

@@ -43,7 +43,7 @@ def merge_options(words: Sequence[str], entries: dict[str, Any]) -> None:
 
 
 def _put_in_groups(name: str, values: list[Any], entries: dict[str, Any]) -> None:
-    """Set the values of ``GROUP::key``; if any option names a group, numeric names are ignored."""
+    """Set the values of ``GROUP::key`` or ``key``; numeric names are ignored, because some option names a group."""
     key = _value(name)
     if not isinstance(key, str):
         return
@@ -72,13 +72,13 @@ def _set_in_group(tree: list[Any], path: list[str], values: list[Any]) -> None:
 
 
 def _name_of(entry: Any) -> str:
-    """Return the key of a list's element: the text of its first value, or its own."""
+    """Return the key of a list's element: the text of its first value, or of the element itself."""
     first = (entry[0] if entry else "") if isinstance(entry, list) else entry
     return plain_text(first)
 
 
 def _value(word: str) -> Any:
-    """Parse a word as one value; a string if it contains several."""
+    """Parse a word as one value; a word that contains several stays a string."""
     values = from_text(word)
     return values[0] if len(values) == 1 else word
 
@@ -143,14 +143,14 @@ class PropertyBase(Portable):
     def fromConfigFile(self, fname: str, env: Environment | bool | None = None, wipe: bool = True) -> bool:
         """Read a configuration file, or all ``.ini`` files of a folder; return False, changing nothing, if not found.
 
-        Includes are searched in its folder, too. ``env`` has values for ``$NAMES`` that the environment lacks; it may
-        be left out: then ``wipe`` is the second argument.
+        Included files are searched in its folder, too. ``env`` has values for ``$NAMES`` that the environment lacks; if
+        it is left out, ``wipe`` may be the second argument.
         """
         values, wipe = (None, env) if isinstance(env, bool) else (env, wipe)
         return config_text.read_file(str(fname), self._entries, values, wipe, find_import=find_in_context)
 
     def fromConfigDir(self, dirname: str, section: str = "", wipe: bool = True) -> bool:
-        """Read all ``.ini`` files of a folder; with a section, each as a group whose name is listed there."""
+        """Read all ``.ini`` files of a folder; with a section, each as a group, listed under ``section``."""
         return config_text.read_folder(str(dirname), section, self._entries, wipe, find_import=find_in_context)
 
     def fromConfig(self, txt: str, env: Environment | bool | None = None, wipe: bool = True) -> None:

@@ -52,7 +52,7 @@ class Stamp(Portable):
 
     @override
     def from_text(self, line: str) -> None:
-        """Parse an envelope; raises `WireError`, and becomes invalid, unless it is an int and a number."""
+        """Parse an envelope; if it is not an int and a number, becomes invalid and raises `WireError`."""
         match = _TEXT.match(line)
         self._count, self._time = -1, 0.0
         if match is None or not -_LARGEST <= int(match[1]) <= _LARGEST:

@@ -25,7 +25,7 @@ _LEAVES = frozenset({int, float, str, bool, bytes, Int8, Int16, Int64, Float32, 
 
 
 def plain_of(value: Any) -> Any:
-    """Return the plain value, deeply copied, of an object for a Bottle; raises `WireError` for unsupported types."""
+    """Return a deep copy of an object for a Bottle, as a plain value; raises `WireError` for unsupported types."""
     if type(value) in _LEAVES:
         return value
     value = getattr(value, "plain", value)  # for a Value, a Bottle or a Property
@@ -178,7 +178,7 @@ class ValueBase(Portable):
         return "" if self._value is None else plain_text(self._value)
 
     def getCode(self, profile: Profile = Profile.YARP3) -> int:
-        """Return the tag of its type; for a list combined with that of its elements; -1 for null."""
+        """Return the tag of the value's type, for a list combined with the tag of its elements; -1 for null."""
         if self._value is None:
             return -1
         data = encode([self._value], profile)

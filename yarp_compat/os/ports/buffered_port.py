@@ -61,7 +61,7 @@ class CallbackThread:
                 log.exception("a callback failed; the port continues with the next message")
 
     def stop(self, wake: Callable[[], None]) -> None:
-        """Stop; wait for a running call, unless this is its thread. ``wake`` wakes up the waiting ``receive``."""
+        """Stop the thread, and wait for a running callback unless it is the caller. ``wake`` wakes up ``receive``."""
         self._stopped.set()
         wake()
         if threading.current_thread() is not self._thread:
@@ -168,7 +168,7 @@ class BufferedPort(Contactable, TypedReaderCallback):
         return self._last
 
     def acquire(self) -> Any:
-        """Return the message read last; the port never reuses it, as every read returns a new object."""
+        """Return the message read last; the port never reuses it: every read returns a new object."""
         return self._last
 
     def release(self, handle: Any) -> None:

@@ -1,6 +1,6 @@
 """Base classes for callbacks: ``PortReader`` receives messages, ``PortReport`` connection events.
 
-A `PortReader` receives a message as ``ConnectionReader``, and writes its reply to a ``ConnectionWriter``.
+A `PortReader` reads a message from a ``ConnectionReader``, and writes its reply to a ``ConnectionWriter``.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class ConnectionWriter:
 
 
 class ConnectionReader:
-    """A reader of one message, or of none when the port closes. Missing or invalid content is 0 and sets `isError`."""
+    """A reader of one message, or of none when the port closes. Missing or invalid content reads as 0 (`isError`)."""
 
     def __init__(self, message: PortMessage | None, local: Contact, profile: Profile = Profile.YARP3) -> None:
         self._message = message
@@ -141,7 +141,7 @@ class ConnectionReader:
             return b""
 
     def expectText(self, terminatingChar: str | int = "\n") -> str:
-        """Read text up to a terminating character, and skip that."""
+        """Read text up to a terminating character, and skip the character."""
         stop = terminatingChar.encode() if isinstance(terminatingChar, str) else bytes([terminatingChar])
         unread = bytes(self.reader.data[self.reader.at :])
         text, end, _ = unread.partition(stop)
@@ -215,8 +215,8 @@ def sender_profile(message: PortMessage) -> Profile | None:
 class PortInfo:
     """An item of a port's report.
 
-    ``tag`` is `PORTINFO_CONNECTION` or `PORTINFO_MISC`; ``created`` is False if a connection closed; ``message`` is the
-    same as text.
+    ``tag`` is `PORTINFO_CONNECTION` or `PORTINFO_MISC`; ``created`` is False if a connection closed; ``message`` has
+    the same content as text.
     """
 
     PORTINFO_NULL = 0

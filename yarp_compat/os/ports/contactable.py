@@ -1,4 +1,4 @@
-"""The base of YARP's port classes: names, connections, modes. The core is `yarp_compat.ports.port.PortCore`."""
+"""The base of YARP's port classes: names, connections, modes. It wraps a `yarp_compat.ports.port.PortCore`."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Contactable:
     def __init__(self) -> None:
         self._verbosity = 1
         self._core: PortCore | None = None
-        self._gate = Gate()  # replaced by the derived class; threads wait at it
+        self._gate = Gate()  # replaced by the derived class; threads wait in it
         self._reporter: PortReport | None = None
         self._is_input: bool | None = None
         self._is_output: bool | None = None
@@ -97,13 +97,13 @@ class Contactable:
         self._callback_lock: Any = contextlib.nullcontext()
         self._finalizer: weakref.finalize[..., Any] | None = None
 
-    # -- life ---------------------------------------------------------------------------------------------------------
+    # -- opening and closing ------------------------------------------------------------------------------------------
 
     def open(self, name: str | Contact, registerName: bool = True) -> bool:
         """Register the port under a name and accept connections; on failure log the reason and return False.
 
         ``name``: ``/reader``; empty or ``...`` lets the name server choose; ``/topic@/node`` is an end of a ROS topic;
-        a contact has the address to listen on. ``registerName``: register the port at the name server.
+        a contact also gives the address to listen on. ``registerName``: register the port at the name server.
         """
         if not RUNTIME.is_up:
             log.error("YARP not initialized; call yarp.Network.init() before using ports")
@@ -182,7 +182,7 @@ class Contactable:
         return True
 
     def _join_topic(self, name: NestedName) -> None:
-        """Publish the type of this end of a topic or service, add it to its node, connect it to YARP's other ends."""
+        """Announce the type of a topic's or service's port, add it to its node, and connect it to its YARP peers."""
         for node in NODES.named(name.node):
             node.add(self)
         try:
@@ -243,26 +243,26 @@ class Contactable:
     # -- the kind of port ---------------------------------------------------------------------------------------------
 
     def setReadOnly(self) -> None:
-        """Make the port an input; before `open`."""
+        """Make the port an input; call this before `open`."""
         self._is_input, self._is_output, self._rpc = True, False, False
 
     def setWriteOnly(self) -> None:
-        """Make the port an output; before `open`."""
+        """Make the port an output; call this before `open`."""
         self._is_input, self._is_output, self._rpc = False, True, False
 
     def setRpcServer(self) -> None:
-        """Make the port a server, which receives requests and replies; before `open`."""
+        """Make the port a server, which receives requests and sends replies; call this before `open`."""
         self._is_input, self._is_output, self._rpc = True, False, True
 
     def setRpcClient(self) -> None:
-        """Make the port a client, which sends requests and receives replies; before `open`."""
+        """Make the port a client, which sends requests and receives replies; call this before `open`."""
         self._is_input, self._is_output, self._rpc = False, True, True
 
     setInputMode = setter("_is_input", bool, "Whether the port reads.")
     setOutputMode = setter("_is_output", bool, "Whether the port writes.")
     setRpcMode = setter("_rpc", bool, "Whether messages have replies.")
     includeNodeInName = setter("_in_node", bool, "Whether the name is a topic of the active node.")
-    promiseType = setter("_type", str, "Set the announced type of the messages, ``std_msgs/String``; before `open`.")
+    promiseType = setter("_type", str, "Set the announced message type, such as ``std_msgs/String``, before `open`.")
     getType = getter("_type", str, "The announced type of the messages.")
 
     def acquireProperties(self, readOnly: bool = True) -> Any:  # noqa: ARG002
@@ -336,17 +336,17 @@ class Contactable:
     # -- a lock that callbacks hold -----------------------------------------------------------------------------------
 
     def setCallbackLock(self, mutex: Any = None) -> bool:
-        """Hold a lock during readers and callbacks: the given lock, or by default a new lock."""
+        """Hold a lock while readers and callbacks run: the given lock, or by default a new lock."""
         self._callback_lock = threading.RLock() if mutex is None else mutex
         return True
 
     def removeCallbackLock(self) -> bool:
-        """Remove that lock."""
+        """Stop holding a lock while readers and callbacks run."""
         self._callback_lock = contextlib.nullcontext()
         return True
 
     def lockCallback(self) -> bool:
-        """Block callbacks until `unlockCallback`, after the running one has ended; return False without a lock."""
+        """Wait for the running callback, and block others until `unlockCallback`; return False without a lock."""
         return self._has_lock and bool(self._callback_lock.acquire())
 
     def tryLockCallback(self) -> bool:
@@ -369,10 +369,10 @@ class Contactable:
         raise NotImplementedError
 
     def _on_open(self) -> None:
-        """Prepare for messages, as the port opens."""
+        """Prepare for messages; called when the port opens."""
 
     def _on_closing(self) -> None:
-        """Release waiting threads, as the port closes."""
+        """Release waiting threads; called when the port closes."""
 
     def _on_closed(self, core: PortCore) -> None:
         """Clean up after the port has closed."""

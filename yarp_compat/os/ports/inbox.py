@@ -1,4 +1,4 @@
-"""Passing of messages from connection threads to the reader: one at a time, or through an inbox."""
+"""Passes messages from connection threads to the reader: one at a time, or through an inbox."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Handoff(Gate):
             return self._message is not message
 
     def receive(self, *, will_reply: bool) -> PortMessage | None:
-        """Wait for a message; return None if interrupted or closed. With ``will_reply`` its sender waits on."""
+        """Wait for a message; return None if interrupted or closed. With ``will_reply`` its sender keeps waiting."""
         with self._changed:
             self._changed.wait_for(lambda: self._message is not None or self.is_closed or self._interrupted)
             message = self._message
@@ -73,7 +73,7 @@ class Handoff(Gate):
             return message
 
 
-LIMIT = 64 << 20  # bytes of queued messages in strict mode; beyond, senders wait for the reader
+LIMIT = 64 << 20  # bytes of queued messages in strict mode beyond which senders wait for the reader
 
 
 class Inbox(Gate):

@@ -14,7 +14,7 @@ CLIENT = "+1"
 SERVER = "-1"
 
 LATCHED = "latched"
-"""The property, in a publisher's port or at the name server, of publishers that send late joiners the last message."""
+"""The property of publishers that send late joiners the last message, in their port and at the name server."""
 
 _ROLES = (CLIENT, SERVER, PUBLISHER, SUBSCRIBER)
 

@@ -115,7 +115,7 @@ class Publisher(_TopicPort):
 
     @override
     def write(self, forceStrict: Any = False) -> Any:
-        """Send a message and return whether all peers received it; or send the prepared one as `BufferedPort` does."""
+        """Send a message and return whether all peers received it; or send the prepared one like `BufferedPort`."""
         if isinstance(forceStrict, bool):
             self._store_last(self._prepared)
             super().write(forceStrict)
@@ -146,7 +146,7 @@ class Publisher(_TopicPort):
     @override
     def _on_open(self) -> None:
         super()._on_open()
-        if self._latched and self._core is not None:  # set before it listens; the name server gets it only later
+        if self._latched and self._core is not None:  # set before the port listens; the name server gets it only later
             self._core.properties[LATCHED] = 1
 
     @override
@@ -158,7 +158,7 @@ class Publisher(_TopicPort):
 
 
 class Subscriber(_TopicPort):
-    """A subscriber to messages of one type on a ROS topic; arguments as for `Publisher`."""
+    """A subscriber to messages of one type on a ROS topic; for the arguments, see `Publisher`."""
 
     def __init__(self, content: type[Any] | str, topic: str = "") -> None:
         super().__init__(content)
@@ -168,7 +168,7 @@ class Subscriber(_TopicPort):
 
     @override
     def read(self, shouldWait: Any = True) -> Any:
-        """Return the next message or None like `BufferedPort.read`; or wait, fill a given message, return if filled."""
+        """Return the next message like `BufferedPort.read`; or wait, fill a given message, and return if one came."""
         if isinstance(shouldWait, bool):
             return super().read(shouldWait)
         message = super().read(True)

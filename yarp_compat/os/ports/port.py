@@ -49,9 +49,10 @@ class Port(UnbufferedContactable):
     )
 
     def write(self, data: Any, reply: Any = None, callback: Any = None) -> bool:  # noqa: ARG002
-        """Send a message; with a second argument, wait for the reply and read it into that.
+        """Send a message; with a second argument, wait for the reply and read it into that argument.
 
-        Returns False if a peer did not receive it, or no reply arrived; True without connections and ``reply``.
+        Returns False if a peer did not receive it or no reply arrived; True if there are neither connections nor
+        ``reply``.
         """
         core = self._core
         if core is None or self._interrupted:
@@ -170,7 +171,7 @@ def answer(reader: PortReader, message: PortMessage, local: Contact) -> None:
 
 
 def notify_closed(reader: PortReader, local: Contact) -> None:
-    """Notify a reader that its port is closed, by an invalid connection as in YARP."""
+    """Notify a reader that its port is closed, with an invalid connection, as in YARP."""
     try:
         reader.read(ConnectionReader(None, local))
     except Exception:
