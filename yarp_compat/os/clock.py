@@ -30,7 +30,7 @@ VARIABLE = "YARP_CLOCK"  # the environment variable that names the clock's port
 
 
 def read_time(values: list[object]) -> float | None:
-    """Return the time in a clock's Bottle, in seconds; None if invalid. It may be nested in one list."""
+    """Return the time in a clock's Bottle, in seconds; None if invalid. The numbers may be nested in a list."""
     if len(values) == 1 and isinstance(values[0], list):
         values = values[0]
     match values:

@@ -22,14 +22,14 @@ from yarp_compat.wire.values import entries_of, entry_values, merge
 
 log = logging.getLogger(__name__)
 
-DEEPEST = 32  # most levels of nested includes
+DEEPEST = 32  # maximum levels of nested includes
 
 _VARIABLE = re.compile(r"(\\.)|\$([({]?)([A-Za-z0-9_]*)", re.DOTALL)
 
 Entries = dict[str, Any]
 
 FindImport = Callable[[str, str], str]
-"""Returns the path of a file, given its context's and its own name; empty if not found."""
+"""Returns the path of a file, given the names of its context and the file; empty if not found."""
 
 
 class Environment(Protocol):
@@ -47,7 +47,7 @@ class KeyPlace(NamedTuple):
 
 
 Places = dict[tuple[str, ...], KeyPlace]
-"""Where keys are defined: ``("GROUP", "key")``, and ``("GROUP",)`` for the group itself; the last definition."""
+"""Where keys were last defined: ``("GROUP", "key")`` for a key of a group, ``("GROUP",)`` for the group itself."""
 
 
 def read_file(
@@ -122,7 +122,7 @@ class _File:
         return False
 
     def parse(self, text: str, entries: Entries) -> None:
-        """Read all lines."""
+        """Parse all lines into entries."""
         group = ""
         content: list[Any] = []
         for number, line in _lines(text):

@@ -24,14 +24,17 @@ yarpcachehome, yarpruntimedir = _DIRECTORIES.cache_home, _DIRECTORIES.runtime_ho
 
 
 def get_string(key: str, default: str = "", *rest: str) -> str:
-    """Return a variable, or a default; with three texts: another variable, its default, and a suffix for these."""
+    """Return an environment variable, or a default.
+
+    With more than two texts, the second names another variable, and its default and a suffix follow.
+    """
     if not rest or key in os.environ:
         return os.environ.get(key, "" if rest else default)
     return os.environ.get(default, rest[0]) + "".join(rest[1:])
 
 
 def get_path(key: str, default: str = "", *rest: str) -> tuple[str, ...]:
-    """Return the directories in an environment variable; arguments as for `get_string`."""
+    """Return the directories in an environment variable; for the arguments, see `get_string`."""
     value = get_string(key, default, *rest[:1])
     suffix = "" if key in os.environ else "".join(rest[1:])
     return tuple(path + suffix for path in value.split(path_separator) if path)

@@ -202,7 +202,7 @@ class Log:
 
     @staticmethod
     def defaultMinimumPrintLevel() -> LogType:
-        """Return the lowest severity to print by the environment variables."""
+        """Return the lowest severity to print according to the environment variables."""
         return _first_level()
 
     @classmethod

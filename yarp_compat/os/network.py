@@ -24,7 +24,7 @@ from yarp_compat.wire.values import Vocab
 
 log = logging.getLogger("yarp.os.Network")
 
-_POLL = 0.1  # seconds between two checks for a port or a connection
+_POLL = 0.1  # seconds between checks for a port or a connection
 
 
 class Network:
@@ -91,7 +91,7 @@ class Network:
     def connect(src: str, dest: str, carrier: str | ContactStyle | None = "", quiet: bool = True) -> bool:
         """Connect an output port to an input port; ``udp://r`` also selects the carrier.
 
-        The default ``carrier`` is the one that the port was registered with; ``quiet``: do not log the success.
+        The default ``carrier`` is the one that the input port was registered with; ``quiet``: do not log the success.
         """
         style = _style(carrier, quiet)
         if style.persistent:
@@ -117,7 +117,7 @@ class Network:
 
     @staticmethod
     def isConnected(src: str, dest: str, carrier: str | ContactStyle | bool | None = "", quiet: bool = True) -> bool:
-        """Return whether two ports are connected, by the given carrier if any."""
+        """Return whether two ports are connected, over the given carrier if there is one."""
         style = _style(carrier, quiet)
 
         def is_connected() -> bool:
@@ -232,7 +232,7 @@ class Network:
 
     @staticmethod
     def setConnectionQos(src: str, dest: str, style: QosStyle, *rest: Any) -> bool:
-        """Set the type of service of a connection's packets at both ends; a second style is for the other end."""
+        """Set the type of service of a connection's packets at both ends; a second style is for the end at ``dest``."""
         ends = [style, *(option for option in rest if isinstance(option, QosStyle))]
         quiet = next((option for option in rest if isinstance(option, bool)), True)
 

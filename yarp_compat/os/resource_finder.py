@@ -1,4 +1,4 @@
-"""``ResourceFinder``: search for a program's configuration and data files, and its command line."""
+"""``ResourceFinder``: finds a program's configuration and data files, and reads its command line."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ class ResourceFinder(Searchable):
         return self._home("robots", self._search.directories.robot())
 
     def readConfig(self, config: Property, key: str, options: ResourceFinderOptions) -> bool:
-        """Read every file with a name into ``config``; earlier ones have priority."""
+        """Read every file with a name into ``config``; files found earlier have priority."""
         paths = list(self._search.paths(self._value_or_name(key), options, folder=True))
         for path in reversed(paths):
             config.fromConfigFile(path, False)

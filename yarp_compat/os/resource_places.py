@@ -2,7 +2,7 @@
 
 The search order follows YARP's ResourceFinder.cpp: the current directory, the main configuration file's
 folder, the robot, the contexts, the user's folders, the administrator's, the installed ones, ``path.d``. As in YARP,
-the name is appended to the folder unchanged, also ``./map.txt`` and ``maps/``.
+the name is appended to the folder unchanged, even ``./map.txt`` and ``maps/``.
 """
 
 from __future__ import annotations

@@ -106,11 +106,11 @@ class RFModule:
         return True
 
     def safeRespond(self, command: Bottle, reply: Bottle) -> bool:
-        """Call `respond`; if it does not know the command, handle ``quit``, ``exit`` and ``bye``."""
+        """Call `respond`; if it returns False, handle ``quit``, ``exit`` and ``bye``."""
         return bool(self.respond(command, reply)) or self._basic_respond(command, reply)
 
     def runModule(self, rf: ResourceFinder | None = None) -> int:
-        """Configure (given a finder) and run until stopped; return 1 if configuring failed or it ran before, else 0."""
+        """Configure (with a finder) and run until stopped; return 0, or 1 if that failed or the module ran before."""
         if self._ran:
             return 1
         if rf is not None and not self.configure(rf):
@@ -154,7 +154,7 @@ class RFModule:
 
     def stopModule(self, wait: bool = False) -> None:
         """End the loop after the current cycle."""
-        with self._interrupting:  # close() has to wait for it
+        with self._interrupting:  # close() must wait for interruptModule()
             self._stop.set()
             if not self.interruptModule():
                 log.error("interruptModule() returned an error there could be problems shutting down the module.")

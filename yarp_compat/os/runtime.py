@@ -1,6 +1,6 @@
 """The state that a program's ports share: their name server, and the list of open ports to close at exit.
 
-Also the lookup of Midspan daemons, whose ports have a property at the name server.
+This module also finds Midspan daemons, whose ports have a property at the name server.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Runtime:
             port.close()
 
     def opened(self, port: Closable) -> None:
-        """Add an open port, to be closed with the network at the latest."""
+        """Add an open port, which is closed with the network at the latest."""
         self._open.add(port)
 
     def closed(self, port: Closable) -> None:
@@ -105,7 +105,7 @@ class Runtime:
             self._client = client
 
     def persistent(self, verb: str, source: str, target: str, carrier: str = "") -> bool:
-        """Send ``subscribe`` or ``unsubscribe`` for a persistent connection to the name server; return if accepted."""
+        """Send the name server ``subscribe`` or ``unsubscribe`` for a persistent connection; return if it accepted."""
         client = self.client
         if client is None:
             log.error("persistent connections are not available in local mode: %s -> %s", source, target)
@@ -148,7 +148,7 @@ def find_daemon() -> PortContact | None:
 
 
 def definition_from_daemon(type_name: str) -> str | None:
-    """Return the full definition of a message type from a daemon; None without an answer, or if it is unknown."""
+    """Return the full definition of a message type from a daemon; None without an answer, or if the type is unknown."""
     if not RUNTIME.is_up:
         return None
     try:

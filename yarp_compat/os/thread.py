@@ -10,7 +10,7 @@ from yarp_compat.wire.accessors import getter
 
 
 class Thread:
-    """The base class of threads, which override ``run``; it should return when ``isStopping()`` is true."""
+    """The base class of threads, which override ``run``; ``run`` should return when ``isStopping()`` is true."""
 
     def __init__(self) -> None:
         self._thread: threading.Thread | None = None
@@ -28,7 +28,7 @@ class Thread:
         """Release resources, on the thread."""
 
     def onStop(self) -> None:
-        """Interrupt a waiting `run`; on the thread that calls `stop`."""
+        """Interrupt a waiting `run`; called on the thread that calls `stop`."""
 
     def beforeStart(self) -> None:
         """Prepare on the calling thread, before the new one starts."""

@@ -18,7 +18,7 @@ class Clock(Protocol):
 
     @property
     def is_valid(self) -> bool:
-        """Whether it has a time."""
+        """Whether the clock has a time."""
 
     def now(self) -> float:
         """Return the time in seconds."""
