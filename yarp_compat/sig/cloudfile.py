@@ -1,4 +1,4 @@
-"""Files of point clouds: PCL's ``.pcd`` and Stanford's ``.ply``, text or binary.
+"""Point cloud files: PCL's ``.pcd`` and Stanford's ``.ply``, text or binary.
 
 Sources: pointclouds.org, "The PCD (Point Cloud Data) file format" (0.7); Greg Turk's "The PLY Polygon File Format".
 Readers use the fields that one of YARP's point types has, see `yarp_compat.sig.pointcloud`; files are written with all
@@ -18,7 +18,7 @@ from yarp_compat.wire.errors import WireError
 
 MOST_POINTS = 8_000_000
 MAX_FILE = 512 << 20
-"""Most bytes of a file to read."""
+"""Maximum bytes of a file to read."""
 
 _MOST_HEAD = 8192
 _MOST_FIELDS = 64
@@ -40,7 +40,7 @@ _PLY_TYPES = {
 
 
 class CloudFileError(WireError):
-    """A file is not a point cloud; the message names the invalid line of the header."""
+    """Raised if a file is not a point cloud; the message names the invalid line of the header."""
 
 
 def load_cloud(path: str | Path) -> PointCloud:
@@ -80,7 +80,7 @@ def write_ply(cloud: PointCloud) -> bytes:
 
 
 def _packed(cloud: PointCloud, color: str) -> tuple[NDArray[Any], list[str]]:
-    """Return the points without padding, and their field names; ``color`` names one field for the four of a color."""
+    """Return the points without padding, and their fields; ``color`` names a field that merges a color's four."""
     points = cloud.numpy()
     names = list(points.dtype.names or ())
     merged = color and "b" in names
@@ -131,7 +131,9 @@ def _read_pcd(data: bytes) -> PointCloud:
         columns.append((field, f"<{letter.lower()}{size}", *([] if many == 1 else [(many,)])))
     form = (head["DATA"] or [""])[0]
     if form not in ("binary", "ascii"):
-        raise CloudFileError(f"DATA: {form[:40]!r} is not binary or ascii; convert it by pcl_convert_pcd_ascii_binary")
+        raise CloudFileError(
+            f"DATA: {form[:40]!r} is not binary or ascii; convert it with pcl_convert_pcd_ascii_binary"
+        )
     points = _rows(data, start, np.dtype(columns), width * height, text=form == "ascii")
     return _cloud(points, max(height, 1))
 

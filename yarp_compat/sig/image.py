@@ -2,9 +2,10 @@
 
 On the wire (`yarp/sig/ImageNetworkHeader.h`): ``[mat] [code] (depth size quantum width height) {rows}``. Before 4.0
 the upper half of the quantum stated whether the top row comes first: 3.4 to 3.9 write and interpret 0 as yes, 3.10 to
-3.12 always write 1 and ignore it (measured on 3.12.3), 4.0 has only the quantum. So 0 is written, and 1 is ignored.
+3.12 always write 1 and ignore it (measured on 3.12.3), 4.0 has only the quantum. So this module writes 0, and ignores
+1.
 
-`Image.numpy` shares the image's memory. A received image shares the message's; an image that wraps an array
+`Image.numpy` shares the image's memory. A received image shares the message's memory; an image that wraps an array
 (`Image.setExternal`) copies received pixels into that array, if their size is the same.
 """
 
@@ -31,7 +32,7 @@ QUANTUM = 8  # rows are padded to a multiple of this number of bytes by default
 
 
 class RawImage(np.ndarray[Any, np.dtype[np.uint8]]):
-    """An image's bytes; ``int()`` of it is their address."""
+    """An image's bytes; ``int()`` returns their address."""
 
     @override
     def __int__(self) -> int:
@@ -51,7 +52,7 @@ class Raster:
         self._external = False
 
     def numpy(self) -> NDArray[Any]:
-        """Return the pixels, (height, width[, channels]), as a view of the current memory; read-only if that is."""
+        """Return the pixels (height, width[, channels]) as a view of the current memory, read-only if the memory is."""
         form = self._format()
         shape: tuple[int, ...] = (self._height, self._width)
         strides: tuple[int, ...] = (self._row, form.size)
@@ -74,14 +75,14 @@ class Raster:
         return self._format().size if self._code else 0
 
     getRowSize = getter("_row", int, "The size of a row in bytes, with its padding.")
-    getQuantum = getter("_quantum", int, "Rows are padded to a multiple of these bytes; 0 before the first size.")
+    getQuantum = getter("_quantum", int, "The number of bytes of which rows are a multiple; 0 until the size is set.")
 
     def getPadding(self) -> int:
         """Return the number of padding bytes at the end of a row."""
         return self._row - self._width * self.getPixelSize()
 
     def getRawImage(self) -> RawImage:
-        """Return the image's memory as bytes; ``int`` of it is the address."""
+        """Return the image's memory as bytes; ``int()`` of the result is their address."""
         return np.ndarray(self._memory.nbytes, np.uint8, self._memory).view(RawImage)
 
     getRawImageSize = getter("_memory.nbytes", int, "The size of all rows in bytes.")
@@ -101,16 +102,16 @@ class Raster:
         return int(self.getRawImage()) + y * self._row + x * self.getPixelSize()
 
     def topIsLowIndex(self) -> bool:
-        """Return True: the top row always comes first, see the module's docstring."""
+        """Return True: the top row always comes first (see the module's docstring)."""
         return True
 
     def setTopIsLowIndex(self, flag: bool) -> None:
         """Accept the top row first; raises `ValueError` for the other order, which is not supported."""
         if not flag:
-            raise ValueError("images must have the top row first; flip them by image.numpy()[::-1]")
+            raise ValueError("images must have the top row first; flip them with image.numpy()[::-1]")
 
     def resize(self, width: int | Raster, height: int = 0) -> None:
-        """Change the size to this, or to another image's; if it differs, all pixels become 0."""
+        """Change the size to the given one, or to that of another image; a changed size sets all pixels to 0."""
         if isinstance(width, Raster):
             height, width = width.height(), width.width()
         if width < 0 or height < 0:
@@ -132,8 +133,8 @@ class Raster:
     def setExternal(self, data: Buffer | NDArray[Any] | VectorOf, width: int, height: int) -> None:
         """Use this memory for the pixels; raises `ValueError` if it is too small or not contiguous.
 
-        Rows are padded to the quantum, or not at all if the memory has exactly that size. Received images of this size
-        and pixel code are copied into this memory.
+        Rows are padded to the quantum, or not at all if the memory has exactly the size of rows without padding.
+        Received images of the same size and pixel code are copied into this memory.
         """
         held = data.numpy() if isinstance(data, VectorOf) else data  # as in scripts for YARP's bindings
         view = held.data if isinstance(held, np.ndarray) else memoryview(held)
@@ -204,7 +205,7 @@ _MAT = int.from_bytes(b"mat\0", "little")
 
 
 class Image(Raster, Comparable, Portable):
-    """An image. Use the class for its pixels, such as `ImageRgb`, or `FlexImage` for any."""
+    """The base of images. Use the class for the pixels, such as `ImageRgb`, or `FlexImage` for pixels of any type."""
 
     TYPE = "yarp/image"
 
@@ -227,7 +228,7 @@ class Image(Raster, Comparable, Portable):
     access = pixel
 
     def safePixel(self, x: int, y: int) -> Any:
-        """Return the pixel, or one of 0 outside of the image."""
+        """Return the pixel, or a pixel of zeros outside of the image."""
         if self.isPixel(x, y):
             return self.pixel(x, y)
         kind = PIXELS.get(self._code)
@@ -240,7 +241,7 @@ class Image(Raster, Comparable, Portable):
         return tuple(value) if isinstance(value, list) else value
 
     def setPixel(self, x: int, y: int, value: Any) -> None:
-        """Set a pixel to a number, or to one for each channel."""
+        """Set a pixel to a number, or to one number per channel."""
         self._check(x, y)
         self._writable()
         self.numpy()[y, x] = tuple(value) if hasattr(value, "__iter__") else value
@@ -370,7 +371,7 @@ class FlexImage(Image):
         self._code = code
 
     def setPixelSize(self, size: int) -> None:
-        """Set the pixel size in bytes, without a known pixel code."""
+        """Set the pixel size in bytes; a new size makes the pixel code minus this size, which means unknown pixels."""
         if size != self.getPixelSize():
             self.setPixelCode(-size)
 

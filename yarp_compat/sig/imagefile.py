@@ -1,10 +1,10 @@
 """Image and sound files: ``yarp.read(image, "a.ppm")``, ``yarp.write(image, "a.png", yarp.FORMAT_PNG)``.
 
-The formats are those of `yarp/sig/ImageFile.h`: binary PGM and PPM with 255 values, PNG, and files of floats with the
-numbers of rows and columns in eight bytes each and the values, plain, or compressed by zlib with their padding. JPEG is
-not supported. A file with other pixels than the image's is converted, while YARP refuses it. YARP corrupts plain files
-of floats with an odd number of columns; here they are written as YARP reads them. Sounds are WAV files with two bytes
-per sample.
+The formats are those of `yarp/sig/ImageFile.h`: binary PGM and PPM with 255 values, PNG, and files of floats: the
+numbers of rows and columns in eight bytes each, then the values, either plain, or with their padding and compressed by
+zlib. JPEG is not supported. A file whose pixels differ from the image's is converted, while YARP refuses it. YARP
+corrupts plain files of floats with an odd number of columns; this module writes them as YARP reads them. Sounds are WAV
+files with two bytes per sample.
 
 On failure the functions log the reason and return False.
 """
@@ -34,7 +34,7 @@ log = logging.getLogger("yarp.sig.ImageFile")
 
 _SIZES = struct.Struct("<QQ")
 _PXM = re.compile(rb"P([56])(?:\s|#[^\n]*\n)+(\d{1,6})(?:\s|#[^\n]*\n)+(\d{1,6})(?:\s|#[^\n]*\n)+(\d{1,6})\s")
-_ZIPPED = 1 << 28  # most bytes of floats in a compressed file
+_ZIPPED = 1 << 28  # maximum bytes of floats in a compressed file
 
 
 class ImageFileFormat(IntEnum):
@@ -59,7 +59,7 @@ _NO_JPEG = "JPEG is not supported; use PNG, or PIL.Image and setExternal"
 
 
 def read(dest: Image | Sound, src: str, format: int | str = _F.FORMAT_ANY) -> bool:  # noqa: A002 - YARP's name
-    """Read a file into ``dest``; the suffix selects the format, else ``format``."""
+    """Read a file into ``dest``; the suffix selects the format, or else ``format`` does."""
     if isinstance(dest, Sound):
         return _done(lambda: _read_wave(dest, Path(src).read_bytes()), src)
 

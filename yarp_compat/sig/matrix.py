@@ -1,8 +1,8 @@
 """Matrices of doubles (`yarp/sig/Matrix.h`): ``(rows cols (values row by row))``; rotations as quaternions.
 
-C++ YARP refuses to read a matrix without elements, and a C++ client that waits for one in a reply hangs: do not send
-them in replies. Here they are read. A quaternion (`yarp/math/Quaternion.h`) has w first on the wire, last in C++'s
-constructor.
+C++ YARP refuses to read a matrix without elements, and a C++ client hangs if a reply contains such a matrix: do not
+send them in replies. This module reads them. A quaternion (`yarp/math/Quaternion.h`) has w first on the wire, last in
+C++'s constructor.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Matrix(Comparable, Portable):
         self._values = given.reshape(given.shape if given.ndim == 2 else (1, -1))
 
     def numpy(self) -> NDArray[Any]:
-        """Return the elements (rows, cols), a view of the memory until the size changes; read-only if that is."""
+        """Return the elements (rows, cols), a view of the memory until the size changes; read-only if it is."""
         return self._values
 
     def data(self) -> NDArray[Any]:
@@ -177,7 +177,7 @@ class Matrix(Comparable, Portable):
         return f"Matrix({self._values.tolist()})"
 
     def _writable(self) -> NDArray[Any]:
-        """Return the elements in writable memory, by a copy if needed."""
+        """Return the elements in writable memory, copied if needed."""
         if not self._values.flags.writeable:
             self._values = self._values.copy()
         return self._values
@@ -267,7 +267,10 @@ class Quaternion(Portable):
         ])  # fmt: skip
 
     def fromRotationMatrix(self, R: Matrix | ArrayLike) -> None:
-        """Set the rotation from a matrix (3, 3) or larger; w is positive, or else the largest other, as in YARP."""
+        """Set the rotation from a matrix (3, 3) or larger.
+
+        As in YARP, w is positive if the trace is; otherwise the largest of x, y and z is.
+        """
         r = np.asarray(R, float)
         trace = r[0, 0] + r[1, 1] + r[2, 2]
         if trace > 0.0:

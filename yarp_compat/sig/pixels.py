@@ -3,9 +3,9 @@
 On the wire a code is a vocab, the same from 3.4 to 4.0; a negative code -n means pixels of n unknown bytes.
 
 Pixels are converted as in YARP when an image is copied or read into another class: gray is the mean of red, green and
-blue; from gray all three are the same; alpha becomes 255; gray becomes the value of hue, saturation, value. Integers
-keep their lowest bits, floats are clipped to the integer's range (undefined in C++). Conversions that YARP lacks (from
-or to hue, bayer patterns, YUV) are refused (`Image.copyPixels.cpp`).
+blue; gray is converted to equal red, green and blue, or to the value of hue, saturation, value; alpha becomes 255.
+Integers keep their lowest bits, floats are clipped to the integer's range (undefined in C++). Conversions that YARP
+lacks (from or to hue, bayer patterns, YUV) are refused (`Image.copyPixels.cpp`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from yarp_compat.overriding import override
 
-LARGEST = 1024  # most bytes of a pixel with unknown content
+LARGEST = 1024  # maximum bytes of a pixel with unknown content
 
 
 def _code(word: str) -> int:
@@ -109,7 +109,7 @@ def format_of(code: int) -> Format:
 
 
 class Pixel:
-    """A pixel with several channels, by default 0, in its own memory or an image's, which it changes."""
+    """A pixel with several channels, by default 0, in its own memory or an image's, which changes with the pixel."""
 
     __slots__ = ("_memory",)
     names: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""PNG images as arrays (RFC 2083), by zlib: reads all kinds of pixels; writes gray and color with 8 bits."""
+"""Reads and writes PNG images (RFC 2083) as arrays: reads pixels of all kinds, writes gray and color with 8 bits."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def write(pixels: NDArray[np.uint8]) -> bytes:
 def read(data: bytes) -> NDArray[np.uint8]:
     """Return a file's pixels, (height, width) gray or (height, width, 3) color, with 8 bits, without alpha.
 
-    Raises `ValueError` if it is not a PNG file, truncated, interlaced or larger than `LARGEST`.
+    Raises `ValueError` if the file is not PNG, or is truncated, interlaced or larger than `LARGEST`.
     """
     if not data.startswith(_SIGNATURE):
         raise ValueError("not a PNG file")

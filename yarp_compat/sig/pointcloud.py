@@ -130,7 +130,7 @@ class PointCloud(Portable):
         self._points, self._height = self._points[:0], 0
 
     def push_back(self, point: Any) -> None:
-        """Append a point, a record or a tuple of its fields; the cloud becomes unorganized."""
+        """Append a point, given as a record or a tuple of fields; the cloud becomes unorganized."""
         self.resize(len(self._points) + 1)
         self._points[-1] = point
 

@@ -5,11 +5,12 @@ The format changed with nearly every release; the length of the outer list ident
 ======  ==============================================================================
 4.0     list of 6: samples, channels, bytes per sample, frequency, the samples, the markers (whose fields have no tags)
 3.10 on list of 5: the same without markers
-3.9     "list of 4": the same with samples that have no header, and a tag of 0 before the first number
+3.9     "list of 4": the same, but the samples have no header, and a tag of 0 is before the first number
 ======  ==============================================================================
 
-All are read; YARP 4 peers get the first, YARP 3 peers the second. Before 3.9 a sound was a pair of an image and a
-Bottle, which is not supported. C++ YARP corrupts sounds of one byte per sample on the wire; here they are refused.
+This module reads all of them; it sends the first to YARP 4 peers, and the second to YARP 3 peers. Before 3.9 a sound
+was a pair of an image and a Bottle, which is not supported. C++ YARP corrupts sounds of one byte per sample on the
+wire; this module rejects them.
 """
 
 from __future__ import annotations
@@ -132,7 +133,7 @@ class Sound(Comparable, Portable):
     def subSound(self, first: int | str, length: int | str) -> Self:
         """Return ``length`` samples from ``first`` on, or the samples between two markers.
 
-        YARP 3.x takes the second argument as the end instead of the length.
+        YARP 3.x interprets the second argument as the end instead of the length.
         """
         if isinstance(first, str) or isinstance(length, str):
             begin = self._place(first, 0)
@@ -149,7 +150,7 @@ class Sound(Comparable, Portable):
         return samples
 
     def replaceChannel(self, id: int, schannel: Sound) -> bool:  # noqa: A002 - YARP's name
-        """Replace a channel by another sound; return False unless that has one channel of the same length."""
+        """Replace a channel by another sound; return False unless that sound has one channel of the same length."""
         if schannel.getChannels() != 1 or schannel.getSamples() != self.getSamples() or not self.isChannel(id):
             return False
         self._writable()[id] = schannel.numpy()[0]
@@ -157,7 +158,7 @@ class Sound(Comparable, Portable):
         return True
 
     def overwrite(self, alt: Sound, offset: int = 0, len: int = 0) -> None:  # noqa: A002 - YARP's name
-        """Replace samples from ``offset`` on by another sound's, as many as fit (``len``: at most that many)."""
+        """Replace samples from ``offset`` on by another sound's: as many as fit, and at most ``len`` unless it is 0."""
         if not self._same_format(alt):
             return
         count = min(len or alt.getSamples(), alt.getSamples(), max(self.getSamples() - offset, 0))
@@ -190,7 +191,7 @@ class Sound(Comparable, Portable):
         return 0 <= channel < self.getChannels()
 
     def amplify(self, gain: float) -> None:
-        """Scale all samples; values out of range are clipped, while YARP's wrap around."""
+        """Scale all samples; values out of range are clipped, while YARP lets them wrap around."""
         for channel in range(self.getChannels()):
             self.amplifyChannel(channel, gain)
 
@@ -242,11 +243,11 @@ class Sound(Comparable, Portable):
     getInterleavedAudioRawData = sound2VecInterleaved
 
     def vecNonInterleaved2Sound(self, values: list[int], samples: int, channels: int) -> None:
-        """Replace the samples by these, given channel by channel."""
+        """Replace the samples by ``values``, which are ordered channel by channel."""
         self._samples = np.array(values, _SAMPLE).reshape(channels, samples)
 
     def vecInterleaved2Sound(self, values: list[int], samples: int, channels: int) -> None:
-        """Replace the samples by these, given interleaved."""
+        """Replace the samples by ``values``, which are interleaved."""
         self._samples = np.ascontiguousarray(np.array(values, _SAMPLE).reshape(samples, channels).T)
 
     def add_marker(self, label: str, sample_id: int, channel: int = -1) -> None:
@@ -258,7 +259,7 @@ class Sound(Comparable, Portable):
         return [self._markers[label] for label in sorted(self._markers)]
 
     def getMarker(self, index: int) -> SoundMarker:
-        """Return one of the markers, sorted by label."""
+        """Return the marker at an index of the list that `getMarkers` returns."""
         return self.getMarkers()[index]
 
     def get_marker(self, marker_label: str) -> tuple[bool, int, int]:
@@ -279,7 +280,7 @@ class Sound(Comparable, Portable):
         self._markers = {}
 
     def _writable(self) -> NDArray[Any]:
-        """Return the samples in writable memory, by a copy if needed."""
+        """Return the samples in writable memory, copied if needed."""
         if not self._samples.flags.writeable:
             self._samples = self._samples.copy()
         return self._samples

@@ -36,7 +36,7 @@ def makeSquareWave(
     frequency: float = 1.0,
     amplitude: int = 30000,
 ) -> bool:
-    """Fill ``outSound`` with a square wave; arguments as for `makeTone`."""
+    """Fill ``outSound`` with a square wave; for the arguments, see `makeTone`."""
 
     def wave(t: NDArray[Any]) -> NDArray[Any]:
         return np.where(np.sin(2 * np.pi * frequency * t) >= 0, 1.0, -1.0)
@@ -52,7 +52,7 @@ def makeSawTooth(
     frequency: float = 1.0,
     amplitude: int = 30000,
 ) -> bool:
-    """Fill ``outSound`` with a sawtooth wave; arguments as for `makeTone`."""
+    """Fill ``outSound`` with a sawtooth wave; for the arguments, see `makeTone`."""
 
     def wave(t: NDArray[Any]) -> NDArray[Any]:
         return 2 * (t * frequency - np.floor(t * frequency + 0.5))

@@ -1,9 +1,9 @@
 """Vectors of numbers (`yarp/sig/Vector.h`): a list of one type, in contiguous memory.
 
 In addition to YARP's methods, vectors support indexing, iteration and ``numpy.asarray``. `VectorOf.numpy` shares the
-vector's memory; a received vector shares the message's, and copies it before a change if it is read-only.
+vector's memory; a received vector shares the message's memory, and copies it before a change if it is read-only.
 
-C++ YARP refuses to read empty vectors, though it writes them. Here they are read.
+C++ YARP refuses to read empty vectors, though it writes them. This module reads them.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def tag_of(dtype: np.dtype[Any], profile: Profile) -> int:
 
 
 def as_array(values: NDArray[Any], dtype: Any, copy: bool | None) -> NDArray[Any]:
-    """Implement ``__array__``: convert to a type, copy if asked; raises `ValueError` if a copy is forbidden."""
+    """Implement ``__array__``: convert to a type, copy if asked; raises `ValueError` if a needed copy is forbidden."""
     if dtype is not None and np.dtype(dtype) != values.dtype:
         if copy is False:
             raise ValueError(f"cannot convert {values.dtype} to {np.dtype(dtype)} without a copy")
@@ -45,7 +45,7 @@ def as_array(values: NDArray[Any], dtype: Any, copy: bool | None) -> NDArray[Any
 
 
 def write_numbers(out: ElementWriter, values: NDArray[Any]) -> None:
-    """Write contiguous numbers as a list; large ones are not copied."""
+    """Write contiguous numbers as a list; large arrays are not copied."""
     out.begin(values.size, tag_of(values.dtype, out.profile))
     out.block(values.view(np.uint8).data)
 
@@ -53,7 +53,7 @@ def write_numbers(out: ElementWriter, values: NDArray[Any]) -> None:
 def read_numbers(source: ElementReader, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Read a list of numbers, as a view of the payload if the type matches; raises `WireError` if they do not fit.
 
-    YARP's readers accept only lists of exactly their type; this also accepts typed text such as ``1 2.5``.
+    YARP's readers accept only lists of exactly their type; this function also accepts a text such as ``1 2.5``.
     """
     tag, count, data = source.numbers()
     if data is None:
@@ -110,14 +110,14 @@ class VectorOf(Comparable, Portable):
 
     @classmethod
     def of(cls, array: NDArray[Any]) -> Self:
-        """Return a vector that shares an array's memory, if that has the same type and is contiguous."""
+        """Return a vector that shares an array's memory, if the array has the same type and is contiguous."""
         vector = cls()
         vector._room = np.ascontiguousarray(array, cls.dtype).reshape(-1)
         vector._count = len(vector._room)
         return vector
 
     def numpy(self) -> NDArray[Any]:
-        """Return the elements, as a view of the memory until the size changes; read-only if that is."""
+        """Return the elements, as a view of the memory until the size changes; read-only if the memory is."""
         return self._room[: self._count]
 
     def data(self) -> NDArray[Any]:
@@ -250,7 +250,7 @@ class VectorOf(Comparable, Portable):
         return f"{type(self).__name__}({self.numpy().tolist()})"
 
     def _writable(self) -> NDArray[Any]:
-        """Return the elements in writable memory, by a copy if needed."""
+        """Return the elements in writable memory, copied if needed."""
         if not self._room.flags.writeable:
             self._room = self._room.copy()
         return self._room[: self._count]
