@@ -31,11 +31,11 @@ class JointBoard(ControlBoardMsgs):
         return OK, self.axes
 
     def control_mode(self, joint: int) -> int:
-        """The control mode of a joint, as the number of a YARP vocab."""
+        """Return the control mode of a joint, as the number of a YARP vocab."""
         raise NotImplementedError(f"{type(self).__name__} does not report its control modes")
 
     def state(self) -> JointData:
-        """The state of the joints, for the stream of states."""
+        """Return the state of the joints, for the stream of states."""
         raise NotImplementedError(f"{type(self).__name__} does not report its joints' state")
 
     def is_joint(self, joint: int) -> bool:

@@ -81,7 +81,7 @@ class ControlBoardClient(Openable):
         self._open.close()
 
     def call(self, method: str, *arguments: Any) -> tuple[Any, ...]:
-        """Call a method of `ControlBoardMsgs` and return its outcome and results; a streamed one always returns ok.
+        """Call a method of `ControlBoardMsgs` and return its outcome and results; a streamed command is ok once sent.
 
         Raises `TypeError` and `ValueError` for arguments that are not numbers.
         """
@@ -103,7 +103,7 @@ class ControlBoardClient(Openable):
         return self._state.read(name)
 
     def stamp(self) -> Stamp:
-        """Return the number and time of the newest state; invalid before the first."""
+        """Return the number and time of the newest state; invalid before the first state."""
         return self._state.stamp()
 
     def _request(self, method: str, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -184,7 +184,7 @@ class JointState:
             return None if numbers is None else (numbers, self._stamp.getTime())
 
     def newest(self) -> tuple[JointData, float] | None:
-        """Return the newest state and its time in seconds; None before the first."""
+        """Return the newest state and its time in seconds; None before the first state."""
         self.read("")
         with self._lock:
             return None if self._data is None else (self._data, self._stamp.getTime())

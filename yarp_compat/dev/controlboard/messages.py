@@ -2,7 +2,7 @@
 
 4.0 calls methods at ``/nws/rpc:i``; the annotations are the types on the wire. 3.x writes the vocabs given by
 :func:`vocabs` to ``/rpc:i`` (`controlBoard_nws_yarp/RPCMessagesParser.cpp` of 3.12.3); a method without vocabs does not
-exist there, or is streamed to ``/command:i``. Units: degrees, degrees per second, newton meters, percent, amperes.
+exist in 3.x, or is streamed to ``/command:i``. Units: degrees, degrees per second, newton meters, percent, amperes.
 
 Not included: PIDs, calibration, impedance, brakes, torque parameters.
 """
@@ -50,7 +50,7 @@ def vocabs(request: str, reply: str = "") -> Callable[[_Method], _Method]:
 
 
 class _Truncated(Integer):
-    """A number that YARP 4.0 declares as an integer by mistake; 3.x has all of it."""
+    """A number that YARP 4.0 declares as an integer by mistake; 3.x sends its fraction too."""
 
     @override
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
@@ -92,7 +92,7 @@ Interfaces = Annotated[dict[str, bool], _Flags()]
 
 @rpc
 class ControlBoardMsgs(Service):
-    """The methods of a board; ``One``: of a joint, ``All``: lists by joint, ``Group``: of the given joints."""
+    """The methods of a board: ``One`` for a single joint, ``All`` for all joints (lists), ``Group`` for some joints."""
 
     # -- The board -----------------------------------------------------------------------------------------------------
 

@@ -99,7 +99,7 @@ _RPC = "positionMoveAllRPC"  # clients call it at the RPC port, and wait for a r
 
 
 def streamed(method: str) -> bool:
-    """Whether YARP's clients stream a method; it has no outcome then."""
+    """Whether YARP's clients stream a method; a streamed method has no outcome."""
     return method in COMMANDS and method != _RPC
 
 
@@ -134,5 +134,5 @@ def called(message: CommandMessage) -> tuple[str, list[Any]]:
     if "Group" not in method:
         return method, [numbers]
     if len(joints) != 2 or not isinstance(joints[1], list) or not len(joints[1]) == joints[0] == len(numbers):
-        raise WireError(f"{method} has as many joints as numbers, not {message.head.toString()} with {len(numbers)}")
+        raise WireError(f"{method} needs as many joints as numbers, not {message.head.toString()} with {len(numbers)}")
     return method, [joints[1], numbers]

@@ -1,13 +1,13 @@
 """A control board's interfaces as scripts use them, ``driver.viewIEncoders().getEncoders(encs)`` (``bindings/yarp.i``).
 
-A method that has different names in YARP 3 and 4 has both: ``setRefSpeed`` is ``setTrajSpeed``, ``getLimits`` is
+A method whose name differs between YARP 3 and 4 has both names: ``setRefSpeed`` is ``setTrajSpeed``, ``getLimits`` is
 ``getPosLimits``. Units: degrees, degrees per second, newton meters, percent, amperes; a mode is a vocab's number
 (``VOCAB_CM_POSITION``).
 
-Setters return whether they succeeded. So do getters that fill in their last arguments: a ``DVector``, an ``IVector``, a
-``Vector`` or its ``data()``. ``getEncoder(j)``, ``getControlMode(j)``, ``getAxisName(j)`` and the like return the value
-itself, as the bindings do, and 0 or ``unknown`` if it is missing. Joints are given as ``(j, ...)``,
-``(n, joints, ...)`` or ``(joints, ...)``; without any, a method applies to all joints.
+Setters return whether they succeeded, and so do getters that store results in their last arguments (a ``DVector``, an
+``IVector``, a ``Vector`` or its ``data()``). ``getEncoder(j)``, ``getControlMode(j)``, ``getAxisName(j)`` and the like
+return the value itself, as the bindings do, and 0 or ``unknown`` if it is missing. Joints are given as ``(j, ...)``,
+``(n, joints, ...)`` or ``(joints, ...)``; without joints, a method applies to all of them.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def _numbers(values: Any) -> list[Any]:
 
 
 def _chosen(arguments: tuple[Any, ...], values: int, name: str) -> tuple[str, list[Any], list[Any]]:
-    """Split arguments: the kind (``One``, ``All`` or ``Group``), the joints, and the ``values`` lists or numbers."""
+    """Split arguments into the kind (``One``, ``All`` or ``Group``), the joints, and the last ``values`` arguments."""
     given = len(arguments) - values
     if given == 0 and all(map(_is_list, arguments)):
         return "All", [], list(arguments)
@@ -122,7 +122,7 @@ def _asker(one: str = "", of_all: str = "", group: str = "", values: int = 1) ->
 
 
 def _streamed(name: str, *, timed: bool = False) -> Method:
-    """Make a method that fills in a streamed quantity of all joints, of one or of some; ``timed``: also the times."""
+    """Make a method that stores a streamed quantity of one joint, some or all (``timed``: and times) in arguments."""
 
     def ask(self: BoardView, *arguments: Any) -> bool:
         kind, joints, into = _chosen(arguments, 2 if timed else 1, name)
@@ -143,7 +143,7 @@ def _streamed(name: str, *, timed: bool = False) -> Method:
 
 
 def _streamed_value(name: str, default: Any) -> Method:
-    """Make a method that returns a streamed quantity of one joint, or fills it in as `_streamed` does."""
+    """Make a method that returns a streamed quantity of one joint, or stores it like the method of `_streamed`."""
     filled = _streamed(name)
 
     def get(self: BoardView, *arguments: Any) -> Any:
@@ -159,11 +159,11 @@ class IAxisInfo(BoardView):
     """Names and types of joints."""
 
     def getAxisName(self, axis: int) -> str:
-        """The name of a joint; ``unknown`` if the board does not report it."""
+        """Return the name of a joint; ``unknown`` if the board does not report it."""
         return str(self._value("getAxisNameRPC", axis, default="unknown"))
 
     def getJointType(self, axis: int) -> int:
-        """The type of a joint, as ``VOCAB_JOINTTYPE_REVOLUTE``."""
+        """Return the type of a joint, such as ``VOCAB_JOINTTYPE_REVOLUTE``."""
         return int(self._value("getJointTypeRPC", axis, default=VOCAB_JOINTTYPE_UNKNOWN))
 
 
@@ -208,7 +208,7 @@ class IMotorEncoders(BoardView):
     getMotorEncoderAccelerations = _streamed("motorAcceleration")
 
     def getNumberOfMotorEncoders(self) -> int:
-        """The number of motor encoders."""
+        """Return the number of motor encoders."""
         return int(self._value("getNumberOfMotorEncodersRPC", default=0))
 
     def resetMotorEncoders(self) -> bool:
@@ -241,7 +241,7 @@ class IPositionControl(BoardView):
         return self._stop(*joints) if joints else self._ok("stopAllRPC")
 
     def checkMotionDone(self, *arguments: Any) -> bool:
-        """Whether all motions are done, True if the board does not report it; with arguments, fill in a flag."""
+        """Whether all motions are done (True if the board does not report it); with arguments, store it in the last."""
         if not arguments:
             return bool(self._value("checkMotionDoneAllRPC", default=True))
         return bool(self._motion_done(*arguments))
@@ -263,7 +263,7 @@ class IPositionDirect(BoardView):
 
 
 class IVelocityControl(BoardView):
-    """Moves with a velocity. Midspan's own boards stop unless it is repeated (`docs/yarp/boards.md`)."""
+    """Moves with a velocity. Midspan's own boards stop unless the command is repeated (`docs/yarp/boards.md`)."""
 
     velocityMove = _setter("velocityMoveOneRPC", "velocityMoveAllRPC", "velocityMoveGroupRPC")
     getTargetVelocity = getRefVelocity = _asker("getTargetVelocityOneRPC")
@@ -291,7 +291,7 @@ class ITorqueControl(BoardView):
 
 class _Motors(BoardView):
     def getNumberOfMotors(self) -> int:
-        """The number of motors."""
+        """Return the number of motors."""
         return self._board.axes
 
 
@@ -367,7 +367,7 @@ class IControlMode(BoardView):
     getControlModes = _streamed("controlMode")
 
     def getControlMode(self, joint: int) -> int:
-        """The mode of a joint, as ``VOCAB_CM_POSITION``."""
+        """Return the mode of a joint, such as ``VOCAB_CM_POSITION``."""
         return int(_CONTROL_MODE(self, joint))
 
 
@@ -379,7 +379,7 @@ class IInteractionMode(BoardView):
     getInteractionModes = _streamed("interactionMode")
 
     def getInteractionMode(self, joint: int) -> int:
-        """The mode of a joint, as ``VOCAB_IM_STIFF``."""
+        """Return the mode of a joint, such as ``VOCAB_IM_STIFF``."""
         return int(_INTERACTION_MODE(self, joint))
 
 
@@ -391,7 +391,7 @@ class IRemoteVariables(BoardView):
     """Named variables of the board."""
 
     def getRemoteVariable(self, key: str, value: Bottle) -> bool:
-        """Store a variable's value in a Bottle; False if the board has none of this name."""
+        """Store a variable's value in a Bottle; return False if the board has no variable of this name."""
         variable = self._value("getRemoteVariableRPC", key, default=None)
         if variable is None:
             return False
@@ -415,7 +415,7 @@ class IPreciselyTimed(BoardView):
     """The time stamp of the last state."""
 
     def getLastInputStamp(self) -> Stamp:
-        """The number and time of the newest state."""
+        """Return the number and time of the newest state."""
         return self._board.stamp()
 
 

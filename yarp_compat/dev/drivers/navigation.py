@@ -14,7 +14,7 @@ from yarp_compat.dev.navigation2d_client import Navigation2DClient
 
 
 def navigation2d(options: DeviceOptions) -> OpenDevice:
-    """Open with ``local``, ``navigation_server``, ``map_locations_server``, ``localization_server``: port prefixes."""
+    """Open with port prefixes: ``local``, ``navigation_server``, ``map_locations_server``, ``localization_server``."""
     client = Navigation2DClient(
         options.port("navigation_server"),
         options.port("map_locations_server"),
@@ -26,20 +26,20 @@ def navigation2d(options: DeviceOptions) -> OpenDevice:
 
 
 def localization2d(options: DeviceOptions) -> OpenDevice:
-    """Open with ``local`` and ``remote``: port prefixes."""
+    """Open with the port prefixes ``local`` and ``remote``."""
     client = Localization2DClient(options.port("remote"), options.port("local"), naming=options.naming).open()
     return OpenDevice(client.close, {"ILocalization2D": client})
 
 
 def map2d(options: DeviceOptions) -> OpenDevice:
-    """Open with ``local`` and ``remote``: port prefixes; ``carrier`` of the calls."""
+    """Open with the port prefixes ``local`` and ``remote``, and the ``carrier`` of the calls."""
     server = f"{options.text('carrier', 'fast_tcp')}:/{options.port('remote')}/rpc"
     client = Map2DClient(server, f"{options.port('local')}/mapClient_rpc", naming=options.naming).open()
     return OpenDevice(client.close, {"IMap2D": client})
 
 
 def mobile_base_velocity_control(options: DeviceOptions) -> OpenDevice:
-    """Open with ``local`` and ``server``: port prefixes; ``carrier`` of the commands."""
+    """Open with the port prefixes ``local`` and ``server``, and the ``carrier`` of the commands."""
     server = f"{options.text('carrier', 'tcp')}:/{options.port('server')}/rpc:i"
     name = f"{options.port('local')}/navigation/rpc:o"
     client = MobileBaseVelocityControl(server, name, naming=options.naming).open()

@@ -1,7 +1,7 @@
 """Clients of a robot's parts as devices with YARP's options: boards, laser, odometry, battery, camera.
 
-Also the client of a language model. The options of a board: `controlBoard_nwc_yarp_params.md` of YARP 4,
-`RemoteControlBoard_params.md` of 3.12.
+This module also has the client of a language model. The options of a board are those in
+`controlBoard_nwc_yarp_params.md` of YARP 4 and `RemoteControlBoard_params.md` of 3.12.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from yarp_compat.dev.rangefinder_client import Rangefinder2DClient
 
 
 def controlboard(options: DeviceOptions) -> OpenDevice:
-    """Open with ``remote`` and ``local``: port prefixes; ``carrier`` of the streams, ``timeout`` of states in seconds.
+    """Open with the port prefixes ``remote`` and ``local``, the streams' ``carrier``, the states' ``timeout`` (s).
 
     With ``writeStrict`` ``on``, no streamed command replaces one that is still queued.
     """
@@ -33,7 +33,7 @@ def controlboard(options: DeviceOptions) -> OpenDevice:
 
 
 def rangefinder2d(options: DeviceOptions) -> OpenDevice:
-    """Open with ``local`` and ``remote``: the stream's ports, prefixes of the others; ``carrier`` of the stream."""
+    """Open with ``local`` and ``remote`` (the stream's ports, prefixes of the others), and the stream's ``carrier``."""
     client = Rangefinder2DClient(
         options.port("remote"), options.port("local"), options.text("carrier", "tcp"), naming=options.naming
     ).open()
@@ -45,7 +45,7 @@ def rangefinder2d(options: DeviceOptions) -> OpenDevice:
 
 
 def odometry2d(options: DeviceOptions) -> OpenDevice:
-    """Open with ``local`` and ``remote``: port prefixes; ``carrier`` of the stream."""
+    """Open with the port prefixes ``local`` and ``remote``, and the stream's ``carrier``."""
     client = Odometry2DClient(
         options.port("remote"), options.port("local"), options.text("carrier", "tcp"), naming=options.naming
     ).open()
@@ -53,7 +53,7 @@ def odometry2d(options: DeviceOptions) -> OpenDevice:
 
 
 def battery(options: DeviceOptions) -> OpenDevice:
-    """Open with ``local`` and ``remote``: port prefixes; ``carrier`` of the stream."""
+    """Open with the port prefixes ``local`` and ``remote``, and the stream's ``carrier``."""
     client = BatteryClient(
         options.port("remote"), options.port("local"), options.text("carrier", "fast_tcp"), naming=options.naming
     ).open()
@@ -61,9 +61,9 @@ def battery(options: DeviceOptions) -> OpenDevice:
 
 
 def frame_grabber(options: DeviceOptions) -> OpenDevice:
-    """Open with ``local`` and ``remote``: the images' ports, prefixes of the others; ``carrier``; ``no_stream``.
+    """Open with ``local`` and ``remote`` (the images' ports, prefixes of the others), ``carrier`` and ``no_stream``.
 
-    Servers of ``remote_grabber`` reply at the port of the images itself, and some still do.
+    Servers for ``remote_grabber`` used to reply at the images' port itself, and some still do.
     """
     remote, carrier = options.port("remote"), options.text("carrier", "fast_tcp")
     rpc_port = f"{remote}/rpc"
@@ -79,6 +79,6 @@ def frame_grabber(options: DeviceOptions) -> OpenDevice:
 
 
 def llm(options: DeviceOptions) -> OpenDevice:
-    """Open with ``local`` and ``remote``: the names of both ports."""
+    """Open with ``local`` and ``remote``, the names of both ports."""
     client = LLMClient(options.port("remote"), options.port("local"), naming=options.naming).open()
     return OpenDevice(client.close, {"ILLM": client.llm})

@@ -32,7 +32,7 @@ def _view(interface: str) -> Callable[[PolyDriver], Any]:
     def view(self: PolyDriver) -> Any:
         return self._get_view(interface)
 
-    view.__doc__ = f"The device's {interface}; None if it has none, or is not open."
+    view.__doc__ = f"Return the device's {interface}; None if the device has none, or is not open."
     return view
 
 
@@ -49,7 +49,7 @@ class PolyDriver:
     def open(self, config: Searchable | str) -> bool:
         """Open the device named by the option ``device`` with the other options, or a device by its name only.
 
-        False on failure, with the reason in the log; also if a device is already open.
+        Returns False and logs the reason on failure, also if a device is already open.
         """
         if self._device is not None:
             log.error("the device %s is already open: close it first", self._name)
@@ -67,7 +67,7 @@ class PolyDriver:
         return True
 
     def open_str(self, device: str) -> bool:
-        """Open a device by its name only; the bindings' name for that overload."""
+        """Open a device by its name only; this is the bindings' name for an overload of `open`."""
         return self.open(device)
 
     def close(self) -> bool:
@@ -84,7 +84,7 @@ class PolyDriver:
         return self._device is not None
 
     def id(self) -> str:
-        """The option ``id``, or the device's name; empty before `open`."""
+        """Return the device's name; empty before `open`."""
         return self._name
 
     viewIBattery = _view("IBattery")
@@ -133,7 +133,7 @@ class PolyDriver:
         return self._device.views[interface]
 
     def __del__(self) -> None:
-        with contextlib.suppress(Exception):  # at interpreter exit, the modules that close it may be gone
+        with contextlib.suppress(Exception):  # at interpreter exit, modules that are needed to close it may be gone
             if self._device is not None:
                 log.info("the device <%s> is closed: its PolyDriver was garbage collected", self._name)
             self.close()
@@ -145,7 +145,7 @@ IJointFault IOrientationSensors IPidControl IRGBDSensor ISimulatedWorld ISixAxis
 ISpeechSynthesizer ISpeechTranscription ITemperatureSensors IThreeAxisGyroscopes IThreeAxisLinearAccelerometers
 IThreeAxisMagnetometers
 """
-"""Other views of the bindings (``yarp.i`` of 3.9 to 4.0): always None, as no device here has them."""
+"""Other views of the bindings (``yarp.i`` of 3.9 to 4.0): always None, because no device here has them."""
 
 for _interface in _OTHERS.split():
     setattr(PolyDriver, f"view{_interface}", _view(_interface))

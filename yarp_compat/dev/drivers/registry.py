@@ -8,8 +8,8 @@ A kind of device is added in two steps:
             client = BatteryClient(options.port("remote"), options.port("local"), naming=options.naming).open()
             return OpenDevice(client.close, {"IBattery": client})
 
-   It raises `DeviceError` for invalid options, passes on the errors of ports (`OSError`, `WireError`), and closes what
-   it has opened on an error.
+   The factory raises `DeviceError` for invalid options, passes on the errors of ports (`OSError`, `WireError`), and on
+   an error closes what it has opened.
 2. One line in `_FACTORIES`: all names of the device in YARP's releases, and the location of the factory. Its module is
    imported when such a device is opened.
 
@@ -66,7 +66,7 @@ _INSTEAD = {
 
 
 class DeviceError(Exception):
-    """A device cannot be opened: it is not supported, or its options are invalid."""
+    """Raised if a device cannot be opened: it is not supported, or its options are invalid."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ _TRUTH = {"true": True, "1": True, "on": True, "yes": True, "false": False, "0":
 
 
 def names() -> list[str]:
-    """The names of all supported devices."""
+    """Return the names of all supported devices."""
     return list(_BY_NAME)
 
 
