@@ -16,12 +16,12 @@ _TYPE = re.compile(r"(?<![\w=])dock_type=([A-Za-z0-9_.:/-]+)")
 
 
 class Dock(NamedTuple):
-    """What makes a location a dock; ``type`` is "" if the description has none."""
+    """The settings that make a location a dock; ``type`` is "" if the description has none."""
 
     type: str = ""
 
     def to_text(self) -> str:
-        """Return it as text for a description; raises `ValueError` if the type is not one word."""
+        """Return the settings as text for a description; raises `ValueError` if the type is not one word."""
         if not self.type:
             return "kind=dock"
         text = f"kind=dock dock_type={self.type}"
@@ -31,7 +31,7 @@ class Dock(NamedTuple):
 
 
 def dock_of(location: Map2DLocation) -> Dock | None:
-    """Return the dock that a location is, None if it is another place."""
+    """Return the dock settings of a location; None if it is not a dock."""
     if not _KIND.search(location.description):
         return None
     found = _TYPE.search(location.description)

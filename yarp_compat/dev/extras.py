@@ -22,7 +22,7 @@ _SECTIONS = ("Behaviours:", "Links:")
 
 @dataclass
 class Extras(TextFile):
-    """The content of such a file: behaviors by the names of their areas, links by their own names."""
+    """The content of an extras file: behaviors by the names of their areas, links by their own names."""
 
     behaviors: dict[str, AreaBehavior] = field(default_factory=dict)
     links: dict[str, MapLink] = field(default_factory=dict)
@@ -83,8 +83,8 @@ _TRUTH = {None: True, "1": True, "true": True, "yes": True, "0": False, "false":
 class AreaBehavior:
     """The rules of an area."""
 
-    # meters per second, above 0; None if the area sets no limit. Closed areas have `keep_out`, as a limit of 0 means
-    # "no limit" to other programs
+    # meters per second, above 0; None if the area sets no limit. Closed areas have `keep_out`, because a limit of 0
+    # means "no limit" to other programs
     max_speed: float | None = None
     on_obstacle: str = ""  # ``wait`` until it is gone or go ``around`` it; empty if the area sets no rule
     keep_out: bool = False  # planners plan no path through the area
@@ -98,7 +98,7 @@ class AreaBehavior:
 
     @classmethod
     def from_text(cls, text: str) -> AreaBehavior | None:
-        """Parse the rules in a description; None if it has none. Raises `ValueError` for invalid ones."""
+        """Parse the rules in a description; None if it has none. Raises `ValueError` for invalid rules."""
         settings: dict[str, str | None] = {}
         for setting in _SETTING.finditer(text):
             name, value = setting.groups()
@@ -141,7 +141,7 @@ def _truth(text: str | None) -> bool:
 
 @dataclass(frozen=True)
 class MapLink:
-    """Two locations, by name, where robots change between two maps; its ``cost`` is in meters of path length."""
+    """Two locations, by name, where robots change between two maps; the ``cost`` is in meters of path length."""
 
     first: str
     second: str

@@ -85,7 +85,7 @@ class Map2DObject(_Place):
     description: str = ""
 
     def is_near_to(self, other_loc: Map2DObject | Map2DLocation, linear_tolerance: float) -> bool:
-        """Whether a place is on the same map and within the tolerance in meters; for a location only in the plane."""
+        """Whether a place is on the same map and within the tolerance in meters (of a location, only x and y count)."""
         if self.map_id != other_loc.map_id or linear_tolerance < 0:
             return False
         height = self.z - other_loc.z if isinstance(other_loc, Map2DObject) else 0.0
@@ -110,11 +110,11 @@ class Map2DArea(_Place):
         return len(self.points) >= 3 and self.map_id != ""
 
     def checkLocationInsideArea(self, loc: Map2DLocation) -> bool:
-        """Whether a location is inside."""
+        """Whether a location is inside the area."""
         return loc.map_id == self.map_id and self.contains(loc.x, loc.y)
 
     def checkObjectInsideArea(self, obj: Map2DObject) -> bool:
-        """Whether an object is inside."""
+        """Whether an object is inside the area."""
         return obj.map_id == self.map_id and self.contains(obj.x, obj.y)
 
     def contains(self, x: float, y: float) -> bool:
@@ -191,7 +191,7 @@ class Map2DPath(_Place):
     description: str = ""
 
     def size(self) -> int:
-        """The number of poses."""
+        """Return the number of poses."""
         return len(self.waypoints)
 
     def getLength(self) -> float:

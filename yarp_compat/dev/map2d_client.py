@@ -62,7 +62,7 @@ class _View(MutableMapping[str, T], Generic[T]):
 
 
 class Maps(_View[MapGrid2D]):
-    """Maps by name: ``maps["office"]``. One request returns all names, and one each map.
+    """Maps by name: ``maps["office"]``. Iterating takes one request for all names; each map takes its own request.
 
     All methods raise `CallFailed` if the server refuses, `ConnectionError` or `TimeoutError` if it is unreachable.
     """
@@ -101,7 +101,7 @@ class Maps(_View[MapGrid2D]):
         self._call("save_maps_collection", file_name)
 
     def load_collection(self, file_name: str) -> None:
-        """Let the server read the maps of such a list."""
+        """Let the server read the maps of a list that `save_collection` wrote."""
         self._call("load_maps_collection", file_name)
 
     def reload(self) -> None:
@@ -203,7 +203,7 @@ class Map2DClient(ServiceClient[IMap2DMsgs], IMap2D):
         succeeded(self.remote.save_locations_and_extras_RPC(file_name))
 
     def load_places(self, file_name: str) -> None:
-        """Let the server read such a file; raises `CallFailed` if it refuses."""
+        """Let the server read a file that `save_places` wrote; raises `CallFailed` if it refuses."""
         succeeded(self.remote.load_locations_and_extras_RPC(file_name))
 
     def reload_places(self) -> None:

@@ -1,7 +1,7 @@
 """Files of maps and places from untrusted sources: restricted to a folder, limited in size, written atomically.
 
-Images of maps are pgm and ppm (binary or ascii), png, bmp, of any depth. Pillow reads and writes them; of uncompressed
-ones (binary pgm and ppm, gray bmp) it reads only the header.
+Images of maps are pgm and ppm (binary or ascii), png and bmp, of any depth. Pillow reads and writes them; of
+uncompressed images (binary pgm and ppm, gray bmp) it reads only the header.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _NO_FILE_NAME = re.compile(r"^$|^\.|[/\\\x00-\x1f\x7f]")
 
 
 class MapFileError(ValueError):
-    """A file is missing, unreadable, forbidden or invalid; the text names the file and the reason."""
+    """Raised for a missing, unreadable, forbidden or invalid file; the text names the file and the reason."""
 
 
 def resolve(name: str | os.PathLike[str], base: Path, jail: Path | None) -> Path:
@@ -75,7 +75,7 @@ class TextFile(ABC):
 
     @classmethod
     def load(cls, path: str | Path, jail: Path | None = None) -> Self:
-        """Read a file, only from the folder ``jail`` if given; raises `MapFileError` for a missing or invalid one."""
+        """Read a file, only from the folder ``jail`` if given; raises `MapFileError` if it is missing or invalid."""
         file = resolve(path, Path(), jail)
         return cls.from_text(read_text(file), str(file))
 
@@ -87,7 +87,7 @@ class TextFile(ABC):
 def file_name(name: str) -> str:
     """Return a map's name if it can be part of a file name; raises `MapFileError` otherwise."""
     if reason := forbidden(name):
-        raise MapFileError(f"a map named {name!r:.100} cannot be saved, since its files have its name, which {reason}")
+        raise MapFileError(f"a map named {name!r:.100} cannot be saved: its files have its name, which {reason}")
     if _NO_FILE_NAME.search(name) or len(name.encode("utf-8", "surrogateescape")) > 200:
         raise MapFileError(
             f"a map named {name!r:.100} cannot be saved: its files have its name, which must have up to 200 bytes, no "
@@ -122,7 +122,7 @@ _FORMATS = ("PPM", "PNG", "BMP")
 
 
 def read_image(path: Path) -> NDArray[Any]:
-    """Read an image's pixels, copied once at most; raises `MapFileError`, for one too large before reading it.
+    """Read an image's pixels, with at most one copy; raises `MapFileError`, for a large image before reading pixels.
 
     Gray images have the shape (height, width), in uint8, or in uint16 with the full range 0 to 65,535; color images
     (height, width, 3 or 4): red, green, blue and opacity in uint8.

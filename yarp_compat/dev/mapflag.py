@@ -1,6 +1,6 @@
 """The cells of a map, with a flag and an occupancy each, and their colors in images.
 
-Images have a color for each flag, a gray for each occupancy (`yarp/dev/MapGrid2D.cpp`).
+Images have a color for each flag, and a gray for each occupancy (`yarp/dev/MapGrid2D.cpp`).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def lookup(cells: NDArray[np.uint8], table: NDArray[np.uint8]) -> NDArray[np.uin
 
 
 def _compare(cells: NDArray[np.uint8], table: NDArray[np.uint8], edges: NDArray[np.intp]) -> NDArray[np.uint8]:
-    """Do the same by comparisons, for a table with few edges; an edge is the first number of a step."""
+    """Look up cells by comparisons, in a table with few edges; an edge is the first number of a step."""
     flat = np.ascontiguousarray(cells).reshape(-1)
     values = np.empty_like(flat)
     room = np.empty(min(_BLOCK, flat.size), np.uint8)

@@ -1,7 +1,7 @@
 """Maps (`yarp/dev/MapGrid2D.h`): an occupancy and a flag for each cell.
 
 On the wire: ``width height x y theta resolution name compressed {occupancy} {flags}``, rows from top to bottom,
-occupancy 0 to 100 or 255 for unknown; both zipped if ``compressed`` is 1, the default.
+occupancy 0 to 100 or 255 for unknown; both are compressed by zlib if ``compressed`` is 1, the default.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         super().__init__("", 2, 2, 1.0)
         self._occupancy = np.zeros((2, 2), np.uint8)
         self._flags = np.zeros((2, 2), np.uint8)
-        self.compressed = True  # whether the cells are zipped on the wire
+        self.compressed = True  # whether the cells are compressed on the wire
 
     @classmethod
     def of(
@@ -64,7 +64,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         resolution: float = 1.0,  # meters per cell
         origin: Iterable[float] = (0.0, 0.0, 0.0),  # the lower left corner: meters, meters, degrees
     ) -> Self:
-        """Make a map of cells, without a copy if they are arrays of bytes.
+        """Make a map from arrays of cells, without copying uint8 arrays.
 
         Raises:
             ValueError: shapes differ, or a value is out of range.
@@ -84,11 +84,11 @@ class MapGrid2D(MapGrid2DInfo, Portable):
 
     @property
     def occupancy(self) -> NDArray[np.uint8]:
-        """The occupancy of each cell, 0 to 100, or 255; shaped as the flags, may be changed in place."""
+        """The occupancy of each cell, 0 to 100, or 255; has the shape of the flags, and may be changed in place."""
         return self._occupancy
 
     def set_cells(self, flags: ArrayLike, occupancy: ArrayLike | None = None) -> None:
-        """Replace the cells; arguments as :meth:`of`."""
+        """Replace the cells; for the arguments, see :meth:`of`."""
         new = np.asarray(flags, np.uint8)
         if new.ndim != 2:
             raise ValueError(f"the cells of a map must have the shape (height, width), not {new.shape}")
@@ -120,7 +120,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return True
 
     def getOrigin(self) -> tuple[float, float, float]:
-        """The pose of the lower left corner: meters, meters, degrees."""
+        """Return the pose of the lower left corner: meters, meters, degrees."""
         return self.m_origin.x, self.m_origin.y, self.m_origin.theta
 
     def setOrigin(self, x: float, y: float, theta: float) -> bool:
@@ -150,7 +150,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return self.setSize_in_cells(int(width / self.m_resolution), int(height / self.m_resolution))
 
     def getMapFlag(self, cell: Pair) -> MapFlag | None:
-        """A cell's flag; None outside of the map."""
+        """Return a cell's flag; None outside of the map."""
         at = self._index(cell)
         return None if at is None else MapFlag(self._flags[at])
 
@@ -162,7 +162,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return at is not None
 
     def getOccupancyData(self, cell: Pair) -> float | None:
-        """The occupancy of a cell, 0 to 100, or -1 for unknown; None outside of the map."""
+        """Return the occupancy of a cell, 0 to 100, or -1 for unknown; None outside of the map."""
         at = self._index(cell)
         if at is None:
             return None
@@ -170,7 +170,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return -1.0 if occupancy == UNKNOWN else float(occupancy)
 
     def setOccupancyData(self, cell: Pair, occupancy: float) -> bool:
-        """Set the occupancy of a cell, below 0 for unknown; False outside of the map."""
+        """Set the occupancy of a cell (a number below 0: unknown); return False outside of the map."""
         if not occupancy <= 100:
             raise ValueError(f"a cell's occupancy must be at most 100, not {occupancy}")
         at = self._index(cell)
@@ -207,7 +207,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         self._flags[temporary] = MapFlag.FREE
 
     def enlargeObstacles(self, size: float) -> bool:
-        """Mark free cells within ``size`` meters of others (see `enlarge`) as enlarged obstacles; 0 undoes that."""
+        """Mark free cells within ``size`` meters of other cells (see `enlarge`) as enlarged obstacles; 0 frees them."""
         if size > 0:
             enlarge(self._flags, math.ceil(min(size / self.m_resolution, self.m_width + self.m_height)))
         else:
@@ -215,9 +215,9 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return True
 
     def crop(self, left: int = -1, top: int = -1, right: int = -1, bottom: int = -1) -> bool:
-        """Crop to columns from left to before right, rows from top to before bottom; False if the range is invalid.
+        """Crop to the columns [left, right) and the rows [top, bottom); return False if the range is invalid.
 
-        A negative number stands for the outermost known cell on that side. (YARP then loses one column at the right.)
+        A negative number stands for the outermost known cell on its side. (YARP then drops one column at the right.)
         """
         if min(left, top, right, bottom) < 0:
             known = self._occupancy != UNKNOWN
@@ -236,12 +236,12 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return True
 
     def getMapImage(self, image: ImageRgb) -> bool:
-        """Paint the flags in their colors."""
+        """Paint the flags in their colors into an image."""
         image.copy(ImageRgb.of(mapflag.picture_of_flags(self._flags)))
         return True
 
     def setMapImage(self, image: ImageRgb) -> bool:
-        """Set the flags by their colors, any other color as unknown; False if the image has another size."""
+        """Set the flags from their colors; other colors become unknown. Return False if the image has another size."""
         if (image.width(), image.height()) != self.getSize_in_cells():
             return False
         self._flags = mapflag.flags_of_picture(image.numpy())
@@ -283,7 +283,8 @@ class MapGrid2D(MapGrid2DInfo, Portable):
     def load(cls, path: str | Path, jail: Path | None = None) -> Self:
         """Read a map of YARP (``.map``) or of ROS (any other file, which is YAML); raises `MapFileError`.
 
-        The paths of its other files are relative to it, or absolute; with a ``jail`` all must be in that folder.
+        Paths in the file are absolute, or relative to its folder; with a ``jail``, all files must be in the folder
+        jail.
         """
         read = load_yarp(path, jail) if Path(path).suffix.lower() == ".map" else load_ros(path, jail)
         return cls.of(read.flags, read.occupancy, name=read.name, resolution=read.resolution, origin=read.origin)
@@ -291,7 +292,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
     def save(self, path: str | Path, **ros: Any) -> None:
         """Write a map for YARP (``.map``), or for ROS (any other suffix, usually ``.yaml``); raises `MapFileError`.
 
-        Its images are written to the same folder, YARP's named after the map; ``ros`` are options of `save_ros`.
+        The images are written to the same folder (for YARP, named after the map); ``ros`` are options of `save_ros`.
         """
         contents = MapContents(self._flags, self._occupancy, self.m_map_name, self.m_resolution, self.m_origin)
         if Path(path).suffix.lower() == ".map":
@@ -337,7 +338,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
     @override
     def _write(self, out: ElementWriter) -> None:
         if len(self.m_map_name.encode("utf-8", "surrogateescape")) > _LONGEST_NAME:
-            raise WireError(f"a map's name must have up to {_LONGEST_NAME} bytes, unlike {self.m_map_name!r:.60}")
+            raise WireError(f"a map's name must have at most {_LONGEST_NAME} bytes, unlike {self.m_map_name!r:.60}")
         out.begin(10)
         out.integer(self.m_width)
         out.integer(self.m_height)
@@ -371,7 +372,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
 
 
 def _cells(data: memoryview, count: int, *, compressed: bool) -> NDArray[np.uint8]:
-    """Return a copy of a blob's cells, unzipped."""
+    """Return a copy of the cells in a blob, decompressed if needed."""
     content: Any = data
     if compressed:
         try:
@@ -384,7 +385,7 @@ def _cells(data: memoryview, count: int, *, compressed: bool) -> NDArray[np.uint
 
 
 def enlarge(flags: NDArray[np.uint8], cells: int) -> None:
-    """Mark free cells as enlarged obstacles within ``cells`` cells of another flag, counting diagonal steps as one.
+    """Mark free cells within ``cells`` steps (straight or diagonal) of a cell with another flag as enlarged obstacles.
 
     The result equals YARP's repeated passes over all eight neighbors. Changes ``flags``, (height, width), in place.
     """
@@ -394,7 +395,7 @@ def enlarge(flags: NDArray[np.uint8], cells: int) -> None:
 
 
 def _spread(marks: NDArray[np.bool_], cells: int) -> NDArray[np.bool_]:
-    """Extend marks along rows by ``cells`` cells in both directions, with steps that double."""
+    """Extend marks along rows by ``cells`` cells in both directions, doubling the step each time."""
     cells = min(cells, marks.shape[1])
     done = 0
     while done < cells:

@@ -43,11 +43,11 @@ class MapGrid2DOrigin:
     get_theta = getter("theta", float, "The angle in degrees.")
 
     def get_ca(self) -> float:
-        """The angle's cosine."""
+        """Return the angle's cosine."""
         return math.cos(math.radians(self.theta))
 
     def get_sa(self) -> float:
-        """The angle's sine."""
+        """Return the angle's sine."""
         return math.sin(math.radians(self.theta))
 
     def rotated(self, x: Any, y: Any) -> tuple[Any, Any]:

@@ -2,8 +2,8 @@
 
 Files of places have ``Version:``, its number, and a section for each kind, whose lines are Bottles. Version 1 has
 locations and areas, 2 adds paths, 3 descriptions, 4 objects; version 4 is written. Numbers are preserved exactly, while
-YARP keeps six digits. Collections (``maps_collection.ini``) have a line for each map, ``mapfile: name.map``; with
-``crop`` at its end, unknown edges are removed.
+YARP keeps six digits. Collections (``maps_collection.ini``) have a line for each map, ``mapfile: name.map``; if the
+line ends with ``crop``, unknown edges are removed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Places(TextFile):
     @classmethod
     @override
     def from_text(cls, text: str, source: str = "the file") -> Self:
-        """Parse a file's text; errors name it ``source``. Raises `MapFileError` for an invalid or repeated line."""
+        """Parse a file's text; errors name the file ``source``. Raises `MapFileError` for invalid or repeated lines."""
         lines = iter(enumerate(text.split("\n"), 1))
         version = _version(lines, source)
         places = cls()
@@ -189,7 +189,7 @@ def map_files(path: str | Path, jail: Path | None = None) -> list[tuple[Path, bo
 
 
 def load_maps(path: str | Path, jail: Path | None = None) -> dict[str, MapGrid2D]:
-    """Read a collection's maps, by name; raises `MapFileError` as `map_files`, and if two maps share a name."""
+    """Read a collection's maps, by name; raises `MapFileError` like `map_files`, and if two maps share a name."""
     maps: dict[str, MapGrid2D] = {}
     for file, crop in map_files(path, jail):
         grid = MapGrid2D.load(file, jail)

@@ -1,7 +1,8 @@
 """Maps in ROS's format: a YAML file that names an image (http://wiki.ros.org/map_server, nav2_map_server's map_io).
 
-``image resolution origin: [x, y, yaw] negate occupied_thresh free_thresh mode``, with the yaw in radians. YARP writes
-``origin: [ x y theta ]``, without commas and in degrees, which map servers reject; this module recognizes it.
+The keys are ``image resolution origin negate occupied_thresh free_thresh mode``; the origin is ``[x, y, yaw]``, with
+the yaw in radians. YARP writes ``origin: [ x y theta ]``, without commas and in degrees, which map servers reject; this
+module recognizes it.
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ class RosMapHeader:
     degrees: bool = False
     negate: bool = False  # white is occupied instead of black
     occupied_thresh: float = 0.65  # pixels with a higher probability are occupied, 0 to 1
-    # pixels with a lower one are free. With YARP's 0.2 or Nav2's 0.25, map servers read unknown cells (gray 205, which
-    # is 0.19608) as free
+    # pixels with a lower probability are free. With YARP's 0.2 or Nav2's 0.25, map servers read unknown cells (gray
+    # 205, which is 0.19608) as free
     free_thresh: float = 0.196
     # ``trinary`` (unknown between the thresholds), ``scale`` (interpolated between them, transparent is unknown) or
     # ``raw`` (the pixel's number is the occupancy, above 100 unknown)
@@ -64,9 +65,9 @@ class RosMapHeader:
 
 
 def load_ros(path: str | Path, jail: Path | None = None) -> MapContents:
-    """Read a map of ROS from its YAML file, named after the file; with a ``jail`` all files must be in that folder.
+    """Read a ROS map from its YAML file, whose name it gets; with a ``jail``, all files must be in that folder.
 
-    It gets the flags that YARP assigns: free below 50, wall up to 100, else unknown. Raises `MapFileError`.
+    The map gets the flags that YARP assigns: free below 50, wall up to 100, else unknown. Raises `MapFileError`.
     """
     file = resolve(path, Path(), jail)
     header = read_header(file)
@@ -83,7 +84,7 @@ def save_ros(
     # as in :class:`RosMapHeader`; by default ``trinary``, or ``raw`` if ``trinary`` would lose occupancies. ``scale``
     # needs png, where transparent pixels are unknown
     mode: str = "",
-    negate: bool = False,  # paint occupied cells white; not in ``raw``
+    negate: bool = False,  # paint occupied cells white; ignored in ``raw``
     occupied_thresh: float = 0.65,  # as in :class:`RosMapHeader`
     free_thresh: float = 0.196,  # as in :class:`RosMapHeader`
 ) -> None:

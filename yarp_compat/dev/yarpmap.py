@@ -3,7 +3,7 @@
 Keys: ``MapName``, and ``YarpMapData`` (the image) or ``RosMapData`` (the YAML file) or both; ``resolution`` and
 ``origin (x y theta)`` override the YAML file.
 
-YARP takes the yaw of a YAML file as theta unchanged, although YARP's maps rotate in the opposite direction. For both
+YARP uses the yaw of a YAML file unchanged as theta, although YARP's maps rotate in the opposite direction. For both
 YARP and map servers to read a rotated map correctly, the ``.map`` file gets YARP's ``origin``, and the YAML file ROS's.
 """
 
@@ -25,7 +25,7 @@ _LINE = re.compile(r'\s*(\w+)(?:\s*=\s*|\s+)("(?:[^"\\]|\\.)*"|.*?)\s*(?:\s(?:#|
 
 
 def load_yarp(path: str | Path, jail: Path | None = None) -> MapContents:
-    """Read a map of YARP, only from the folder ``jail`` if given; raises `MapFileError` for an invalid file."""
+    """Read a YARP map, only from the folder ``jail`` if given; raises `MapFileError` for an invalid file."""
     file = resolve(path, Path(), jail)
     settings = _settings(mapfile.read_text(file))
     if "MapName" not in settings:
@@ -75,7 +75,7 @@ def save_yarp(grid: MapContents, path: str | Path) -> None:
 
 
 def _settings(text: str) -> dict[str, str]:
-    """Return the first value of each key: the rest of the key's line, as YARP does not quote names of several words."""
+    """Return each key's first value, which is the rest of its line: YARP does not quote names of several words."""
     settings: dict[str, str] = {}
     for line in text.split("\n"):
         match = _LINE.match(line)
@@ -103,7 +103,7 @@ def _flags(path: Path) -> NDArray[np.uint8]:
 def _occupancy(path: Path, header: RosMapHeader, *, has_flags: bool) -> NDArray[np.uint8]:
     """Return the occupancy in an image.
 
-    It is decoded by YARP's grays if the map has an image of flags, else as map servers do.
+    It is decoded with YARP's grays if the map has an image of flags, or else in the way of map servers.
     """
     pixels = mapfile.read_image(path)
     if has_flags and pixels.ndim == 2 and pixels.dtype == np.uint8 and header.mode == "trinary" and not header.negate:
