@@ -1,6 +1,6 @@
 """The services of a mobile base, and their clients.
 
-One service drives the base (`INavigation2DVelocityActionsMsgs.thrift`), one resets its odometry
+One service drives the base (`INavigation2DVelocityActionsMsgs.thrift`), the other resets its odometry
 (`IOdometry2DMsgs.thrift`).
 
 Ports in YARP 4: `mobileBaseVelocityControl_nws_yarp` has ``<name>/rpc:i`` and receives MobileBaseVelocity at
@@ -66,7 +66,7 @@ class IOdometry2DMsgs(Service):
 
 
 class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs]):
-    """A client that drives a base, as YARP's ``mobileBaseVelocityControl_nwc_yarp`` (`IMobileBaseVelocityControl`).
+    """A client that drives a base, like YARP's ``mobileBaseVelocityControl_nwc_yarp`` (`IMobileBaseVelocityControl`).
 
     For the arguments, see `ServiceClient`. Example::
 
@@ -95,10 +95,10 @@ class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs])
 
 
 class Odometry2DClient(StreamingClient[IOdometry2DMsgs, OdometryData]):
-    """A client that receives and resets odometry, as YARP's ``odometry2D_nwc_yarp`` (`IOdometry2D`).
+    """A client that receives and resets odometry, like YARP's ``odometry2D_nwc_yarp`` (`IOdometry2D`).
 
-    ``server`` is the prefix of the server's ports (``/baseControl/odometry``), ``name`` that of the client's;
-    ``carrier`` is the stream's. For the other arguments, see `ServiceClient`.
+    ``server`` is the prefix of the server's ports (``/baseControl/odometry``), ``name`` that of the client's ports;
+    ``carrier`` is for the stream. For the other arguments, see `ServiceClient`.
     """
 
     def __init__(self, server: str, name: str = "", carrier: str = "", **options: Unpack[ClientOptions]) -> None:
@@ -116,7 +116,7 @@ class Odometry2DClient(StreamingClient[IOdometry2DMsgs, OdometryData]):
         )
 
     def getOdometry(self, odom: OdometryData | None = None, timestamp: MutableSequence[float] | None = None) -> Any:
-        """The newest odometry and its time stamp in seconds; the outcome is false before the first message.
+        """Get the newest odometry and its time stamp in seconds; the outcome is false before the first message.
 
         Fill in the arguments and return the outcome; without ``odom``, return the outcome, the odometry and the stamp.
         """

@@ -91,27 +91,27 @@ class IBattery:
         raise NotImplementedError
 
     def getBatteryVoltage(self, voltage: MutableSequence[float] | None = None) -> Any:
-        """The voltage in volts."""
+        """Return the voltage in volts."""
         return self._value("voltage", voltage)
 
     def getBatteryCurrent(self, current: MutableSequence[float] | None = None) -> Any:
-        """The current in amperes."""
+        """Return the current in amperes."""
         return self._value("current", current)
 
     def getBatteryCharge(self, charge: MutableSequence[float] | None = None) -> Any:
-        """The charge in percent."""
+        """Return the charge in percent."""
         return self._value("charge", charge)
 
     def getBatteryTemperature(self, temperature: MutableSequence[float] | None = None) -> Any:
-        """The temperature in degrees Celsius."""
+        """Return the temperature in degrees Celsius."""
         return self._value("temperature", temperature)
 
     def getBatteryStatus(self, status: MutableSequence[int] | None = None) -> Any:
-        """A `BatteryStatus`, or the number of an unknown one."""
+        """Return a `BatteryStatus`, or the number of an unknown status."""
         return self._value("status", status)
 
     def getBatteryInfo(self, battery_info: MutableSequence[str] | None = None) -> Any:
-        """The description of the battery."""
+        """Return the description of the battery."""
         return deliver(*self.described(), battery_info)
 
     def _value(self, name: str, into: Any) -> Any:
@@ -123,10 +123,10 @@ class IBattery:
 
 
 class BatteryClient(StreamingClient[_BatteryCalls, BatteryData], IBattery):
-    """A client that receives a battery's state, as YARP's ``battery_nwc_yarp``.
+    """A client that receives a battery's state, like YARP's ``battery_nwc_yarp``.
 
-    ``server`` is the prefix of the server's ports (``/robot/battery``), ``name`` that of the client's; ``carrier`` is
-    the stream's. For the other arguments, see `ServiceClient`.
+    ``server`` is the prefix of the server's ports (``/robot/battery``), ``name`` that of the client's ports;
+    ``carrier`` is for the stream. For the other arguments, see `ServiceClient`.
     """
 
     def __init__(self, server: str, name: str = "", carrier: str = "", **options: Unpack[ClientOptions]) -> None:

@@ -46,7 +46,7 @@ class PortChannel:
 
     @property
     def generation(self) -> Generation:
-        """The server's generation; its replies set it."""
+        """The server's generation, which its replies set."""
         profile = self._port.answers_in
         if not self._is_fixed and profile is not None and profile is not self._generation.profile:
             self._generation = Generation.newest(profile)
@@ -70,11 +70,11 @@ T = TypeVar("T", bound=Portable)
 
 
 class Stream(Openable, Generic[T]):
-    """Reads a port that writes one ``kind`` of data, such as `Map2DLocation`, between ``with`` and its end.
+    """Reads a port that writes one ``kind`` of data, such as `Map2DLocation`, inside a ``with`` block.
 
     NaN coordinates mean that the robot is not localized. The source may include the carrier,
-    ``udp://robot/odometry:o``; else ``carrier`` selects it. ``strict``: every message, not the newest only; for the
-    other arguments see `OpenPort`.
+    ``udp://robot/odometry:o``; else ``carrier`` selects it. ``strict``: read every message, not only the newest. For
+    the other arguments, see `OpenPort`.
     """
 
     def __init__(
@@ -144,13 +144,13 @@ class ServiceClient(Client, Generic[S]):
         return self._channel.generation
 
     def _reconnect(self) -> None:
-        """Reconnect and introduce the client again, as servers store a client's release per connection."""
+        """Reconnect and introduce the client again, because servers store a client's release per connection."""
         self.connect(self.server)
         self.version = self.remote.introduce()
 
     @override
     def open(self) -> Self:
-        """Open the port, connect it, and introduce it, as YARP 4's servers expect; raises as `Stream.open` does."""
+        """Open the port, connect it, and introduce it, as YARP 4's servers expect; raises like `Stream.open`."""
         super().open()
         with closed_on_failure(self):
             self.version = self.remote.introduce()
@@ -160,7 +160,7 @@ class ServiceClient(Client, Generic[S]):
 class StreamingClient(ServiceClient[S], Generic[S, T]):
     """A client of a server that also streams one ``kind`` of data.
 
-    ``source`` is the streaming port, ``mine`` the client's own port for it; ``carrier`` is the stream's.
+    ``source`` is the streaming port, ``mine`` the client's own port for the stream; ``carrier`` is for the stream.
     """
 
     def __init__(
@@ -173,7 +173,7 @@ class StreamingClient(ServiceClient[S], Generic[S, T]):
 
     @override
     def open(self) -> Self:
-        """Open both ports and connect them; raises as `ServiceClient.open` does."""
+        """Open both ports and connect them; raises like `ServiceClient.open`."""
         super().open()
         with closed_on_failure(self):
             self._stream.open()
@@ -192,7 +192,7 @@ class StreamingClient(ServiceClient[S], Generic[S, T]):
         return received
 
     def last(self) -> tuple[T, float] | None:
-        """Return the newest data and its time stamp in seconds; None before the first. Other data is skipped."""
+        """Return the newest data (skipping other types) and its time stamp in seconds; None before the first."""
         with contextlib.suppress(WireError):
             self._last = self._meant(self._stream.read_now()) or self._last
         return self._last

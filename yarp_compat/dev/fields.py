@@ -1,4 +1,4 @@
-"""Field types of the YARP interfaces, encoded as by YARP's code generator for thrift.
+"""Field types of the YARP interfaces, encoded like the code that YARP generates from thrift files.
 
 A Python annotation names the type: ``bool``, ``int`` (32 bits), ``float`` (a double), ``str``, ``bytes``, an Enum (of
 vocabs if its values are text, otherwise of 32-bit numbers), ``list[...]``, a subclass of Portable; or ``Annotated``
@@ -29,8 +29,8 @@ from yarp_compat.wire.text import to_text
 class FieldCodec(ABC):
     """The codec of an argument, a result or a structure's field; ``name`` is its type in help texts.
 
-    ``default`` makes the initial value of C++; ``tag`` returns the tag of a list of such values in a profile, 0 if each
-    element has its own.
+    ``default`` makes the initial value of C++; ``tag`` returns the tag that the elements of a list of such values share
+    in a profile, 0 if each element has its own.
     """
 
     def __init__(self, name: str, default: Callable[[], Any], tag: Callable[[Profile], int] = lambda _: 0) -> None:
@@ -38,7 +38,7 @@ class FieldCodec(ABC):
 
     @abstractmethod
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
-        """Write a value, without its tag in a list that has it."""
+        """Write a value; in a list whose header has the tag, without the tag."""
 
     @abstractmethod
     def read(self, source: ElementReader) -> Any:
@@ -46,7 +46,7 @@ class FieldCodec(ABC):
 
 
 class Integer(FieldCodec):
-    """An integer of a tag's size; unsigned ones keep their bits."""
+    """An integer in its tag's size; an unsigned one is sent as the signed integer with the same bits."""
 
     def __init__(self, bits: int, *, unsigned: bool = False) -> None:
         self._tag = {8: tags.INT8, 16: tags.INT16, 32: tags.INT32, 64: tags.INT64}[bits]
@@ -199,7 +199,7 @@ _PLAIN: dict[Any, FieldCodec] = {bool: BOOLEAN, int: INT32, float: FLOAT64, str:
 
 
 def field_of(annotation: Any) -> FieldCodec:
-    """Return the codec of an annotation; raises `TypeError` for other annotations."""
+    """Return the codec of an annotation; raises `TypeError` for unsupported annotations."""
     origin = get_origin(annotation)
     if origin is Annotated:
         fields = [extra for extra in get_args(annotation)[1:] if isinstance(extra, FieldCodec)]
@@ -248,7 +248,7 @@ class Structure(Portable):
 
 
 class Generated(Structure):
-    """A structure whose C++ class is generated, so that its text is that of a Bottle; others have their own format."""
+    """A structure whose C++ class is generated, so that its text form is a Bottle's; others have their own form."""
 
     def toString(self) -> str:
         """Return the fields as the text of a Bottle."""

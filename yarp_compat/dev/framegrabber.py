@@ -100,7 +100,7 @@ class IFrameGrabberControls:
         return ReturnValue(outcome.code)
 
     def busType2String(self, type: BusType) -> str:  # noqa: A002 - YARP's name
-        """The name of a bus."""
+        """Return the name of a bus."""
         return {BusType.BUS_FIREWIRE: "FireWire", BusType.BUS_USB: "USB"}.get(type, "bus type undefined")
 
     def toFeatureMode(self, _auto: bool) -> FeatureMode:
@@ -154,7 +154,7 @@ class IFrameGrabberControls:
         return self._done("setFeature2RPC", ("set", "fea2"), feature, float(value), float(value2))
 
     def getMode(self, feature: int) -> FeatureMode:
-        """How a feature is set."""
+        """Return how a feature is set."""
         outcome, *results = self.request("getModeRPC", ("get", "mode"), feature)
         return FeatureMode(int(results[0])) if outcome else FeatureMode.MODE_UNKNOWN
 
@@ -175,10 +175,11 @@ class IFrameGrabberControls:
 
 
 class FrameGrabberClient(ServiceClient[FrameGrabberMsgs], IFrameGrabberControls):
-    """A client that receives a camera's images and sets its controls, as YARP's ``frameGrabber_nwc_yarp``.
+    """A client that receives a camera's images and sets its controls, like YARP's ``frameGrabber_nwc_yarp``.
 
-    ``server`` is the port of the images, ``rpc_port`` that of the controls (``<server>/rpc``); ``name`` is the client's
-    port for images, ``<name>/rpc_client`` that for calls; ``carrier`` is the images'. Otherwise as `ServiceClient`.
+    ``server`` is the server's port for images, ``rpc_port`` its port for controls (by default ``<server>/rpc``);
+    ``name`` is the client's port for images, ``<name>/rpc_client`` its port for calls; ``carrier`` is for images. For
+    the options, see `ServiceClient`.
     """
 
     def __init__(
@@ -208,7 +209,7 @@ class FrameGrabberClient(ServiceClient[FrameGrabberMsgs], IFrameGrabberControls)
         super().close()
 
     def getImage(self, image: Any) -> ReturnValue:
-        """Wait for the next image and copy it into ``image``; false once this is closed, or without a stream."""
+        """Wait for the next image and copy it into ``image``; fails after `close`, or without a stream."""
         received = None if self._reader is None else self._reader.read()
         if received is None:
             return UNREACHED
@@ -221,16 +222,16 @@ class FrameGrabberClient(ServiceClient[FrameGrabberMsgs], IFrameGrabberControls)
         return OK
 
     def width(self) -> int:
-        """The columns of the last image; 0 before the first."""
+        """Return the number of columns of the last image; 0 before the first image."""
         return self._size[0]
 
     def height(self) -> int:
-        """The rows of the last image; 0 before the first."""
+        """Return the number of rows of the last image; 0 before the first image."""
         return self._size[1]
 
     @override
     def request(self, method: str, vocabs: tuple[str, str], *arguments: float) -> tuple[Any, ...]:
-        """Call a method, on servers before 4.0 in vocabs."""
+        """Call a method; servers before 4.0 are sent vocabs."""
         if self.version is not None:
             return results_of(getattr(self.remote, method), *arguments)
         action, subject = vocabs

@@ -44,7 +44,7 @@ class FrameTransform(Structure):
 
     @override
     def _write(self, out: ElementWriter) -> None:
-        """Write all fields at once, as servers send hundreds of these a hundred times a second."""
+        """Write all fields at once, because servers send hundreds of these a hundred times a second."""
         double = out.profile.float64_tag
         try:
             parent = self.src_frame_id.encode("utf-8", "surrogateescape")
@@ -62,7 +62,7 @@ class FrameTransform(Structure):
 
     @override
     def _read(self, source: ElementReader) -> None:
-        """Read the usual layout at once, and equivalent ones field by field."""
+        """Read the usual layout at once, and equivalent layouts field by field."""
         at, data = source.at, source.data
         try:
             first = _HEAD.unpack_from(data, at)

@@ -41,12 +41,12 @@ _POLL = 0.01  # seconds between requests without a stream
 
 
 class TransformClient(Openable, IFrameTransform):
-    """The frames of a server, between ``with`` and its end.
+    """The frames of a server, inside a ``with`` block.
 
     The server streams all its transforms; the client decodes a message at the next query. Transforms expire `LIFETIME`
     after their arrival, by this machine's clock only. Without ``streaming``, each query sends a request to the server.
-    ``server`` is the prefix of its ports (``/robot`` for ``/robot/frameTransformServer/...``), ``name`` that of the
-    client's; if it is empty, the name server chooses them. For the options, see `ClientOptions`.
+    ``server`` is the prefix of the server's ports (``/robot`` for ``/robot/frameTransformServer/...``), ``name`` that
+    of the client's ports; if it is empty, the name server chooses their names. For the options, see `ClientOptions`.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class TransformClient(Openable, IFrameTransform):
             self._await(deadline)
 
     def points(self, points: ArrayLike, child: str, parent: str) -> NDArray[np.float64]:
-        """Transform points (N, 3) or (3) from one frame to another. Errors as `pose`."""
+        """Transform points (N, 3) or (3) from one frame to another. Raises like `pose`."""
         pose = self.pose(child, parent)
         moved: NDArray[np.float64] = np.asarray(points, float) @ pose[:3, :3].T + pose[:3, 3]
         return moved
@@ -111,7 +111,7 @@ class TransformClient(Openable, IFrameTransform):
         self.set_all({(child, parent): pose}, static=static)
 
     def set_all(self, poses: Mapping[tuple[str, str], ArrayLike], *, static: bool = False) -> None:
-        """Set the poses of many frames, by frame and parent, in one call. Errors as `set`."""
+        """Set the poses of many frames, by frame and parent, in one call. Raises like `set`."""
         stamp = now()
         _succeeded(self.send([transform_of(*names, pose, stamp, static=static) for names, pose in poses.items()]))
 
@@ -177,7 +177,7 @@ class TransformClient(Openable, IFrameTransform):
         return transforms
 
     def _on_message(self, message: PortMessage) -> None:
-        """Store a streamed message; on its connection's thread."""
+        """Store a streamed message; called on its connection's thread."""
         with self._arrival:
             self._newest = time.monotonic(), message.payload
             self._arrival.notify_all()

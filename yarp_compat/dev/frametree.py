@@ -16,7 +16,7 @@ Pose = NDArray[np.float64]
 
 
 class TransformError(LookupError):
-    """A frame is unknown, or two frames are not connected."""
+    """Raised if a frame is unknown, or two frames are not connected."""
 
 
 class FrameTree:
@@ -112,7 +112,7 @@ def inverse(pose: Pose) -> Pose:
 
 
 def of_angles(roll: float, pitch: float, yaw: float) -> Pose:
-    """Convert roll, pitch and yaw in radians to a matrix, as `yarp::math::rpy2dcm`."""
+    """Convert roll, pitch and yaw in radians to a matrix, like `yarp::math::rpy2dcm`."""
     cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
     matrix = np.eye(4)
     matrix[:3, :3] = [
@@ -124,7 +124,7 @@ def of_angles(roll: float, pitch: float, yaw: float) -> Pose:
 
 
 def angles_of(pose: Pose) -> tuple[float, float, float]:
-    """Convert a pose to roll, pitch and yaw in radians, as `yarp::math::dcm2rpy`: roll is 0 at the singularity."""
+    """Convert a pose to roll, pitch and yaw in radians, like `yarp::math::dcm2rpy`: roll is 0 at the singularity."""
     if pose[2, 0] >= 1.0:
         return 0.0, -math.pi / 2, math.atan2(-pose[1, 2], pose[1, 1])
     if pose[2, 0] <= -1.0:

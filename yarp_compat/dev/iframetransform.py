@@ -74,17 +74,17 @@ class IFrameTransform(ABC):
         return deliver(*self._query(lambda tree: frame_id in tree), exists)
 
     def getAllFrameIds(self, ids: MutableSequence[str] | None = None) -> Any:
-        """The names of all frames, in a list if one is given."""
+        """Return the names of all frames, in a list if one is given."""
         outcome, names = self._query(FrameTree.names)
         return deliver(outcome, list(names or ()), ids)
 
     def getParent(self, frame_id: str, parent_frame_id: MutableSequence[str] | None = None) -> Any:
-        """The parent of a frame; fails for a root, or returns ``unknown`` without a list."""
+        """Return the parent of a frame; fails for a root, or without a list returns ``unknown``."""
         outcome, parent = self._query(lambda tree: tree.parent(frame_id))
         return deliver(outcome if parent is not None else _or_failed(outcome), parent or "unknown", parent_frame_id)
 
     def getTransform(self, target_frame: str, source_frame: str, transform: Matrix) -> ReturnValue:
-        """The pose of the target in the source, as a 4 by 4 matrix."""
+        """Store the pose of the target in the source, as a 4 by 4 matrix."""
         outcome, pose = self._query(lambda tree: tree.pose(target_frame, source_frame))
         if outcome:
             transform.resize(4, 4)

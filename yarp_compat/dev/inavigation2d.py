@@ -2,7 +2,7 @@
 
 Requests are the same in all releases from 3.6 on; ``follow_path`` was added in 3.10. Maps and localization are on other
 servers, and some results are computed by the client: see `yarp_compat.dev.navigation2d_client`. Like YARP's
-``navigation2D_nws_yarp``, ``Server(Navigation2DServer(Mine()))`` offers a planner at a port::
+``navigation2D_nws_yarp``, ``ServiceServer(port, Navigation2DServer(Mine()))`` offers a planner at a port::
 
     class Mine:
         def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> None: ...
@@ -119,8 +119,8 @@ class Navigation2DServer(INavigation2DMsgs):
 
     Args:
         device: any object with the methods of YARP's INavigation2DTargetActions, ...ControlActions and
-            ...VelocityActions, or some of them; see `DeviceCalls`. They run on the threads of the connections, several
-            at a time. ``getNavigationStatus`` returns a status or its name (``moving``);
+            ...VelocityActions, or some of them; see `DeviceCalls`. They are called on the connections' threads,
+            several at a time. ``getNavigationStatus`` returns a status or its name (``moving``);
             ``gotoTargetByRelativeLocation`` always receives a heading.
     """
 
@@ -140,7 +140,7 @@ class Navigation2DServer(INavigation2DMsgs):
 
     @override
     def suspend_navigation_RPC(self, time_s: float) -> ReturnValue:
-        """Pause for a time, or until resumed if it is 0 or below, like YARP's robotGoto."""
+        """Pause for ``time_s`` seconds, or until resumed if it is 0 or less, like YARP's robotGoto."""
         return self._calls.done("suspendNavigation", time_s if time_s > 0 else math.inf)
 
     @override

@@ -1,4 +1,4 @@
-"""A large language model at a port (`ILLMMsgs.thrift`, `ILLM.h`), and its client, as YARP's ``LLM_nwc_yarp``."""
+"""A large language model at a port (`ILLMMsgs.thrift`, `ILLM.h`), and its client, like YARP's ``LLM_nwc_yarp``."""
 
 # mypy: disable-error-code="empty-body"
 # ruff: noqa: D102 - the names are those of YARP's .thrift file
@@ -46,7 +46,7 @@ class ILLMMsgs(Service):
 
 
 class ILLM:
-    """The interface under YARP's names; like C++, it fills in results, texts in a list."""
+    """The interface under YARP's names; as in C++, results are filled in (a text as the only element of a list)."""
 
     def __init__(self, remote: ILLMMsgs) -> None:
         self._remote = remote
@@ -56,7 +56,7 @@ class ILLM:
     refreshConversation = outcome_of(ILLMMsgs.refreshConversation)
 
     def readPrompt(self, oPrompt: MutableSequence[str]) -> ReturnValue:
-        """The prompt of the conversation."""
+        """Store the prompt of the conversation in a list."""
         return invoke(self._remote.readPrompt, into=oPrompt)
 
     def ask(self, question: str, answer: LLM_Message) -> ReturnValue:
@@ -64,12 +64,12 @@ class ILLM:
         return invoke(self._remote.ask, question, into=answer)
 
     def getConversation(self, conversation: MutableSequence[LLM_Message]) -> ReturnValue:
-        """All messages, from the prompt on."""
+        """Store all messages, from the prompt on, in a list."""
         return invoke(self._remote.getConversation, into=conversation)
 
 
 class LLMClient(ServiceClient[ILLMMsgs]):
-    """A client of a model's port; ``llm`` has the interface. By default replies have no timeout, as models are slow."""
+    """A client of a model's port; ``llm`` has the interface. By default replies have no timeout: models are slow."""
 
     def __init__(self, server: str, name: str = "", **options: Unpack[ClientOptions]) -> None:
         options.setdefault("timeout", None)

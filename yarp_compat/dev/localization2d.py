@@ -4,7 +4,7 @@ with Localization2DClient("/localization2D_nws_yarp") as localizer:
     print(localizer.position)
     localizer.getCurrentPosition(location)     # as in C++: true if it succeeded
 
-``Server(Localization2DServer(device))`` offers a localizer at a port. Meters and degrees.
+``ServiceServer(port, Localization2DServer(device))`` offers a localizer at a port. Meters and degrees.
 """
 
 # mypy: disable-error-code="empty-body"
@@ -35,9 +35,9 @@ SHAPE = (3, 3)
 
 
 class CovarianceCodec(Nested):
-    """A pose's covariance, 3x3; zeros for None, as real clients hang on an empty matrix.
+    """A pose's 3x3 covariance; None is sent as zeros, because real clients hang on an empty matrix.
 
-    Reading accepts an empty one: servers of YARP 3.12 and 4.0 confuse two cases and send it on success.
+    Reading accepts an empty matrix: servers of YARP 3.12 and 4.0 confuse two cases, and send it on success.
     """
 
     def __init__(self) -> None:
@@ -106,17 +106,18 @@ class ILocalization2D:
     stopLocalizationService = outcome_of(ILocalization2DMsgs.stop_localization_service_RPC, "_localization")
 
     def getLocalizationStatus(self, status: list[Any] | None = None) -> Any:
-        """The state of the localization."""
+        """Return the state of the localization."""
         return fetch(self._localization.get_localization_status_RPC, into=status, default=_UNSURE)
 
     def getEstimatedPoses(self, poses: list[Map2DLocation] | None = None) -> Any:
-        """The robot's possible poses: the particles. Servers of 3.12 and 4.0 never return any."""
+        """Return the robot's possible poses: the particles. Servers of 3.12 and 4.0 never return any."""
         return fetch(self._localization.get_estimated_poses_RPC, into=poses, default=[])
 
     def getCurrentPosition(self, loc: Map2DLocation | None = None, cov: Matrix | None = None) -> Any:
-        """The robot's pose; also its covariance if a matrix is given for it.
+        """Return the robot's pose, and also its covariance if a matrix is given for it.
 
-        Servers of 3.12 and 4.0 confuse success and failure, and send neither if they know both; that is a failure here.
+        Servers of 3.12 and 4.0 confuse success and failure, and send neither pose nor covariance if they know both;
+        this method reports that as a failure.
         """
         if cov is None:
             return fetch(self._localization.get_current_position1_RPC, into=loc, default=Map2DLocation())
@@ -131,7 +132,7 @@ class ILocalization2D:
         return outcome
 
     def getEstimatedOdometry(self, odom: OdometryData | None = None) -> Any:
-        """The robot's odometry."""
+        """Return the robot's odometry."""
         return fetch(self._localization.get_estimated_odometry_RPC, into=odom, default=OdometryData())
 
     def setInitialPose(self, loc: Map2DLocation, cov: Matrix | None = None) -> ReturnValue:
@@ -169,10 +170,10 @@ class Localization2DServer(ILocalization2DMsgs):
     """Serves a localization device.
 
     Args:
-        device: any object with the methods of YARP's ILocalization2D, or some of them; see `DeviceCalls`. They run on
-            the threads of the connections, several at a time. ``getLocalizationStatus`` returns a status or its name
-            (``localized_ok``); ``getCurrentPosition`` a location and its covariance (a 3x3 array or matrix, or None:
-            zeros are sent); ``setInitialPose`` gets a location and a 3x3 array, or None if the client sent none.
+        device: any object with the methods of YARP's ILocalization2D, or some of them; see `DeviceCalls`. They are
+            called on the connections' threads, several at a time. ``getLocalizationStatus`` returns a status or its
+            name (``localized_ok``); ``getCurrentPosition`` a location and its covariance (a 3x3 array or matrix, or
+            None: zeros are sent); ``setInitialPose`` gets a location and a 3x3 array, or None if the client sent none.
     """
 
     def __init__(self, device: object) -> None:

@@ -44,7 +44,7 @@ from yarp_compat.ports.sockets import Openable
 from yarp_compat.pythonic import Server
 from yarp_compat.wire.values import Vocab
 
-_PERIOD = 0.1  # seconds between requests of the status
+_PERIOD = 0.1  # seconds between requests for the status
 
 _ERROR = NavigationStatusEnum.navigation_status_error
 
@@ -63,7 +63,7 @@ class INavigation2D(IMap2D, ILocalization2D):
     followPath = outcome_of(INavigation2DMsgs.follow_path_RPC, "_navigation")
 
     def getAbsoluteLocationOfCurrentTarget(self, loc: Map2DLocation | None = None) -> Any:
-        """The pose of the current target."""
+        """Return the pose of the current target."""
         method = self._navigation.get_absolute_location_of_current_target_RPC
         return fetch(method, into=loc, default=Map2DLocation())
 
@@ -80,29 +80,29 @@ class INavigation2D(IMap2D, ILocalization2D):
     # -- INavigation2DControlActions ----------------------------------------------------------------------------------
 
     def getNavigationStatus(self, status: list[Any] | None = None) -> Any:
-        """The state of the navigation."""
+        """Return the state of the navigation."""
         return fetch(self._navigation.get_navigation_status_RPC, into=status, default=_ERROR)
 
     stopNavigation = outcome_of(INavigation2DMsgs.stop_navigation_RPC, "_navigation")
 
     def suspendNavigation(self, time_s: float = math.inf) -> ReturnValue:
-        """Pause for a time, or until resumed."""
+        """Pause for ``time_s`` seconds, by default until resumed."""
         return invoke(self._navigation.suspend_navigation_RPC, time_s)
 
     resumeNavigation = outcome_of(INavigation2DMsgs.resume_navigation_RPC, "_navigation")
     recomputeCurrentNavigationPath = outcome_of(INavigation2DMsgs.recompute_current_navigation_path_RPC, "_navigation")
 
     def getAllNavigationWaypoints(self, trajectory_type: TrajectoryTypeEnum, waypoints: Map2DPath | None = None) -> Any:
-        """The waypoints of the global or local path."""
+        """Return the waypoints of the global or local path."""
         method = self._navigation.get_all_navigation_waypoints_RPC
         return fetch(method, trajectory_type, into=waypoints, default=Map2DPath())
 
     def getCurrentNavigationWaypoint(self, curr_waypoint: Map2DLocation | None = None) -> Any:
-        """The waypoint that the robot drives to."""
+        """Return the waypoint that the robot drives to."""
         return fetch(self._navigation.get_current_nav_waypoint_RPC, into=curr_waypoint, default=Map2DLocation())
 
     def getCurrentNavigationMap(self, map_type: NavigationMapTypeEnum, themap: MapGrid2D | None = None) -> Any:
-        """The map that the planner uses."""
+        """Return the map that the planner uses."""
         return fetch(self._navigation.get_current_navigation_map_RPC, map_type, into=themap, default=MapGrid2D())
 
     # -- INavigation2DVelocityActions ---------------------------------------------------------------------------------
@@ -149,7 +149,7 @@ class INavigation2D(IMap2D, ILocalization2D):
         return deliver(outcome, near, is_near)
 
     def checkInsideArea(self, area: Map2DArea | str, is_inside: list[bool] | None = None) -> Any:
-        """Whether the robot is in an area, given itself or by its name on the map server."""
+        """Whether the robot is in an area, given as an object or by its name on the map server."""
         shape = area if isinstance(area, Map2DArea) else Map2DArea()
         outcome = OK if shape is area else self.getArea(str(area), shape)
         position = Map2DLocation()
@@ -157,7 +157,7 @@ class INavigation2D(IMap2D, ILocalization2D):
         return deliver(outcome, bool(outcome) and shape.checkLocationInsideArea(position), is_inside)
 
     def findCurrentArea(self, area_name: list[str] | None = None, area: Map2DArea | None = None) -> Any:
-        """Find the first area, by name, that contains the robot, and its name; both are empty without one."""
+        """Find the map server's first area that contains the robot, and its name; both are empty if there is none."""
         names: list[str] = []
         position, current, name = Map2DLocation(), Map2DArea(), ""
         outcome = self.getCurrentPosition(position)
@@ -175,7 +175,7 @@ class INavigation2D(IMap2D, ILocalization2D):
         return deliver(outcome, name, area_name)
 
     def getNameOfCurrentTarget(self, location_name: list[str] | None = None) -> Any:
-        """The name of the current target; empty if it has none."""
+        """Return the name of the current target; empty if it has none."""
         return fetch(self._navigation.get_name_of_current_target_RPC, into=location_name, default="")
 
     def storeCurrentPosition(self, location_name: str) -> ReturnValue:
@@ -186,7 +186,7 @@ class INavigation2D(IMap2D, ILocalization2D):
 
 
 class Navigation2DClient(Openable, INavigation2D):
-    """A client of three servers, between ``with`` and its end; it reconnects to a server that has restarted.
+    """A client of three servers, open inside a ``with`` block; it reconnects to a server that has restarted.
 
     With a name, ``<name>/user_commands/rpc`` accepts text commands: ``gotoLocation NAME``, ``listLocations``, ``help``.
     """
@@ -194,8 +194,8 @@ class Navigation2DClient(Openable, INavigation2D):
     def __init__(
         self,
         navigation: str = "/navigation2D_nws_yarp",  # prefix of the planner's ports
-        maps: str = "/map2D_nws_yarp",  # prefix of the map server's; empty: no map server, methods that need it fail
-        # prefix of the localization server's; empty: no such server
+        maps: str = "/map2D_nws_yarp",  # prefix of the map server's ports; empty: methods that need it fail
+        # prefix of the localization server's ports; empty: methods that need it fail
         localization: str = "/localization2D_nws_yarp",
         name: str = "",  # prefix of the client's ports; if it is empty, the name server chooses them
         **options: Unpack[ClientOptions],
@@ -238,7 +238,7 @@ class Navigation2DClient(Openable, INavigation2D):
     def go(self, place: str | Map2DLocation) -> None:
         """Drive to a location, area or path by its name, or to a pose; raises `CallFailed` if unknown or refused."""
         go = self.gotoTargetByLocationName if isinstance(place, str) else self.gotoTargetByAbsoluteLocation
-        succeeded(go(place))  # type: ignore[arg-type] # each takes its own
+        succeeded(go(place))  # type: ignore[arg-type] # each takes its own type
 
     @property
     def status(self) -> NavigationStatusEnum:
@@ -248,7 +248,7 @@ class Navigation2DClient(Openable, INavigation2D):
         return status
 
     def wait(self, timeout: float | None = None) -> NavigationStatusEnum:
-        """Wait until the robot no longer drives, and return its status; raises `TimeoutError`, and as `status`."""
+        """Wait until the robot no longer drives, and return its status; raises `TimeoutError`, or like `status`."""
         end = None if timeout is None else time.monotonic() + timeout
         while not (status := self.status).ended:
             if end is not None and time.monotonic() > end:

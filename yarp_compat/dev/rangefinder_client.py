@@ -1,7 +1,7 @@
-"""A client of a laser, as YARP's ``rangefinder2D_nwc_yarp`` (`yarp/dev/IRangefinder2D.h`), with a Python interface.
+"""A client of a laser, like YARP's ``rangefinder2D_nwc_yarp`` (`yarp/dev/IRangefinder2D.h`), with a Python interface.
 
 with Rangefinder2DClient("/robot/laser:o") as laser:
-    scan, stamp = laser.read()              # waits for the next one
+    scan, stamp = laser.read()              # waits for the next scan
     laser.getRawData(distances)             # as in C++: true if it succeeded
 
 Meters and degrees, but `LaserMeasurementData` has radians. The bindings lack this interface; here, a method that fills
@@ -48,7 +48,7 @@ class IRangefinder2D:
         raise NotImplementedError
 
     def getRawData(self, data: Vector, timestamp: MutableSequence[float] | None = None) -> ReturnValue:
-        """Fill in the distances of the newest scan, from its first direction to its last; false before the first."""
+        """Fill in the distances of the newest scan, from its first direction to its last; fails before the first."""
         scan, stamp = self.newest() or (None, 0.0)
         if scan is None:
             return UNREACHED
@@ -59,7 +59,7 @@ class IRangefinder2D:
     def getLaserMeasurement(
         self, data: MutableSequence[LaserMeasurementData], timestamp: MutableSequence[float] | None = None
     ) -> ReturnValue:
-        """Fill in the points of the newest scan; false before the first scan."""
+        """Fill in the points of the newest scan; fails before the first scan."""
         scan, stamp = self.newest() or (None, 0.0)
         if scan is None:
             return UNREACHED
@@ -72,7 +72,7 @@ class IRangefinder2D:
         return OK
 
     def getDeviceStatus(self, status: MutableSequence[int] | None = None) -> Any:
-        """The status in the newest scan; ``DEVICE_TIMEOUT`` before the first."""
+        """Return the status in the newest scan; ``DEVICE_TIMEOUT`` before the first."""
         scan, _ = self.newest() or (LaserScan2D(), 0.0)
         known = scan.status in tuple(DeviceStatus)
         return deliver(OK, DeviceStatus(scan.status) if known else DeviceStatus.DEVICE_GENERAL_ERROR, status)
@@ -88,17 +88,17 @@ class IRangefinder2D:
         return outcome, first, last
 
     def getHorizontalResolution(self, step: MutableSequence[float] | None = None) -> Any:
-        """The degrees between two rays; 0 if the laser does not report it."""
+        """Return the degrees between two rays; 0 if the laser does not report them."""
         outcome, degrees = self._request("getHorizontalResolution_RPC", "get_ilas_lsas", [0.0])
         return deliver(outcome, degrees, step)
 
     def getScanRate(self, rate: MutableSequence[float] | None = None) -> Any:
-        """The scans per second; 0 if the laser does not report it."""
+        """Return the scans per second; 0 if the laser does not report them."""
         outcome, hertz = self._request("getScanRate_RPC", "get_ilas_lssr", [0.0])
         return deliver(outcome, hertz, rate)
 
     def getDeviceInfo(self, device_info: MutableSequence[str] | None = None) -> Any:
-        """The description of the laser; empty if it does not report it."""
+        """Return the description of the laser; empty if the laser does not report it."""
         outcome, info = self._request("getDeviceInfo_RPC", "get_ilas_lsnf", [""])
         return deliver(outcome, info, device_info)
 
@@ -140,7 +140,7 @@ class Rangefinder2DClient(StreamingClient[_LaserCalls, LaserScan2D], IRangefinde
     """A client that receives a laser's scans and calls its RPC port.
 
     ``server`` is the port that streams scans, ``<server>/rpc:i`` its RPC port; ``name`` is the client's port for scans,
-    ``<name>/rpc:o`` that for calls; ``carrier`` is the stream's. For the other arguments, see `ServiceClient`.
+    ``<name>/rpc:o`` its port for calls; ``carrier`` is for the stream. For the other arguments, see `ServiceClient`.
     """
 
     def __init__(self, server: str, name: str = "", carrier: str = "", **options: Unpack[ClientOptions]) -> None:
@@ -160,7 +160,7 @@ class Rangefinder2DClient(StreamingClient[_LaserCalls, LaserScan2D], IRangefinde
 
     @override
     def newest(self) -> tuple[LaserScan2D, float] | None:
-        """Return the newest scan and its time stamp in seconds; None before the first. Other data is skipped."""
+        """Return the newest scan (skipping other data) and its time stamp in seconds; None before the first."""
         return self.last()
 
 

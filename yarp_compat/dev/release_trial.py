@@ -1,10 +1,10 @@
 """Determines the YARP release of a remote client: by its process, and by a reply that not all releases can read.
 
 The name server has the process of each C++ port (property ``process``), so a finding about one device applies to all
-devices of its process. A trial uses the port ``<local>/user_commands/rpc`` of a ``navigation2D_nwc_yarp``: its reply to
-``listLocations`` contains the names from its map server (``Navigation2D_nwc_yarp.cpp``, 3.6 to 4.0). If that is one of
-our servers, it sends the names once in the format of 3.6 to 3.10, and they are in the client's reply only if the client
-could read them.
+devices of its process. A trial uses the port ``<local>/user_commands/rpc`` of a ``navigation2D_nwc_yarp``: the client's
+reply to ``listLocations`` contains the names from its map server (``Navigation2D_nwc_yarp.cpp``, 3.6 to 4.0). If that
+map server is one of this package's, it sends the names once in the format of 3.6 to 3.10, and the client's reply
+contains them only if the client could read them.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ class ReleaseTrials:
         return any(thread.is_alive() for thread in self._threads)
 
     def connected(self, peer: str, link: PeerAddress) -> None:
-        """Start a trial for a connected port of an unknown release; ``link`` is its address, if known."""
+        """Start a trial for a connected port of an unknown release; ``link`` is the client's address, if known."""
         if peer.startswith("/") and not self._closed.is_set() and not self._generations.of(peer, link=link).sure:
             trial = threading.Thread(target=self._run, args=(peer, link), name=f"release of {peer}", daemon=True)
             self._threads = [*(thread for thread in self._threads if thread.is_alive()), trial]
             trial.start()
 
     def close(self) -> None:
-        """Start no more trials, and end the waiting ones."""
+        """Stop starting trials, and end the waiting ones."""
         self._closed.set()
 
     def _run(self, peer: str, link: PeerAddress) -> None:

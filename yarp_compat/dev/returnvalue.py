@@ -1,4 +1,4 @@
-"""The outcome of a call of an interface, which each generation of YARP encodes differently."""
+"""The outcome of an interface's method call, which each generation of YARP encodes differently."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class ReturnCode(Enum):
 
     @property
     def vocab_number(self) -> int:
-        """The number of that vocab, the value in C++ and the bindings."""
+        """The number of the vocab, which is the value in C++ and the bindings."""
         return int.from_bytes(self.vocab.encode().ljust(4, b"\0"), "little")
 
     @property
@@ -72,7 +72,7 @@ class ReturnValue(Portable):
         return self.code is other.code if isinstance(other, ReturnValue) else NotImplemented
 
     def __iand__(self, other: ReturnValue) -> Self:
-        return type(self)(other if self else self)  # a new object, as this one may be shared
+        return type(self)(other if self else self)  # a new object, because this one may be shared
 
     def isEqual(self, other: object) -> bool:
         """Whether ``other`` is the same outcome, or its number (``return_code_...`` of this class)."""
@@ -80,7 +80,7 @@ class ReturnValue(Portable):
 
     @override
     def __hash__(self) -> int:
-        return hash(self.code.vocab_number)  # equal to its number, so the hashes must be equal
+        return hash(self.code.vocab_number)  # an outcome equals its number, so their hashes must be equal
 
     @override
     def __repr__(self) -> str:
@@ -152,7 +152,7 @@ OK = ReturnValue(ReturnCode.OK)
 
 
 class CallFailed(Exception):  # noqa: N818 - names the event
-    """Raised by an implementation: the outcome is not ok, other results are ignored; the reason goes to the log."""
+    """Raised by an implementation to reply with a failure and without other results; the reason is logged."""
 
     def __init__(self, code: ReturnCode = ReturnCode.METHOD_FAILED, reason: str = "") -> None:
         super().__init__(reason or code.name)
@@ -173,7 +173,7 @@ def invoke(call: Callable[..., Any], *arguments: Any, into: Any = None) -> Retur
 def outcome_of(
     method: Callable[Concatenate[Any, P], ReturnValue], server: str = "_remote"
 ) -> Callable[Concatenate[Any, P], ReturnValue]:
-    """Make a client's method for a server's that returns only an outcome; ``server`` is the client's attribute."""
+    """Make a client method for a server method that returns only an outcome; ``server`` is the client's attribute."""
 
     @wraps(method, updated=())
     def call(self: Any, /, *arguments: P.args, **named: P.kwargs) -> ReturnValue:
@@ -188,7 +188,7 @@ def filled(method: Callable[[Any], tuple[ReturnValue, T]]) -> Callable[[Any, T],
 @overload
 def filled(method: Callable[[Any, A], tuple[ReturnValue, T]]) -> Callable[[Any, A, T], ReturnValue]: ...
 def filled(method: Callable[..., tuple[ReturnValue, Any]]) -> Callable[..., ReturnValue]:
-    """Make a client's method for a server's that returns one value; it is copied into the last argument."""
+    """Make a client method for a server method that returns one value, which is copied into the last argument."""
 
     @wraps(method, updated=())
     def call(self: Any, /, *arguments: Any) -> ReturnValue:
@@ -200,7 +200,7 @@ def filled(method: Callable[..., tuple[ReturnValue, Any]]) -> Callable[..., Retu
 
 
 def listed(method: Callable[[Any], tuple[ReturnValue, list[T]]]) -> Callable[..., Any]:
-    """Make a client's method for a server's that returns a list; without a list to fill, it returns a tuple."""
+    """Make a client method for a server method that returns a list; without a list to fill, it returns a tuple."""
 
     @wraps(method, updated=())
     def call(self: Any, into: Any = None) -> Any:

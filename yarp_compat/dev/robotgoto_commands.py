@@ -35,9 +35,9 @@ _SWITCHES = {
 
 @rpc
 class RobotGotoMsgs(Service):
-    """The methods of this port; the text commands call the same methods."""
+    """The methods of robotGoto's RPC port; the text commands call the same methods."""
 
-    def ResetParams(self) -> ReturnValue: ...  # to the initial ones
+    def ResetParams(self) -> ReturnValue: ...  # to their initial values
     def Approach(self, dir: float, speed: float, time: float) -> ReturnValue: ...  # noqa: A002 - degrees, m/s, seconds
     def SetLinearTolerance(self, tol: float) -> ReturnValue: ...  # meters
     def SetAngularTolerance(self, tol: float) -> ReturnValue: ...  # degrees

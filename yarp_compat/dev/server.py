@@ -1,8 +1,9 @@
-"""A server of an interface that replies to each client in its own generation of YARP.
+"""A server of a YARP device interface that replies to each client in the client's generation of YARP.
 
-It accepts the requests that YARP's servers accept: the name in one or several words, vocabs or strings, in a list with
-or without a common type of elements; ``help``; the introduction of YARP 4's clients. Unknown requests get ``[fail]``.
-If a client's generation is a guess, no generation reads a failure as success (`yarp_compat.dev.returnvalue`).
+It accepts the requests that YARP's servers accept: the method name as one or several words, each a vocab or a string,
+in a list with or without a common element type; ``help``; and ``getRemoteProtocolVersion``, with which YARP 4's clients
+begin. Unknown requests get ``[fail]``. If a client's generation is a guess, failures are sent so that no generation
+reads them as success (`yarp_compat.dev.returnvalue`).
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ log = logging.getLogger(__name__)
 
 HELP = "help"
 LOCATIONS = "get_locations_list_RPC"
-SILENCE = 1.0  # minimum seconds between log lines of one server, as a client could flood the log
+SILENCE = 1.0  # minimum seconds between log lines of one server, because a client could flood the log
 _HELP = (
     "help([functionName])",
     "Return list of available commands, or help message for a specific function",
@@ -45,9 +46,10 @@ _OTHER = {Generation.YARP_3_12: Generation.YARP_3_6, Generation.YARP_3_6: Genera
 
 
 class Server:
-    """Replies with a service's implementation: the ``on_message`` of a port; :meth:`on_event` is its ``on_event``.
+    """Replies to requests by calling the implementation of a service.
 
-    ``generations`` stores the generation of each client, also for the owner's status.
+    Use the object as the ``on_message`` of a port, and :meth:`on_event` as the port's ``on_event``. ``generations``
+    stores the generation of each client; the owner may read it for a status.
     """
 
     def __init__(self, service: Service, generations: Generations | None = None) -> None:
@@ -71,7 +73,7 @@ class Server:
             peer.profile = Profile.YARP4
 
     def on_event(self, event: ConnectionEvent) -> None:
-        """Handle the start or end of a connection, as the next client with its name may have another release."""
+        """Handle the start or end of a connection: the next client of the same name may use another YARP release."""
         if event.incoming and event.up:
             self.generations.connected(event.route.source, event.route.carrier, event.address)
         elif event.incoming:
@@ -88,7 +90,7 @@ class Server:
         text: bool = False,
         acked: bool = False,
     ) -> bytes:
-        """Return the reply to a request of a port over a connection (``link``), in its dialect if that is known.
+        """Return the reply to a port's request over a connection (``link``), in the port's dialect if that is known.
 
         ``text``: the reply is printed, so it must be a Bottle; ``acked``: the carrier acknowledges, so
         `returnvalue.SPARE` bytes can follow.
@@ -115,7 +117,8 @@ class Server:
         if text:
             reason = "text carrier"
         elif "_" in _first_word(payload, dialect) and not self.generations.of(peer, profile, link).sure:
-            # generated code splits names: this is a user of `yarp rpc` or a script, which expects a Bottle
+            # generated code splits names at "_", so this name comes from a user of `yarp rpc` or from a script: reply
+            # with a Bottle
             reason = "typed request"
         else:
             decision = self._decide(call, arguments, dialect, peer, profile, link)
@@ -141,7 +144,10 @@ class Server:
             return GenerationDecision(peer, trial.generation, "a trial", decision.cure)
         cure = generations.hint(decision) if call.has_outcome else ""
         if cure:
-            text = "the YARP release of %s is unknown (%s); replying as YARP %s, with unambiguous failures; %s"
+            text = (
+                "the YARP release of %s is unknown (%s); replying as YARP %s, "
+                "with failures that no release reads as success; %s"
+            )
             log.warning(text, peer or "?", decision.reason, decision.generation.value, cure)
         return decision
 
@@ -150,7 +156,7 @@ class Server:
     ) -> GenerationDecision:
         """Change the guess if the client could not read the last reply.
 
-        ``navigation2D_nwc_yarp`` requests the area of a name only after the request of the location failed
+        ``navigation2D_nwc_yarp`` requests the area of a name only after its request for the location has failed
         (``gotoTargetByLocationName``, 3.6 to 4.0).
         """
         location, other = self._last_location.pop(peer, None), _OTHER.get(decision.generation)
@@ -163,7 +169,7 @@ class Server:
         return self.generations.of(peer, decision.generation.profile, link)
 
     def _run_command(self, payload: Buffer, profile: Profile | None, likely: Profile) -> bytes | None:
-        """Return the reply to a text command; None if the service does not know it."""
+        """Return the reply to a text command; None if the service does not support the command."""
         try:
             values = self._service.command(decode(payload, profile))
             return None if values is None else encode(begun_by_vocab(values), likely)
@@ -176,7 +182,10 @@ class Server:
             return _fail()
 
     def parse_request(self, payload: Buffer, likely: Profile) -> tuple[str, Call | None, list[Any], Profile]:
-        """Return a request's name, call, arguments (without surplus ones), and the dialect that fits all bytes."""
+        """Return a request's name, call, arguments (without surplus ones) and dialect.
+
+        The dialect is the one that fits all bytes, or else the likely one if it fits the beginning.
+        """
         other = Profile.YARP3 if likely is Profile.YARP4 else Profile.YARP4
         first: WireError | None = None
         for profile, whole in ((likely, True), (other, True), (likely, False)):
@@ -195,7 +204,7 @@ class Server:
         raise first or WireError("no profile fits")
 
     def _read_name(self, source: ElementReader) -> tuple[str, Call | None]:
-        """Return the name in a request and its call; None for the names that every service has."""
+        """Return the name in a request, and its call; the call is None for the names that every service has."""
         source.begin()
         name = source.word()
         if name == "__direct__":
@@ -301,7 +310,7 @@ def _results(call: Call, returned: Any) -> list[Any]:
             return [returned, *_defaults(call)]
         returned = (returned,)
     if len(returned) != len(call.results):
-        raise WireError(f"{call.name} returns {len(call.results)} values, not {len(returned)}")
+        raise WireError(f"{call.name} must return {len(call.results)} values, not {len(returned)}")
     return list(returned)
 
 
@@ -322,7 +331,10 @@ def _fail() -> bytes:
 
 
 class DeviceCalls:
-    """Calls a device: any object with some of YARP's methods, which return results, None or an outcome, or raise."""
+    """Calls the methods of a device: any object that has some of YARP's methods.
+
+    These return a result, None or a `ReturnValue`, or raise.
+    """
 
     def __init__(self, device: object) -> None:
         self._device = device
@@ -333,7 +345,7 @@ class DeviceCalls:
         return returned if isinstance(returned, ReturnValue) else OK
 
     def result(self, method: str, *arguments: Any, lacking: str) -> Any:
-        """Call a method and return its result; ``lacking`` is the error if it returns None."""
+        """Call a method and return its result; ``lacking`` is the error text if the method returns no result."""
         returned = self._method(method)(*arguments)
         if isinstance(returned, ReturnValue):
             raise CallFailed(returned.code if not returned else ReturnCode.METHOD_FAILED, lacking)

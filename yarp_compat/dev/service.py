@@ -30,22 +30,22 @@ from yarp_compat.wire.tags import INT32, LIST, STRING, VOCAB32
 INTRODUCTION = "getRemoteProtocolVersion"
 """The method that clients of YARP 4 call first; 3.12 has it too, but its stock clients do not call it."""
 VERSION = struct.Struct("<iihhhh")
-"""Its reply, which is not a Bottle: a list of 1, then the service's protocol, YARP's major, minor and patch number."""
+"""The reply to it, which is not a Bottle: a list of 1, the service's protocol, YARP's major, minor and patch number."""
 
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 class Channel(Protocol):
-    """A client's connection to its server; replies of the server set its ``generation``."""
+    """A client's connection to its server; the server's replies set the channel's ``generation``."""
 
     generation: Generation
 
     def request(self, payload: bytes, parse: Callable[[Buffer], int]) -> Buffer:
-        """Send a request and return the reply; ``parse`` returns its length (or raises Incomplete)."""
+        """Send a request and return the reply; ``parse`` returns the reply's length (or raises `Incomplete`)."""
 
 
 class Service:
-    """An interface; clients call its methods marked :func:`rpc` through a channel, which servers do not need."""
+    """An interface. Clients call its methods marked with :func:`rpc` through a channel; servers need no channel."""
 
     PROTOCOL: ClassVar[int] = 0  # the protocol version for clients of YARP 4
 
@@ -69,11 +69,11 @@ class Service:
             channel.generation = Generation.YARP_3_12 if version[1] == 3 else Generation.YARP_4
         return version
 
-    def command(self, words: list[Any]) -> Sequence[Any] | None:  # noqa: ARG002 - most have none
-        """Reply to a text command, as modules had them before their services; None for any other request.
+    def command(self, words: list[Any]) -> Sequence[Any] | None:  # noqa: ARG002 - most services have none
+        """Reply to a text command, such as modules had before their services; None for any other request.
 
-        ``words`` and the reply are a Bottle's values; the reply's first may be a vocab as text (``[many]``). Raises
-        `ValueError` with the reason for an invalid command.
+        ``words`` and the reply are a Bottle's values; the first of the reply may be a vocab as text (``[many]``).
+        Raises `ValueError` with the reason for an invalid command.
         """
         return None
 
@@ -87,8 +87,9 @@ class Service:
 def rpc(method: _Method) -> _Method:
     """Mark a method of an interface: with a channel, calling it calls the server's method.
 
-    Its annotations are the types on the wire, see :mod:`yarp_compat.dev.fields`; ``tuple[ReturnValue, ...]`` stands for
-    YARP's structures ``return_...``. On a class, it marks all public methods that `Service` does not have.
+    The method's annotations are the types on the wire (see :mod:`yarp_compat.dev.fields`); ``tuple[ReturnValue, ...]``
+    stands for YARP's structures ``return_...``. On a class, `rpc` marks all public methods that `Service` does not
+    have.
     """
     if isinstance(method, type):
         for name, member in list(vars(method).items()):
@@ -115,7 +116,7 @@ def rpc(method: _Method) -> _Method:
 
 
 def since(generation: Generation) -> Callable[[_Method], _Method]:
-    """Mark a method, below :func:`rpc`, that clients of older generations lack, so a caller is not one of them."""
+    """Mark a method that clients of older generations lack, so that a caller is not one of them; below :func:`rpc`."""
 
     def marked(method: _Method) -> _Method:
         method.__dict__["since"] = generation
@@ -125,7 +126,7 @@ def since(generation: Generation) -> Callable[[_Method], _Method]:
 
 
 def before(generation: Generation) -> Callable[[_Method], _Method]:
-    """Mark a method that only clients of older generations call, or all methods of a class; below :func:`rpc`."""
+    """Mark a method, or all methods of a class, that only clients of older generations call; below :func:`rpc`."""
 
     def marked(method: _Method) -> _Method:
         methods = filter(isfunction, vars(method).values()) if isinstance(method, type) else (method,)
@@ -137,7 +138,7 @@ def before(generation: Generation) -> Callable[[_Method], _Method]:
 
 
 def write_version(protocol: int, generation: Generation = Generation.YARP_4) -> bytes:
-    """Return the reply to a client's introduction, as from a server of the client's own generation."""
+    """Return the reply to a client's introduction, as a server of the client's own generation sends it."""
     major, minor = map(int, generation.value.split("."))
     return VERSION.pack(LIST, 1, protocol, major, minor, 0)
 
@@ -153,7 +154,7 @@ def read_version(reply: Buffer) -> tuple[int, int, int, int] | None:
 
 
 def version_end(data: Buffer) -> int:
-    """Return the length of the reply to an introduction; raises `Incomplete` for a part of one."""
+    """Return the length of the reply to an introduction; raises `Incomplete` if the reply is cut off."""
     size = memoryview(data).nbytes
     if size < 4:
         raise Incomplete(f"{size} bytes of a reply")
@@ -189,7 +190,7 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A method. ``single``: one result without a structure; ``since``, ``before``: the generations that call it."""
+    """A method. ``single``: it has one result, without a structure; ``since``, ``before``: generations that call it."""
 
     name: str
     arguments: tuple[tuple[str, FieldCodec], ...]
@@ -246,7 +247,7 @@ class Call:
         return values
 
     def reply(self, results: Sequence[Any], generation: Generation, profile: Profile | None = None) -> bytes:
-        """Encode these results, with a profile's tags or the generation's; raises `WireError` for wrong types."""
+        """Encode results, with the tags of ``profile`` or else the generation's; raises `WireError` for wrong types."""
         out = ElementWriter(profile or generation.profile, generation)
         if not (self._is_bare and not (self.has_outcome and generation is Generation.YARP_3_6)):
             out.begin(len(self.results))
@@ -258,10 +259,10 @@ class Call:
         return out.payload()
 
     def read_reply(self, data: Buffer, generation: Generation) -> Reply:
-        """Parse the reply at the start of ``data``; a generation that its bytes show overrides the argument.
+        """Parse the reply at the start of ``data``; a generation that the bytes prove overrides the argument.
 
-        Raises `WireError` if it is not a reply to this method (``[fail]``: the server lacks it), `Incomplete` for a
-        part of one.
+        Raises `WireError` if it is not a reply to this method (``[fail]``: the server lacks the method), `Incomplete`
+        if the reply is cut off.
         """
         if self.has_outcome:
             generation = _generation_of(data, generation, single=self.single)
@@ -277,7 +278,7 @@ class Call:
 
     @property
     def _is_bare(self) -> bool:
-        """Whether the reply consists of the only result, a list."""
+        """Whether the reply consists of the only result, which is a list itself."""
         return self.single and isinstance(self.results[0], Nested)
 
 
