@@ -1,7 +1,7 @@
 """``python -m yarp_compat script.py ...`` runs a script that imports ``yarp``, unchanged.
 
-``python -m yarp_compat --check script.py ...`` lists the names of YARP in a script that are missing here, without
-running it.
+``python -m yarp_compat --check script.py ...`` lists the YARP names in scripts that this package lacks, without running
+them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ HELP = f"""{USAGE}
 
 Runs a script for YARP's Python bindings (`import yarp`) without YARP, with all arguments that follow it.
 
-  --check     list the names of YARP in scripts that are missing here, without running them
+  --check     list the YARP names in scripts that this package lacks, without running them
   -h, --help  show this help"""
 
 

@@ -48,7 +48,7 @@ class _Port:
         await self.close()
 
     async def connect(self, target: str) -> Self:
-        """Connect the port's output to another port, as `OpenPort.connect`."""
+        """Connect the port's output to another port, like `OpenPort.connect`."""
         await asyncio.to_thread(self._port.connect, target)
         return self
 
@@ -77,7 +77,7 @@ class _NotifyingReader(pythonic.Reader):
 
 
 class Reader(_Port):
-    """An input port: ``async for`` yields each message as a `Received`. Arguments as for `pythonic.Reader`."""
+    """An input port: ``async for`` yields each message as a `Received`. For the arguments, see `pythonic.Reader`."""
 
     _port: _NotifyingReader
 
@@ -115,7 +115,7 @@ class Reader(_Port):
 
 
 class Writer(_Port):
-    """An output port; arguments as for `pythonic.Writer`."""
+    """An output port; for the arguments, see `pythonic.Writer`."""
 
     _port: pythonic.Writer
 
@@ -123,12 +123,12 @@ class Writer(_Port):
         self._port = pythonic.Writer(name, **options)
 
     def write(self, content: Content, envelope: str = "", *, strict: bool = False) -> int:
-        """Send a message without blocking, as `pythonic.Writer.write`."""
+        """Send a message without blocking, like `pythonic.Writer.write`."""
         return self._port.write(content, envelope, strict=strict)
 
 
 class Client(_Port):
-    """A client of one server; arguments as for `pythonic.Client`."""
+    """A client of one server; for the arguments, see `pythonic.Client`."""
 
     _port: pythonic.Client
 
@@ -136,7 +136,7 @@ class Client(_Port):
         self._port = pythonic.Client(server, name, **options)
 
     async def ask(self, content: Content, *, timeout: float | None = None) -> list[Any]:  # noqa: ASYNC109 (a socket's)
-        """Send a request and return the values of the reply, as `pythonic.Client.ask`."""
+        """Send a request and return the values of the reply, like `pythonic.Client.ask`."""
         return await asyncio.to_thread(self._port.ask, content, timeout=timeout)
 
 

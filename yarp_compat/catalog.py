@@ -1,4 +1,4 @@
-"""The module of each name of the package, and the error for YARP's names that it lacks."""
+"""Finds the objects behind the package's names, and explains YARP's names that the package lacks."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ _ENUMERATORS = {
 
 
 def find(name: str) -> Any:
-    """Return the object of a name; raises `AttributeError`, with the replacement of a missing name."""
+    """Return the object of a name; raises `AttributeError`, which suggests a replacement for a missing name."""
     if name in _MODULE_OF:
         return getattr(importlib.import_module(f"yarp_compat.{_MODULE_OF[name]}"), name)
     if name in _MODULES:

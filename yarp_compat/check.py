@@ -1,6 +1,7 @@
-"""``python -m yarp_compat --check script.py folder``: list the names of YARP in scripts that are missing here.
+"""``python -m yarp_compat --check script.py folder``: list the YARP names in scripts that this package lacks.
 
-Prints them with their lines and replacements. The exit code is 0 if no name is missing in any script, else 1.
+The names are printed with their lines and replacements. The exit code is 0 if all scripts can be read and use no
+missing names, else 1.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ def check(path: Path) -> Checked:
 
 
 def lacking(name: str) -> tuple[str, str]:
-    """Return the missing part of a name (``Bottle``) or method (``Bottle.get``) and the reason; empty texts if none is.
+    """Return the missing part of a name (``Bottle``) or method (``Bottle.get``) and the reason; both are "" if none is.
 
     If the class of a method is missing, that is the missing part.
     """

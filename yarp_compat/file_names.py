@@ -1,7 +1,7 @@
 """File names that come from users, programs and configurations: Windows forbids many of them.
 
-There ``a:b`` is a hidden stream of ``a``, ``CON.mcap`` is the console, and ``floor.`` loses its dot, all without an
-error. Code that derives a file name from such a name rejects `forbidden` ones if the user can choose another name, and
+On Windows, ``a:b`` is a hidden stream of ``a``, ``CON.mcap`` is the console, and ``floor.`` loses its dot, all without
+an error. Code that derives a file name from such a name rejects a `forbidden` name if the user can choose another, and
 uses the name `escaped` otherwise.
 """
 

@@ -1,6 +1,6 @@
 """Octomaps at ports and in files: OctoMap's stream with its metadata.
 
-YARP has no such type. C++ programs can define it for `yarpidl_thrift`::
+YARP lacks this type. C++ programs can define it for `yarpidl_thrift`::
 
     struct Octomap { 1: string id; 2: bool binary; 3: double resolution; 4: string frame; 5: binary data; }
 
@@ -46,12 +46,12 @@ class Octomap(Generated):
 
     @classmethod
     def of(cls, tree: OcTree, *, binary: bool = False, frame: str = "") -> Self:
-        """Make the octomap of a tree: with log-odds, or ``binary`` with the likelier state."""
+        """Make an octomap from a tree, with log-odds, or if ``binary`` only with each leaf's likelier state."""
         return cls("OcTree", binary, tree.resolution, frame, tree.binary() if binary else tree.full())
 
     @classmethod
     def from_file(cls, data: bytes) -> Self:
-        """Parse the bytes of a ``.bt`` or ``.ot`` file; raises `OctreeError` with the invalid part."""
+        """Parse the bytes of a ``.bt`` or ``.ot`` file; raises `OctreeError`, which names the invalid part."""
         first, binary = data[:_MAX_HEADER].partition(b"\n")[0].decode("latin-1"), True
         if first.startswith(_FULL):
             binary = False
@@ -85,7 +85,7 @@ class Octomap(Generated):
         Path(path).write_bytes(make())
 
     def tree(self) -> OcTree:
-        """Decode the tree, cached; raises `OctreeError` with the invalid field."""
+        """Return the decoded tree, which is cached; raises `OctreeError`, which names the invalid field."""
         key = (self.id, self.binary, self.resolution, self.data)
         if self._read_tree is None or self._read_tree[0] != key:
             if self.binary:

@@ -1,12 +1,14 @@
-"""OctoMap's occupancy octrees: leaves as arrays, and the binary and full streams.
+"""OctoMap's occupancy octrees: their leaves as arrays, and OctoMap's binary and full streams.
 
 A tree divides the cube of 65,536 cells per side around the origin into eighths, 16 times. A leaf is identified by its
 Morton code, three bits per level (x lowest, then y, then z), and its depth. Leaves are sorted by their codes, which is
 the order of OctoMap's streams: depth first, from the root.
 
-Binary (``writeBinaryNode`` in `OccupancyOcTreeBase.hxx`): each inner node has 16 bits, two per child, the lowest
-first: 0 unknown, 1 free leaf, 2 occupied leaf, 3 inner node. Full (``writeNodesRecurs`` in `OcTreeBaseImpl.hxx`): each
-node has its log-odds (float32), in a ``ColorOcTree`` three bytes of color, and a bit mask of its children.
+In a binary stream (``writeBinaryNode`` in `OccupancyOcTreeBase.hxx`), each inner node has 16 bits, two per child from
+the
+lowest bits up: 0 unknown, 1 free leaf, 2 occupied leaf, 3 inner node. In a full stream (``writeNodesRecurs`` in
+`OcTreeBaseImpl.hxx`), each node has its log-odds (float32), three bytes of color if the tree is a ``ColorOcTree``, and
+a bit mask of its children.
 """
 
 from __future__ import annotations
@@ -26,11 +28,11 @@ MIDDLE = 1 << (DEPTH - 1)
 FREE, OCCUPIED = (math.log(odds / (1 - odds)) for odds in (0.1192, 0.971))
 """The log-odds of leaves of a binary tree: OctoMap's clamping thresholds (`AbstractOccupancyOcTree.cpp`)."""
 KINDS = {"OcTree": 5, "OcTreeStamped": 5, "ColorOcTree": 8}
-"""OctoMap's classes whose full streams are supported, and their bytes per node (stamps are not written)."""
+"""OctoMap's classes whose full streams are supported, and their bytes per node (OctoMap writes no stamps)."""
 MAX_NODES = 1 << 23
 """Larger trees are rejected before memory is allocated for their leaves: reading a tree of this size takes 450 MB,
-writing it as binary 650 MB. A map of Mapper3D's default memory (256 MB) has 3.5 to 5.5 million nodes: 61 to 97 in a
-block of 8 x 8 x 8."""
+writing it as a binary stream 650 MB. A map that fills Mapper3D's default memory (256 MB) has 3.5 to 5.5 million nodes:
+61 to 97 per block of 8 x 8 x 8 cells."""
 
 _CODES = np.uint64
 _SPREAD = (
@@ -42,7 +44,7 @@ _AT_ONCE = 1 << 18  # nodes per step of the search for children
 
 
 class OctreeError(WireError):
-    """A stream, a file or arrays are not an octree; the text names the invalid part and its position."""
+    """Raised for a stream, file or arrays that are not an octree; the text names the invalid part and its position."""
 
 
 class Voxels(NamedTuple):
@@ -77,7 +79,7 @@ class OcTree:
 
     @classmethod
     def of(cls, keys: ArrayLike, log_odds: ArrayLike, depths: ArrayLike = DEPTH, *, resolution: float) -> Self:
-        """Make a tree of leaves in any order, by the keys (N, 3) of any cell in each (0 to 65,535; 32,768 is at 0 m).
+        """Make a tree of leaves in any order; ``keys`` (N, 3) has any cell of each (0 to 65,535; 32,768 begins at 0 m).
 
         Raises `OctreeError` if leaves overlap, or numbers are invalid.
         """
@@ -96,7 +98,7 @@ class OcTree:
         codes, levels, values = codes[order], levels[order], values[order]
         ends = codes + (_CODES(1) << shift[order])
         if (ends[:-1] > codes[1:]).any():
-            raise OctreeError("keys of overlapping leaves")
+            raise OctreeError("keys contains overlapping leaves")
         return cls(resolution, codes, levels, values)
 
     @classmethod
@@ -159,7 +161,7 @@ class OcTree:
         return result.reshape(shape) if shape else float(result[0])
 
     def pruned(self) -> Self:
-        """Return the tree with any eight leaves of equal value that fill a node merged; without colors."""
+        """Return a tree, without colors, in which eight leaves that have equal values and fill a node are merged."""
         codes, depths, values = self.codes, self.depths, self.log_odds
         for level in range(DEPTH, 0, -1):
             leaves = np.flatnonzero(depths == level)
@@ -179,7 +181,7 @@ class OcTree:
         return type(self)(self.resolution, codes, depths, values)
 
     def binary(self) -> bytes:
-        """Encode the likelier states as a pruned binary stream, as OctoMap's ``writeBinary``; empty without leaves."""
+        """Encode leaves as free or occupied in a pruned stream, like OctoMap's ``writeBinary``; empty without any."""
         likely = np.where(self.log_odds > 0, np.float32(OCCUPIED), np.float32(FREE))
         tree = type(self)(self.resolution, self.codes, self.depths, likely).pruned()
         if len(tree) == 1 and tree.depths[0] == 0:  # the stream begins below the root
@@ -235,7 +237,7 @@ class _Nodes(NamedTuple):
         return rows.tobytes()
 
     def binary(self, pairs: NDArray[np.uint16]) -> bytes:
-        """Encode the binary stream from the two bits of each node in its parent."""
+        """Encode the binary stream; ``pairs`` has the two bits that represent each node in its parent."""
         below = np.flatnonzero(self.depths > 0)
         levels = self.depths[below].astype(np.int64)
         places = (self.codes[below] >> _shifts(levels) & _CODES(7)).astype(np.uint16)
@@ -348,8 +350,8 @@ def _tree_size(children: NDArray[np.int8], size: int) -> int:
 def _places(inner: NDArray[np.bool_], deepest: int) -> tuple[NDArray[np.uint64], NDArray[np.uint8]]:
     """Return the code and depth of each node of a stream, from the children (N, 8) of each node in the stream.
 
-    Let S be the number of nodes that are announced but not read before a node. A child after m siblings is the first
-    node after its parent p with S = S(p) + children(p) - 1 - m, so one search finds all children of a level.
+    Let S of a node be the number of nodes that are announced, but not read, before it. A child after m siblings is the
+    first node after its parent p with S = S(p) + children(p) - 1 - m, so one search finds all children of a level.
     """
     many = inner.sum(axis=1, dtype=np.uint8)
     size = len(inner)

@@ -1,4 +1,4 @@
-"""The decorator ``override`` for type checkers, since Python 3.11 lacks it and this package depends on numpy alone."""
+"""The decorator ``override`` for type checkers, because Python 3.11 lacks it and this package depends only on numpy."""
 
 from __future__ import annotations
 

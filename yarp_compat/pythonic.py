@@ -68,14 +68,15 @@ class Received:
         return self.raw.wants_reply
 
     def reply(self, content: Content) -> None:
-        """Reply; at most once."""
+        """Send the reply; may be called once."""
         self.raw.reply(payload_of(content)(self._reply_profile))
 
 
 class OpenPort(Openable):
-    """A port that is open between ``with`` and its end. See `Reader`, `Writer`, `Client` and `Server`.
+    """A port that is open inside a ``with`` block. See `Reader`, `Writer`, `Client` and `Server`.
 
-    With an empty name, the name server (by default that of ``yarp.conf``) chooses one. For other options: `PortCore`.
+    With an empty name, the name server (by default that of ``yarp.conf``) chooses one. For other options, see
+    `PortCore`.
     """
 
     def __init__(self, name: str = "", *, naming: Naming | None = None, **options: Any) -> None:
@@ -98,7 +99,7 @@ class OpenPort(Openable):
         self.core.close()
 
     def connect(self, target: str) -> Self:
-        """Connect the output to another port, or with a carrier, ``udp://r``. Raises `PortError` on failure."""
+        """Connect the output to another port; ``udp://r`` also selects the carrier. Raises `PortError` on failure."""
         done, reply = self.core.add_output(target)
         if not done:
             raise PortError(reply)
@@ -111,8 +112,8 @@ class OpenPort(Openable):
 class Reader(OpenPort):
     """An input port: iteration yields each message as a `Received`, until the port is closed; see also `OpenPort`.
 
-    ``strict``: every message instead of only the newest. ``patient``: a reply may be sent after later messages are
-    read; by default, reading the next message sends an empty reply.
+    ``strict``: yield every message instead of only the newest. ``patient``: a reply may be sent after later messages
+    are read; by default, reading the next message sends an empty reply.
     """
 
     def __init__(self, name: str = "", *, strict: bool = False, patient: bool = False, **options: Any) -> None:
@@ -160,7 +161,7 @@ class Reader(OpenPort):
 
 
 class Writer(OpenPort):
-    """An output port that writes plain values or YARP types to all connected ports; arguments as for `OpenPort`."""
+    """An output port that writes plain values or YARP types to all connected ports; see also `OpenPort`."""
 
     def __init__(self, name: str = "", **options: Any) -> None:
         super().__init__(name, is_input=False, **options)
@@ -187,7 +188,7 @@ class Client(OpenPort):
             return self.connect(self.server)
 
     def ask(self, content: Content, *, timeout: float | None = None) -> list[Any]:
-        """Send a request and return the reply's values; raises `TimeoutError` (seconds), `ConnectionError`."""
+        """Send a request and return the reply's values; raises `TimeoutError` (after seconds), `ConnectionError`."""
         return binary.decode(self.core.request(payload_of(content), timeout=timeout))
 
 

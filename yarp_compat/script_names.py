@@ -1,4 +1,4 @@
-"""The names of YARP that a Python script uses, from its syntax tree; the script does not run.
+"""Finds the YARP names that a Python script uses in its syntax tree, without running the script.
 
 These are names of the module (``yarp.Bottle``, ``from yarp import Bottle``), methods of variables with one class in
 their function (``port = yarp.Port()``, ``self.port = ...``, ``motors = driver.viewIEncoders()``), and names of devices
@@ -28,7 +28,7 @@ _PYTHON_2 = re.compile(
 
 
 class ScriptError(Exception):
-    """A file cannot be read as a script; the message gives the file, line and reason."""
+    """Raised if a file cannot be read as a script; the message gives the file, line and reason."""
 
 
 @dataclass(frozen=True, order=True)

@@ -1,4 +1,4 @@
-"""A loop for sockets, timers and calls from other threads, with nothing but `selectors`.
+"""A loop for sockets, timers and calls from other threads, based only on `selectors`.
 
 Midspan's daemon runs one on its only thread, and all ports of a process share one (`yarp_compat.ports.loop`)::
 
@@ -27,7 +27,7 @@ File = socket.socket | int
 _READ, _WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
 
 CALLS_PER_STEP = 1000
-"""More calls wait for the next step, so that a flood of them does not delay sockets and timers."""
+"""Maximum calls per step. The others wait for the next step, so that many calls do not delay sockets and timers."""
 
 
 @dataclass(slots=True, order=True)
@@ -52,7 +52,7 @@ class _Watch:
 
 
 def _descriptor(file: File) -> int:
-    """Return a file's descriptor, -1 if it is closed. With sockets, the errors of `selectors` cost two system calls."""
+    """Return a file's descriptor, -1 if closed. Given a socket, `selectors` makes two system calls for a `KeyError`."""
     return file if isinstance(file, int) else file.fileno()
 
 
@@ -60,7 +60,7 @@ class SelectorLoop:
     """Runs callbacks, one `step` after the other; none of them may block.
 
     Only the thread that calls `step` may use a loop, except for `call_soon` and `wake`: these are safe in all threads
-    and in signal handlers. An exception of a callback leaves `step`; all other callbacks stay due.
+    and in signal handlers. An exception in a callback propagates from `step`; all other callbacks stay due.
     """
 
     def __init__(self) -> None:
@@ -118,7 +118,7 @@ class SelectorLoop:
             watch: _Watch = self._selector.unregister(descriptor if descriptor >= 0 else file).data
         except (KeyError, ValueError):
             return False
-        watch.readable = watch.writable = None  # this step may not have called it yet
+        watch.readable = watch.writable = None  # the current step may not have called them yet
         return True
 
     # -- timers and calls ----------------------------------------------------------------------------------------------
@@ -130,7 +130,7 @@ class SelectorLoop:
         return timer
 
     def cancel(self, timer: Timer) -> None:
-        """Cancel a timer; no effect on one that has run."""
+        """Cancel a timer, unless it has already run."""
         if timer.callback is None:
             return
         timer.callback = None
@@ -146,8 +146,8 @@ class SelectorLoop:
         self.wake()
 
     def wake(self) -> None:
-        """Make a running `step` return, or else the next `step`."""
-        with contextlib.suppress(OSError):  # full: it will wake anyway; or closed
+        """Make the running `step` return, or if none is running, the next one."""
+        with contextlib.suppress(OSError):  # full: the loop will wake anyway; or closed
             self._wake_out.send(b"\0")
 
     # -- running -------------------------------------------------------------------------------------------------------
@@ -157,7 +157,7 @@ class SelectorLoop:
         pause = self._pause(seconds) if self._calls or self._timers else seconds
         for key, events in self._select(pause):
             watch: _Watch = key.data
-            try:  # another thread may end the callbacks meanwhile
+            try:  # another thread may end the callbacks in the meantime
                 if events & _READ and (callback := watch.readable) is not None:
                     callback()
                 if events & _WRITE and (callback := watch.writable) is not None:

@@ -15,7 +15,7 @@ from yarp_compat.selector_loop import Callback, File, SelectorLoop
 _log = logging.getLogger(__name__)
 
 _SELECT_LIMIT = 512 if sys.platform == "win32" else 1024
-"""``select`` accepts so many files on Windows, and descriptors below this number elsewhere."""
+"""``select`` accepts this many files on Windows, and only descriptors below this number elsewhere."""
 
 
 class ThreadedLoop(SelectorLoop):
@@ -25,7 +25,7 @@ class ThreadedLoop(SelectorLoop):
     loop's thread. A callback that has just been replaced may still run once, so files must not block.
 
     Args:
-        name: of the thread.
+        name: the thread's name.
         at_end: called last, on the thread; the loop's own files are closed afterwards.
     """
 
@@ -99,12 +99,12 @@ class ThreadedLoop(SelectorLoop):
         return (file if isinstance(file, int) else file.fileno()) < _SELECT_LIMIT
 
     def _changed(self) -> None:
-        """Have a waiting thread notice changed files, which `select` and `poll` do not by themselves."""
+        """Make a waiting thread notice changed files, which `select` and `poll` do not notice by themselves."""
         if not (self._notices_changes or self.is_own_thread):
             self.wake()
 
     def _select_open(self, pause: float | None) -> list[tuple[selectors.SelectorKey, int]]:
-        """Wait with `select`, which fails for a file that another thread closes meanwhile."""
+        """Wait with `select`, which fails for a file that another thread closes in the meantime."""
         changes = self._changes
         try:
             return self._selector.select(pause)

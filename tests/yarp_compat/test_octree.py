@@ -149,7 +149,7 @@ def test_a_tree_may_have_sixteen_levels() -> None:
 @pytest.mark.parametrize(
     ("keys", "log_odds", "depths", "resolution", "error"),
     [
-        ([[0, 0, 0], [1, 1, 1]], 1, [16, 15], 0.1, "keys of overlapping leaves"),
+        ([[0, 0, 0], [1, 1, 1]], 1, [16, 15], 0.1, "keys contains overlapping leaves"),
         ([[0, 0, 70000]], 1, 16, 0.1, "keys must be"),
         ([0, 0, 0], 1, 16, 0.1, "keys must be"),
         ([[0, 0, 0]], 1, 17, 0.1, "depths must be"),

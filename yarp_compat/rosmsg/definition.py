@@ -28,7 +28,7 @@ _BUILTIN_TIMES = {"builtin_interfaces/Time": "time", "builtin_interfaces/Duratio
 
 
 class DefinitionError(ValueError):
-    """A ``.msg`` text is invalid, or a type is unknown."""
+    """Raised if a ``.msg`` text is invalid, or a type is unknown."""
 
 
 Constants = dict[str, int | float | str | bool]
@@ -75,7 +75,7 @@ def full_name(name: str, package: str = "") -> str:
 def parse(text: str, name: str) -> dict[str, MessageDefinition]:
     """Parse the definitions of a text by name: that of ``name``, then those after ``===`` and ``MSG: package/Name``.
 
-    Raises `DefinitionError` with the type and the invalid line.
+    Raises `DefinitionError`, which names the type and the invalid line.
     """
     if len(text) > MAX_TEXT:
         raise DefinitionError(f"the definition of {name} is longer than {MAX_TEXT} characters")

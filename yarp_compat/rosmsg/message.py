@@ -2,7 +2,7 @@
 
 The encoding is that of YARP 3.5's generated classes (yarpidl_rosmsg, RosTypeCodeGenYarp.cpp): a list of the fields in
 their order, each with its tag, nested messages as lists, and arrays of numbers and strings as typed lists. YARP's
-readers reject other layouts; ours accept any numeric type for a number.
+readers reject other layouts; this module accepts any numeric type for a number.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Message(Portable):
 
     @classmethod
     def typeName(cls) -> str:
-        """Return the type's name, ``std_msgs/String``."""
+        """Return the type's name, such as ``std_msgs/String``."""
         return cls.TYPE
 
     def clear(self) -> None:
@@ -277,7 +277,7 @@ def _tag(profile: Profile, type_name: str) -> int:
 
 
 def _integer(type_name: str, value: int) -> int:
-    """Return a number in the range of its type; an unsigned one is received as the signed one of the same bits."""
+    """Return a number in its type's range; a negative one for an unsigned type has the same bits as the result."""
     bits = 8 * PRIMITIVES[type_name]
     unsigned = _LETTERS[type_name].isupper()
     least = 0 if unsigned else -(1 << bits - 1)
