@@ -33,7 +33,7 @@ class Absent:
 
 @dataclass
 class Checked:
-    """The result for a script: whether it uses YARP, how many of its names, and the missing ones."""
+    """The result for a script: whether it imports YARP, how many of YARP's names it uses, and which are missing."""
 
     path: Path
     imports_yarp: bool

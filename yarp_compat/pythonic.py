@@ -188,7 +188,7 @@ class Client(OpenPort):
             return self.connect(self.server)
 
     def ask(self, content: Content, *, timeout: float | None = None) -> list[Any]:
-        """Send a request and return the reply's values; raises `TimeoutError` (after seconds), `ConnectionError`."""
+        """Send a request and return the reply's values; raises `TimeoutError` after ``timeout``, `ConnectionError`."""
         return binary.decode(self.core.request(payload_of(content), timeout=timeout))
 
 

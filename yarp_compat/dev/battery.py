@@ -1,8 +1,9 @@
 """A battery: its stream, the service of its RPC port (`IBatteryMsgs.thrift`), and a client (`IBattery.h`).
 
 Ports (`battery_nws_yarp`, formerly `batteryWrapper`): the stream ``<name>/data:o``, and ``<name>/rpc:i``. From 3.12
-on, the stream consists of `BatteryData`. Before, it is a Bottle of the same numbers in another order (voltage, current,
-charge, temperature, status), and the RPC port uses vocabs: the reply to ``[ibat] [btnf]`` is ``[is] [btnf] "..."``.
+on, the stream consists of `BatteryData`. Before 3.12, it is a Bottle of the same numbers in another order (voltage,
+current, charge, temperature, status), and the RPC port uses vocabs: the reply to ``[ibat] [btnf]`` is
+``[is] [btnf] "..."``.
 """
 
 # mypy: disable-error-code="empty-body"

@@ -118,7 +118,7 @@ class Stream(Openable, Generic[T]):
 
 
 class ClientOptions(TypedDict, total=False):
-    """``timeout`` of a reply in seconds (None: no limit; default `PATIENCE`); ``naming`` (default: ``yarp.conf``)."""
+    """``timeout``: the seconds for a reply (None: no limit; default `PATIENCE`); ``naming`` (default ``yarp.conf``)."""
 
     timeout: float | None
     naming: Naming | None

@@ -1,4 +1,4 @@
-"""Locations that are docks, by settings in their descriptions, so that YARP's files and servers keep them.
+"""Locations that are docks, by settings in their descriptions, so that YARP's files and servers preserve them.
 
 A description such as ``charger in the lab, kind=dock dock_type=simple_charging_dock`` makes a location a dock. The type
 names a plugin of the program that docks, and may be missing.

@@ -38,7 +38,7 @@ class FieldCodec(ABC):
 
     @abstractmethod
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
-        """Write a value; in a list whose header has the tag, without the tag."""
+        """Write a value; with ``tagged=False``, without its tag, which the list's header has."""
 
     @abstractmethod
     def read(self, source: ElementReader) -> Any:

@@ -37,7 +37,7 @@ SHAPE = (3, 3)
 class CovarianceCodec(Nested):
     """A pose's 3x3 covariance; None is sent as zeros, because real clients hang on an empty matrix.
 
-    Reading accepts an empty matrix: servers of YARP 3.12 and 4.0 confuse two cases, and send it on success.
+    Reading accepts an empty matrix: servers of YARP 3.12 and 4.0 confuse two cases, and send one on success.
     """
 
     def __init__(self) -> None:

@@ -283,8 +283,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
     def load(cls, path: str | Path, jail: Path | None = None) -> Self:
         """Read a map of YARP (``.map``) or of ROS (any other file, which is YAML); raises `MapFileError`.
 
-        Paths in the file are absolute, or relative to its folder; with a ``jail``, all files must be in the folder
-        jail.
+        Paths in the file are absolute, or relative to its folder; with a ``jail``, all files must be in that folder.
         """
         read = load_yarp(path, jail) if Path(path).suffix.lower() == ".map" else load_ros(path, jail)
         return cls.of(read.flags, read.occupancy, name=read.name, resolution=read.resolution, origin=read.origin)

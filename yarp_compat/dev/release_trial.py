@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 COMMANDS = "/user_commands/rpc"
 _PORTS = ("/navigation/rpc", "/locations/rpc", "/localization/rpc")
 _OPENING = 5.0  # seconds for the client to open its last port
-_STEPS = 0.02, 0.5  # seconds between the first two attempts, and at most
+_STEPS = 0.02, 0.5  # seconds between the first two attempts, and the maximum
 _PATIENCE = 2.0  # seconds for the client's reply
 
 

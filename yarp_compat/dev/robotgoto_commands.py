@@ -1,7 +1,8 @@
 """The commands on the RPC port of robotGoto: its service (`robotGotoMsgs.thrift`, 2026), and its older text commands.
 
-``reset_params``, ``approach DIRECTION SPEED TIME``, ``set linear_tol 0.05``, ``get navigation_status``
-(`robotGotoDev.cpp`); robotPathPlanner sends the text commands even to a newer robotGoto, which does not support them.
+The text commands are ``reset_params``, ``approach DIRECTION SPEED TIME``, ``set linear_tol 0.05`` and
+``get navigation_status`` (`robotGotoDev.cpp`); robotPathPlanner sends them even to a newer robotGoto, which does not
+support them.
 """
 
 # mypy: disable-error-code="empty-body"

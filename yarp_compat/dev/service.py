@@ -58,7 +58,7 @@ class Service:
         return _calls(cls)  # type: ignore[arg-type]  # a class can be hashed
 
     def introduce(self) -> tuple[int, int, int, int] | None:
-        """Introduce the client, as 4.0 does; return the server's protocol and YARP version (None: older than 3.12)."""
+        """Ask for the protocol's version, as 4.0 does; return it and the YARP version (None: older than 3.12)."""
         channel = self._require_channel(INTRODUCTION)
         out = ElementWriter(Profile.YARP4)
         out.begin(1)
@@ -138,7 +138,7 @@ def before(generation: Generation) -> Callable[[_Method], _Method]:
 
 
 def write_version(protocol: int, generation: Generation = Generation.YARP_4) -> bytes:
-    """Return the reply to a client's introduction, as a server of the client's own generation sends it."""
+    """Return the reply to ``getRemoteProtocolVersion``, as a server of the client's own generation sends it."""
     major, minor = map(int, generation.value.split("."))
     return VERSION.pack(LIST, 1, protocol, major, minor, 0)
 
@@ -154,7 +154,7 @@ def read_version(reply: Buffer) -> tuple[int, int, int, int] | None:
 
 
 def version_end(data: Buffer) -> int:
-    """Return the length of the reply to an introduction; raises `Incomplete` if the reply is cut off."""
+    """Return the length of the reply to ``getRemoteProtocolVersion``; raises `Incomplete` if it is cut off."""
     size = memoryview(data).nbytes
     if size < 4:
         raise Incomplete(f"{size} bytes of a reply")

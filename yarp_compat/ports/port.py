@@ -247,7 +247,7 @@ class PortCore(ConnectingPort):
 
     @property
     def lost(self) -> Counter[str]:
-        """Messages that its outputs dropped, by reason; closed outputs included."""
+        """The number of messages that the port's outputs dropped, by reason; closed outputs included."""
         return self.connections.lost
 
     def _check_outputs(self) -> None:

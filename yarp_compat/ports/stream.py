@@ -1,4 +1,4 @@
-"""Reading of whole messages or lines from a blocking socket, with few system calls and bounded memory."""
+"""Reads whole messages or lines from a blocking socket, with few system calls and bounded memory."""
 
 from __future__ import annotations
 

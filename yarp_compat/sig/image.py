@@ -181,7 +181,7 @@ class Raster:
         self._width, self._height, self._row, self._memory, self._external = width, height, row, memory, external
 
     def _writable(self) -> None:
-        """Make the memory writable, by a copy if needed."""
+        """Make the memory writable; copy it if needed."""
         if self._memory.readonly:
             self._memory = memoryview(bytearray(self._memory))
 

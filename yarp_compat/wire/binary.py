@@ -1,4 +1,4 @@
-"""Encoding and decoding of Bottles.
+"""Encodes and decodes Bottles.
 
 A Bottle is ``int32 256 | unit``, ``int32 n``, n elements, little-endian. If all elements have the same type, other than
 a list, ``unit`` is their tag and the elements have no tags. (`yarp/os/impl/BottleImpl.cpp`)

@@ -233,7 +233,7 @@ class ElementWriter:
         self._tail += _TWO_INT32.pack(LIST | tag, count)
 
     def integer(self, value: int, tag: int = INT32, *, tagged: bool = True) -> None:
-        """Write an integer in its tag's size, as signed if it is larger; raises `WireError` if it does not fit."""
+        """Write an integer in its tag's size, unsigned ones as the same bits; raises `WireError` if it is too large."""
         try:
             size = _INTEGERS[tag].size
             if value > 0 and value >> (8 * size - 1) == 1:

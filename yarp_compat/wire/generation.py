@@ -223,7 +223,7 @@ class Generations:
             self._remember(link, GenerationDecision(peer, Generation.YARP_4, f"{request}, as clients of 4.0 do"))
 
     def recognized(self, peer: str, profile: Profile, link: PeerAddress = _NOWHERE) -> None:
-        """Record that the client writes bytes that only this profile has; they override even `introduced`.
+        """Record that the client writes bytes that only this profile has; they override what `introduced` recorded.
 
         (In 3.12, clients of custom services may ask for the protocol's version too.)
         """
@@ -277,7 +277,7 @@ class Generations:
     def connected(self, peer: str, carrier: str, link: PeerAddress = _NOWHERE) -> None:
         """Record a new connection: discard an earlier client's facts, and use the carrier as a hint.
 
-        ``map2D_nwc_yarp`` connects by tcp by default up to 3.9, later by fast_tcp (``map2D_nwc_yarp_params.md``).
+        By default, ``map2D_nwc_yarp`` connects over tcp up to 3.9, later over fast_tcp (``map2D_nwc_yarp_params.md``).
         """
         self.forget(peer, link)
         if carrier == "tcp" and peer.endswith("/mapClient_rpc"):

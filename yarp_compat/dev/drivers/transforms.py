@@ -61,10 +61,10 @@ def frame_transform_client(options: DeviceOptions) -> OpenDevice:
 
 
 def frame_transform(options: DeviceOptions) -> OpenDevice:
-    """Open a client of a server; its ports have the prefix ``ft_server_prefix``, the client's ``ft_client_prefix``.
+    """Open a client; ``ft_server_prefix``: the prefix of the server's ports, ``ft_client_prefix``: of the client's.
 
-    Without the latter, the name server chooses the client's ports. ``ftGet_client_enable_stream``: subscribe to the
-    server's stream instead of sending a request for each query.
+    Without ``ft_client_prefix``, the name server chooses the names of the client's ports.
+    ``ftGet_client_enable_stream``: subscribe to the server's stream instead of sending a request for each query.
     """
     return _opened(TransformClient, options)
 

@@ -114,7 +114,7 @@ class Value(ValueBase, _Comparable):
         return Property.of(self._value) if isinstance(self._value, dict) else None
 
     def asSearchable(self) -> Bottle | Property | None:
-        """Return the dict or list, as `asDict` and `asList` do."""
+        """Return the dict or list, like `asDict` and `asList`."""
         return self.asDict() if isinstance(self._value, dict) else self.asList()
 
     @override
