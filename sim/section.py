@@ -96,7 +96,8 @@ class SimSection(Section):
     )
     seed: int = setting(0, "Seed of all noise: the same seed and commands give the same run.", ge=0)
     drive: Literal["velocity", "wheels"] = setting(
-        "velocity", "`velocity`: it subscribes to `/cmd_vel` and publishes odometry; `wheels`: BaseControl does both."
+        "velocity",
+        "`velocity`: the simulator subscribes to `/cmd_vel` and publishes odometry; `wheels`: BaseControl does both.",
     )
     names: Literal["usual", "r1"] = setting(
         "usual",

@@ -52,7 +52,7 @@ class BaseControlSection(ModuleSection):
     """The driver of a mobile base. Default measures and limits are those of R1."""
 
     ini: Path | None = setting(None, "A `baseCtrl` file of an existing robot; keys set here override it.")
-    kind: str = setting("cer", "`cer`: two wheels, as R1; `ikart_V1`: three omnidirectional wheels.")
+    kind: str = setting("cer", "`cer`: two wheels, like R1; `ikart_V1`: three omnidirectional wheels.")
     wheel_radius: float = setting(0.16416, "Radius of the wheels, meters (`geom_r`).", gt=0.0, lt=10.0)
     wheel_distance: float = setting(
         0.338, "Meters between the two wheels; `ikart_V1`: from the center to a wheel (`geom_L`).", gt=0.0, lt=10.0
@@ -64,10 +64,10 @@ class BaseControlSection(ModuleSection):
     max_linear_acc: float = setting(0.3, "Meters per second squared.", gt=0.0, le=100.0)
     max_angular_acc: float = setting(80.0, f"{DEGREES.capitalize()} squared.", gt=0.0, le=7200.0)
     max_linear_brake: float | None = setting(
-        None, "Deceleration, meters per second squared; empty: as `max_linear_acc`.", gt=0.0, le=100.0
+        None, "Deceleration, meters per second squared; empty: the same as `max_linear_acc`.", gt=0.0, le=100.0
     )
     max_angular_brake: float | None = setting(
-        None, "Deceleration of turning; empty: as `max_angular_acc`.", gt=0.0, le=7200.0
+        None, "Deceleration of turning; empty: the same as `max_angular_acc`.", gt=0.0, le=7200.0
     )
     max_motor_vel: float = setting(
         100.0, f"Maximum of each wheel, {DEGREES}; all wheels slow down together.", gt=0.0, le=7200.0

@@ -30,8 +30,8 @@ class LocalizerSection(Section):
     holonomic: bool = setting(False, "Whether the base can drive sideways.")
     odom_alpha: tuple[Annotated[float, Field(ge=0.0, le=10.0)], ...] = setting(
         (0.1, 0.1, 0.1, 0.1, 0.1),
-        "Errors of odometry, as amcl's `odom_alpha1` to `5`: turning by turning, turning by driving, driving by"
-        " driving, driving by turning, sideways by driving.",
+        "Noise of odometry, like amcl's `odom_alpha1` to `5`: of turning due to turning, of turning due to driving, of"
+        " driving due to driving, of driving due to turning, sideways due to driving.",
         min_length=5,
         max_length=5,
     )
@@ -46,7 +46,7 @@ class LocalizerSection(Section):
     )
     poor: float = setting(0.4, "If the map explains less than this share, the robot is lost.", ge=0.0, lt=1.0)
     recovery: float = setting(
-        4.0, "Distance around the estimate within which better poses are searched, meters.", gt=0.0, le=50.0
+        4.0, "Distance around the estimate within which better poses are searched for, meters.", gt=0.0, le=50.0
     )
 
     @model_validator(mode="after")
@@ -62,7 +62,7 @@ class LocalizationServerSection(ModuleSection):
     source: PoseSourceName | None = setting(
         None,
         "Source of the robot's pose: `own` (Midspan's localizer, by laser and odometry), `amcl` (of ROS 1 or ROS 2),"
-        " `tf` (the odometry's frame on the map), `topic` (a pose topic), `port` (a YARP port of poses), `server`"
+        " `tf` (the transform from map to odometry), `topic` (a pose topic), `port` (a YARP port of poses), `server`"
         " (another server of ILocalization2D), or a class of your own as `package.module:Class`; empty:"
         " `navigation.localizer`, or else `own`.",
     )
@@ -91,14 +91,16 @@ class LocalizationServerSection(ModuleSection):
     particle_cloud: OptionalTopic = setting(
         "/particle_cloud", "The particles of ROS 2's amcl (`nav2_msgs/msg/ParticleCloud`)."
     )
-    set_map: OptionalTopic = setting("/set_map", 'amcl\'s service for another map (`nav_msgs/srv/SetMap`); "": none.')
+    set_map: OptionalTopic = setting(
+        "/set_map", 'amcl\'s service that changes the map (`nav_msgs/srv/SetMap`); "": none.'
+    )
     topic: OptionalTopic = setting(
         "/pose", "For `topic`: `PoseWithCovarianceStamped`, `PoseStamped` or `Odometry` in the map's frame."
     )
     pose_age: float = setting(2.0, "Seconds for which a pose stays valid, updated by odometry.", gt=0.0, le=3600.0)
     server: PortName = setting("/otherLocalizer", "For `server`: prefix of the other server's ports.")
     publish_tf: bool = setting(
-        True, "Whether the transform from map to odometry is on `/tf`; never with `amcl` and `tf`."
+        True, "Whether to publish the transform from map to odometry on `/tf`; never with `amcl` and `tf`."
     )
     tf_tolerance: float = setting(
         0.5,

@@ -28,7 +28,7 @@ _PointName = Annotated[
 
 
 class TakenMap(Section):
-    """Maps of a topic that are taken into the store."""
+    """Maps from a topic that are imported into the store."""
 
     topic: TopicName = Field(description="The topic (`nav_msgs/msg/OccupancyGrid`) on the hub: `/map`.")
     name: str = Field(min_length=1, max_length=64, description="The map's name in the store.")
@@ -43,7 +43,7 @@ class Map2DServerSection(ModuleSection):
         ("/map2D_nws_yarp/rpc", "/mapServer/rpc"), "YARP ports that answer map clients (`map2D_nwc_yarp`)."
     )
     command_port: OptionalPort = setting(
-        "/map2D_server/command", 'YARP port that takes the words `current`, `use NAME` and `help`; "": none.'
+        "/map2D_server/command", 'YARP port that accepts the words `current`, `use NAME` and `help`; "": none.'
     )
     folder: Path | None = setting(
         None, "The only folder in which clients may save and load; default `maps` in the module's state folder."
@@ -55,7 +55,8 @@ class Map2DServerSection(ModuleSection):
         "Maps of other servers and mappers to import into the store. The server does not publish an imported `/map`.",
     )
     clicked_point: _PointName = setting(
-        "", 'Points of `/clicked_point` become locations of the current map, with this name and a number; "": none do.'
+        "",
+        'Points of `/clicked_point` become locations on the current map, named by this word and a number; "": none do.',
     )
 
     @model_validator(mode="after")
@@ -66,5 +67,5 @@ class Map2DServerSection(ModuleSection):
         return self
 
     def taken_as(self, topic: str) -> str:
-        """The map's name in the store for maps of a topic; "" where the store does not take them."""
+        """Return the name in the store for maps from a topic; "" if they are not imported."""
         return next((taken.name for taken in self.take if taken.topic == topic), "") if self.enabled else ""

@@ -38,10 +38,12 @@ class Mapper2DSection(ModuleSection):
         "slam",
         "Source of the pose: `slam`: the scans, with the odometry on `/tf` as a first guess; or a given pose: `tf`: the"
         " frames of all sides; `topic`: `pose_topic`; `port`: `odometry:i` on YARP. With `map_frame` equal to"
-        " `odom_frame`, `slam` is `tf`.",
+        " `odom_frame`, `slam` means `tf`.",
     )
     publish_tf: bool = setting(
-        True, "With `slam`: whether the transform from map to odometry is on `/tf`; never while a localizer is active."
+        True,
+        "With `slam`: whether to publish the transform from map to odometry on `/tf`; never while a localizer is"
+        " active.",
     )
     tf_tolerance: float = setting(
         0.5,
@@ -75,5 +77,5 @@ class Mapper2DSection(ModuleSection):
 
     @property
     def slam(self) -> bool:
-        """Whether the poses follow from the scans."""
+        """Whether the poses are derived from the scans."""
         return self.pose == "slam" and self.map_frame.lstrip("/") != self.odom_frame.lstrip("/")

@@ -73,7 +73,9 @@ class Mapper3DSection(ModuleSection):
         0.1, "Seconds by which the stamps of an image and its `CameraInfo` may differ.", ge=0.0, le=10.0
     )
     resolution: float = setting(0.05, "Side of a voxel, meters.", ge=0.005, le=1.0)
-    nearest: float = setting(0.1, "Nearer points are ignored, such as those on the robot; meters.", ge=0.0, le=10)
+    nearest: float = setting(
+        0.1, "Points nearer than this are ignored, such as those on the robot; meters.", ge=0.0, le=10
+    )
     farthest: float = setting(4.0, "Rays are used only up to this distance, meters.", gt=0.0, le=100.0)
     forget_after: float = setting(
         0.0,
@@ -92,7 +94,7 @@ class Mapper3DSection(ModuleSection):
     base_frame: FrameName = setting("base_link", "The robot's frame.")
     floor: float | None = setting(None, FLOOR, ge=-3.0, le=3.0)
     octomap: bool = setting(
-        True, "Whether it also has the topics and services of `octomap_server`, while other nodes use them."
+        True, "Whether to offer the topics and services of `octomap_server` too, while other nodes use them."
     )
     period: float = setting(2.0, "Minimum seconds between two published octomaps.", ge=0.1, le=600.0)
     keep: bool = setting(

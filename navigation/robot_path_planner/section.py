@@ -33,7 +33,7 @@ _Navigator = Annotated[
 
 
 class DrivenSection(Section):
-    """Settings for driving to a waypoint or to the goal; an empty one leaves the local navigator's own value.
+    """Settings for driving to a waypoint or to the goal; an empty setting keeps the local navigator's own value.
 
     Speeds and gains only apply to RobotGoto, not to other local navigators.
     """
@@ -88,7 +88,7 @@ class RobotPathPlannerSection(ModuleSection):
     waypoint: WaypointSection = subsection(WaypointSection, "Settings for driving to waypoints.")
     goal: GoalSection = subsection(GoalSection, "Settings for driving to the goal.")
     min_waypoint_distance: float = setting(
-        0.2, "Waypoints nearer together than this are joined if possible, meters.", ge=0.0, le=10.0
+        0.2, "Waypoints closer together than this are joined if possible, meters.", ge=0.0, le=10.0
     )
     use_optimized_path: bool = setting(True, "Whether paths are straightened; otherwise every cell is a waypoint.")
     recoveries: int = setting(5, "Attempts in a row without progress before the goal is aborted.", ge=0, le=100)

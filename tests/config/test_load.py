@@ -263,7 +263,7 @@ START = "The robot's start pose: x, y (meters), direction (degrees)"
         ),
         (
             "modules: {localization_server: {localiser: {odom_alpha: [0.1, 0.2]}}}",
-            "modules.localization_server.localiser.odom_alpha: has 2 values, and needs exactly 5: Errors of odometry,",
+            "modules.localization_server.localiser.odom_alpha: has 2 values, and needs exactly 5: Noise of odometry,",
         ),
         (
             f"record: {{trigger: {{topics: [{', '.join(f'/t{n}' for n in range(65))}]}}}}",
