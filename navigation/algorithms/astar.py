@@ -1,9 +1,9 @@
 """Shortest paths on a grid: A* with eight neighbors, without cutting corners.
 
 Steps cost 70 straight and 99 diagonally, times the weight of the cell that is entered: integers whose ratio is the
-square root of two within 5e-5. With them the open list is a ring of buckets instead of a heap, which takes constant
-time (Dial 1969; A*: Hart, Nilsson, Raphael 1968). A diagonal step needs both adjacent cells to be free, since a robot
-is not a point.
+square root of two within 5e-5. Because costs are integers, the open list is not a heap but a ring of buckets, which
+takes constant time (Dial 1969; A*: Hart, Nilsson, Raphael 1968). A diagonal step needs both adjacent cells to be free,
+since a robot is not a point.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ class GridWay:
     """A path on a grid."""
 
     cells: Cells  #: (n, 2) rows and columns, from the start to the goal, both included
-    # sum of its steps, each times the weight of the cell that it enters; a straight step into weight 1 is 1
+    # sum of the steps, each times the weight of the cell that it enters; a straight step into weight 1 counts 1
     cost: float
 
     @property
     def length(self) -> float:
-        """Its length in cells, a diagonal step being the square root of two."""
+        """The path's length in cells; a diagonal step counts the square root of two."""
         steps = np.abs(np.diff(self.cells, axis=0)).sum(axis=1)
         return float((steps == 1).sum() + np.sqrt(2.0) * (steps == 2).sum())
 

@@ -1,8 +1,8 @@
-"""Solves sparse systems of 3 x 3 blocks, as pose graphs have them, with NumPy only.
+"""Solves sparse systems of 3 x 3 blocks, such as those of pose graphs, with NumPy only.
 
-Nodes that are not joined are eliminated together, in one vectorized step: of a chain every other node, so that a chain
-of n nodes takes about log2(n) steps. The few nodes that remain are solved as a dense system. The order depends on the
-edges only, and serves all iterations.
+Nodes that are not joined are eliminated together, in one vectorized step. Of a chain, this is every other node, so that
+a chain of n nodes takes about log2(n) steps. The few nodes that remain are solved as a dense system. The order depends
+on the edges only, and serves all iterations.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ _FEW_NEIGHBORS, _SPREAD = 3, 1.3  # a step eliminates nodes with few neighbors, 
 
 
 class _Step(NamedTuple):
-    """Nodes that are eliminated together; missing neighbors are the node after the last one, and the empty block.
+    """Nodes that are eliminated together; the node after the last one and the empty block replace missing neighbors.
 
     Attributes:
         nodes: (m,) their indices.
         neighbors: (m, d) their neighbors.
         blocks: (m, d) places of the blocks in a neighbor's row and the node's column.
-        pairs: (m, d, d) places of the blocks of each two neighbors.
+        pairs: (m, d, d) places of the blocks of each pair of neighbors.
     """
 
     nodes: Indices
@@ -41,11 +41,11 @@ class BlockElimination:
 
     Args:
         count: the number of nodes.
-        first, second: the nodes of each edge; an edge with a node that is negative has no blocks.
+        first, second: the nodes of each edge; an edge with a negative node has no blocks.
 
     Attributes:
-        places: (edges, 2) the places of each edge's blocks: row of the first node and column of the second one, and the
-            other way. The places of the nodes' own blocks are their indices, and the last place is empty.
+        places: (edges, 2) the places of each edge's blocks: row of the first node and column of the second one, and
+            vice versa. The places of the nodes' own blocks are their indices, and the last place is empty.
         size: the number of places.
     """
 
@@ -93,7 +93,7 @@ class BlockElimination:
         return result[:-1]
 
     def _ordered(self, joined: list[set[int]]) -> tuple[list[list[tuple[int, list[int]]]], list[int]]:
-        """Return the nodes of each step with their neighbors, and the nodes that remain; adds the places it needs."""
+        """Return the nodes of each step with their neighbors, and the nodes that remain; adds the needed places."""
         left, steps = set(range(self._count)), []
         while len(left) > _DENSE:
             blocked: set[int] = set()

@@ -66,10 +66,11 @@ def _envelop(
     begins: cython.double[::1],
     squares: cython.float[:, ::1],
 ) -> cython.void:
-    """Compute squared distances: in each row, the lower envelope of a parabola on each column.
+    """Compute squared distances: in each row, the lower envelope of parabolas, one for each column.
 
-    ``places`` and ``heights`` have room for each column, ``begins`` for one more, as a column is added at most once.
-    ``begins`` increases from -infinity to infinity, so that every column is within it.
+    ``places`` and ``heights`` have room for each column, ``begins`` for one more, because a column is added at most
+    once.
+    ``begins`` increases from -infinity to infinity, so that every column is in one of its intervals.
     """
     rows: cython.Py_ssize_t = steps.shape[0]
     columns: cython.Py_ssize_t = steps.shape[1]

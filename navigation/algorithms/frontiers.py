@@ -17,8 +17,8 @@ def frontiers(free: Mask, unknown: Mask, least: int = 1) -> list[Cells]:
 
     Args:
         free: (rows, columns) the free cells.
-        unknown: (rows, columns) the unknown cells; cells outside the grid are not.
-        least: the number of cells.
+        unknown: (rows, columns) the unknown cells; cells outside the grid do not count.
+        least: the minimum number of cells in a group.
 
     Returns:
         (n, 2) rows and columns of each group; cells that touch at a corner are connected.

@@ -1,8 +1,8 @@
 """The likelihood field: scores how well a scan fits a map at many poses.
 
 Each beam's end is scored by its distance to the nearest wall, from a table (Thrun, Burgard, Fox, "Probabilistic
-Robotics", 2005, section 6.4). A beam that ends far from walls, at a person or an unmapped object, costs at most a fixed
-share at any distance.
+Robotics", 2005, section 6.4). A beam that ends far from walls, at a person or an unmapped object, lowers the score by
+at most a fixed amount.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 Field = NDArray[np.float32]
 Place = tuple[float, float, float]
 
-_THROUGH = 0.3  # meters before its end at which a beam that meets a wall passed through it
+_THROUGH = 0.3  # a beam that meets a wall at least this far (meters) before its end passed through it
 
 
 class LikelihoodField:
@@ -61,7 +61,7 @@ class LikelihoodField:
         """Return the sum of all beams' scores at each pose.
 
         Args:
-            table: of `table`.
+            table: the result of `table`.
             worst: the score of a beam that ends outside the map.
             poses: (n, 3) x, y, theta: meters, radians.
             points: (m, 2) the beams' ends in the robot's frame, meters.
@@ -73,13 +73,13 @@ class LikelihoodField:
     def agreement(self, pose: Place, points: Floats, within: float) -> tuple[float, float]:
         """Return the share of beams that support a pose, and the share that contradicts it.
 
-        A beam that ends at a wall supports the pose, one that passed through a wall contradicts it. Others, which end
-        before a wall, may have met an unmapped object.
+        A beam that ends at a wall supports the pose, a beam that passed through a wall contradicts it. Other beams,
+        which end before a wall, may have met an unmapped object.
 
         Args:
             pose: x, y, theta: meters, radians.
             points: (m, 2) the beams' ends in the robot's frame, meters.
-            within: meters from a wall within which a beam ends at it.
+            within: meters; a beam that ends no farther than this from a wall ends at it.
         """
         if not len(points):
             return 0.0, 0.0
@@ -126,7 +126,7 @@ def _sum(
             for m in range(count):
                 right: cython.double = x + c * points[m, 0] - s * points[m, 1]
                 up: cython.double = y + s * points[m, 0] + c * points[m, 1]
-                # in this form the condition is false for NaN, which so never becomes an index
+                # this condition is false for NaN, which therefore never becomes an index
                 if right >= 0.0 and up >= 0.0 and right < columns and up < rows:
                     total += float(table[cython.cast(cython.Py_ssize_t, up), cython.cast(cython.Py_ssize_t, right)])
                 else:
@@ -137,7 +137,7 @@ def _sum(
 @cython.boundscheck(False)  # points' shape is checked first, and only cells of the table are looked up
 @cython.wraparound(False)
 @cython.initializedcheck(False)
-@cython.cdivision(True)  # by a length above 0, and by the scale
+@cython.cdivision(True)  # divisors: a length above 0, and the scale
 def _judge(
     distances: cython.const[cython.float][:, ::1],
     scale: cython.double,
@@ -176,7 +176,7 @@ def _judge(
                 supporting += 1
                 continue
             length: cython.double = sqrt(dx * dx + dy * dy)
-            if length <= through or not isfinite(length):  # also if its square is too large
+            if length <= through or not isfinite(length):  # also if the square of the length overflows
                 continue
             passed: cython.double = 0.0
             last: cython.double = length - through
@@ -191,6 +191,6 @@ def _judge(
                 if room == 0.0:
                     against += 1
                     break
-                # a wall's cell is at most half a diagonal of each cell nearer than the distance of the centers
+                # a wall is nearer than the distance of the cells' centers by at most half a diagonal of each cell
                 passed += max(room - 1.42 / scale, 0.4 / scale)
     return supporting, against

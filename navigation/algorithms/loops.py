@@ -1,7 +1,8 @@
-"""Closes loops: matches the present scan to submaps that the robot visited before.
+"""Closes loops: matches the current scan to submaps that the robot visited before.
 
-Near the last closure, the scan is matched directly. After a long way without one, or on a loaded map, all poses within
-the drift to be expected are searched by correlation; such a closure counts once a second scan has confirmed it.
+Near the last closure, the scan is matched directly. After a long drive without a closure, or on a loaded map, all poses
+within the expected drift are searched by correlation; a closure found by a search counts only after a second scan has
+confirmed it.
 """
 
 from __future__ import annotations
@@ -27,34 +28,34 @@ NEAR = 5.0
 """Meters to the middle of a submap within which a scan is matched to it."""
 
 DRIFT = 0.02
-"""Meters of drift to be expected for each meter of way."""
+"""Expected drift, in meters per meter of the robot's path."""
 
-_TURNING = math.radians(0.4)  # the same for the heading, radians a meter
+_TURNING = math.radians(0.4)  # the same for the heading, radians per meter
 _MOST_DRIFT = 6.0, math.radians(40.0)
 _DIRECT = 0.25  # meters of drift up to which a scan is matched without a search
 _MOST_DIRECT, _MOST_SEARCHED = 2, 2  # submaps for each scan
 _POINTS, _SEARCH_POINTS = 300, 180  # of a scan
-_SHARE, _SURE_SHARE = 0.5, 0.7  # of a scan's points on a submap's lines: matched directly, found by a search
+_SHARE, _SURE_SHARE = 0.5, 0.7  # least share of a scan's points on a submap's lines, after a direct match and a search
 _CLEARLY = 0.85  # share of the best candidate's score that the next one may have
-_OFF = 0.3, math.radians(6.0)  # of a direct match from its guess
-_AGREED = 0.3, math.radians(2.0)  # of two closures that confirm each other
+_OFF = 0.3, math.radians(6.0)  # largest distance of a direct match from its guess
+_AGREED = 0.3, math.radians(2.0)  # largest difference of two closures that confirm each other
 _PATIENCE = 4  # scans within which a closure must be confirmed
-_STEP = 0.3  # meters that each edge adds to a way
+_STEP = 0.3  # meters that each edge adds to a path's length
 _GRID = 0.1  # side of the search's cells, meters
 _SHARPNESS, _HIT = 0.1, 0.9
 _FLOOR = np.diag((0.004**2, 0.004**2, math.radians(0.08) ** 2))  # least covariance of a match
 _SMALL = 0.7  # standard deviations of error up to which a closure does not move the submaps
-_WRONG = 5.0  # standard deviations of error that a closure keeps if it contradicts the others
+_WRONG = 5.0  # a closure with a larger error after optimization (standard deviations) contradicts the others
 
 
 class Closure(NamedTuple):
-    """A match of the present scan with an older submap.
+    """A match of the current scan with an older submap.
 
     Attributes:
-        submap: index of the older one.
-        match: the laser in it.
+        submap: index of the older submap.
+        match: the laser's pose in that submap.
         before: the laser's pose on the map without the closure.
-        correction: the movement of the map's frame that the closure asks for.
+        correction: the movement of the map's frame that the closure implies.
     """
 
     submap: int
@@ -67,8 +68,8 @@ class Closed(NamedTuple):
     """The result of a search that closes loops.
 
     Attributes:
-        edges: that the graph gets.
-        poses: of all its nodes when the search began; None if they do not move.
+        edges: the graph's new edges.
+        poses: new poses of all nodes that the graph had when the search began; None if they do not move.
     """
 
     edges: list[Edge]
@@ -114,7 +115,7 @@ class Suspicion:
 
 
 class LoopSearch:
-    """Searches loops for one map.
+    """Searches for loops on one map.
 
     Attributes:
         closed: the number of accepted closures.
@@ -135,16 +136,16 @@ class LoopSearch:
         end: int,
         unsure: tuple[float, float] | None,
     ) -> Closed | None:
-        """Match a scan to older submaps, and optimize the graph; return None without an accepted closure.
+        """Match a scan to older submaps, and optimize the graph; return None if no closure is accepted.
 
         Args:
             submaps: a `Submaps.snapshot`, whose graph is changed.
-            current: index of the one in which the laser has the pose.
-            pose: the laser's, in the current submap.
-            scan: in the laser's frame.
+            current: index of the current submap.
+            pose: the laser's pose in the current submap.
+            scan: the scan's points, in the laser's frame.
             end: index of the first submap that is not matched, since it overlaps the current one.
             unsure: meters and radians by which the pose on the map may be wrong if the current submap is not joined to
-                the older ones yet; None if it is.
+                the older ones yet; None if it is joined.
         """
         place = Place(submaps, current, pose)
         direct, far = self._candidates(place, end, unsure)
@@ -195,7 +196,7 @@ class LoopSearch:
         return [index for _, index in near[:_MOST_DIRECT]], self._chosen([candidate for _, candidate in far])
 
     def _chosen(self, far: list[Candidate]) -> list[Candidate]:
-        """Return the candidates of the submap to confirm, or else some of all candidates in turn."""
+        """Return the candidates for the closure to confirm, or else the next few of all candidates in turn."""
         suspicion = self._suspicion
         if suspicion is not None:
             again = [candidate for candidate in far if candidate.submap == suspicion.closure.submap]
@@ -224,7 +225,7 @@ class LoopSearch:
 
 
 def _ways(graph: PoseGraph, current: int) -> dict[int, float]:
-    """Return the meters of way along the graph from a submap to each one, which closures shorten."""
+    """Return the length of the path along the graph from a submap to each other one, meters; closures shorten it."""
     neighbors: dict[int, list[tuple[int, float]]] = {}
     for edge in graph.edges:
         length = _STEP if edge.loop else math.hypot(edge.measured.x, edge.measured.y) + _STEP
@@ -244,7 +245,7 @@ def _ways(graph: PoseGraph, current: int) -> dict[int, float]:
 
 
 def _matched(place: Place, index: int, points: Surface) -> Closure | None:
-    """Match a scan to a submap near its present pose; return None if it does not fit."""
+    """Match a scan to a submap near its current pose; return None if it does not fit."""
     guess = place.guess(index)
     match = place.submaps.surfels(index).match(points, guess, steps=12)
     if match.share < _SHARE or not _close(guess, match.pose, *_OFF):
@@ -253,7 +254,7 @@ def _matched(place: Place, index: int, points: Surface) -> Closure | None:
 
 
 def _found(place: Place, candidate: Candidate, points: Surface) -> Closure | None:
-    """Search the pose of a scan on a submap; return None if none fits, or two do."""
+    """Search for the pose of a scan on a submap; return None if no pose fits, or two poses do."""
     index, drift, turn = candidate
     guess = place.guess(index)
     middle = place.submaps.middle(index)
@@ -264,7 +265,7 @@ def _found(place: Place, candidate: Candidate, points: Surface) -> Closure | Non
 
 
 def searched(surfels: Surfels, points: Surface, guess: Pose, reach: float, turn: float) -> Match | None:
-    """Search the pose of a scan on surfels within a window; return None if none fits, or two do."""
+    """Search for the pose of a scan on surfels within a window; return None if no pose fits, or two poses do."""
     walls, corner = surfels.raster(_GRID)
     field = LikelihoodField(walls, np.ones(walls.shape, np.bool_), _GRID)
     table = field.table(_SHARPNESS, _HIT)

@@ -3,7 +3,7 @@
 A beam makes the cells that it passes more likely free, and the one in which it ends more likely occupied (Moravec and
 Elfes, "High Resolution Maps from Wide Angle Sonar", ICRA 1985; Thrun, Burgard, Fox, "Probabilistic Robotics", table
 9.2). Each cell counts once per scan, a hit outweighs passing beams, and a beam frees cells only as far as its neighbors
-reach, so that walls seen at a glancing angle stay: in an apartment 98 % of the visible walls, else 87 %.
+reach, so that walls seen at a glancing angle stay: in an apartment, 98 % of the visible walls instead of 87 %.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class OccupancyMap:
         """Add a scan; raises `ValueError` if the pose or the beams' angles are not finite.
 
         Args:
-            pose: of the laser: x, y (meters), direction (radians).
+            pose: the laser's x and y (meters) and direction (radians).
             ranges: meters, one per beam; infinity means no obstacle within ``farthest``, NaN means unknown.
             first: the first beam's angle from the laser's direction, radians.
             step: the angle from a beam to the next.
@@ -105,7 +105,7 @@ class OccupancyMap:
 @cython.boundscheck(False)  # shapes are checked first, and only cells of the map are marked and changed
 @cython.wraparound(False)
 @cython.initializedcheck(False)
-@cython.cdivision(True)  # by the larger component of a direction, and by the resolution, which is checked
+@cython.cdivision(True)  # divisors: the larger component of a direction, and the checked resolution
 def _insert(
     odds: cython.float[:, ::1],
     marks: cython.uchar[:, ::1],
@@ -196,7 +196,7 @@ def _insert(
                         marks[at, cython.cast(cython.longlong, place)] = 1
         for hit in range(hits):
             marks[ends[hit, 0], ends[hit, 1]] = 2
-        # a line's ends are in their cells, not at the centers: it marks at most one cell beyond them
+        # a line's ends are in their cells, not at the centers, so it marks at most one cell beyond them
         low = max(left - 1, 0)
         high = min(right + 2, columns)
         for at in range(max(bottom - 1, 0), min(top + 2, rows)):

@@ -45,8 +45,8 @@ def drive(
 ) -> None:
     """Move all particles (n, 3), with the noise of odometry (``alphas``).
 
-    The step is the base's motion x, y, theta by odometry, in its previous frame: meters, radians. ``holonomic``: the
-    base can move sideways.
+    ``step`` is the base's motion x, y, theta by odometry, in the base's previous frame: meters, radians. ``holonomic``:
+    the base can move sideways.
     """
     dx, dy, turned = step
     distance = math.hypot(dx, dy)

@@ -1,8 +1,8 @@
 """A graph of poses in the plane, and its most likely poses by least squares.
 
 The solver is Gauss-Newton (Grisetti et al., "A Tutorial on Graph-Based SLAM", ITSM 2010) with a sparse matrix. A graph
-has one node for some meters of way, so buildings have hundreds of them. The 12 iterations of a searched closure take
-0.14 s of processor time with 250 nodes, 0.4 s with 500 and 0.7 s with 800, if each node has two loops.
+has one node per few meters of the robot's path, so hundreds of them for a building. The 12 iterations of a searched
+closure take 0.14 s of processor time with 250 nodes, 0.4 s with 500 and 0.7 s with 800, if each node has two loops.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Edge(NamedTuple):
         offset: a pose in the second node's frame.
         measured: the same pose in the first node's frame.
         information: (3, 3) inverse covariance of ``measured``: x, y (meters), theta (radians).
-        loop: whether it closes a loop, and so may be wrong: its weight falls with its error.
+        loop: whether the edge closes a loop. Such an edge may be wrong, so its weight falls with its error.
     """
 
     first: int
@@ -73,11 +73,11 @@ class PoseGraph:
         return np.sqrt(np.einsum("ni,nij,nj->n", error, edges.information, error))
 
     def optimize(self, steps: int = 10, *, trusting: int = 0) -> float:
-        """Move the nodes to their most likely poses; return the largest movement of one, meters.
+        """Move the nodes to their most likely poses; return the largest movement of a node, meters.
 
         Args:
             steps: maximum number of iterations.
-            trusting: of these, the first ones in which loops count fully, whatever their error.
+            trusting: the number of first iterations in which loops count fully, whatever their error.
         """
         count = len(self.poses)
         if count < 2 or not self.edges:

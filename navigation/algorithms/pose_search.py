@@ -1,6 +1,6 @@
 """Finds the pose of a scan on a map without a good guess, by a search of all poses in a window.
 
-It scores poses on a lattice, with a likelihood field wide enough that no peak falls between its points, and then
+It scores poses on a lattice, with a likelihood field wide enough that no peak falls between lattice points, and then
 improves the best pose of each neighborhood (correlative scan matching: Olson, "Real-Time Correlative Scan Matching",
 ICRA 2009).
 """
@@ -55,10 +55,10 @@ class SearchWindow:
 
 
 class PoseSearch:
-    """Searches one map.
+    """Searches for poses on one map.
 
     Args:
-        table: of the field, with the sharpness for scoring candidates.
+        table: the field's table, with the sharpness for scoring candidates.
     """
 
     def __init__(self, field: LikelihoodField, table: Field) -> None:
@@ -76,7 +76,7 @@ class PoseSearch:
             window: the range of the search.
 
         Returns:
-            (k, 3) poses, the best first, and their scores with the sharp table; none without free cells.
+            (k, 3) poses, the best first, and their scores with the sharp table; no poses without free cells.
         """
         if not len(points):
             return np.empty((0, 3)), np.empty(0)
@@ -162,14 +162,14 @@ def _apart(poses: Floats) -> Floats:
 @cython.wraparound(False)
 @cython.initializedcheck(False)
 def _sweep(
-    table: cython.const[cython.float][:, ::1],  # the field's
+    table: cython.const[cython.float][:, ::1],  # the field's table
     worst: cython.float,  # the score of a beam that ends outside the map, or is not finite
     free: cython.const[cython.uchar][:, ::1],  # cells to search, with the table's shape
     points: cython.const[cython.double][:, ::1],  # (m, 2) the beams' ends in the robot's frame, cells
     angles: cython.const[cython.double][::1],  # radians
     low_row: cython.Py_ssize_t,  # the lattice's first row
-    low_column: cython.Py_ssize_t,  # its first column
-    stride: cython.Py_ssize_t,  # cells between two of its points
+    low_column: cython.Py_ssize_t,  # the lattice's first column
+    stride: cython.Py_ssize_t,  # cells between two lattice points
     out: cython.float[:, :, ::1],  # (angles, rows, columns) of the lattice; changed at free points
 ) -> None:
     """Sum the scores at each lattice point and angle; points are in cells."""
@@ -218,7 +218,7 @@ def _sweep(
 @cython.nogil
 @cython.exceptval(check=False)
 def _cell(value: cython.double, count: cython.Py_ssize_t) -> cython.Py_ssize_t:
-    """Return the index of a cell at a coordinate; outside the row if it is too far or NaN."""
+    """Return the index of a cell at a coordinate; ``count`` for NaN, or if the coordinate is too far away."""
     if not -count <= value < count:
         return count
     whole: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, value)

@@ -1,9 +1,9 @@
 """A potential field on a small grid: the cost from each cell to the goal, and the path down the field.
 
-The goal attracts by distance, obstacles repel by the cost of passing near them. As costs are summed along paths, the
-field has no minimum but the goal (navigation function NF1: Barraquand, Langlois, Latombe 1992), while the classical one
-(Khatib 1986) traps a robot in front of every concave obstacle. Blocked cells have a high but finite cost, so that there
-is a path even if the robot has to wait for an obstacle to move.
+The goal attracts by distance, obstacles repel by the cost of passing near them. Because costs are summed along paths,
+the field has no minimum but the goal (navigation function NF1: Barraquand, Langlois, Latombe 1992), whereas the
+classical field (Khatib 1986) traps a robot in front of every concave obstacle. Blocked cells have a high but finite
+cost, so that there is a path even if the robot has to wait for an obstacle to move.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _KEPT = cython.declare(cython.double, 20.0)
 _KEPT_NEAR = cython.declare(cython.double, 20.0)
 _UNREACHED = cython.declare(cython.longlong, 2**31 - 1)
 _SHORTEST = cython.declare(cython.Py_ssize_t, 4)
-_ROUNDED = cython.declare(cython.double, 0.5)  # what distances between cells are wrong by, cells
+_ROUNDED = cython.declare(cython.double, 0.5)  # the rounding error of distances between cells, cells
 _INFINITE = cython.declare(cython.double, math.inf)
 _NOWHERE = (math.nan, math.nan)
 _WIDEST = 1100.0  # diagonal of a window, cells: (1100 + 20) * 28, the most expensive exit, is less than the ring
@@ -53,10 +53,10 @@ class Descent:
 
     # (n, 2) rows and columns, from the robot's cell to the goal's, or to the exit from the window
     cells: NDArray[np.int32]
-    aim: int  #: the index in ``cells`` of the farthest one to which a straight line is free
-    blocked: float  #: cells along the path to the first blocked one; infinite without any
+    aim: int  #: the index in ``cells`` of the farthest cell to which a straight line is free
+    blocked: float  #: length of the path up to its first blocked cell, cells; infinite if there is none
     cost: float  #: of the whole path, in cells of open floor
-    # whether a straight line to the goal itself is free; then no path is searched, and ``cells`` is empty
+    # whether a straight line to the goal itself is free; in that case no path is searched, and ``cells`` is empty
     direct: bool
 
 
@@ -67,7 +67,7 @@ def descend(
     goal: Place,  # row and column, in cells; it may be outside
     before: Place | None,  # the previous exit from the window: another one must be better by 20 cells
     radius: float,  # of the robot, cells
-    influence: float,  # distance from which obstacles do not repel, cells
+    influence: float,  # distance beyond which obstacles do not repel, cells
     spare: float,  # distance that a straight line keeps beyond the radius, cells
 ) -> Descent:
     """Return the path down the potential.
@@ -155,7 +155,7 @@ def _line_free(
     to_column: cython.double,
     least: cython.double,
 ) -> cython.bint:
-    """Whether a straight line keeps a distance from obstacles; the part outside the grid does."""
+    """Whether a straight line keeps the distance ``least`` from obstacles; outside the grid there are none."""
     rows: cython.longlong = distances.shape[0]
     columns: cython.longlong = distances.shape[1]
     down: cython.double = to_row - row
@@ -182,7 +182,7 @@ def _line_free(
 def _weight(
     distance: cython.double, unseen: cython.bint, radius: cython.double, influence: cython.double
 ) -> cython.longlong:
-    """Return the cost of a step into a cell, in fractions; all numbers but the distance are finite."""
+    """Return the factor for the cost of a step into a cell; all numbers but the distance are finite."""
     if distance < radius - _ROUNDED:
         return _BLOCKED
     if distance < radius + _ROUNDED:
@@ -203,7 +203,7 @@ def _set_exit_costs(
     before_column: cython.double,
     least: cython.double,
 ) -> cython.void:
-    """Set the cost of the border's cells to that of the path from there to a goal outside, at least ``least`` away."""
+    """Set each border cell's cost to that of the path to a goal outside, minus the goal's distance ``least``."""
     rows: cython.Py_ssize_t = costs.shape[0] - 2
     columns: cython.Py_ssize_t = costs.shape[1] - 2
     cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t)
@@ -232,13 +232,13 @@ def _spread(
     costs: cython.int[::1],
     next_cell: cython.int[::1],
 ) -> cython.void:
-    """Run Dial's algorithm from the cells with a cost to the robot's; fill ``next_cell`` with each cell's next one.
+    """Run Dial's algorithm from the cells with a cost to the robot's cell; ``next_cell`` gets each cell's successor.
 
     The grid is flat. The border's cells cost less than 0, so that no path leads there, and neighbors need no check.
 
-    The open list is a ring of buckets, each a list of entries. Waiting costs differ by less than a ring, as no exit and
-    no step (1500 * 10) costs as much. So each cell is handled once, and nine entries per cell are enough: its own, and
-    one from each neighbor.
+    The open list is a ring of buckets, each a list of entries. Waiting costs differ by less than the ring, because no
+    exit and no step (1500 * 10) costs as much. So each cell is handled once, and nine entries per cell are enough: its
+    own, and one from each neighbor.
     """
     size: cython.int = costs.shape[0]
     heads: cython.int[::1] = np.full(_RING, -1, np.int32).data
@@ -284,7 +284,7 @@ def _spread(
 
 @cython.cfunc
 def _count(next_cell: cython.const[cython.int][::1], begin: cython.Py_ssize_t) -> cython.Py_ssize_t:
-    """Count the cells of the path from the robot's."""
+    """Count the cells of the path from the robot's cell."""
     count: cython.Py_ssize_t = 0
     cell: cython.Py_ssize_t = begin
     with cython.nogil:
@@ -333,7 +333,7 @@ def _aim(
     radius: cython.double,
     spare: cython.double,
 ) -> cython.Py_ssize_t:
-    """Return the index in ``path`` of the farthest cell with a free straight line, if necessary without spare."""
+    """Return the index in ``path`` of the farthest cell with a free straight line, if necessary without ``spare``."""
     least: cython.Py_ssize_t = min(_SHORTEST, path.shape[0] - 1)
     place: cython.Py_ssize_t
     attempt: cython.int

@@ -1,11 +1,12 @@
 # cython: boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-# The arrays of times are the grid's own squares, with a side of at least 1; rows and columns are taken modulo it. Array
-# arguments are checked first, beams are counted from 0 to their number, and divisors are compared with 0 before.
+# The arrays of times are the grid's own, square with a side of at least 1; rows and columns are taken modulo that side.
+# Array arguments are checked first, beam indices are below the number of beams, and divisors are compared with 0 before
+# each division.
 """A grid that moves with a robot and stores when its laser last saw each cell free or occupied.
 
 The grid is a torus: a cell of the world has the index (row modulo side, column modulo side), so that nothing is copied
 when the window moves. Rows go along y, columns along x. Each cell has three times, in seconds: when a beam last passed
-through it, when one last ended in it, and since when beams have ended there without a longer break.
+through it, when a beam last ended in it, and since when beams have ended there without a longer break.
 """
 
 from __future__ import annotations
@@ -33,9 +34,11 @@ _NEVER = cython.declare(cython.double, NEVER)
 _INFINITY = cython.declare(cython.double, math.inf)
 _FULL_TURN = cython.declare(cython.double, 2.0 * math.pi)
 
-_FAR = cython.declare(cython.double, 2.0**52)  # cells; beyond all positions, as numbers are integers from there on
+_FAR = cython.declare(
+    cython.double, 2.0**52
+)  # cells; beyond all positions, because doubles have no fractions from there on
 _SETTLED = cython.declare(cython.double, 0.5)
-"""Seconds after its last echo after which a cell counts as left: a later echo is a new object."""
+"""A cell counts as vacated this many seconds after its last echo; a later echo is a new object."""
 
 _BLIND_BEAMS = cython.declare(cython.int, 5)
 _WEDGE = cython.declare(cython.double, 0.4)
@@ -51,7 +54,7 @@ _MOVING_SECONDS = cython.declare(cython.double, 1.0)  # how long a new object co
 @cython.nogil
 @cython.exceptval(check=False)
 def _floor(value: cython.double) -> cython.longlong:
-    """Return the integer below; for NaN, or beyond all positions, a number beyond them."""
+    """Return the integer below; for NaN, or a value beyond all positions, an integer beyond all positions."""
     if not -_FAR < value < _FAR:
         value = _FAR if value > 0.0 else -_FAR
     whole: cython.longlong = cython.cast(cython.longlong, value)
@@ -89,7 +92,7 @@ def _shorten(
     reach: cython.double,
     aside: cython.double,
 ) -> cython.void:
-    """Limit each beam's valid range to echoes that it passes nearer than ``aside``."""
+    """Limit each beam's valid range to the nearest echo of another beam that it passes closer than ``aside``."""
     beams: cython.Py_ssize_t = ranges.shape[0]
     around: cython.bint = abs(beams * abs(step) - _FULL_TURN) < 2.0 * abs(step)
     cython.declare(beam=cython.Py_ssize_t, other=cython.Py_ssize_t, side_index=cython.Py_ssize_t)
@@ -115,7 +118,7 @@ def _shorten(
 def _leave_out(
     ranges: cython.const[cython.double][::1], begins: cython.double[::1], step: cython.double, aside: cython.double
 ) -> cython.void:
-    """Compute the distance from which beams are valid: next to a blind sector, they first seem to pass through it."""
+    """Compute the distance from which each beam is valid: beams beside a blind sector first seem to pass through it."""
     beams: cython.Py_ssize_t = ranges.shape[0]
     around: cython.bint = abs(beams * abs(step) - _FULL_TURN) < 2.0 * abs(step)
     cython.declare(side_index=cython.Py_ssize_t, turn=cython.Py_ssize_t)
@@ -139,7 +142,7 @@ def _leave_out(
 class RollingGrid:
     """A square window of cells that moves with a robot.
 
-    Raises `ValueError` if it has no cells. Its first row and column are 0 until it moves.
+    Its first row and column are 0 until it moves. Raises `ValueError` if it has no cells.
     """
 
     _side: cython.longlong  # cells
@@ -169,7 +172,7 @@ class RollingGrid:
         return np.asarray(self._passed), np.asarray(self._ended), np.asarray(self._since)
 
     def move(self, row0: int, column0: int) -> None:
-        """Move the window's corner to a row and column; new cells are unknown. Raises `ValueError`."""
+        """Move the window's corner to a row and column; new cells are unknown. Raises `ValueError` if too far away."""
         if not (-_FAR < row0 < _FAR and -_FAR < column0 < _FAR):
             raise ValueError(f"invalid window from row {row0}, column {column0}")
         for axis, new, old in ((0, row0, self._row0), (1, column0, self._column0)):
@@ -197,12 +200,13 @@ class RollingGrid:
         """Add a scan made at (x, y, theta); return the number of its points within the window.
 
         Scans of several lasers are merged as if from a single laser in the center, so that beams seem to pass through
-        corners and blind sectors. So a beam that passes another one's echo nearer than ``aside`` (meters) is valid only
-        up to there, and next to a blind sector only where it is farther than that from the sector's edge.
+        corners and blind sectors. Therefore a beam that passes another beam's echo closer than ``aside`` (meters) is
+        valid only up to that echo's distance, and a beam beside a blind sector is valid only where it is farther than
+        ``aside`` from the sector's edge.
 
-        ``points`` (n, 3) gets the echoes, x and y, and 1 for a new object, else 0. NaN and distances below ``nearest``
-        mean unknown, but minus infinity (REP 117) is an object directly in front of the laser. Raises `ValueError` if
-        the pose or the beams' angles are not finite, the step is 0, or the arrays do not fit.
+        ``points`` (n, 3) receives x and y of each echo, and 1 for a new object, else 0. NaN and distances below
+        ``nearest`` mean unknown, but minus infinity (REP 117) is an object directly in front of the laser. Raises
+        `ValueError` if the pose or the beams' angles are not finite, the step is 0, or the arrays do not fit.
         """
         side: cython.longlong = self._side
         beams: cython.Py_ssize_t = ranges.shape[0]
@@ -250,7 +254,7 @@ class RollingGrid:
     ) -> int:
         """Return the number of cells around a point that are not free, although the newest scan had no echo there.
 
-        ``out`` (n, 3) gets their centers and `OCCUPIED` or `UNKNOWN`. ``scanned`` is the time of the newest scan.
+        ``out`` (n, 3) receives their centers and `OCCUPIED` or `UNKNOWN`. ``scanned`` is the time of the newest scan.
         Raises `ValueError` if the point is not finite, or the arrays do not fit.
         """
         side: cython.longlong = self._side
@@ -294,13 +298,13 @@ class RollingGrid:
                     out[row, column] = _state(self._passed[r, k], self._ended[r, k], now, self._memory)
 
     def stand(self, now: cython.double, x: cython.double, y: cython.double, radius: cython.double) -> None:
-        """Mark the robot's own cells as free, unless the laser has echoes there; raises `ValueError` if not finite."""
+        """Mark the cells under the robot as free unless they have echoes; raises `ValueError` for x or y not finite."""
         side: cython.longlong = self._side
         cython.declare(row=cython.longlong, column=cython.longlong)
         if not isfinite(x + y):
             raise ValueError(f"the robot's position must be finite, not {x}, {y}")
         with cython.nogil:
-            radius = min(side * self._resolution, radius)  # a disc of this size has all cells of the window
+            radius = min(side * self._resolution, radius)  # a disc of this size covers the whole window
             low_row: cython.longlong = _floor((y - radius) / self._resolution)
             high_row: cython.longlong = _floor((y + radius) / self._resolution)
             low_column: cython.longlong = _floor((x - radius) / self._resolution)
@@ -354,7 +358,7 @@ class RollingGrid:
             r: cython.longlong = _modulo(row, side)
             k: cython.longlong = _modulo(column, side)
             if self._ended[r, k] < now - _SETTLED:
-                # free just before: a new object; never seen before: an old one
+                # a new object if the cell was free just before, otherwise an old one
                 self._since[r, k] = now if now - self._passed[r, k] < _MOVING_SECONDS else _NEVER
             self._ended[r, k] = now
         return count

@@ -14,14 +14,14 @@ _INFINITE = cython.declare(cython.double, math.inf)
 
 
 def shortcut(weights: Weights, cells: Cells) -> Cells:
-    """Return the waypoints of a path: each sees the next one, at no higher cost than the path between them.
+    """Return the waypoints of a path: each sees the next one, and the line between them costs no more than the path.
 
     Args:
         weights: (rows, columns) the cost of entering each cell; 0 is an obstacle.
         cells: (n, 2) rows and columns of a path from `navigation.algorithms.astar.astar`.
 
     Returns:
-        (m, 2) some of its cells: the first, the last, and the corners.
+        (m, 2) some of the path's cells: the first, the last, and the corners.
 
     Raises:
         IndexError: a cell is outside the grid.
@@ -32,7 +32,7 @@ def shortcut(weights: Weights, cells: Cells) -> Cells:
     rows, columns = weights.shape
     chosen, sums = np.empty(len(cells), np.int64), np.empty(len(cells))
     grid = np.ascontiguousarray(weights).reshape(-1)
-    copied = np.array(cells, np.int32, order="C")  # so that the checked values are the used ones
+    copied = np.array(cells, np.int32, order="C")  # so that values cannot change after the check
     if copied.shape != (len(cells), 2):
         raise ValueError(f"a path's cells must be (n, 2), rows and columns, not {copied.shape}")
     count = _choose(grid.data, rows, columns, copied.data, sums.data, chosen.data)
@@ -83,10 +83,10 @@ def _choose(
     sums: cython.double[::1],
     chosen: cython.longlong[::1],
 ) -> cython.Py_ssize_t:
-    """Write the waypoints' indices to ``chosen``; return their number. It doubles its steps, then halves them.
+    """Write the waypoints' indices to ``chosen``; return their number. Steps are doubled, then halved.
 
-    ``sums`` gets the path's cost up to each of its cells. All cells are checked before use. Both arrays are as long as
-    the path, which is enough because each waypoint is a later cell than the one before.
+    ``sums`` receives the path's cost up to each of its cells. All cells are checked before use. Both arrays are as long
+    as the path, which is enough because each waypoint is a later cell than the one before.
     """
     last: cython.Py_ssize_t = cells.shape[0] - 1
     at: cython.Py_ssize_t = 0

@@ -1,4 +1,4 @@
-"""Maps from drifting odometry: scans matched to submaps, and a graph that moves the submaps to their place.
+"""Maps from drifting odometry: scans matched to submaps, and a graph that moves the submaps into place.
 
 Each scan is matched to the current submap, which overlaps the next one by half, so that the drift within a submap is a
 few millimeters. Near older submaps, the scan is matched to them too, and each match becomes an edge of the graph (Hess
@@ -23,7 +23,7 @@ from navigation.pose import Pose
 Floats = NDArray[np.float64]
 
 MOST_SUBMAPS = 800
-"""Submaps that a map may have, about 2 km of way: the graph's cost grows with their number."""
+"""Maximum number of submaps, about 2 km of driving; the graph's cost grows with their number."""
 
 ANYWHERE = math.inf, math.pi
 """Meters and radians by which a pose may be wrong if it is unknown."""
@@ -43,18 +43,20 @@ def at_once(prepare: Callable[[], Search], deliver: Callable[[Closed | None], ob
 
 
 _ORIGIN = Pose(0.0, 0.0, 0.0)
-_MOVED, _TURNED = 0.03, math.radians(1.5)  # from the last matched scan
-_VIEW_MOVED, _VIEW_TURNED = 0.15, math.radians(8.0)  # from the last view
-_WAY, _VIEWS = 5.0, 80  # of a submap: meters, and the largest number of views
+_MOVED, _TURNED = 0.03, math.radians(1.5)  # least motion since the last matched scan
+_VIEW_MOVED, _VIEW_TURNED = 0.15, math.radians(8.0)  # least motion since the last view
+_WAY, _VIEWS = 5.0, 80  # size of a submap: meters of the robot's path, and the largest number of views
 _LOOP_EVERY = 0.5  # meters between two searches for loops
-_POINTS = 240  # of a scan that is matched
-# standard deviations of a step of odometry: meters, radians, and the share of the step that is added. The errors are
-# biased, and a small one of the heading would let the bias turn the map
+_POINTS = 240  # of a scan that are matched
+# standard deviations of a step of odometry: meters, radians, and the share of the step that is added to each. The
+# errors are biased, and a small standard deviation of the heading would let the bias turn the map
 _METERS, _RADIANS, _DRIFT = 0.004, math.radians(2.0), 0.05
-_LEAST_SHARE = 0.3  # of a scan's points on the submap's lines; with fewer, only the odometry counts
-_MOST_OFF = 0.15, math.radians(6.0)  # of a match from the odometry
-_JUMP = 1.0, math.radians(60.0)  # of the odometry between two scans, after which it counts as reset
-_STEADY = np.diag((0.005**-2.0, 0.005**-2.0, math.radians(0.1) ** -2.0))  # information of two consecutive submaps
+_LEAST_SHARE = 0.3  # least share of a scan's points on the submap's lines; below it, only the odometry counts
+_MOST_OFF = 0.15, math.radians(6.0)  # largest distance of a match from the odometry
+_JUMP = 1.0, math.radians(60.0)  # if odometry moves farther between two scans, it counts as reset
+_STEADY = np.diag(
+    (0.005**-2.0, 0.005**-2.0, math.radians(0.1) ** -2.0)
+)  # information of the edge between two consecutive submaps
 
 
 @dataclass
@@ -62,15 +64,16 @@ class Track:
     """The laser in the current submap.
 
     Attributes:
-        odometry: its pose in the odometry frame at the last scan.
-        pose: in the current submap at the last scan.
+        odometry: the laser's pose in the odometry frame at the last scan.
+        current: index of the submap to which scans are matched.
+        pose: the laser's pose in the current submap at the last scan.
         matched: the same at the last match.
         viewed: the same at the last view.
-        current: index of the submap on which scans are matched.
-        following: index of the next one, which has begun at ``begun`` in the current one; -1 for none.
-        way: meters in the current submap.
-        since_loop: meters since the last search for loops.
-        lost: scans since the last that matched.
+        following: index of the next submap; -1 for none.
+        begun: the next submap's pose in the current submap.
+        way: meters driven in the current submap.
+        since_loop: meters driven since the last search for loops.
+        lost: number of scans since the last one that matched.
     """
 
     odometry: Pose
@@ -86,14 +89,14 @@ class Track:
 
 
 class Slam:
-    """A map that grows with the robot's way.
+    """A map that grows along the robot's path.
 
     Args:
         start: the laser's pose on the map at the first scan.
         run: runs the searches for loops.
 
     Attributes:
-        submaps: with their graph.
+        submaps: the submaps, with their graph.
         track: None before the first scan.
         loops: the search for loops.
         unsure: meters and radians by which the pose may be wrong until the trajectory joins a loaded map; else None.
@@ -145,7 +148,7 @@ class Slam:
     def add(self, odometry: Pose, scan: Scan, *, mapping: bool = True) -> View | None:
         """Add a scan at the laser's pose in the odometry frame; return its view if it becomes part of the map.
 
-        Without ``mapping``, it only updates the laser's pose.
+        Without ``mapping``, the scan only updates the laser's pose.
         """
         track = self.track
         if track is None:
@@ -187,7 +190,7 @@ class Slam:
 
     def _view(self, track: Track, scan: Scan, surface: Surface) -> View:
         view = scan.view(track.current, track.pose)
-        surfels = self.submaps.surfels(track.current)  # first: it may be computed from the views
+        surfels = self.submaps.surfels(track.current)  # before `add`: surfels may be computed from the views
         self.submaps.add(view)
         surfels.add(surface.moved(track.pose))
         if track.following >= 0:
@@ -212,7 +215,7 @@ class Slam:
         return partial(self.loops.search, self.submaps.snapshot(), current, pose, surface, end, self.unsure)
 
     def _adopt(self, closed: Closed | None) -> None:
-        """Apply the result of a search; submaps that are newer than it move with the last one that it knew."""
+        """Apply the result of a search; submaps that are newer than the search move with the last one that it knew."""
         if closed is None or self._moved:
             return
         graph, poses = self.submaps.graph, closed.poses
@@ -224,7 +227,7 @@ class Slam:
             self.unsure = None
 
     def _advance(self, track: Track) -> None:
-        """Begin the next submap in the middle of the current one, and change over to it at its end."""
+        """Begin the next submap in the middle of the current one, and switch to it at the current one's end."""
         graph, views = self.submaps.graph, len(self.submaps.views_of[track.current])
         if track.following < 0 and (track.way > 0.5 * _WAY or views > _VIEWS // 2):
             track.begun = track.pose

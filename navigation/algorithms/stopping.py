@@ -1,6 +1,6 @@
 # cython: boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-# Each kernel checks its arrays' shapes first. Then points are counted from 0 to their number, which `slowed` determines
-# for `_struck`; divisors are compared with 0 before, or are a full turn.
+# Each kernel checks its arrays' shapes first. Indices of points are below their number, which `slowed` determines for
+# `_struck`; divisors are compared with 0 before each division, or are a full turn.
 """Whether a moving robot can still stop before the obstacles around it, and which obstacles are ahead.
 
 The robot is a disc. Its path is simulated from its current velocity: until the next command takes effect (reaction),
@@ -50,23 +50,23 @@ def slowed(
     # (n, 3) x, y, and `navigation.algorithms.rolling_grid.UNKNOWN` for the center of an unseen cell
     points: cython.const[cython.double][:, ::1],
     count: cython.Py_ssize_t,  # the number of points
-    x: cython.double,  # of the robot, meters, in the points' frame
+    x: cython.double,  # the robot's position in the points' frame, meters
     y: cython.double,  # the same
-    theta: cython.double,  # its heading, radians
-    has: cython.const[cython.double][::1],  # (3) vx, vy (m/s, in the robot's frame), omega (rad/s)
-    wanted: cython.const[cython.double][::1],  # (3) the same
+    theta: cython.double,  # the robot's heading, radians
+    has: cython.const[cython.double][::1],  # (3) current vx, vy (m/s, in the robot's frame), omega (rad/s)
+    wanted: cython.const[cython.double][::1],  # (3) the same, as commanded
     reaction: cython.double,  # the minimum duration of a command, seconds
     linear: cython.double,  # acceleration, m/s2
     angular: cython.double,  # angular acceleration, rad/s2
-    radius: cython.double,  # of the robot, meters
+    radius: cython.double,  # the robot's radius, meters
     slow: cython.double,  # clearance beyond the radius when creeping, meters
     fast: cython.double,  # clearance at the top speed
     top: cython.double,  # the top speed, m/s
-    blocker: cython.double[::1],  # (3) gets the point that limits the speed; its third value is -1 without one
+    blocker: cython.double[::1],  # (3) receives the point that limits the speed; the third value is -1 without one
 ) -> float:
     """Return the largest share of the wanted linear velocity with which the robot can stop in time.
 
-    It is 0 if the robot cannot stop in time at any speed, and if a relevant number is not finite.
+    The share is 0 if the robot cannot stop in time at any speed, and if a relevant number is not finite.
 
     Raises:
         ValueError: the arrays do not fit.
@@ -132,7 +132,7 @@ def _struck(
     fast: cython.double,
     top: cython.double,
 ) -> cython.Py_ssize_t:
-    """Return the first point that the robot comes too close to with a command, -1 without one.
+    """Return the index of the first point that the robot comes too close to with a command, or -1.
 
     ``near`` (n, 4) is x, y, `_UNKNOWN` or not, and the current distance; the other parameters are those of `slowed`.
     """
@@ -180,7 +180,7 @@ def ahead(
 ) -> None:
     """Measure the surroundings of a robot that drives in a direction (radians, in its own frame).
 
-    ``found`` (6) gets: the number of points in the rectangle ahead, and of new ones among them; the distance of the
+    ``found`` (6) receives: the number of points in the rectangle ahead, and of new ones among them; the distance of the
     nearest new point in the half circle ahead (meters); the distance of the nearest point outside ``blind`` radians of
     its front (meters), and its direction (radians); the distance of the nearest point (meters).
     Points ahead that are nearer than ``radius`` count as in the rectangle.

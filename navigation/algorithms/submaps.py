@@ -1,4 +1,4 @@
-"""Submaps: the scans of a few meters of way each, on which later scans are matched.
+"""Submaps: each has the scans of a few meters of the robot's path, to which later scans are matched.
 
 A submap's frame is the pose of its first scan. The pose graph has one node for each submap.
 """
@@ -20,7 +20,7 @@ from navigation.pose import Pose
 Floats = NDArray[np.float64]
 
 NO_ECHO = 65535
-"""In a view: a beam without an echo."""
+"""A view's value for a beam without an echo."""
 
 MOST_RANGE = 65.0
 """Meters beyond which a view stores no echo."""
@@ -33,11 +33,11 @@ class View(NamedTuple):
     """A scan that is part of the map.
 
     Attributes:
-        submap: index of its submap.
-        pose: of the laser in the submap's frame.
-        millimeters: each beam's range; 0 unknown, `NO_ECHO` for none.
+        submap: index of the submap.
+        pose: the laser's pose in the submap's frame.
+        millimeters: each beam's range; 0 if unknown, `NO_ECHO` without an echo.
         first, step: the first beam's angle from the laser's direction, and the step to the next, radians.
-        farthest: meters.
+        farthest: the maximum range, meters.
     """
 
     submap: int
@@ -56,7 +56,7 @@ class View(NamedTuple):
         return ranges
 
     def surface(self) -> Surface:
-        """Return its points on surfaces, in the laser's frame."""
+        """Return the scan's points on surfaces, in the laser's frame."""
         return surface(self.ranges, self.first, self.step, self.farthest)
 
 
@@ -69,11 +69,11 @@ class Scan(NamedTuple):
     farthest: float
 
     def surface(self) -> Surface:
-        """Return its points on surfaces, in the laser's frame."""
+        """Return the scan's points on surfaces, in the laser's frame."""
         return surface(self.ranges, self.first, self.step, self.farthest)
 
     def view(self, submap: int, pose: Pose) -> View:
-        """Return the scan as a view of a submap, with the laser's pose in it."""
+        """Return the scan as a view of a submap, with the laser's pose in that submap."""
         millimeters = np.zeros(len(self.ranges), np.uint16)
         echo = (self.ranges > 0.0) & (self.ranges <= min(self.farthest, MOST_RANGE))
         millimeters[echo] = np.maximum(np.round(self.ranges[echo] * 1000.0), 1.0)
@@ -85,8 +85,8 @@ class Submaps:
     """All submaps, and the graph with their poses on the map.
 
     Attributes:
-        graph: has a node for each submap, of the same index.
-        views: in the order of time.
+        graph: has a node for each submap, with the same index.
+        views: all views, in the order of time.
         views_of: the indices of each submap's views.
     """
 
@@ -113,7 +113,7 @@ class Submaps:
         return self.graph.add(pose)
 
     def add(self, view: View) -> None:
-        """Add a view, without its points: see `Surfels.add`."""
+        """Add a view, but not its points, which `Surfels.add` adds."""
         self.views_of[view.submap].append(len(self.views))
         self.views.append(view)
 

@@ -2,7 +2,7 @@
 
 Each cell holds one line for each of eight directions that its surface may face, so that the two sides of a thin wall,
 or the walls of a corner, stay apart (normal distributions transform: Biber and Strasser, "The Normal Distributions
-Transform", IROS 2003; with lines instead of ellipses, which do not hold a scan back along a wall).
+Transform", IROS 2003; with lines, which unlike ellipses do not hold a scan back along a wall).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ CELL = 0.3
 """Side of a cell, meters."""
 
 _FACES = 8
-_BASELINE = 0.08  # meters from a point to each of the two from which its normal follows
+_BASELINE = 0.08  # meters from a point to each of the two points that give its normal
 _BEND = 0.03  # meters by which a point may lie off the line between these two
 _LEAST_POINTS = 5
 _MARGIN = 1.0  # meters around the lines on a raster
@@ -41,7 +41,7 @@ class Surface(NamedTuple):
     normals: Floats
 
     def thinned(self, most: int) -> Surface:
-        """Return at most a number of points, spread over all beams."""
+        """Return at most ``most`` points, spread over all beams."""
         if len(self.points) <= most:
             return self
         chosen = np.linspace(0, len(self.points) - 1, most).astype(np.intp)
@@ -95,9 +95,9 @@ class Match(NamedTuple):
     """The best pose of a scan on surfels.
 
     Attributes:
-        pose: of the laser in the surfels' frame.
+        pose: the laser's pose in the surfels' frame.
         information: (3, 3) inverse covariance of x, y (meters) and theta (radians), without the prior.
-        share: of the scan's points that lie on a line of the surfels.
+        share: the share of the scan's points that lie on a line of the surfels.
         error: median distance of these points from their lines, meters.
     """
 
@@ -179,9 +179,9 @@ class Surfels:
         """Return the pose near a guess at which a scan fits the lines best (Gauss-Newton, robust weights).
 
         Args:
-            scan: in the laser's frame.
+            scan: the scan, in the laser's frame.
             guess: the laser's pose in the surfels' frame.
-            prior: (3, 3) inverse covariance of the guess; none: only the scan counts.
+            prior: (3, 3) inverse covariance of the guess; without it, only the scan counts.
             noise: standard deviation of a point from its line, meters.
             within: distance up to which a point lies on its line, meters.
             steps: maximum number of iterations.

@@ -3,11 +3,11 @@
 # has room for all columns.
 """A grid of obstacles and drops for a wheeled robot, from the voxels of each column.
 
-The floor is followed from the robot, from column to column: a column's floor is the surface nearest to its neighbor's,
-if it is at most a step above or below. Without such a surface, the column is blocked if it has voxels between the
-wheels' step and the robot's height, a drop if the voxels below are known and no floor, and unknown otherwise; beyond
-such columns, the floor is expected at its last height. Columns with a known floor are followed first, unknown ones
-next, so that a ramp is climbed from its foot and not from its side.
+The floor is followed outward from the robot, column by column: a column's floor is the surface nearest to the floor of
+its neighbor, if that surface is at most a step above or below. Without such a surface, the column is blocked if it has
+occupied voxels between the wheels' step and the robot's height, a drop if it has known voxels below but no floor, and
+unknown otherwise; beyond such columns, the floor is expected at its last height. Columns with a known floor are
+followed first, unknown ones next, so that a ramp is climbed from its foot and not from its side.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _FLOOR = cython.declare(cython.uchar, FLOOR)
 _OBSTACLE = cython.declare(cython.uchar, OBSTACLE)
 _EDGE = cython.declare(cython.uchar, EDGE)
 _NONE = cython.declare(cython.longlong, -(1 << 40))
-_NOT_REACHED = 3  # higher than all queues: 0 has columns with a known floor, 1 unknown, 2 blocked ones
+_NOT_REACHED = 3  # above all queues: 0 has columns with a known floor, 1 unknown columns, 2 blocked ones
 
 
 class RobotSize(NamedTuple):
@@ -71,10 +71,10 @@ def columns(
 
     Args:
         blocks: (count, 3) keys of blocks of 8 x 8 x 8 voxels; 4096 is at 0 m.
-        values: (count, 512) log odds in Morton's order; NaN is unknown.
+        values: (count, 512) log odds in Morton order; NaN is unknown.
         resolution: a voxel's side, meters.
         base: the robot's position on the floor, meters.
-        robot: its dimensions.
+        robot: the robot's dimensions.
         largest: the layer's side in meters; columns outside it are left out.
 
     Raises `ValueError` if a number is not finite, or blocks do not have 512 values each.
@@ -114,7 +114,7 @@ def columns(
 @cython.final
 @cython.cclass
 class _Columns:
-    """The columns while they are found."""
+    """The columns, and the state of the search for their floors."""
 
     _table: cython.int[:, :, ::1]
     _values: cython.const[cython.float][:, ::1]
@@ -206,7 +206,7 @@ class _Columns:
     def find_edges(self, span: cython.longlong, most: cython.longlong) -> None:
         """Mark floors more than a step above a neighbor's as edges.
 
-        The same applies to floors that rise by more than ``most`` voxels within ``span`` columns in small steps.
+        Floors that rise by more than ``most`` voxels within ``span`` columns in small steps are marked too.
         """
         rows: cython.longlong = self._kinds.shape[0]
         wide: cython.longlong = self._kinds.shape[1]
@@ -299,7 +299,7 @@ class _Columns:
     @cython.nogil
     @cython.exceptval(check=False)
     def _reach(self, row: cython.longlong, column: cython.longlong, floor: cython.longlong) -> cython.void:
-        """Queue a column for a neighbor's floor, unless it is already known as well."""
+        """Queue a column at a neighbor's floor, unless at least as much is already known about it."""
         place: cython.longlong = row * self._kinds.shape[1] + column
         if self._settled[place] or self._best[place] == 0:
             return

@@ -1,5 +1,5 @@
 # cython: boundscheck=False, wraparound=False, initializedcheck=False
-# Indices in a block are below 512, and it has at most as many leaves as known voxels.
+# Indices in a block are below 512, and a block has at most as many leaves as known voxels.
 """Leaves of an octree from blocks of voxels (`navigation.algorithms.voxel_map`)."""
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ _BITS = 13  # of a block's key along one axis
 def leaves(
     blocks: NDArray[np.int64], values: NDArray[np.float32]
 ) -> tuple[NDArray[np.uint64], NDArray[np.uint8], NDArray[np.float32]]:
-    """Return the leaves of the tree within blocks: eight equal ones of a block are merged.
+    """Return the leaves of the tree within blocks: eight equal leaves of a block are merged.
 
     Args:
         blocks: (count, 3) keys of blocks.
-        values: (count, 512) log odds in them in Morton's order; NaN is unknown.
+        values: (count, 512) log odds of their voxels in Morton order; NaN is unknown.
 
     Returns:
-        (n,) codes of each leaf's lowest voxel in Morton's order of 48 bits (x lowest), ascending; (n,) depths, from 13
+        (n,) Morton codes of each leaf's lowest voxel, 48 bits (x lowest), ascending; (n,) depths, from 13
         for a block to 16 for a voxel; (n,) log odds. Raises `ValueError` if blocks do not have 512 values each.
     """
     if values.shape != (len(blocks), 512):
@@ -73,7 +73,7 @@ def _leaves(
 def _alike(
     values: cython.const[cython.float][:, ::1], slot: cython.longlong, place: cython.longlong
 ) -> cython.longlong:
-    """Return the number of voxels of the largest cube from an index on whose voxels are equal."""
+    """Return the number of voxels in the largest cube that begins at an index and has equal voxels."""
     value: cython.float = values[slot, place]
     size: cython.longlong = 1
     while value == value and size < _CELLS and place % (8 * size) == 0:

@@ -1,13 +1,13 @@
 # cython: boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-# Slots are indices of existing blocks, indices in a block are below 512, and those in the table are taken modulo its
-# size; arguments are checked first, and divisors are compared with 0 before.
+# Slots are indices of existing blocks, indices in a block are below 512, and indices in the table are taken modulo its
+# size; arguments are checked first, and divisors are compared with 0 before each division.
 """Probabilities of voxels from point clouds: the same tree as OctoMap's, stored in blocks of 8 x 8 x 8.
 
-OctoMap descends sixteen levels of its tree for each voxel of each ray; here a hash table of blocks is read once per
-block, and a tree is built only to send or save it. Keys, rays, odds and thresholds are OctoMap's (Hornung et al.,
+OctoMap descends sixteen levels of its tree for each voxel of each ray; this module looks up a hash table once per
+block, and builds a tree only to send or save it. Keys, rays, odds and thresholds are OctoMap's (Hornung et al.,
 "OctoMap", Autonomous Robots 2013; release 1.9 of its library): a voxel's key is its position in units of the
 resolution, rounded down, plus 32768; rays go from cell to cell (Amanatides and Woo 1987) in the same precision, so
-that the leaves of both are equal.
+that both have equal leaves.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ else:
     from math import floor, sqrt
 
 SIDE, CELLS = 8, 512
-"""Voxels along a block's side, and in it."""
+"""Voxels along a block's side, and in a block."""
 
 MIDDLE = 32768
 """Key of the voxel whose lower corner is the map's origin; keys are from 0 to 65535."""
@@ -36,7 +36,7 @@ def _odds(probability: float) -> float:
 
 
 HIT, MISS, LEAST, MOST = _odds(0.7), _odds(0.4), _odds(0.1192), _odds(0.971)
-"""Log odds that OctoMap adds to a voxel, and their limits, with its default values."""
+"""Log odds that OctoMap adds to a voxel for a hit and a miss, and the limits of the sum (OctoMap's default values)."""
 
 _HIT = cython.declare(cython.float, HIT)
 _MISS = cython.declare(cython.float, MISS)
@@ -47,7 +47,7 @@ _KEYS = cython.declare(cython.longlong, 2 * MIDDLE)
 _CELLS = cython.declare(cython.longlong, CELLS)
 _UNKNOWN = cython.declare(cython.float, math.nan)
 _INFINITY = cython.declare(cython.double, math.inf)
-_LOWER = cython.declare(cython.longlong, (1 << 39) - 1)  # bits of a hash that may be multiplied by 24 more
+_LOWER = cython.declare(cython.longlong, (1 << 39) - 1)  # bits of a hash; times a 24-bit number, it still fits 63 bits
 _NO_ROOM = cython.declare(cython.longlong, -2)
 _BEGIN = 64  # initial capacity in blocks
 _BYTES = 9 * CELLS + 13  # per block
@@ -66,7 +66,7 @@ def _hash(key: cython.longlong) -> cython.longlong:
 @cython.nogil
 @cython.exceptval(check=False)
 def _spread(value: cython.longlong) -> cython.longlong:
-    """Spread the lower three bits of a key to every third bit, for one axis in a block (Morton's order)."""
+    """Spread the lower three bits of a key to every third bit, for one axis in a block (Morton order)."""
     return (value & 1) | ((value & 2) << 2) | ((value & 4) << 4)
 
 
@@ -75,7 +75,7 @@ def _spread(value: cython.longlong) -> cython.longlong:
 @cython.nogil
 @cython.exceptval(check=False)
 def _key(coordinate: cython.float, factor: cython.double) -> cython.longlong:
-    """Return a key along one axis; -1 outside all keys, or for NaN."""
+    """Return a key along one axis; -1 for NaN, or if the coordinate is outside the range of keys."""
     place: cython.double = floor(factor * coordinate) if abs(factor * coordinate) < _MIDDLE else _INFINITY
     return cython.cast(cython.longlong, place) + _MIDDLE if place < _MIDDLE else -1
 
@@ -97,7 +97,7 @@ class VoxelMap:
     count = cython.declare(cython.longlong, visibility="readonly")
     left_out = cython.declare(cython.longlong, visibility="readonly")
     _values: cython.float[:, ::1]  # log odds by block and place; NaN: unknown
-    _seen: cython.float[:, ::1]  # seconds, when a ray last ended there
+    _seen: cython.float[:, ::1]  # when a ray last ended there, seconds
     _marks: cython.uchar[:, ::1]  # the current cloud's observation of a voxel: 1 passed, 2 hit
     _blocks: cython.longlong[::1]  # packed keys of the blocks
     _table: cython.int[::1]  # slots by hash, -1: none
@@ -129,7 +129,7 @@ class VoxelMap:
 
     @property
     def megabytes(self) -> float:
-        """The used memory, without the temporary memory for adding a cloud."""
+        """The memory in use (MiB), without the temporary memory for adding a cloud."""
         return (self._blocks.shape[0] * _BYTES + 4 * self._table.shape[0]) / 2**20
 
     @property
@@ -140,7 +140,7 @@ class VoxelMap:
 
     @property
     def values(self) -> NDArray[np.float32]:
-        """The log odds by block and index, (count, 512), in Morton's order (x lowest); NaN is unknown. Not a copy."""
+        """The log odds by block and index, (count, 512), in Morton order (x lowest); NaN is unknown. Not a copy."""
         return np.asarray(self._values)[: self.count]
 
     @property
@@ -154,9 +154,9 @@ class VoxelMap:
         """Add a cloud like OctoMap's ``insertPointCloud`` with ``discretize``; return the number of changed voxels.
 
         Args:
-            points: (n, 3) meters; points that are not finite, or outside all keys, are ignored.
-            origin: of the sensor. Raises `ValueError` if it is outside all keys.
-            farthest: meters; a ray to a point beyond frees voxels up to this distance, and hits nothing.
+            points: (n, 3) meters; points that are not finite, or outside the range of keys, are ignored.
+            origin: the sensor's position, meters. Raises `ValueError` if it is outside the range of keys.
+            farthest: meters; a ray to a point farther away frees the voxels up to this distance, and has no hit.
             now: seconds of any clock.
         """
         if points.shape[1] != 3:
@@ -185,11 +185,11 @@ class VoxelMap:
         """Set cubes of voxels, such as the leaves of a tree.
 
         Args:
-            keys: (n, 3) of each one's lowest voxel.
-            sides: (n,) voxels along its side, a power of 2.
+            keys: (n, 3) key of each cube's lowest voxel.
+            sides: (n,) voxels along each cube's side, a power of 2.
             values: (n,) log odds.
 
-        Raises `ValueError` if a cube is invalid, or the map is full; some cubes may be set then.
+        Raises `ValueError` if a cube is invalid, or the map is full; in that case, some cubes may be set already.
         """
         keys, sides = np.ascontiguousarray(keys, np.int64), np.ascontiguousarray(sides, np.int64)
         if keys.size and not (
@@ -207,7 +207,7 @@ class VoxelMap:
             raise ValueError(f"the tree needs more than the {self.most} blocks of {SIDE} voxels per side that fit")
 
     def keep(self, chosen: NDArray[np.bool_]) -> None:
-        """Remove all blocks but the chosen ones, (count,)."""
+        """Remove all blocks except the chosen ones; ``chosen`` is (count,)."""
         wanted = np.flatnonzero(chosen)
         self._store(self.values[wanted], self.seen[wanted], np.asarray(self._blocks)[wanted], len(wanted))
 
@@ -215,7 +215,7 @@ class VoxelMap:
     def _store(
         self, values: NDArray[np.float32], seen: NDArray[np.float32], blocks: NDArray[np.int64], room: int
     ) -> Any:
-        """Store these blocks, with a given capacity."""
+        """Replace all blocks by these; ``room`` is the new capacity in blocks."""
         room = min(max(room, _BEGIN), self.most)
         held = len(blocks)
         odds = np.full((room, CELLS), np.nan, np.float32)
@@ -234,7 +234,7 @@ class VoxelMap:
 
     @cython.cfunc
     def _grow(self) -> Any:
-        """Double the capacity; marks are lost, and made again."""
+        """Double the capacity; all marks are lost, and the caller makes them again."""
         self._store(self.values, self.seen, np.asarray(self._blocks)[: self.count], 2 * self._blocks.shape[0])
 
     @cython.cfunc
@@ -293,7 +293,7 @@ class VoxelMap:
         sides: cython.const[cython.longlong][::1],
         values: cython.const[cython.float][::1],
     ) -> cython.longlong:
-        """Set cubes from an index on; return the first one that needs more capacity, -1 if the map is full."""
+        """Set cubes from the index ``done`` on; return the first that needs more capacity, -1 if the map is full."""
         index: cython.longlong
         for index in range(done, sides.shape[0]):
             side: cython.longlong = sides[index]
@@ -409,7 +409,7 @@ class VoxelMap:
     def _ray(
         self, to_x: cython.longlong, to_y: cython.longlong, to_z: cython.longlong, farthest: cython.double
     ) -> cython.bint:
-        """Mark the voxels that the ray to a voxel's center passes, within range; return False if it does not fit."""
+        """Mark the voxels on the ray to a voxel's center, within range; return False if a block does not fit."""
         factor: cython.double = 1.0 / self.resolution
         dx: cython.float = self._middle(to_x) - self._ox
         dy: cython.float = self._middle(to_y) - self._oy
@@ -498,7 +498,7 @@ class VoxelMap:
     @cython.nogil
     @cython.exceptval(check=False)
     def _update(self, now: cython.float) -> cython.longlong:
-        """Change the odds of marked voxels, and remove the marks; return the number of voxels."""
+        """Change the odds of marked voxels, and remove the marks; return the number of marked voxels."""
         count: cython.longlong = 0
         index: cython.longlong
         place: cython.longlong
@@ -528,6 +528,6 @@ def _packed(x: cython.longlong, y: cython.longlong, z: cython.longlong) -> cytho
 
 
 def within(places: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the voxels (n, 3) in a block for indices in Morton's order."""
+    """Return the positions in a block, (n, 3) voxels, of indices in Morton order."""
     places = np.asarray(places, np.int64)
     return np.stack([(places >> a & 1) | (places >> a + 2 & 2) | (places >> a + 4 & 4) for a in range(3)], -1)
