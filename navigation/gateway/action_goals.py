@@ -58,7 +58,7 @@ class ActionGoals:
         self._ask(bytes(16))
 
     def end_no_more(self) -> None:
-        """End the stop: goals that appear now may continue."""
+        """End the stop: goals that appear from now on may continue."""
         self._end_next = False
 
     def spare(self, goal: bytes) -> None:

@@ -32,11 +32,11 @@ class PlannerChoice:
 
     @property
     def pending(self) -> str:
-        """The planner that takes over when the robot stands; "" for none."""
+        """The planner that takes over when the robot stands still; "" for none."""
         return "" if self._next is None else self._wanted(self._next)
 
     def choose(self, planner: str, *, driving: bool) -> None:
-        """Select another planner; raises `RequestError` if it is unknown, or the current one is driving."""
+        """Select another planner; raises `RequestError` if it is unknown, or the current planner is driving."""
         current = self.link.planner
         if planner not in self.section.choices:
             raise RequestError(f"unknown planner {planner!r}; choose one of {', '.join(self.section.choices)}")
@@ -46,15 +46,15 @@ class PlannerChoice:
         self._next = self._next or self.section
 
     def configure(self, section: NavigationSection) -> None:
-        """Adopt another section once the robot stands; a chosen planner stays unless the section names a new one."""
+        """Use another section once the robot stands still; a chosen planner stays unless that names a new one."""
         if section.planner != (self._next or self.section).planner:
             self._chosen = ""
         self._next = section
 
     def settle(self, *, driving: bool, stop: StopState) -> bool:
-        """Adopt a section that has waited for the end of a drive.
+        """Use a section that was waiting for the end of a drive.
 
-        Returns whether the previous planner has not released its goals in time; they are no longer followed.
+        Returns whether the previous planner has failed to release its goals in time; they are no longer followed.
         """
         section = self._next
         if section is None:

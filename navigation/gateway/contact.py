@@ -1,4 +1,4 @@
-"""Whether a planner answers: a killed program stays on the graph for its lease, 20 s with Fast DDS."""
+"""Whether a planner answers, because a killed program stays on the graph for its lease, 20 s with Fast DDS."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PROOF_SECONDS = 1.0
 
 
 class Contact:
-    """Contact with one action server, as its calls show it; the GIDs of its parts distinguish two programs."""
+    """Contact with one action server, judged by its calls; the GIDs of its parts distinguish two programs."""
 
     def __init__(self) -> None:
         self._lost_at: float | None = None  # monotonic; None: contact is not in doubt
@@ -25,11 +25,11 @@ class Contact:
         return self._lost_at is None
 
     def lose(self, parts: AbstractSet[bytes]) -> None:
-        """A call failed although these parts are on the hub."""
+        """Note that a call failed although these parts are on the hub."""
         self._lost_at, self._parts = time.monotonic(), parts
 
     def prove(self) -> None:
-        """The server published something."""
+        """Note that the server published something."""
         self._lost_at = None
 
     def answers(self, parts: AbstractSet[bytes]) -> bool:

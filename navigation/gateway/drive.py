@@ -1,4 +1,4 @@
-"""A client's drive: its targets, and the state of the current one."""
+"""A client's drive: its targets, and the state of the current target."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ class ClientDrive:
     targets: Sequence[Target]  #: the goals, one after the other
     client: str  #: the client, for messages
     goal: Goal | None = None  #: the client's own goal, if it used the action
-    name: str = ""  #: of the place, if the client named one
+    name: str = ""  #: the place's name, if the client gave one
     at: int = 0  #: index of the current target
     several: bool = False  #: whether the planner's goal contains all remaining targets
     machine: Machine[DriveState, DriveEvent] = field(default_factory=_machine)
     sent: SentGoal | None = None  #: the planner's current or last goal
     followed: SentGoal | None = None  #: the goal whose result was requested again after a loss of contact
-    sent_at: float = 0.0  #: when it was sent (monotonic)
-    released: bool = True  #: whether the planner is known to have none of its goals
-    path_canceled: bool = False  #: whether another action that may move the base was canceled, as Nav2's controller
+    sent_at: float = 0.0  #: when the goal was last sent (monotonic)
+    released: bool = True  #: whether the planner is known to have none of the drive's goals
+    path_canceled: bool = False  #: whether another action that may move the base (Nav2's controller) was canceled
     reason: str = ""  #: the reason for stopping or waiting
     aborted: tuple[int, str] | None = None  #: code and reason of an abort that is reported when the base stands
-    pause_seconds: float = math.inf  #: how long it is paused for
-    due: float = 0.0  #: the earliest time to send it again (monotonic)
+    pause_seconds: float = math.inf  #: the length of the pause
+    due: float = 0.0  #: the earliest time to send the goal again (monotonic)
     transform_missing_at: float = 0.0  #: when the planner began to miss a transform (monotonic); 0: none is missing
     asked_at: float = field(default_factory=_now)  #: when the client last requested motion (monotonic)
     began: float = field(default_factory=_now)
@@ -51,7 +51,7 @@ class ClientDrive:
 
     @property
     def state(self) -> DriveState:
-        """Its state."""
+        """The drive's state."""
         return self.machine.state
 
     @property
@@ -66,17 +66,17 @@ class ClientDrive:
 
     @property
     def left(self) -> Sequence[Target]:
-        """The targets that it has not reached."""
+        """The targets that have not been reached."""
         return self.targets[self.at :]
 
     @property
     def begun(self) -> bool:
-        """Whether a planner may have accepted any of its goals, perhaps without an answer."""
+        """Whether a planner may have accepted any of the drive's goals, perhaps without an answer."""
         return not self.released or (self.sent is not None and self.sent.accepted is not False)
 
     @property
     def forgotten(self) -> bool:
-        """Whether the planner no longer has its goal, even if an earlier list shows it."""
+        """Whether the planner no longer has the drive's goal, even if an earlier list shows the goal."""
         return self.sent is not None and self.sent is self.followed and self.sent.status is GoalState.UNKNOWN
 
     def end(self, status: GoalState, code: int, reason: str) -> None:

@@ -13,7 +13,7 @@ from navigation.goals import CUT_OFF, FarClients
 from navigation.messages import NAVIGATE
 
 STOP_SERVICE = "/navigation/stop"
-"""Every gateway serves it, so that gateways recognize each other."""
+"""Every gateway serves this service, so that gateways recognize each other."""
 
 _POLL_SECONDS = 0.2
 
@@ -55,7 +55,7 @@ class NavigateAction:
         node = f"{other.namespace.rstrip('/')}/{other.node.lstrip('/')}"
         before, self._seen = self._seen, node
         if self._server is not None and node != before:
-            return  # its other services may not be known yet, by which a gateway is recognized
+            return  # its other services, by which a gateway is recognized, may not be known yet
         if node != self.served_by:
             self._host.log.warning("%s is served by %s: the gateway accepts no goals under that name", ACTION, node)
         self.served_by = node

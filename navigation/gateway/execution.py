@@ -1,4 +1,4 @@
-"""Gives a client's drive to the planner, goal by goal, and follows it to its end."""
+"""Sends a client's drive to the planner, one goal at a time, and follows the drive to its end."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ RETRY_SECONDS = 0.5
 """Time between two attempts to send a goal that the planner cannot accept yet."""
 
 REPLACED_SECONDS = 5.0
-"""If a planner still has the old goal this long after a new one, it executes both: the old one is canceled."""
+"""If a planner still has the old goal this long after a new one, it executes both, and the old one is canceled."""
 
 COMING_SECONDS = 30.0
 """A goal waits this much longer than `NavigationSection.patience` for a planner whose first parts have appeared."""
@@ -47,10 +47,10 @@ _ACTIVE = frozenset((DriveState.SENT, DriveState.DRIVING))
 
 
 class Execution:
-    """One drive at a time, and the stop or pause in force. On the module's thread.
+    """One drive at a time, and the current stop or pause. Used only on the module's thread.
 
-    `navigation.gateway.machine` has the states. ``changed`` is called after a change of state; ``unconfirmed`` returns
-    why the robot is not known to stand.
+    `navigation.gateway.machine` defines the states. ``changed`` is called after a change of state; ``unconfirmed``
+    returns why the robot is not known to stand still.
     """
 
     def __init__(
@@ -68,12 +68,12 @@ class Execution:
         self.drive: ClientDrive | None = None
         self.last, self.ended_at = PlannerStatus(), 0.0  # how the last drive ended, and when (monotonic)
         self._pause: Timer | None = None
-        #: how many drives of clients ended so; refused: goals without a valid pose
+        #: the number of clients' drives by outcome; refused: goals without a valid pose
         self.ended = dict.fromkeys(("reached", "failed", "canceled", "replaced", "refused"), 0)
 
     @property
     def _known_to_stand(self) -> bool:
-        """Whether the planner is known to have no goals, or the base stands."""
+        """Whether the planner is known to have no goals, or the base stands still."""
         idle = self._link.state in (PlannerState.IDLE, PlannerState.ABSENT) and not self._link.left
         base = self._motion.base()
         return base is Base.STANDING or (idle and base is Base.UNKNOWN)
@@ -140,10 +140,10 @@ class Execution:
         self._resume(drive)
 
     def recompute(self) -> None:
-        """Send the goal again so that the planner plans again; raises `RequestError` if it is not driving."""
+        """Send the goal again so that the planner plans again; raises `RequestError` if no drive is in progress."""
         drive = self.drive
         if drive is None or drive.state not in (*_ACTIVE, DriveState.WAITING):
-            raise RequestError("it is not driving")
+            raise RequestError("the robot is not driving")
         self._send(drive, drive.sent)
 
     def _send(self, drive: ClientDrive, before: SentGoal | None) -> None:
@@ -191,7 +191,7 @@ class Execution:
             self._send(drive, None)
 
     def cancel(self, drive: ClientDrive) -> None:
-        """Cancel a drive's goal, and the actions that move the base for it, if the planner may have it."""
+        """Cancel a drive's goal, and the actions that move the base for it, unless the planner has released it."""
         if drive.released:
             return
         if drive.sent is not None:
@@ -201,7 +201,7 @@ class Execution:
             self._link.end_motion()
 
     def stop_drive(self, reason: str) -> None:
-        """End the drive as soon as the planner has released its goal, or the base stands."""
+        """End the drive as soon as the planner has released its goal, or the base stands still."""
         drive = self.drive
         if drive is None or not drive.machine.on(DriveEvent.STOP):
             return
@@ -218,7 +218,7 @@ class Execution:
         self._changed()
 
     def _give_up_waiting(self, drive: ClientDrive) -> None:
-        """End a drive whose planner was unavailable for too long since it was last seen or the client's request."""
+        """End a drive whose planner has been unavailable for too long since it was last seen or since the request."""
         if self._link.reachable:
             return
         patience = self._choice.section.patience
@@ -226,7 +226,7 @@ class Execution:
         if over >= (COMING_SECONDS if self._link.presence.coming_up else 0.0):
             reason = f"the planner {self._planner} was not available for {patience:g} s"
             if not drive.begun:
-                reason += "; send the goal again when it is"
+                reason += "; send the goal again when it is available"
             if drive.begun and self._motion.base() is Base.MOVING:
                 self._abort_moving(drive, Fault.NO_NAVIGATOR, reason)
             else:
@@ -258,7 +258,7 @@ class Execution:
             self._end_stopped(drive)
 
     def _on_paused(self, drive: ClientDrive) -> None:
-        """The robot stands: start the time of the pause."""
+        """Start timing the pause, because the robot now stands still."""
         drive.machine.on(DriveEvent.STANDS)
         if drive.pause_seconds < 1e6 and self._pause is None:
             self._pause = self._host.loop.after(drive.pause_seconds, lambda: self._resume(drive))
@@ -302,7 +302,9 @@ class Execution:
                 drive.due = time.monotonic() + RETRY_SECONDS
                 drive.machine.on(DriveEvent.RESUMED_CONTACT)
             else:
-                drive.released = link.state.reported and not drive.forgotten  # a controller may still drive for it
+                drive.released = (
+                    link.state.reported and not drive.forgotten
+                )  # a controller may still execute a forgotten goal
                 drive.machine.on(DriveEvent.RETRY)
                 self._send(drive, None)
 
@@ -315,7 +317,7 @@ class Execution:
             self._changed()
         if drive.goal is None:
             return
-        spent = duration(time.monotonic() - drive.began)  # of the client's goal, pauses included
+        spent = duration(time.monotonic() - drive.began)  # since the client's goal began, including pauses
         message = {**feedback, "navigation_time": spent}
         other = self._choice.section.others.get(self._planner)
         if other is not None and other.side == "ros1":  # MoveBase reports its pose and nothing else
@@ -327,7 +329,7 @@ class Execution:
         drive.goal.feedback(message)
 
     def _on_end(self, drive: ClientDrive, sent: SentGoal, result: Mapping[str, Any] | None, message: str) -> None:
-        """The planner's goal ended, or contact with it is lost."""
+        """Handle the end of the planner's goal, or the loss of contact with the planner."""
         if self.drive is not drive or drive.sent is not sent:
             return  # replaced by another goal
         if result is None and sent.accepted is not False:
@@ -340,12 +342,12 @@ class Execution:
         self._changed()
 
     def _on_result(self, drive: ClientDrive, sent: SentGoal, result: Mapping[str, Any], message: str) -> None:
-        """The planner itself ended the goal."""
+        """Handle the result of a goal that the planner itself ended."""
         code = int(result.get("error_code", 0))
         reason = nav2_errors.reason_text(str(result.get("error_msg", "")) or message, code)
         succeeded = sent.status is GoalState.SUCCEEDED
         if drive.state in _STOPPING and (drive.path_canceled or not succeeded):
-            return  # `advance` confirms the stop or pause; Nav2 counts a canceled path as one that reached the goal
+            return  # `advance` confirms the stop or pause; Nav2 reports success for a goal whose path was canceled
         if succeeded:
             self._on_reached(drive)
         elif sent.accepted is False:
@@ -363,14 +365,14 @@ class Execution:
             drive.machine.on(DriveEvent.ABORTED)
 
     def _may_retry(self, drive: ClientDrive) -> bool:
-        """Whether a goal that failed because a transform is missing is sent again: within the patience."""
+        """Whether the patience allows another attempt at a goal that failed because a transform is missing."""
         now, patience = time.monotonic(), self._choice.section.patience
         if not drive.transform_missing_at or now > drive.sent_at + max(patience, 2 * RETRY_SECONDS):
             drive.transform_missing_at = now
         return now < drive.transform_missing_at + patience
 
     def _on_rejected(self, drive: ClientDrive) -> None:
-        """A planner that is starting rejects goals: they are sent again."""
+        """Send the goal again if the planner has just started; such a planner rejects goals."""
         if time.monotonic() < self._link.presence.unreachable_at + SETTLING_SECONDS:
             drive.reason = f"{self._planner} has just started and rejected the goal; trying again"
             drive.due = time.monotonic() + RETRY_SECONDS
@@ -389,9 +391,10 @@ class Execution:
         return f"it is in the frame '{frame}', not '{self._frame}'"
 
     def _judge(self, drive: ClientDrive) -> None:
-        """The planner ended the goal without a code: for another client's goal, or with a reason in words only.
+        """Decide how to end a drive whose goal the planner rejected, or ended without an error code.
 
-        A bridge whose planner has just disappeared also rejects goals, and its neighbors do not know that yet.
+        The planner did so for another client's goal, or gave a reason in words only. A bridge whose planner has just
+        disappeared also rejects goals, before other programs know that the planner has gone.
         """
         rejected = drive.sent is not None and drive.sent.accepted is False
         if not self._link.reachable:
@@ -414,7 +417,7 @@ class Execution:
             self._abort_moving(drive, code, reason)
 
     def _abort_moving(self, drive: ClientDrive, code: int, reason: str) -> None:
-        """Stop the base first; the end is reported when it stands."""
+        """Stop the base, and report the end of the drive only when the base stands still."""
         drive.aborted, drive.reason, drive.released = (code, reason), reason, False
         drive.machine.on(DriveEvent.STOP)
         self.cancel(drive)
@@ -462,7 +465,7 @@ class Execution:
         self._changed()
 
     def settle(self) -> None:
-        """Adopt another planner if one is pending."""
+        """Switch to another planner if one is pending."""
         before = self._link
         if self._choice.settle(driving=self.driving, stop=self._order.state):
             self._order.drop()
@@ -475,7 +478,7 @@ class Execution:
             self._pause = None
 
     def _on_map(self, target: Target) -> Target:
-        """Return a target in the map's frame if the transform is known: later motion does not change its meaning."""
+        """Return a target in the map's frame if the transform is known, so that later motion does not move it."""
         frame = self._frame
         if target.frame == frame:
             return target

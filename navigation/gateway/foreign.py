@@ -13,10 +13,10 @@ from navigation.status import State
 
 
 class GoalMark:
-    """Makes goal ids by which the gateway recognizes its own goals, also those from before it was restarted.
+    """Makes goal ids by which the gateway recognizes its own goals, even those from before it was restarted.
 
     Args:
-        daemon: the daemon's name; the machine's is part of the mark as well.
+        daemon: the daemon's name; the machine's name is part of the mark as well.
     """
 
     def __init__(self, daemon: str) -> None:
@@ -46,16 +46,16 @@ class ForeignEnd(NamedTuple):
 
 
 class ForeignGoals:
-    """The foreign goals in a planner's list; ``lost`` is the reason for one that is missing in a new list."""
+    """The foreign goals in a planner's list; ``lost`` is the reason for the end of a goal that a new list lacks."""
 
     def __init__(self, mark: GoalMark, lost: str) -> None:
         self._mark, self._lost = mark, lost
         self.active: tuple[bytes, ...] = ()  # the oldest first
-        self.end: ForeignEnd | None = None  # the last end
-        self.doubtful: bytes | None = None  # the newest one when the list became invalid
+        self.end: ForeignEnd | None = None  # how the last goal ended
+        self.doubtful: bytes | None = None  # the newest goal when the list became invalid
 
     def doubt(self) -> None:
-        """The list became invalid: the goal may end or continue unseen."""
+        """Note that the list became invalid, so that the goal may end or continue unseen."""
         if self.active:
             self.doubtful = self.active[-1]
 
@@ -72,7 +72,7 @@ class ForeignGoals:
             self.end = ForeignEnd(doubtful, _end_of(status), "" if known else self._lost)
 
     def settle(self) -> None:
-        """The base stands while the list is invalid: count the goal as ended."""
+        """Count the goal as ended, because the base stands still while the list is invalid."""
         if self.doubtful is not None:
             self.end = ForeignEnd(self.doubtful, State.ABORTED, self._lost)
             self.doubtful = None

@@ -1,4 +1,4 @@
-"""The gateway: requests of clients of every side, and reports to them."""
+"""The gateway: executes requests from clients on every side, and reports to them."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from navigation.status import Fault, PlannerStatus, State, status_message
 
 _POLL_SECONDS = 0.1
 BETWEEN_MAPS = "robot_path_planner"
-"""The planner that drives to other maps, through links: there the goal's frame is the map's name."""
+"""The planner that also drives to other maps, through links; a goal on another map has that map's name as frame."""
 
 
 class Gateway:
-    """Executes the requests of clients, one drive at a time. On the module's thread.
+    """Executes clients' requests, one drive at a time. Used only on the module's thread.
 
-    `navigation.gateway.machine` has its states; `navigation.gateway.words` derives every answer from them.
+    `navigation.gateway.machine` defines its states; `navigation.gateway.words` derives every answer from them.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class Gateway:
         section: NavigationSection,
         frames: RobotFrames,
         publish: Callable[[Message], None],  # called with each new status (``midspan_msgs/NavigationStatus``)
-        hold: Callable[[bool], None],  # called when the planner's velocities must not reach the base, and may again
+        hold: Callable[[bool], None],  # called with whether the planner's velocities must not reach the base
     ) -> None:
         self._host, self._frames = host, frames
         self._publish, self._hold = publish, hold
@@ -81,7 +81,7 @@ class Gateway:
 
     @property
     def planner(self) -> str:
-        """Its name."""
+        """The current planner's name."""
         return self.link.planner
 
     @property
@@ -96,7 +96,7 @@ class Gateway:
 
     @property
     def pending(self) -> str:
-        """The planner that takes over when the robot stands; "" for none."""
+        """The planner that takes over when the robot stands still; "" for none."""
         return self._choice.pending
 
     @property
@@ -106,7 +106,7 @@ class Gateway:
 
     @property
     def has_base(self) -> bool:
-        """Whether the planner commands the base, or may."""
+        """Whether the planner commands the base, or may do so."""
         drive = self.drive
         return self.driving and not (drive is not None and drive.state is DriveState.PAUSED)
 
@@ -122,7 +122,9 @@ class Gateway:
             targets = targets_of(goal.goal)
         except TargetError as err:
             self.ended["refused"] += 1
-            goal.abort({"error_code": int(Fault.BAD_GOAL), "error_msg": str(err)})  # a rejection has no reason
+            goal.abort(
+                {"error_code": int(Fault.BAD_GOAL), "error_msg": str(err)}
+            )  # a rejection could not give a reason
             return True
         self.execution.begin(targets, "a client of the action", goal=goal)
         return True
@@ -146,7 +148,7 @@ class Gateway:
     def stop(self) -> str:
         """Stop the robot: cancel all goals of the planner, including goals of clients that bypass the gateway.
 
-        Returns a message; `when_confirmed` reports whether the robot stands.
+        Returns a message; `when_confirmed` reports whether the robot stands still.
         """
         foreign, motion, drive = self.link.foreign, self.link.motion, self.drive
         self.link.end_all()
@@ -171,7 +173,7 @@ class Gateway:
     def choose(self, planner: str) -> str:
         """Select another planner; returns a message that says when it takes over.
 
-        Raises `RequestError` if it is unknown, or the current one is driving.
+        Raises `RequestError` if the planner is unknown, or the current planner is driving.
         """
         self._choice.choose(planner, driving=self.driving)
         self.execution.settle()
@@ -179,7 +181,7 @@ class Gateway:
         return f"as soon as {self.planner} has released its goal" if self.pending else ""
 
     def configure(self, section: NavigationSection) -> None:
-        """Adopt another section, at the end of the current drive; see `PlannerChoice.configure`."""
+        """Use another section from the end of the current drive on; see `PlannerChoice.configure`."""
         self._choice.configure(section)
         self.execution.settle()
         self._changed()
@@ -192,7 +194,7 @@ class Gateway:
             self.execution.finish(drive, GoalState.ABORTED, Fault.OTHER, reason)
 
     def shut_down(self, done: Callable[[], None]) -> None:
-        """Stop everything that the gateway started, and call ``done`` when that is confirmed, or late."""
+        """Stop everything that the gateway started, and call ``done`` when that is confirmed, or takes too long."""
         drive = self.drive
         if drive is None:
             done()
@@ -266,11 +268,11 @@ class Gateway:
         return ""
 
     def state(self) -> PlannerStatus:
-        """Return the state with its reason, as last published. On any thread."""
+        """Return the state with its reason, as last published; may be called on any thread."""
         return self._status
 
     def status(self) -> Message:
-        """Return the same as a ``midspan_msgs/NavigationStatus``."""
+        """Return the status as a ``midspan_msgs/NavigationStatus``."""
         drive, foreign, stamp = self.drive, self.link.foreign, self._host.clock.stamp()
         if drive is not None:
             goal = drive.target.stamped(self.robot())

@@ -11,25 +11,25 @@ EARLY_SECONDS = 1.0
 """A list may arrive this long before the graph shows its publisher."""
 
 EMPTY_SECONDS = 2.0
-"""A server of rcl publishes its list with its first goal: one without a list for this time has no goals."""
+"""An rcl server publishes its list with its first goal, so a server without a list for this time has no goals."""
 
 
 class GoalList:
     """The newest list of one action server, and whether it is valid: "no list yet" is not "no goals".
 
     Args:
-        always: the server publishes its list as soon as it starts, as those of Midspan and ROS 1 do. Then the
-            goals are unknown until the list arrives.
+        always: the server publishes its list as soon as it starts, as servers of Midspan and ROS 1 do. In that
+            case, the goals are unknown until the list arrives.
     """
 
     def __init__(self, *, always: bool) -> None:
         self._always = always
         self._publishers: dict[bytes, float] = {}  # GIDs of the topic's publishers on the hub: when each appeared
-        self._publisher = b""  # whose list it is
-        self._received = 0.0  # when it arrived (monotonic); 0: never
-        self.active_since = 0.0  # when a goal became active that others have joined since (monotonic); 0: none is
+        self._publisher = b""  # the publisher of the newest list
+        self._received = 0.0  # when the newest list arrived (monotonic); 0: never
+        self.active_since = 0.0  # since when any goal has been active (monotonic); 0: none is
         self._statuses: dict[bytes, GoalState] = {}
-        self._empty = False  # no list has arrived from these publishers for a long time: they have no goals
+        self._empty = False  # no list has arrived from these publishers for a long time, so they have no goals
         self.known = False  # whether the list belongs to an available server
 
     @property
@@ -39,11 +39,11 @@ class GoalList:
 
     @property
     def active(self) -> tuple[bytes, ...]:
-        """The goals that have not ended by the newest list, valid or not."""
+        """The goals that have not ended according to the newest list, even an invalid one."""
         return tuple(goal for goal, status in self._statuses.items() if not status.ended)
 
     def status(self, goal: bytes) -> GoalState | None:
-        """The state of a goal in the newest list; None if the list does not have it."""
+        """Return the state of a goal in the newest list; None if the list does not have it."""
         return self._statuses.get(goal)
 
     def _latest_sign(self) -> float:
@@ -59,7 +59,7 @@ class GoalList:
         return changed
 
     def refresh(self, publishers: Collection[bytes]) -> None:
-        """Set the topic's publishers: a list is valid while its publisher exists."""
+        """Set the topic's publishers; a list is valid while its publisher exists."""
         now, before = time.monotonic(), self._publishers
         self._publishers = {gid: before.get(gid, now) for gid in publishers}
         self._empty = self._empty and bool(self._publishers) and self._publishers.keys() <= before.keys()

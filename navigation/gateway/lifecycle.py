@@ -33,10 +33,10 @@ class _Node:
 
 
 class LifecycleNodes:
-    """Polls the nodes that are on the hub. On the module's thread.
+    """Polls the nodes that are on the hub. Used only on the module's thread.
 
     Args:
-        names: the nodes that may be there.
+        names: the nodes that may be on the hub.
         changed: called if the states have changed.
     """
 

@@ -15,21 +15,21 @@ from bridge.state_machine import Table
 class PlannerState(Enum):
     """The state of the planner."""
 
-    UNKNOWN = "unknown"  #: not seen since the gateway started; its side has not reported yet
-    ABSENT = "absent"  #: its side has reported, and the planner is not on it
+    UNKNOWN = "unknown"  #: not seen since the gateway started; the planner's side has not reported yet
+    ABSENT = "absent"  #: the planner's side has reported, and the planner is not on it
     UNREPORTED = "unreported"  #: reachable; its goals are not known yet
     IDLE = "idle"  #: reachable, without goals
     DRIVING = "driving"  #: reachable, with goals
-    UNREACHABLE = "unreachable"  #: it was reachable; a part of its action, or the worker of its side, has gone
+    UNREACHABLE = "unreachable"  #: no longer reachable: a part of its action, or the worker of its side, has gone
 
     @property
     def reachable(self) -> bool:
-        """Whether all parts of its action are on the hub."""
+        """Whether all parts of the planner's action are on the hub."""
         return self in _REACHABLE
 
     @property
     def reported(self) -> bool:
-        """Whether it is known which goals it has."""
+        """Whether the planner's goals are known."""
         return self in _REPORTED
 
 
@@ -92,7 +92,7 @@ class StopState(Enum):
 
     @property
     def open(self) -> bool:
-        """Whether it is still to be confirmed."""
+        """Whether the stop is still to be confirmed."""
         return self in _OPEN
 
     @property

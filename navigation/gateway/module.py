@@ -35,7 +35,7 @@ from navigation.status import STATUS, Fault, State
 from yarp_compat.dev.inavigation2d import Navigation2DServer
 
 STATUS_TOPIC = "/navigation/status"
-_REPEAT_SECONDS = 5.0  # YARP's ports repeat the status after this time, as YARP's own do
+_REPEAT_SECONDS = 5.0  # the YARP ports repeat the status after this time, like those of YARP's own servers
 _CHANGEABLE = ("planner", "planners", "localizer", "map", "patience", "silence")
 
 
@@ -72,7 +72,7 @@ class GatewayModule(Module):
 
     @override
     def reload(self, section: Section) -> bool:
-        """Adopt another planner as soon as the current one stands; other entry points need a restart."""
+        """Switch to another planner as soon as the robot stands still; changed entry points need a restart."""
         assert isinstance(section, NavigationSection)
         same = {name: getattr(section, name) for name in _CHANGEABLE}
         if self._section.model_copy(update=same) != section:
@@ -82,7 +82,7 @@ class GatewayModule(Module):
         return True
 
     def halt(self, _params: Any = None) -> dict[str, Any]:
-        """Cancel every goal, also a paused one; on any thread. Raises `HubError` unless the robot is known to stand."""
+        """Cancel every goal, even a paused one, on any thread. Raises `HubError` unless the robot is known to stand."""
         trouble = wait_for(self._host.loop.call(self._begin_stop))
         if trouble:
             raise HubError(trouble)
@@ -137,7 +137,7 @@ class GatewayModule(Module):
             return Health("waiting", reason)
         text = f"{gateway.planner} {state.value.replace('_', ' ')}" + (f" ({reason})" if reason else "")
         if gateway.pending:
-            text += f"; {gateway.pending} takes over when it stands"
+            text += f"; {gateway.pending} takes over when the robot stands still"
         if self._action.served_by:
             text += f"; {ACTION} is served by {self._action.served_by}"
         return Health("running", text)

@@ -1,4 +1,4 @@
-"""Whether the base stands, from odometry, or without odometry from its velocity commands."""
+"""Whether the base stands still, according to odometry, or to its velocity commands if there is no odometry."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from navigation.frames import FramesError, RobotFrames
 from navigation.pose import Pose
 
 STANDING_SECONDS = 0.4
-"""A base whose odometry has not changed for this time stands."""
+"""A base whose odometry has not changed for this time stands still."""
 
 STILL_METERS, STILL_RADIANS = 0.005, 0.01
-"""Changes of a standing base's odometry in that time stay below these."""
+"""The odometry of a standing base changes by less than this within `STANDING_SECONDS`."""
 
 SILENCE_SECONDS = 1.0
-"""A base that receives no velocity command for this time stands: every base stops after 0.1 to 0.5 s without one."""
+"""A base without a velocity command for this time stands still: every base stops after 0.1 to 0.5 s without one."""
 
 ZERO_SECONDS = 0.3
-"""A base that receives zero velocities and no others for this time stands."""
+"""A base that receives only zero velocities for this time stands still."""
 
 FRESH_SECONDS = 0.35
-"""The last pose shows for this time whether the base stands: odometry may end just before the base begins to move."""
+"""The last pose is used for no longer than this, because odometry may end just before the base begins to move."""
 
 _HISTORY_SECONDS = 3.0
 """Poses are kept for this time, for `Motion.speed`."""
@@ -54,7 +54,7 @@ class Motion:
     def __init__(self, frames: RobotFrames, *, simulated: bool = False) -> None:
         self._frames, self._simulated = frames, simulated
         self._poses: tuple[tuple[float, Pose], ...] = ()
-        """Time of arrival and pose. Never changed, only replaced: other threads read it."""
+        """Times of arrival and poses. Never changed, only replaced, because other threads read the tuple."""
 
     def poll(self) -> None:
         """Record the pose of the base; called about ten times a second."""
@@ -69,10 +69,10 @@ class Motion:
             self._poses = (*(entry for entry in before if entry[0] >= now - _HISTORY_SECONDS), (now, pose))
 
     def is_standing(self, since: float = 0.0) -> bool | None:
-        """Return whether the base has stood for `STANDING_SECONDS`, by three or more poses; None without odometry.
+        """Return whether the base has stood for `STANDING_SECONDS`, in three or more poses; None without odometry.
 
-        In simulated time the stamps count, otherwise the times of arrival, too. Poses that arrived before ``since``
-        (monotonic seconds) do not count.
+        The poses' stamps count and, except in simulated time, also their times of arrival. Poses that arrived before
+        ``since`` (monotonic seconds) do not count.
         """
         poses = self._poses
         if not poses:
@@ -93,7 +93,7 @@ class Motion:
         return None
 
     def base(self, since: float = 0.0) -> Base:
-        """Return the base's state from odometry since then; `Base.UNKNOWN` until it has covered enough time."""
+        """Return the base's state from odometry since a time; `Base.UNKNOWN` until it has covered enough time."""
         return {True: Base.STANDING, False: Base.MOVING, None: Base.UNKNOWN}[self.is_standing(since)]
 
     @property
@@ -123,9 +123,9 @@ _FRAME_ID = _HEADER + 8
 
 
 class VelocityWatch:
-    """Follows the velocity commands to the base, stamped or not, only while it is open: for stops without odometry.
+    """Follows the velocity commands to the base, stamped or not, while it is open. For stops without odometry.
 
-    Zero counts in each form that may drive the base, or in either if all known nodes accept both.
+    Zeros have to arrive in each form that may drive the base, or in either form if all known nodes accept both.
     """
 
     def __init__(self, host: Host, topic: str) -> None:
@@ -154,7 +154,7 @@ class VelocityWatch:
     def zero(self, since: float) -> bool:
         """Return whether the base is commanded to stand: zeros only, or silence for `SILENCE_SECONDS`.
 
-        Commands before ``since`` (monotonic seconds) do not count. Without a topic of velocities the answer is False.
+        Commands before ``since`` (monotonic seconds) do not count. Without a velocity topic the result is False.
         """
         if not self._subscriptions:
             return False
@@ -169,7 +169,7 @@ class VelocityWatch:
         return max(zeros.values(), default=-math.inf)
 
     def _on_velocity(self, kind: str, begin: Callable[[bytes], int], cdr: bytes) -> None:
-        """Runs on a thread of zenoh. ``begin`` returns the offset of the six numbers."""
+        """Record a velocity; runs on a thread of zenoh. ``begin`` returns the offset of the six numbers."""
         now, offset = time.monotonic(), begin(cdr)
         if len(cdr) < offset + _TWIST.size or any(_TWIST.unpack_from(cdr, offset)):
             self._moving_at = now

@@ -20,11 +20,12 @@ from navigation.gateway.telemetry import Telemetry
 from navigation.messages import NAVIGATE, THROUGH, Message
 
 _KEPT_IDS = 16
-"""Goals of several poses whose action is known: the current one, and replaced ones that may not have ended."""
+"""Maximum number of ids kept of goals of several poses, which are looked up in their own action: the current goal, and
+replaced ones that may not have ended."""
 
 
 class PlannerLink:
-    """Sends goals to a planner, and calls ``changed`` when it reports something. On the module's thread."""
+    """Sends goals to a planner, and calls ``changed`` when it reports something. Used on the module's thread."""
 
     def __init__(
         self, host: Host, section: NavigationSection, planner: str, changed: Callable[[], None], mark: GoalMark
@@ -52,47 +53,47 @@ class PlannerLink:
 
     @property
     def state(self) -> PlannerState:
-        """Its state."""
+        """The planner's state."""
         return self.presence.machine.state
 
     @property
     def reachable(self) -> bool:
-        """Whether all parts of its action are on the hub."""
+        """Whether all parts of the planner's action are on the hub."""
         return self.state.reachable
 
     @property
     def ours(self) -> bool:
-        """Whether Midspan hosts it."""
+        """Whether the planner is one of Midspan's own."""
         return self.planner in OURS
 
     @property
     def foreign(self) -> tuple[bytes, ...]:
-        """The active goals from its own clients, the oldest first, while its list is valid."""
+        """The active goals from the planner's own clients, oldest first; empty unless the planner's list is valid."""
         return self.foreign_goals.active if self.state.reported else ()
 
     @property
     def motion(self) -> tuple[str, ...]:
-        """The other actions on its side that move the base now, such as Nav2's ``/follow_path``."""
+        """The other actions on the planner's side that move the base now, such as Nav2's ``/follow_path``."""
         return tuple(action.action for action in self._motion if action.list.known and action.list.active)
 
     @property
     def motion_since(self) -> float:
-        """When the newest of these actions became active (monotonic); 0 if none is."""
+        """When the last of the actions in `motion` became active (monotonic); 0 if there is none."""
         return max((action.list.active_since for action in self._motion if action.list.known), default=0.0)
 
     @property
     def may_move(self) -> bool:
-        """Whether another action moves the base, or is not known to have no goals."""
+        """Whether another action moves the base, or may do so because its goals are unknown."""
         return any(action.is_present and (action.list.active or not action.list.known) for action in self._motion)
 
     @property
     def goals(self) -> bool | None:
-        """Whether its newest list has active goals, valid or not; None before the first list."""
+        """Whether the planner's newest list, even an invalid one, has active goals; None before the first list."""
         return bool(self._goals.list.active) if self._goals.list.any else None
 
     @property
     def released(self) -> bool:
-        """Whether it, and every other action that moves the base, is known to have ended the goals that have to end."""
+        """Whether planner and other actions that move the base are known to have ended all goals that must end."""
         reachable = self.reachable and self._goals.released
         return reachable and all(action.released or not action.is_present for action in self._motion)
 
@@ -115,18 +116,21 @@ class PlannerLink:
 
     @property
     def passes(self) -> bool:
-        """Whether it drives to several poses by one goal."""
+        """Whether the planner now accepts a goal of several poses."""
         return self._through is not None and self._through.ready
 
     def other_goals(self, *, several: bool) -> bool:
-        """Whether a goal of the gateway at its other action is active: Nav2 rejects new goals until that has ended."""
+        """Whether a goal of the gateway is active at the action that ``several`` does not select.
+
+        Nav2 rejects new goals until such a goal has ended. Always False for Midspan's own planners.
+        """
         other = self._goals if several else self._through_goals
         return other is not None and not self.ours and any(map(self.mark.is_own, other.list.active))
 
     def send(
         self, goal: Mapping[str, Any], ended: Ended, feedback: Callable[[Message], None], *, several: bool = False
     ) -> SentGoal:
-        """Send a goal, under a new id; ``several``: of several poses, to a planner that `passes`."""
+        """Send a goal with a new id; ``several``: a goal of several poses, which the planner must accept (`passes`)."""
         self.telemetry.begin()
         self.foreign_goals.doubtful = None
 
@@ -146,19 +150,19 @@ class PlannerLink:
         return sent
 
     def follow(self, sent: SentGoal) -> None:
-        """Request again the result of a goal that the planner still has."""
+        """Ask again for the result of a goal that the planner still has, unless it is already awaited."""
         if not sent.active:
             through = self._through
             (through if through is not None and sent.id in self._through_ids else self._client).follow(sent)
 
     def end(self, sent: SentGoal) -> None:
-        """Cancel a goal, now or as soon as that is possible, until the planner's list shows that it has ended."""
+        """Cancel a goal, now or as soon as possible, and repeat that until the planner's list shows its end."""
         if sent.active:
             sent.cancel()
         self._goals_of(sent).end(sent.id)
 
     def end_all(self) -> None:
-        """Cancel everything that moves the base, also goals of its own clients."""
+        """Cancel everything that moves the base, including goals from the planner's own clients."""
         for action in (self._goals, *self._motion):
             action.end_all()
 
@@ -168,7 +172,7 @@ class PlannerLink:
             action.end_all()
 
     def end_no_more(self) -> None:
-        """End the stop: goals that appear now may continue."""
+        """End the stop: goals that appear from now on may continue."""
         for action in (self._goals, *self._motion):
             action.end_no_more()
 
@@ -189,22 +193,22 @@ class PlannerLink:
             self.foreign_goals.settle()
 
     def lose_contact(self) -> None:
-        """A call of the planner failed: it is unreachable until its parts or its goal list change."""
+        """Count the planner as unreachable until its parts or its goal list change, because a call to it failed."""
         reported = self.state.reported
         self.presence.lose_contact()
         self._update(reported=reported)
 
     def _update(self, *, reported: bool) -> None:
-        """Derive the planner's state, and the foreign goals, from the newest list: both in one step.
+        """Derive the planner's state and the foreign goals from the newest list, both in one step.
 
-        ``reported``: whether its goals were known before.
+        ``reported`` is whether the planner's goals were known before.
         """
         goals, machine = self._goals.list, self.presence.machine
         if self.reachable and goals.known:
             machine.on(PlannerEvent.GOALS if goals.active else PlannerEvent.NO_GOALS)
             self.foreign_goals.update(goals)
             for goal in filter(self.mark.is_orphan, goals.active):
-                self._goals.end(goal)  # its client lost it: no other program could stop the robot
+                self._goals.end(goal)  # sent before a restart of the gateway: no other program could cancel it
             return
         machine.on(PlannerEvent.UNREPORTED)
         if reported:
@@ -212,13 +216,13 @@ class PlannerLink:
 
     @property
     def unlisted(self) -> bool:
-        """Whether it serves goals of several poses, and whether it has any is unknown."""
+        """Whether the planner serves goals of several poses, but it is unknown whether it has any."""
         through = self._through_goals
         return through is not None and through.is_present and not through.list.known
 
     @property
     def orphans(self) -> bool:
-        """Whether it drives to a goal that this gateway sent before a restart."""
+        """Whether the planner drives to a goal that this gateway sent before a restart."""
         several = () if self._through_goals is None else self._through_goals.list.active
         return any(map(self.mark.is_orphan, (*self._goals.list.active, *several)))
 

@@ -12,20 +12,20 @@ from navigation.gateway.contact import Contact
 from navigation.gateway.machine import PLANNER, PlannerEvent, PlannerState
 
 ABSENT_SECONDS = 2.0
-"""A planner that does not appear for this time after its side's worker has joined is not running there."""
+"""A planner that does not appear within this time after its side's worker has joined is not running there."""
 
 UNSEEN_SECONDS = 10.0
-"""The same while the base moves: the worker of a busy machine may take this long to find the planner."""
+"""The same while the base moves, because the worker of a busy machine may take this long to find the planner."""
 
 
 class Presence:
     """Whether a planner is available, as a state machine.
 
     Args:
-        action: its action on the hub.
-        side: the side that it runs on; "" for one that Midspan hosts.
-        hosted: whether this process hosts it.
-        topics: the topics that show its first parts.
+        action: the planner's action on the hub.
+        side: the side that the planner runs on; "" for a planner that Midspan hosts.
+        hosted: whether this process hosts the planner.
+        topics: the topics on which the planner's first parts appear.
     """
 
     def __init__(self, host: Host, action: str, side: str, *, hosted: bool, topics: Sequence[str]) -> None:
@@ -33,18 +33,18 @@ class Presence:
         self._topics = (self._names.status, self._names.feedback, *topics)
         self.contact = Contact()
         self.machine: Machine[PlannerState, PlannerEvent] = Machine(PLANNER, PlannerState.UNKNOWN)
-        self.seen_at = time.monotonic()  # when it was last reachable; before that, when this began
-        self.unreachable_at = time.monotonic()  # when it was last seen to be unreachable
-        self._side_since: float | None = None  # when its side began to have had enough time to show it
-        self._first_parts: set[bytes] = set()  # its parts when it became unreachable
+        self.seen_at = time.monotonic()  # when the planner was last reachable; before that, when this began
+        self.unreachable_at = time.monotonic()  # when the planner was last seen to be unreachable
+        self._side_since: float | None = None  # since when the planner's side has joined without showing the planner
+        self._first_parts: set[bytes] = set()  # the planner's publishers when it became unreachable
 
     @property
     def coming_up(self) -> bool:
-        """Whether new parts of it have appeared on the hub while others are missing."""
+        """Whether new parts of the planner have appeared on the hub while others are missing."""
         return not self.machine.state.reachable and bool(self._published() - self._first_parts)
 
     def refresh(self, *, complete: bool, moving: bool) -> None:
-        """Read the graph again; ``complete``: all parts of its action are there, ``moving``: the base moves."""
+        """Read the graph again; ``complete``: all parts of the action are there, ``moving``: the base moves."""
         if complete and self.contact.answers(self._parts()):
             if self.contact.proven:
                 self.seen_at = time.monotonic()
@@ -56,7 +56,7 @@ class Presence:
                 self.machine.on(PlannerEvent.SIDE_REPORTED)
 
     def lose_contact(self) -> None:
-        """A call failed: the planner is unreachable until its parts or its goal list change."""
+        """Count the planner as unreachable until its parts or its goal list change, because a call failed."""
         self.contact.lose(self._parts())
         self._lose()
 
@@ -70,14 +70,14 @@ class Presence:
         return {publisher.gid for topic in self._topics for publisher in self._graph.publishers(topic)}
 
     def _parts(self) -> set[bytes]:
-        """The GIDs of all servers and publishers of the action."""
+        """Return the GIDs of all servers and publishers of the action."""
         parts = self._names
         servers = map(self._graph.servers, (parts.send_goal, parts.get_result, parts.cancel_goal))
         publishers = map(self._graph.publishers, (parts.feedback, parts.status))
         return {endpoint.gid for endpoints in (*servers, *publishers) for endpoint in endpoints}
 
     def _side_reported(self, *, moving: bool) -> bool:
-        """Whether the planner is not running on its side: the worker has joined for long enough without showing it."""
+        """Whether the planner is not running on its side: the worker joined long enough ago, but does not show it."""
         now = time.monotonic()
         joined = {origin.side for origin in self._graph.origins().values()} | {"zenoh"}
         if not self._hosted and self._side not in joined:

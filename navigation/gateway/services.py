@@ -28,7 +28,7 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
 
 LONGEST_SECONDS = 1.0
-"""A client that wants to go on driving repeats its command; a command holds no longer than this."""
+"""Maximum duration of a velocity command; clients repeat their command to keep driving."""
 
 _PERIOD = 0.05
 
@@ -42,7 +42,7 @@ class YarpVelocity(NamedTuple):
 
 
 class VelocityCommander:
-    """Repeats a velocity on the base's topic until its time is over, then publishes zero. On the module's thread."""
+    """Repeats a velocity on the base's topic until its time is over, then publishes zero. Not thread-safe."""
 
     def __init__(self, host: Host, topic: str) -> None:
         self._host = host
@@ -63,7 +63,7 @@ class VelocityCommander:
             self._timer = self._host.loop.every(_PERIOD, self._repeat)
 
     def stop(self) -> None:
-        """End the command; a base that followed it stops."""
+        """End the command, so that the base stops if it followed it."""
         if self._timer is not None:
             self._timer.close()
             self._timer = None
@@ -71,7 +71,7 @@ class VelocityCommander:
             self._send(YarpVelocity())
 
     def halt(self) -> None:
-        """Command zero for `OVERRIDE_SECONDS`, against any other commander."""
+        """Command zero for `OVERRIDE_SECONDS`, to override any other commander."""
         self.command(YarpVelocity(), OVERRIDE_SECONDS)
 
     def _repeat(self) -> None:
@@ -89,7 +89,7 @@ GET_LOCATION = "midspan_msgs/srv/GetLocation"
 
 
 class HubServices:
-    """The gateway's services on the hub. On the module's thread."""
+    """The gateway's services on the hub. Used only on the module's thread."""
 
     def __init__(self, node: ModuleNode, gateway: Gateway, places: StoredPlaces, commander: VelocityCommander) -> None:
         self._gateway, self._places, self._commander = gateway, places, commander
@@ -148,11 +148,11 @@ def _serving(action: Callable[[str], str | None]) -> Callable[[dict[str, Any], A
 
 CLIENT = "a YARP client"
 _FRESH_SECONDS = 0.3
-"""A velocity that waited longer for the module's thread is refused: its client has sent another velocity, or stops."""
+"""A velocity that waited longer for the module's thread is refused, because its client has sent another or stopped."""
 
 
 class GatewayDevice(NavigationDevice):
-    """The gateway as a YARP device; see `yarp_compat.dev.inavigation2d`. Called on threads of connections."""
+    """The gateway as a YARP device; see `yarp_compat.dev.inavigation2d`. Called on connections' threads."""
 
     def __init__(
         self,
@@ -160,7 +160,7 @@ class GatewayDevice(NavigationDevice):
         gateway: Gateway,
         places: StoredPlaces,
         commander: VelocityCommander,
-        stop: Callable[[], StopAnswer],  # begins to stop the robot; the answer comes when that is confirmed
+        stop: Callable[[], StopAnswer],  # starts stopping the robot; the answer arrives when the stop is confirmed
     ) -> None:
         self._gateway, self._places, self._commander, self._log = gateway, places, commander, host.log
         self._stop = stop
@@ -177,15 +177,15 @@ class GatewayDevice(NavigationDevice):
     # -- control -------------------------------------------------------------------------------------------------------
 
     def getNavigationStatus(self) -> str:
-        """Without waiting for the module's thread, which may be busy."""
+        """Return the status without waiting for the module's thread, which may be busy."""
         return self._gateway.state().state.value
 
     def stopNavigation(self) -> None:
-        """The answer waits until the stop is confirmed."""
+        """Stop the robot; the reply waits until the stop is confirmed."""
         self._wait_for("stop", self._do(self._stop))
 
     def suspendNavigation(self, time_s: float) -> None:
-        """The answer waits until the pause is confirmed."""
+        """Pause the drive; the reply waits until the pause is confirmed."""
 
         def pause() -> StopAnswer:
             self._gateway.execution.pause(time_s)
@@ -208,7 +208,7 @@ class GatewayDevice(NavigationDevice):
         self._do(self._gateway.execution.recompute)
 
     def getAllNavigationWaypoints(self, kind: TrajectoryTypeEnum) -> Map2DPath | None:  # noqa: ARG002
-        """YARP's robotPathPlanner answers either kind with its path."""
+        """Return the path for either kind, like YARP's robotPathPlanner."""
         return self._do(lambda: Map2DPath(self._waypoints()) if self._gateway.driving else None)
 
     def getCurrentNavigationWaypoint(self) -> Map2DLocation | None:
@@ -236,7 +236,7 @@ class GatewayDevice(NavigationDevice):
 
     @override
     def _accept(self, action: Callable[[], None]) -> None:
-        """Accept a goal; YARP's answer has no text for the reason of a refusal, so the log has it."""
+        """Accept a goal; log the reason for a refusal, because YARP's reply cannot contain it."""
         try:
             super()._accept(action)
         except CallFailed as err:
@@ -266,7 +266,7 @@ class GatewayDevice(NavigationDevice):
         return None if pose is None else self._places.location(pose)
 
     def _waypoints(self) -> list[Map2DLocation]:
-        """Return the planner's path, or the goals that are left if it publishes no path."""
+        """Return the planner's path, or the remaining goals if the planner publishes no path."""
         path = self._gateway.link.telemetry.path
         poses: Sequence[Any] = path["poses"] if path is not None else []
         drive = self._gateway.drive

@@ -1,4 +1,4 @@
-"""A stop or pause that has to be confirmed: by the planner, which releases its goals, and by the base, which stands."""
+"""A stop or pause, which is confirmed when the planner has released its goals and the base stands still."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from navigation.gateway.machine import STOP, StopEvent, StopState
 from navigation.gateway.motion import Motion, VelocityWatch
 
 LATE_SECONDS = 1.0
-"""A stop that is not confirmed after this time is reported as such: the robot may still be moving."""
+"""A stop that is not confirmed within this time is reported as unconfirmed: the robot may still be moving."""
 
 GIVE_UP_SECONDS = 10.0
 """After this time without a confirmation the client's goal ends ABORTED: the robot may still be moving."""
 
 SETTLING_SECONDS = 5.0
-"""A base that still moves this long after the planner released its goals is moved by another program."""
+"""If the base still moves this long after the planner released its goals, another program is assumed to move it."""
 
 HELD_SECONDS = 60.0
-"""The velocities of an unreachable planner are held for this time if the base stands."""
+"""How long an unreachable planner's velocities are kept from reaching a base that stands still."""
 
 OVERRIDE_SECONDS = 1.0
-"""The gateway commands zero for this time against a planner that has not released its goals.
+"""For this time, zero velocities from the gateway override a planner that has not released its goals.
 
-A base that stands after it confirms the stop without the planner.
+If the base stands still after that time, the stop is confirmed even without the planner.
 """
 
 ANSWER_SECONDS = 2.5
-"""A client that requests a stop is answered within this time: a base may take a second to come to rest."""
+"""A client that requests a stop is answered within this time, because a base may take a second to come to rest."""
 
 
 StopAnswer = queue.SimpleQueue[str]
-"""Takes the answer to a client that waits on another thread: "" or the reason why the stop is not confirmed."""
+"""Receives the answer to a client that waits on another thread: "" or the reason why the stop is not confirmed."""
 
 
 def wait_for(answer: StopAnswer) -> str:
@@ -51,7 +51,7 @@ class StopWaiters:
         self._waiting: list[tuple[float, Callable[[str], None]]] = []
 
     def add(self, answer: Callable[[str], None], seconds: float) -> None:
-        """Have ``answer`` called with "" if the stop is confirmed within this time, otherwise with the reason."""
+        """Call ``answer`` with "" if the stop is confirmed within this time, otherwise with the reason."""
         self._waiting.append((time.monotonic() + seconds, answer))
 
     def notify(self, trouble: str) -> None:
@@ -70,19 +70,20 @@ class StopWaiters:
 
 
 class StopOrder:
-    """The stop or pause in force, if any, and the clients that wait for its confirmation. On the module's thread."""
+    """The current stop or pause, if any, and the clients that wait for its confirmation. Not thread-safe."""
 
     def __init__(self, motion: Motion, velocity: VelocityWatch) -> None:
         self._motion, self._velocity = motion, velocity
         self._machine: Machine[StopState, StopEvent] = Machine(STOP, StopState.NONE)
-        self.reason = ""  # the reason of the request
+        self.reason = ""  # the reason for the request
         self.asked_at = 0.0  # monotonic
-        self._released_at = 0.0  # since when the planner has released its goals (monotonic); 0: it has not
+        # when the planner was seen to have released its goals (monotonic), without odometry; 0: not seen
+        self._released_at = 0.0
         self.waiters = StopWaiters()
 
     @property
     def state(self) -> StopState:
-        """Its state."""
+        """The state of the stop."""
         return self._machine.state
 
     @property
@@ -92,11 +93,11 @@ class StopOrder:
 
     @property
     def confirmed(self) -> bool:
-        """Whether the robot stands; the planner has released its goals, or its time to do so is over."""
+        """Whether the robot stands still and the planner has released its goals, or has run out of time to do so."""
         return self.state in (StopState.CONFIRMED, StopState.RESTING)
 
     def ask(self, reason: str) -> None:
-        """Request a stop or pause; one that is still to be confirmed continues, and keeps its time."""
+        """Request a stop or pause; an unconfirmed one continues, and keeps its original request time."""
         self.reason = reason
         if not self.state.open:
             self.asked_at = time.monotonic()
@@ -110,7 +111,7 @@ class StopOrder:
             self.waiters.fail(reason)
 
     def update(self, *, released: bool, seen_at: float) -> None:
-        """Update the state; ``seen_at``: when the planner was last reachable (monotonic seconds)."""
+        """Update the state; ``seen_at`` is when the planner was last reachable (monotonic seconds)."""
         if not self.state.open:
             return
         machine = self._machine
@@ -125,13 +126,13 @@ class StopOrder:
             self._velocity.close()
 
     def _is_standing(self, *, released: bool) -> bool:
-        """Whether the base stands: by odometry, or else by its velocity commands after the planner's release."""
+        """Whether the base stands still, by odometry or else by its velocity commands after the planner's release."""
         if self._motion.known:
             self._velocity.close()
-            # a base that stands while it is commanded zero may move on with the planner's next velocity
+            # standing still under the gateway's zero velocities does not count: the planner may move the base again
             since = self.asked_at if released else self.asked_at + OVERRIDE_SECONDS
             return self._motion.is_standing(since) is True
         self._velocity.open()
-        # before that, silence is no evidence: velocities of an unreachable planner do not reach the hub
+        # before the release, silence is no evidence: an unreachable planner's velocities do not reach the hub
         self._released_at = (self._released_at or time.monotonic()) if released else 0.0
         return released and self._velocity.zero(self._released_at)

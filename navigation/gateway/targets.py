@@ -1,4 +1,4 @@
-"""The targets of goals, also as names of places in the store."""
+"""The targets of goals, given as poses or as names of places in the store."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _NO_STAMP = {"sec": 0, "nanosec": 0}
 class Target:
     """A pose to drive to."""
 
-    pose: Pose  #: meters and rad; a theta of NaN: any heading
+    pose: Pose  #: meters and rad; a theta of NaN means any heading
     frame: str  #: the frame of the pose; for a place on another map, the name of that map in the store
     tree: str = ""  #: the client's ``behavior_tree``
 
     def goal(self, planner: str, robot: Pose | None) -> dict[str, Any]:
-        """Return the goal for a planner, with a stamp of 0: two machines' clocks may differ.
+        """Return the goal for a planner, with a stamp of 0, because two machines' clocks may differ.
 
         Midspan's constraints are for hosted planners, names of behavior trees for all others. "Any heading" becomes the
         heading of the direct path from the robot, if the robot's pose is known.
@@ -45,7 +45,7 @@ class Target:
         return {"pose": self.stamped(robot), "behavior_tree": tree}
 
     def stamped(self, robot: Pose | None = None) -> dict[str, Any]:
-        """Return it as a ``geometry_msgs/PoseStamped``."""
+        """Return the target as a ``geometry_msgs/PoseStamped``."""
         pose = self.pose
         if math.isnan(pose.theta) and robot is not None:
             pose = pose._replace(theta=math.atan2(pose.y - robot.y, pose.x - robot.x))
@@ -91,7 +91,8 @@ _ANY = math.nan
 class StoredPlaces:
     """The store's places as goals.
 
-    ``waits`` returns whether the planner drives to places on any map by the map's name, and waits until one is in use.
+    ``waits`` returns whether the planner drives to places on any map by the map's name, and waits until a map is in
+    use.
     """
 
     def __init__(self, host: Host, frame: str, waits: Callable[[], bool] = lambda: False) -> None:
@@ -128,9 +129,9 @@ class StoredPlaces:
         return self.target(inside)
 
     def target(self, place: Map2DLocation) -> Target:
-        """Return a goal at a place; if that is on another map, its frame is that map's name.
+        """Return a goal at a place; if the place is on another map, the goal's frame is that map's name.
 
-        Without a map in use it keeps its map's name for a planner that waits for one.
+        Without a map in use, the goal keeps the name of the place's map for a planner that waits for a map.
         """
         known = self.current or (self._waits() and self.store is not None and place.map_id in self.store.names(MAP))
         elsewhere = place.map_id and known and place.map_id not in (self.current, self._frame)
@@ -141,7 +142,7 @@ class StoredPlaces:
         """Return a goal at a place; raises `LookupError` if the store has maps, but not the map of the place."""
         target, store = self.target(place), self.store
         if target.frame != self._frame and store is not None and target.frame not in (maps := store.names(MAP)):
-            raise LookupError(f"the store does not have its map {target.frame}, but {', '.join(maps[:20])}")
+            raise LookupError(f"the store does not have the place's map {target.frame}, but {', '.join(maps[:20])}")
         return target
 
     def location(self, message: Mapping[str, Any] | Target) -> Map2DLocation:

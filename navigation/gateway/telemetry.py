@@ -17,7 +17,7 @@ _LOCAL = {"robot_path_planner": "robot_goto"}  # the planner that publishes the 
 
 
 def local_map_topic(section: NavigationSection, planner: str) -> str:
-    """Return the topic of a planner's local map (``nav_msgs/OccupancyGrid``), "" if it has none."""
+    """Return the topic of a planner's local map (``nav_msgs/OccupancyGrid``), "" if the planner has none."""
     other = section.others.get(planner)
     return other.local_map if other else f"/planner/{_LOCAL.get(planner, planner)}/local_map"
 
@@ -51,7 +51,7 @@ class Telemetry:
 
     @property
     def silent(self) -> float:
-        """Seconds since its last message about the goal; 0 for a planner that only publishes changes."""
+        """Seconds since the planner's last message about the goal; 0 for a planner that only publishes changes."""
         return time.monotonic() - self._beat_at if self._beats else 0.0
 
     def begin(self) -> None:
@@ -59,11 +59,11 @@ class Telemetry:
         self.path, self._beats = None, 0
 
     def beat(self, *, counts: bool = True) -> None:
-        """The planner published something; ``counts``: not only because its goals changed."""
+        """Note that the planner published something; ``counts``: not only because its goals changed."""
         self._beat_at, self._beats = time.monotonic(), self._beats + counts
 
     def reported(self, goal: bytes) -> tuple[State, str] | None:
-        """Return the state and the reason that it published for a goal, if any."""
+        """Return the state and the reason that the planner published for a goal, if any."""
         status = self._status
         if status is None or bytes(status["goal_id"]) != goal:
             return None
@@ -75,7 +75,7 @@ class Telemetry:
         return int(status["error_code"]) if status is not None and bytes(status["goal_id"]) == goal else 0
 
     def pose(self, goal: bytes) -> Message | None:
-        """Return the pose of a goal of its own client, if it publishes that."""
+        """Return the pose of a goal of the planner's own client, if the planner publishes that pose."""
         status = self._status
         if status is not None and bytes(status["goal_id"]) == goal:
             return dict(status["goal"])

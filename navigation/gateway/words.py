@@ -18,17 +18,19 @@ _LIST_LAG = 0.5
 
 @dataclass(frozen=True)
 class Situation:
-    """What the gateway knows at one time."""
+    """The state of the planner, the base, the current drive and the current stop at one time."""
 
-    planner: str  #: its name
+    planner: str  #: the planner's name
     planner_state: PlannerState = PlannerState.UNKNOWN
-    planner_age: float = 0.0  #: seconds since that changed
+    planner_age: float = 0.0  #: seconds since ``planner_state`` changed
     base: Base = Base.UNKNOWN
-    goals: bool | None = None  #: whether its newest list has active goals, valid or not; None before the first list
-    doubtful: bool = False  #: whether it had a goal of a client that bypasses the gateway when it became unreachable
+    #: whether the planner's newest list, even an invalid one, has active goals; None before the first list
+    goals: bool | None = None
+    #: whether the planner had a goal of a client that bypasses the gateway when the planner became unreachable
+    doubtful: bool = False
     motion: tuple[str, ...] = ()  #: other actions that move the base now, such as Nav2's ``/follow_path``
     foreign: PlannerStatus | None = None  #: the status of a goal of the planner's own client
-    unlisted: bool = False  #: whether it serves goals of several poses, and has not reported them yet
+    unlisted: bool = False  #: whether the planner serves goals of several poses, but has not reported them yet
     orphans: bool = False  #: whether the planner drives to a goal from before the gateway was restarted
     drive: DriveState | None = None
     reason: str = ""  #: why the drive stops or waits
@@ -38,7 +40,7 @@ class Situation:
     localization: str = ""  #: why the robot's pose is not trusted
     stop: StopState = StopState.NONE
     stop_reason: str = ""
-    stop_age: float = 0.0  #: seconds since the request of the stop or pause
+    stop_age: float = 0.0  #: seconds since the request for the stop or pause
     odometry: bool = False  #: whether there is odometry
     since_end: float = 0.0  #: seconds since the last drive ended
     last: PlannerStatus = field(default_factory=PlannerStatus)  #: how the last drive ended
@@ -56,7 +58,7 @@ def trouble(now: Situation) -> str:
 
 
 def unconfirmed(now: Situation) -> str:
-    """Return why the robot is not known to stand."""
+    """Return why the robot is not known to stand still."""
     if now.motion and now.planner_state.reachable:
         return f"{MAY_MOVE}: {', '.join(now.motion)} of {now.planner} has not ended"
     if now.stop in (StopState.SETTLING, StopState.EXPIRED):
@@ -72,7 +74,7 @@ def unconfirmed(now: Situation) -> str:
         reason = f"{now.planner} has not reported its goals yet"
     else:
         reason = f"{now.planner} has not released its goal"
-    return f"{MAY_MOVE}: {reason}; it is asked to stop until it does"
+    return f"{MAY_MOVE}: {reason}; the stop request is repeated"
 
 
 def _stopping(now: Situation) -> PlannerStatus:
@@ -83,7 +85,7 @@ def _stopping(now: Situation) -> PlannerStatus:
 
 
 def _waiting(now: Situation) -> PlannerStatus:
-    """The goal is not at the planner, or contact with it is lost; an earlier goal may still be executing."""
+    """Return the status while the goal is not at the planner or contact is lost; an earlier goal may be executing."""
     may_drive = now.unreleased or now.goals is True
     moves = now.base is Base.MOVING or (now.base is Base.UNKNOWN and may_drive)
     state = State.MOVING if moves else State.PREPARING
@@ -154,7 +156,7 @@ def own_client(planner: str) -> str:
 
 
 def _without_drive(now: Situation) -> PlannerStatus:
-    """No client of the gateway drives; others may, and a stop may not be confirmed yet."""
+    """Return the status without a drive: the planner's own clients may drive, and a stop may not be confirmed yet."""
     if now.stop in (StopState.ASKED, StopState.SETTLING):
         return _stopping(now)
     if now.stop is StopState.RESTING:
@@ -179,7 +181,7 @@ def _without_drive(now: Situation) -> PlannerStatus:
 
 
 def _unknown(now: Situation) -> PlannerStatus:
-    """It is unknown whether the planner has goals, which does not mean none."""
+    """Return the status while it is unknown whether the planner has goals."""
     reason = f"it is not known whether {now.planner} has a goal: " + (
         "it has not reported its goals yet" if now.planner_state.reachable else "it is not available"
     )
