@@ -56,7 +56,7 @@ class Atlas:
 def leg(atlas: Atlas, ground: Ground, start: Pose, goal: MapPlace) -> Leg:
     """Return this map's part of the shortest path to a goal on any map.
 
-    Raises `PlanError` if robots keep out of one of the two maps, or no links lead there.
+    Raises `PlanError` if robots must keep out of one of the two maps, or no links lead there.
     """
     there = ground if goal.map_name == ground.name else atlas.ground(goal.map_name)
     if there is None:
@@ -109,14 +109,14 @@ _log = logging.getLogger(__name__)
 
 
 class StoreAtlas(Atlas):
-    """The store's maps for a robot with these settings. On the module's thread."""
+    """The store's maps for a robot with these settings. Used only on the module's thread."""
 
     def __init__(self, store: Store, settings: RobotPathPlannerSection) -> None:
         self._store, self.settings = store, settings
         self._grounds: dict[str, Ground] = {}
 
     def clear(self) -> None:
-        """Drop cached maps, since maps, areas or the robot have changed."""
+        """Drop cached maps, because maps, areas or the robot have changed."""
         self._grounds.clear()
 
     @override

@@ -23,10 +23,10 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 Cell = tuple[int, int]  # row, from the top one down, and column
 OCCUPIED = 50  # cells with at least this occupancy are walls, as in a YARP map without flags
 _NEAR_WALL = 16
-"""The extra cost of a cell next to one in which the robot does not fit. It falls with the square of the distance within
-`clearance`, so that a local navigator has room wherever possible."""
+"""The extra cost of a cell next to a cell in which the robot does not fit. It falls with the square of the distance
+within `clearance`, so that a local navigator has room wherever possible."""
 _ENLARGED = 4  # the extra cost of cells that the map flags as enlarged obstacles
-_UNSURE = 25  # a cell below a wall's occupancy costs 1 more for each of these steps of its occupancy
+_UNSURE = 25  # a cell that is not a wall costs 1 more per this much of its occupancy
 _MOST = 250
 
 _SOLID = np.zeros(256, np.uint8)
@@ -118,7 +118,7 @@ class Ground:
 
 
 def _labeled(grid: MapGrid2D, zones: Sequence[Zone]) -> tuple[NDArray[np.uint16], list[AreaBehavior]]:
-    """Return the index of each cell's behavior, and the behaviors; 0 is none."""
+    """Return the index of each cell's behavior, and the behaviors; index 0 means none."""
     labels = np.zeros(grid.flags.shape, np.uint16)
     behaviors = [_NOTHING]
     for zone in zones:
@@ -142,8 +142,8 @@ def combined(one: AreaBehavior, other: AreaBehavior) -> AreaBehavior:
     return AreaBehavior(min(speeds, default=None), on_obstacle)
 
 
-SURE = 1.2  # log odds from which a cell is an obstacle: two more scans hit it than passed through it
-_KNOWN = 0.15  # meters from a mapped wall within which echoes count as its own, since maps and poses are inexact
+SURE = 1.2  # log odds from which a cell is an obstacle: two more scans hit it than passed through
+_KNOWN = 0.15  # echoes within this distance (meters) of a mapped wall belong to it: maps and poses are inexact
 _FORGET_EVERY = 1.0
 
 
@@ -231,7 +231,7 @@ class Clutter:
 
 
 def _circle(cells: float) -> NDArray[np.int64]:
-    """Return the offsets (n, 2) from a cell to all cells whose centers are nearer to its own than a number of cells."""
+    """Return the offsets (n, 2) from a cell to all cells whose centers are less than ``cells`` cells away."""
     reach = math.ceil(cells)
     rows, columns = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     near = rows**2 + columns**2 < cells**2

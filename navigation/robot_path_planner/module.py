@@ -118,7 +118,7 @@ class RobotPathPlanner(PlannerModule):
         if section.prefix:
             self._serve_yarp(host, section.prefix)
         self._map.update()
-        if host.clock.simulated:  # the system clock may be set while the robot drives: `now` does not depend on it
+        if host.clock.simulated:  # setting the system clock does no harm, because `now` does not depend on it
             host.on_jump(lambda: self.stop_driving("the clock jumped back"))
         host.every(section.period, self._step)
         if section.image_hz > 0:
@@ -180,7 +180,7 @@ class RobotPathPlanner(PlannerModule):
         self._step()
 
     def brake(self) -> None:
-        """Stop the robot at once, on any thread; the request is then handled on the module's thread."""
+        """Stop the robot at once; called on any thread before the module's thread handles the request."""
         task = self.planner.task
         if task is not None:
             self.planner.brake(task)
@@ -188,7 +188,7 @@ class RobotPathPlanner(PlannerModule):
 
     def _brake(self, goal_id: bytes) -> None:
         """Stop the robot at once, on a thread of the hub, which must not block."""
-        task, goal = self.planner.task, self._goal.goal  # in this order: a replaced task does no harm
+        task, goal = self.planner.task, self._goal.goal  # read in this order, so that a replaced task does no harm
         if task is not None and goal is not None and (goal.id == goal_id or not any(goal_id)):
             self.planner.brake(task)
             stop = self._local.brake()
@@ -244,7 +244,7 @@ class RobotPathPlanner(PlannerModule):
         try:
             self._host.loop.call(drive, late=False)
         except ValueError as err:
-            raise WireError(str(err)) from None  # the port counts it and logs it at intervals
+            raise WireError(str(err)) from None  # the port counts such errors, and logs them at intervals
 
     # steps
 
@@ -256,7 +256,7 @@ class RobotPathPlanner(PlannerModule):
             raise
 
     def _fail(self, reason: str) -> None:
-        """Stop, and end the goal: another step would fail as well."""
+        """Stop, and end the goal, because another step would fail as well."""
         self._local.cancel()
         self._goal.end(PlannerStatus(State.ABORTED, reason, Fault.OTHER))
         self.planner.cancel(reason)

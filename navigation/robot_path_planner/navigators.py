@@ -1,4 +1,4 @@
-"""Clients of local navigators, which drive to one waypoint at a time: over an action of the hub, or a YARP port."""
+"""Clients of local navigators, which drive to one waypoint at a time: over an action on the hub, or a YARP port."""
 
 # ruff: noqa: D102 - documented in `LocalNavigator`
 
@@ -34,11 +34,11 @@ class LocalNavigator(Protocol):
 
     @property
     def reason(self) -> str:
-        """Why it waits, failed or is unavailable."""
+        """Why the navigator waits, failed or is unavailable."""
 
     @property
     def fault(self) -> Fault:
-        """The reason as a code; `Fault.NONE` if it has none."""
+        """The reason as a code; `Fault.NONE` if there is no code."""
 
     def send(self, pose: Pose, constraints: Constraints) -> None:
         """Drive to a pose instead of the previous one."""
@@ -52,7 +52,7 @@ _ACTION_SUFFIX = "/navigate_to_pose"
 
 
 class ActionNavigator:
-    """A local navigator behind one action. On the module's thread."""
+    """A local navigator behind one action. Used on the module's thread, except for `brake`."""
 
     def __init__(self, host: Host, action: str, frame: str) -> None:
         self._frame, self._action = frame, action
@@ -76,7 +76,7 @@ class ActionNavigator:
 
     def send(self, pose: Pose, constraints: Constraints) -> None:
         self._state, self._reason, self._fault = State.PREPARING, "", Fault.NONE
-        # without a stamp: the clock of another machine may differ
+        # without a stamp, because the clock of another machine may differ
         goal = {"pose": {"header": {"frame_id": self._frame}, "pose": pose_message(pose)}}
         if self._action.startswith(_ROBOT_GOTO):
             goal["behavior_tree"] = constraints.to_text()  # type: ignore[assignment]
@@ -89,7 +89,7 @@ class ActionNavigator:
             goal.cancel()
 
     def brake(self) -> Callable[[], None]:
-        """Return a function that cancels the current goal and no later one. On any thread; `cancel` has to follow."""
+        """Return a function that cancels the current goal and no later one, on any thread; `cancel` has to follow."""
         goal = self._goal
         return lambda: goal.cancel() if goal is not None and goal.active else None
 
@@ -98,7 +98,7 @@ class ActionNavigator:
             self._state = State.MOVING
 
     def _on_status(self, status: dict[str, Any]) -> None:
-        """Handle the status of a planner of Midspan: with the reason for a wait, which feedback lacks."""
+        """Handle the status of a planner of Midspan, which has the reason for a wait; feedback lacks it."""
         if self._goal is None or bytes(status["goal_id"]) != self._goal.id or self._goal.status.ended:
             return
         try:
@@ -125,13 +125,13 @@ class ActionNavigator:
 _POLL = 0.1
 GRACE = 1.0
 """Seconds after accepting a goal for which a server that has not driven yet may still report the end of the previous
-goal. After that its status is valid: a robot that is already at the goal does not move."""
+goal. After that its status is valid, because a robot that is already at the goal does not move."""
 _STATUS = "navigation_status_"
 _ENDS = (State.REACHED, State.ABORTED, State.FAILING)
 
 
 class YarpNavigator(PolledServer[INavigation2DMsgs]):
-    """A local navigator behind the YARP port ``<server>/rpc``, which it polls for the status. Safe from any thread.
+    """A local navigator behind the YARP port ``<server>/rpc``, which it polls for the status. Thread-safe.
 
     Speeds and gains of waypoints are dropped: INavigation2D cannot express them.
     """
@@ -222,6 +222,6 @@ class YarpNavigator(PolledServer[INavigation2DMsgs]):
         with self._lock:
             self.state, self.reason = State.ERROR, reason
             self._taken_at, self._denied = -math.inf, False
-            # a stop is sent again when the server is back; a goal is not, as the planner sends it
+            # a stop is sent again when the server is back; a goal is not, because the planner sends it
             if self._wanted is not None:
                 self._sent = self._number

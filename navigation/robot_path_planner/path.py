@@ -1,4 +1,4 @@
-"""Paths on one map as waypoints, each with its constraints, and the state of the goal that is driven to."""
+"""Paths on one map as waypoints, each with its constraints, and the state of the active goal."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Places = NDArray[np.float64]  # (n, 2) x and y, meters
 
 
 def blocked(ground: Ground, closed: NDArray[np.bool_], places: Places, *, inside: bool = False) -> bool:
-    """Whether a line over points, (n, 2) meters, enters closed cells; those that it starts in count with ``inside``."""
+    """Whether a line through points, (n, 2) meters, enters closed cells; with ``inside``, those at its start count."""
     columns, rows = ground.grid.cells_at(sampled(places, ground.grid.resolution / 2)).T
     fits = (rows >= 0) & (rows < closed.shape[0]) & (columns >= 0) & (columns < closed.shape[1])
     on_line = closed[rows[fits], columns[fits]]
@@ -45,7 +45,7 @@ def sampled(places: Places, step: float) -> Places:
 
 
 def is_straight(ground: Ground, first: Pose, second: Pose) -> bool:
-    """Whether no wall is between two poses; always true from a cell in which the robot may not be: it is leaving it."""
+    """Whether no wall is between two poses; always true from a forbidden cell, which the robot is leaving."""
     start, end = ground.cell(first.x, first.y), ground.cell(second.x, second.y)
     return start is None or end is None or not ground.open[start] or sees(ground.open, start, end)
 
@@ -53,7 +53,7 @@ def is_straight(ground: Ground, first: Pose, second: Pose) -> bool:
 def fits_straight(ground: Ground, clutter: Clutter, first: Pose, second: Pose) -> bool:
     """Whether a robot fits on the line between two poses with a cell to spare.
 
-    The line must have no obstacle, and cross no border of an area with a behavior.
+    The line must be free of obstacles, and must not cross the border of an area with a behavior.
     """
     start, end = ground.cell(first.x, first.y), ground.cell(second.x, second.y)
     if start is None or end is None or not ground.spare[start] or not sees(ground.spare, start, end):
@@ -79,12 +79,12 @@ def cut(places: Places, meters: float) -> Places:
     return np.concatenate((places[:number], [end]))
 
 
-_STUCK = 2  # cells around the start in which walls do not matter: localization is not more accurate
+_STUCK = 2  # walls this many cells from the start do not matter: localization is not more accurate
 _STEPS = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if row or column]
 
 
 def escape(weights: Weights, solid: NDArray[np.bool_], start: Cell) -> Cells | None:
-    """Return the shortest path from a forbidden cell to an allowed one, (n, 2) cells with the start; None without one.
+    """Return the shortest path from a forbidden cell to an allowed one, (n, 2) cells with the start, or None.
 
     ``weights`` are 0 in forbidden cells; ``solid`` cells cannot be crossed at all; both are (rows, columns).
     """
@@ -161,9 +161,9 @@ def plan_path(
     goal: Pose,  # theta is NaN if the heading does not matter
     settings: RobotPathPlannerSection,  # constraints of waypoints and goal
     wanted: Constraints | None = None,  # the client's constraints, which override the settings
-    weights: Weights | None = None,  # the map's with obstacles; by default the map's own
+    weights: Weights | None = None,  # the map's weights with obstacles; by default the map's own
 ) -> PlannedPath:
-    """Plan a path on a map; raises `PlanError` without one, `passing` if only obstacles close it."""
+    """Plan a path on a map; raises `PlanError` if there is none, with ``passing`` if only obstacles block it."""
     start_cell, goal_cell = _ends(ground, start, goal)
     cells = None
     if weights is not None and weights[goal_cell]:
@@ -207,7 +207,7 @@ def _ends(ground: Ground, start: Pose, goal: Pose) -> tuple[Cell, Cell]:
 
 
 def _path_on_map(ground: Ground, start: Pose, goal: Pose, weights: Weights) -> tuple[Cells, Cells]:
-    """Return the path on the map without obstacles; raises `PlanError` with the reason without one."""
+    """Return the path on the map without obstacles; raises `PlanError` with the reason if there is none."""
     start_cell, goal_cell = _ends(ground, start, goal)
     if not ground.fits(goal_cell):
         raise PlanError(
@@ -225,7 +225,7 @@ def _path_on_map(ground: Ground, start: Pose, goal: Pose, weights: Weights) -> t
 
 
 def _search(ground: Ground, weights: Weights, start_cell: Cell, goal_cell: Cell) -> tuple[Cells, Cells] | None:
-    """Return the cells that lead out of a forbidden cell, and of the path from there; None without a path."""
+    """Return the cells that lead out of a forbidden start, and the path's cells from there; None without a path."""
     exit_cells = np.empty((0, 2), np.int32)
     if not weights[start_cell]:
         exit_path = escape(weights, ground.solid, start_cell)
@@ -237,7 +237,7 @@ def _search(ground: Ground, weights: Weights, start_cell: Cell, goal_cell: Cell)
 
 
 def _exit_start(ground: Ground, cells: Cells) -> Places:
-    """Return the start of a path out; the rest of it is straight enough."""
+    """Return the first point of a path out of a forbidden cell; the rest of that path is straight enough."""
     return ground.places(cells[:1]) if len(cells) else np.empty((0, 2))
 
 
@@ -321,12 +321,12 @@ class DriveTask:
     constraints: Constraints  #: the client's
     since: float  #: when the goal arrived
     further: tuple[MapPlace, ...] = ()  #: the goals after this one, in sequence
-    replan_reason: str = "a new goal"  #: why a path has to be planned; empty if it does not
+    replan_reason: str = "a new goal"  #: why a path has to be planned; empty if none has to
     not_before: float = -math.inf  #: when planning may be tried next
     leg: Leg | None = None  #: the part on the current map
     waypoints: tuple[Waypoint, ...] = field(default=())  #: of the current path
     index: int = 0  #: of the current waypoint
-    note: str = ""  #: the path's, for people
+    note: str = ""  #: a note on the path, for people
     attempts: int = 0  #: other paths that were tried since the robot last came nearer
     recoveries: int = 0  #: other paths that were tried in total
     best: float = math.inf  #: the smallest distance to the goal so far, meters
@@ -337,7 +337,7 @@ class DriveTask:
     all_blocked_since: float | None = None  #: since when obstacles block every path
     path_blocked_since: float | None = None  #: since when an obstacle is on the current path
     arrived_at: float | None = None  #: when the robot reached the link at the leg's end
-    beside_wall: Pose | None = None  #: where it last waited with a wall beside its line to the waypoint
+    beside_wall: Pose | None = None  #: where the robot last waited with a wall beside its line to the waypoint
 
     def set_map(self, map_name: str) -> None:
         """Set the map of the goals that were given without one."""
@@ -358,7 +358,7 @@ class DriveTask:
         return np.array(line)
 
     def passes_wall(self, ground: Ground, pose: Pose) -> bool:
-        """Whether the robot does not fit on the line to its waypoint, as it has left the path; once at each place."""
+        """Whether the robot does not fit on the line to its waypoint, as it left the path; true once at each place."""
         if self.beside_wall is not None and self.beside_wall.distance(pose) < _ELSEWHERE:
             return False
         if not blocked(ground, ground.weights == 0, self.line(pose)[:2], inside=True):
@@ -372,9 +372,9 @@ class DriveTask:
         return bool(self.further) and self.leg is not None and self.leg.onto is None
 
     def can_skip(self, ground: Ground, clutter: Clutter, pose: Pose, *, waits: bool) -> bool:
-        """Whether to drive on to the next waypoint: this one is near or blocked, and that one straight on.
+        """Whether to drive on to the next waypoint, because this one is near or blocked and the next is straight on.
 
-        ``waits`` is whether the robot waits for an obstacle. The line must be free, and under the same limits.
+        ``waits`` is whether the robot waits for an obstacle. The line to it must be free, and have the same limits.
         """
         if self.last or self.waypoint.waits_for_obstacles:
             return False
@@ -392,14 +392,14 @@ class DriveTask:
 
 
 _TURNED = math.radians(30.0)
-_FRESH = 1.0  # seconds up to which two poses are compared
+_FRESH = 1.0  # poses that are further apart in time than this (seconds) are not compared
 
 
 class JumpDetector:
     """Compares each pose with the previous one."""
 
     def __init__(self) -> None:
-        self.pose: Pose | None = None  # the last one; None before the first
+        self.pose: Pose | None = None  # the last pose; None before the first
         self._at = -math.inf
 
     def add(self, now: float, pose: Pose, least: float) -> str:

@@ -1,7 +1,7 @@
 """RobotPathPlanner without a hub: plans paths, sends waypoints to a local navigator, and replans if necessary.
 
-It does what robotology/navigation's ``robotPathPlannerDev`` does. Time is an argument: the caller steps it 5 to 50
-times per second.
+It behaves like robotology/navigation's ``robotPathPlannerDev``. Time is an argument; the caller calls
+`PathPlanner.step` 5 to 50 times per second.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from navigation.status import Fault, PlanError, PlannerStatus, State
 _JUMP = 0.5  # meters; the robot replans if localization moves it by more at once, or by 30 degrees
 _WATCH = 0.5  # seconds between two checks of the path ahead
 _AHEAD = 5.0  # meters of the path that are checked
-_AGAIN = 2.0  # seconds after which planning is repeated without a path
+_AGAIN = 2.0  # seconds until planning is tried again if there was no path
 _GLITCH = 0.3  # seconds for which a missing pose does not matter
 _NEARER = 0.5  # meters of progress towards the goal that reset the count of attempts
 _PATIENCE_PER_METER, _LONGEST_PATIENCE = 2.0, 20.0
@@ -180,7 +180,7 @@ class PathPlanner:
             self.clutter.fade(now)
 
     def layer(self, topic: str, places: Places) -> None:
-        """Plan around a layer's points from now on, (n, 2) meters on the map; they replace its previous ones."""
+        """Plan around a layer's points, (n, 2) meters on the map; they replace the layer's previous points."""
         self._layers[topic] = places
         if self.clutter is None or self.ground is None:
             return
@@ -220,7 +220,7 @@ class PathPlanner:
         if jump and not task.replan_reason:
             task.replan_reason = jump
         if jump and self.ground is not None:
-            # obstacles were seen from a wrong pose, so they are elsewhere
+            # obstacles were seen from a wrong pose, so their stored positions are wrong
             self._forget_clutter()
         task.pose_lost_since = None
         if not self.silent:
@@ -256,7 +256,7 @@ class PathPlanner:
         self._set_out(task, now, pose, local, path)
 
     def _first_path(self, task: DriveTask, pose: Pose) -> PlannedPath:
-        """Return the path around the laser's obstacles if it is not much longer: they may move away in time."""
+        """Return the path around the laser's obstacles unless it is much longer, because they may move away in time."""
         short = self._path(task, pose, around=False)
         try:
             around = self._path(task, pose)
@@ -288,7 +288,7 @@ class PathPlanner:
         task.arrived_at = task.path_blocked_since = None
         self._watched = now
         if task.last and task.waypoint.is_reached(pose):
-            if not local.state.ended:  # it still drives to the previous goal
+            if not local.state.ended:  # the local navigator still drives to the previous goal
                 local.cancel()
             self._arrive(task, now, local)
             return
@@ -363,7 +363,7 @@ class PathPlanner:
         except PlanError as err:
             if not err.passing:
                 raise
-            task.path_blocked_since = now  # this is the only path: the local navigator waits
+            task.path_blocked_since = now  # this is the only path, so the local navigator waits
             return
         longer = alternative.length - self.remaining(pose)
         if now - task.path_blocked_since < min(_PATIENCE_PER_METER * longer, _LONGEST_PATIENCE):
@@ -407,7 +407,7 @@ class PathPlanner:
             )
 
     def _is_at_link(self, task: DriveTask, now: float, pose: Pose) -> bool:
-        """Whether a robot that has changed maps is localized near the link's end; if not, wait for it."""
+        """Return whether a robot that has changed maps is localized near the link's end; if not, report waiting."""
         if task.arrived_at is None or task.leg is None or task.leg.onto is None or self.ground is None:
             return True
         onto = task.leg.onto
@@ -441,7 +441,7 @@ class PathPlanner:
         self._wait(task, lost, reason, fault, reported=bool(task.replan_reason))
 
     def _wait_for_layer(self, task: DriveTask, now: float, local: LocalNavigator) -> None:
-        """Stop: obstacles that the silent layer would show are unknown."""
+        """Stop, because the obstacles that the silent layer would show are unknown."""
         if task.layer_silent_since is None:
             task.layer_silent_since, task.replan_reason = now, task.replan_reason or "the layer is received again"
             local.cancel()
@@ -480,7 +480,7 @@ def _waits_for_obstacle(local: LocalNavigator) -> bool:
 
 
 def _is_path_blocked(ground: Ground, clutter: Clutter, line: Places, local: LocalNavigator) -> bool:
-    """Whether obstacles are on the path; also beside it, if the local navigator already waits for one."""
+    """Whether obstacles are on the path, or beside it if the local navigator already waits for an obstacle."""
     ahead = cut(line, _AHEAD)
     if _waits_for_obstacle(local):
         return blocked(ground, clutter.closed(), ahead, inside=True)

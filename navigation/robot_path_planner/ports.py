@@ -30,12 +30,15 @@ from yarp_compat.sig.image import ImageRgb
 
 _SPHERES, _LINES, _ARROW, _DELETE_ALL = 7, 4, 0, 3
 _BLUE, _PINK = {"r": 0.0, "g": 0.25, "b": 0.9, "a": 1.0}, {"r": 0.8, "g": 0.0, "b": 0.5, "a": 1.0}
-_REPEAT = 5.0  # seconds after which YARP's status port repeats the status, as upstream's does
+_REPEAT = 5.0  # seconds after which YARP's status port repeats the status, like upstream's port
 _REASON_PERIOD = 1.0
 
 
 class PathPlannerTopics(PlannerTopics):
-    """Publishes status, path and picture when they change; no YARP ports without a prefix. On the module's thread."""
+    """Publishes status, path and picture when they change. Used only on the module's thread.
+
+    Without a prefix, there are no YARP ports.
+    """
 
     def __init__(self, host: Host, frame: str, prefix: str) -> None:
         super().__init__(host, "robot_path_planner", frame)
@@ -61,7 +64,7 @@ class PathPlannerTopics(PlannerTopics):
             self._publish_plan(planner)
 
     def _is_news(self, now: float, status: PlannerStatus, goal_id: bytes) -> bool:
-        """Whether to publish a status; if only the reason changed, such as a count of seconds, once a second."""
+        """Whether to publish a status: once a second if only its reason changes, such as a count of seconds."""
         if self._last is None or (status, goal_id) == self._last:
             return self._last is None
         before, goal_before = self._last
@@ -103,7 +106,7 @@ Pixels = NDArray[np.uint8]
 def draw(planner: PathPlanner, pose: Pose | None, scale: int = 1) -> Pixels | None:
     """Draw the map from above, (height, width, 3) bytes with `scale` pixels per cell; None without a map.
 
-    With one pixel per cell, a pixel's column and row are the cell's, so that clicks are goals.
+    With one pixel per cell, a pixel's column and row are those of the cell, so that a click is a goal.
     """
     ground = planner.ground
     if ground is None:
@@ -171,7 +174,7 @@ def _arrow(canvas: Any, place: tuple[float, float], theta: float, size: float, c
 
 
 def goal_of_click(ground: Ground | None, values: Sequence[Any]) -> Pose:
-    """Return the goal of a click or drag on the map's picture; raises `ValueError` if it is invalid, or without a map.
+    """Return the goal of a click or drag on the map's picture; raises `ValueError` if invalid, or without a map.
 
     A click is ``x y``, a drag ``x0 y0 x1 y1``: the goal is the first pixel, its heading points to the second. Pixel
     0, 0 is the upper left one.
@@ -232,7 +235,7 @@ class PathPlannerDevice(PlannerDevice):
         return self._do(current)
 
     def getAllNavigationWaypoints(self, kind: TrajectoryTypeEnum) -> Map2DPath | None:  # noqa: ARG002
-        """YARP's own planner answers either kind with its path."""
+        """Return the path for either kind, like YARP's own planner."""
 
         def path() -> Map2DPath | None:
             ground, points = self._planner.ground, self._planner.waypoints
@@ -248,7 +251,7 @@ class PathPlannerDevice(PlannerDevice):
 
 
 class PlannerServer(Navigation2DServer):
-    """Serves INavigation2D, and commands that get and set the robot's radius, meters."""
+    """Serves INavigation2D, and commands that get and set the robot's radius in meters."""
 
     def __init__(self, device: object, get_radius: Callable[[], float], set_radius: Callable[[float], Any]) -> None:
         super().__init__(device)
