@@ -1,4 +1,4 @@
-"""What both mappers offer: commands on an RPC port, and three of them as services on the hub."""
+"""The commands of both mappers on an RPC port; three of them are also services on the hub."""
 
 from __future__ import annotations
 

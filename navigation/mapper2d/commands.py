@@ -49,7 +49,7 @@ class Canvas:
         self._brush = int(cells)
 
     def paint(self, at: tuple[float, float], to: tuple[float, float]) -> int:
-        """Paint a line between two points (meters); return the number of cells. Raises `ValueError` outside the map."""
+        """Paint a line between two points (meters); return the number of cells. Raises `ValueError` off the map."""
         return self._mapper.paint(at, self._flag, self._brush, to)
 
     def picture(self, robot: Pose | None) -> ImageRgb:
@@ -66,10 +66,10 @@ class Canvas:
         return ImageRgb.of(pixels)
 
     def clicked(self, values: Sequence[Any]) -> int:
-        """Paint at a click on the last picture; return the number of cells.
+        """Paint at a click on the last picture; return the number of painted cells.
 
         The values are ``x y``, or ``x0 y0 x1 y1`` of a drag: pixels from the upper left one. Raises `ValueError` for
-        other values, or outside the picture.
+        other values, or for pixels outside the picture.
         """
         numbers = all(isinstance(value, (int, float)) and math.isfinite(value) for value in values)
         if len(values) not in (2, 4) or not numbers:
@@ -103,7 +103,7 @@ HELP = (
 
 
 class MapperCommands(MappingCommands):
-    """Answers commands of the RPC port. Called on the module's thread."""
+    """Answers commands of the RPC port. Used only on the module's thread."""
 
     def __init__(
         self, mapper: Mapper, canvas: Canvas, source: PoseSource, store: Callable[[], Store], folder: MapsFolder

@@ -17,8 +17,8 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 ROUGHLY = 1.0, math.radians(30.0)
 """Meters and radians by which a pose that a person gives may be wrong."""
 
-_MOVED, _TURNED = 0.02, math.radians(0.1)  # of a submap, after which the map is drawn again
-_PATIENCE = 20  # views for each scan that passes between two drawings
+_MOVED, _TURNED = 0.02, math.radians(0.1)  # motion of a submap after which the map is drawn again
+_PATIENCE = 20  # views per scan that has to pass between two drawings
 _SLICE = 100  # views that are drawn at a time
 _EVERY_NS = 500_000_000  # between scans that are drawn without becoming part of the map
 
@@ -28,9 +28,9 @@ class Drawing:
     """A drawing of the whole map in progress.
 
     Attributes:
-        mapper: with the views so far.
-        poses: of the submaps at its start.
-        count: of views drawn.
+        mapper: the mapper that has drawn the views so far.
+        poses: the submaps' poses when the drawing began.
+        count: the number of views drawn.
     """
 
     mapper: Mapper
@@ -71,7 +71,7 @@ class DrawnMap:
         self._drawn_ns = odometry.stamp_ns
         poses = slam.submaps.graph.poses
         if not self._poses and len(poses) > 2:
-            self.draw_again()  # the way has just been joined to a loaded map
+            self.draw_again()  # the trajectory has just been joined to a loaded map
         self._poses += poses[len(self._poses) :]
         mapper.scan(slam.pose, scan.ranges, scan.first, scan.step, scan.farthest)
         mapper.full = mapper.full or slam.full
@@ -86,7 +86,7 @@ class DrawnMap:
         )
 
     def draw_again(self) -> None:
-        """Begin to draw the whole map again; `work` continues it."""
+        """Start drawing the whole map again; `work` continues that."""
         self._drawing = Drawing(self.mapper.blank(), list(self.slam.submaps.graph.poses))
 
     def work(self) -> bool:
@@ -105,20 +105,20 @@ class DrawnMap:
         return True
 
     def finish(self) -> None:
-        """Draw the map with the present poses, to the end."""
+        """Finish drawing the map with the current poses."""
         if self._drawing is None and self._outdated():
             self.draw_again()
         while self._drawing is not None:
             self.work()
 
     def clear(self) -> None:
-        """Start a new map at the present pose."""
+        """Start a new map at the current pose."""
         start = self.slam.pose
         self.mapper.clear()
         self._reset(Slam(start, self.run))
 
     def locate(self, laser: Pose) -> None:
-        """Set the laser's present pose: roughly on a loaded map, else exactly, and the map moves with it."""
+        """Set the laser's current pose: roughly on a loaded map; otherwise exactly, which moves the map."""
         self.slam.move(laser, ROUGHLY)
         if self.slam.track is not None and self.slam.unsure is None:
             self.draw_again()
@@ -128,7 +128,7 @@ class DrawnMap:
         graph_file.write(path, SavedGraph(self.slam.submaps, *self.mapper.painted))
 
     def load(self, grid: MapGrid2D, path: Path) -> None:
-        """Continue a map with its graph, unless one is invalid; raises `OSError`, or `ValueError` with the reason."""
+        """Continue a map with its graph if both are valid; raises `OSError`, or `ValueError` with the reason."""
         saved = graph_file.read(path)
         self.mapper.load(grid)
         self._reset(Slam.resumed(saved.submaps, Pose(0.0, 0.0, 0.0), run=self.run))

@@ -1,4 +1,4 @@
-"""The file with a map's scans and their graph, with which mapping continues on another day.
+"""The file with a map's scans and their graph, from which mapping can continue later.
 
 It is a NumPy archive (``.npz``) without pickled objects; poses are x, y, theta in meters and radians.
 """
@@ -35,7 +35,7 @@ class SavedGraph(NamedTuple):
     """What the file contains.
 
     Attributes:
-        submaps: with their views and graph.
+        submaps: the submaps, with their views and graph.
         paint, corner: see `Mapper.painted`.
     """
 

@@ -50,7 +50,7 @@ class Mapper:
         """Add a scan of a laser at a pose on the map; return whether it was used. Raises `ValueError` for NaN poses.
 
         Ranges are in meters, one per beam; infinity means no obstacle within ``farthest`` meters, NaN means unknown.
-        Angles are in radians: the first beam's from the laser's direction, and the step to the next.
+        ``first`` is the first beam's angle from the laser's direction, ``step`` the angle to the next beam, radians.
         """
         if not self.mapping:
             return False
@@ -74,11 +74,11 @@ class Mapper:
             raise ValueError(f"the map would have a side of more than {self._largest:g} m (modules.mapper2d)")
 
     def paint(self, at: tuple[float, float], flag: MapFlag, brush: int, to: tuple[float, float] | None = None) -> int:
-        """Paint a square with a width in cells, or a line of such squares; return the number of cells.
+        """Paint a square ``brush`` cells wide, or a line of such squares; return the number of painted cells.
 
         Cells painted as wall, free or keep-out (`PAINTS`) stay so, whatever the laser observes; cells painted as
-        unknown are reset, and observed again. Points are in meters. Raises `ValueError` outside the map, or for an
-        invalid brush.
+        unknown are reset, and observed again. Points are in meters. Raises `ValueError` for a point outside the
+        map, or an invalid brush.
         """
         if not 1 <= brush <= MOST_BRUSH:
             raise ValueError(f"a brush must have 1 to {MOST_BRUSH} cells, not {brush}")
@@ -165,7 +165,7 @@ class Mapper:
         return self._paint, self._map.origin
 
     def overlay(self, paint: NDArray[np.uint8], offset: tuple[float, float]) -> None:
-        """Paint flags as in `painted`, with their corner at meters from the map's; cells outside are ignored."""
+        """Paint flags as in `painted`, with their corner ``offset`` meters from the map's; ignore cells outside."""
         column, row = (round(value / self.settings.resolution) for value in offset)
         rows, columns = np.nonzero(paint != _BARE)
         to_rows, to_columns = rows + row, columns + column

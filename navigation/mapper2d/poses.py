@@ -39,7 +39,7 @@ class RobotPoses(ABC):
 
 
 class FramePoses(RobotPoses):
-    """Poses from /tf: the odometry at the time, with the current correction of the localization."""
+    """Poses from /tf: the odometry at the requested time, with the current correction of the localization."""
 
     def __init__(self, frames: RobotFrames) -> None:
         self._frames = frames
@@ -65,7 +65,7 @@ class InterpolatedPoses(RobotPoses):
         host.on_jump(self._buffer.clear)
 
     def add(self, stamp: int, x: float, y: float, theta: float) -> None:
-        """Add a pose: ns, meters, radians. Called from any thread."""
+        """Add a pose: ns, meters, radians. May be called on any thread."""
         self._buffer.set_transform(
             _FIXED, _ROBOT, stamp or self._host.clock.now_ns(), (x, y, 0.0),
             (0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0)),
@@ -135,7 +135,7 @@ class Poses:
         return self._offset @ self._robot.pose_at(stamp)
 
     def set(self, pose: Pose) -> None:
-        """Set the robot's current pose, or do so as soon as its source has a pose."""
+        """Set the robot's current pose, now or as soon as the source has a pose."""
         self._wanted = pose
         try:
             self.robot()

@@ -1,6 +1,6 @@
 """Reads ``mapper2D`` files of existing robots.
 
-Their keys are those of the branch ``mapper2D`` of robotology/navigation, in meters and degrees.
+The files' keys are those of the branch ``mapper2D`` of robotology/navigation, in meters and degrees.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The sources of the poses of scans: a given pose, or scan matching."""
+"""The sources of the scans' poses: a pose from elsewhere, or scan matching."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ _LOST = 10  # scans in a row that do not match
 
 
 class PoseSource(ABC):
-    """Adds scans to the map at their poses. On the module's thread."""
+    """Adds scans to the map at their poses. Used only on the module's thread."""
 
     def __init__(self, mapper: Mapper, poses: Poses) -> None:
         self._mapper, self._poses = mapper, poses
 
     @abstractmethod
     def add(self, frame: str, turn: Turn) -> bool:
-        """Add a scan of the laser with a frame; return whether the map changed.
+        """Add a scan of the laser in a frame; return whether the map changed.
 
-        Raises `FramesError` while the pose is not known, `ValueError` for an invalid one.
+        Raises `FramesError` while the pose is not known, `ValueError` for an invalid pose.
         """
 
     @abstractmethod
     def robot(self) -> Pose:
-        """Return the robot's present pose on the map; raises `FramesError`."""
+        """Return the robot's current pose on the map; raises `FramesError`."""
 
     @abstractmethod
     def locate(self, pose: Pose) -> None:
-        """Set the robot's present pose on the map."""
+        """Set the robot's current pose on the map."""
 
     @abstractmethod
     def clear(self) -> None:
@@ -61,11 +61,11 @@ class PoseSource(ABC):
         """Save the scans and the graph of a saved map; raises `OSError`."""
 
     def grid(self) -> MapGrid2D:
-        """Return the map, complete enough to save it."""
+        """Return the map for saving, completely drawn."""
         return self._mapper.grid()
 
     def work(self) -> bool:
-        """Do what is due at each beat; return whether the map changed."""
+        """Do periodic work; return whether the map changed."""
         return False
 
     @property
@@ -79,7 +79,7 @@ class PoseSource(ABC):
 
 
 class GivenPoses(PoseSource):
-    """Scans at poses that frames, a topic or a port give."""
+    """Adds scans at poses from ``/tf``, a topic or a port."""
 
     @override
     def add(self, frame: str, turn: Turn) -> bool:
@@ -104,11 +104,11 @@ class GivenPoses(PoseSource):
 
     @override
     def save_graph(self, graph: Path) -> None:
-        graph.unlink(missing_ok=True)  # that of an earlier map with this name
+        graph.unlink(missing_ok=True)  # the graph of an earlier map with this name
 
 
 class MatchedPoses(PoseSource):
-    """Scans at the poses at which they match earlier ones; publishes the odometry frame's pose on the map."""
+    """Adds scans at the poses at which they match earlier scans; publishes the odometry frame's pose on the map."""
 
     def __init__(self, host: Host, section: Mapper2DSection, mapper: Mapper, poses: Poses) -> None:
         super().__init__(mapper, poses)
@@ -138,7 +138,7 @@ class MatchedPoses(PoseSource):
         return self.drawn.scan(odometry._replace(stamp_ns=turn.time_ns), scan)
 
     def _begin(self, odometry: Pose) -> None:
-        """Start at the pose that was set, or else at that of the odometry, except on a loaded map."""
+        """Start at the pose that was set, or else at the odometry's pose, except on a loaded map."""
         start, self._start = self._start, None
         if start is not None:
             self.drawn.locate(start @ self._mount)
@@ -171,7 +171,7 @@ class MatchedPoses(PoseSource):
         if not graph.is_file():
             raise ValueError(
                 f"the map {grid.name} was saved without its scans, so that mapping by scans cannot continue it:"
-                " set modules.mapper2d.pose to tf, topic or port, and give the pose, such as that of a localizer"
+                " set modules.mapper2d.pose to tf, topic or port, and provide the pose, for example from a localizer"
             )
         self.drawn.load(grid, graph)
 
@@ -197,7 +197,7 @@ class MatchedPoses(PoseSource):
         section, half = self._section, 0.5 * correction.theta
         stamp = self._host.clock.now_ns() + round(section.tf_tolerance * 1e9)
         if stamp == self._stamp_ns:
-            return  # a simulated time at which two beats are late
+            return  # two beats at the same simulated time
         self._stamp_ns = stamp
         names = section.map_frame.lstrip("/"), section.odom_frame.lstrip("/")
         place, turned = (correction.x, correction.y, 0.0), (0.0, 0.0, math.sin(half), math.cos(half))
@@ -220,7 +220,7 @@ class MatchedPoses(PoseSource):
                 " modules.mapper2d.pose to tf to map with its poses"
             )
         if slam.unsure is not None:
-            return "searching the robot's place on the loaded map: drive, or set the pose with initLoc"
+            return "searching for the robot's place on the loaded map: drive, or set the pose with initLoc"
         if slam.track is not None and slam.track.lost >= _LOST:
             return "the scans do not match the map: the pose follows the odometry"
         if slam.full:

@@ -30,7 +30,7 @@ _SUFFIXES = (".bt", ".ot")
 
 
 class SpaceCommands(MappingCommands):
-    """Answers commands of the RPC port. Called on the module's thread.
+    """Answers commands of the RPC port. Used only on the module's thread.
 
     Attributes:
         mapping: whether clouds are used.

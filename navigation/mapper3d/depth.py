@@ -32,7 +32,7 @@ class Camera(NamedTuple):
 
     @property
     def view(self) -> tuple[float, float, float, float]:
-        """Tangents of its right, left, lower and upper edge, positive to the left and upwards."""
+        """Tangents of the image's right, left, lower and upper edge, positive to the left and upwards."""
         left, up = (self.cx + 0.5) / self.fx, (self.cy + 0.5) / self.fy
         return left - self.width / self.fx, left, up - self.height / self.fy, up
 

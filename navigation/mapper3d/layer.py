@@ -42,7 +42,7 @@ class LayerPublisher:
         self._published = 0
 
     def publish(self, layer: LayerColumns) -> None:
-        """Publish a layer; an unchanged one once a second, as some subscribers stop the robot on silence."""
+        """Publish a layer; an unchanged one once a second, because some subscribers stop the robot on silence."""
         grid = grid_of(layer, self._section.layer.name, self._section.resolution)
         self._publish_heights(layer)
         last, self._last = self._last, grid
@@ -64,7 +64,7 @@ class LayerPublisher:
         self._grid.publish_cdr(bytes(to_cdr(grid, self._frame, now)))
 
     def _publish_heights(self, columns: LayerColumns) -> None:
-        """Publish the heights of obstacles if they changed, for the part that has some: most of a layer is free."""
+        """Publish the heights of obstacles if they changed, only for the part with obstacles: most cells are free."""
         rows, places = np.nonzero(columns.hits[..., 0] > 0)
         low, left = (int(indices.min()) if len(indices) else 0 for indices in (rows, places))
         high, right = (int(indices.max()) + 1 if len(indices) else 1 for indices in (rows, places))

@@ -70,7 +70,7 @@ class Mapper3D(Module):
             self._layer_changed = self._map_changed = True
 
     def _load(self) -> str:
-        """Continue the saved map, or else that of the store; return why that failed, or ""."""
+        """Continue the saved map, or else the map of the store; return why that failed, or ""."""
         section, source = self._section, "modules.mapper3d.load"
         try:
             if section.keep and self._state_file.is_file():
@@ -85,7 +85,7 @@ class Mapper3D(Module):
         return ""
 
     def _grid(self) -> MapGrid2D:
-        """Return the layer around the robot; raises as `_columns`."""
+        """Return the layer around the robot; raises `ValueError` if its pose is unknown."""
         return grid_of(self._columns(), self._section.layer.name, self._section.resolution)
 
     def _columns(self) -> LayerColumns:
@@ -108,7 +108,7 @@ class Mapper3D(Module):
             return
         try:
             self._layer.publish(self._columns())
-        except ValueError:  # tried again: clouds are only used while the pose is known
+        except ValueError:  # try again: clouds are only used while the pose is known
             return
         self._layer_changed = False
 

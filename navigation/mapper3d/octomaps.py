@@ -22,7 +22,7 @@ _CENTERS = "/octomap_point_cloud_centers"
 
 
 class OctomapServer:
-    """The topics and services of the map. On the module's thread."""
+    """The topics and services of the map. Used only on the module's thread."""
 
     def __init__(self, host: Host, section: Mapper3DSection, space: Space) -> None:
         self._clock, self._frame, self._space = host.clock, section.map_frame, space

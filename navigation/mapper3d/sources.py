@@ -1,4 +1,4 @@
-"""Clouds and depth images of the hub, which wait for the sensor's pose."""
+"""Clouds and depth images from the hub, which wait for the sensor's pose."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class SensorPoses:
         self._floor = section.floor
 
     def pose_of(self, frame: str, stamp: int) -> SensorPose:
-        """Return a frame's pose at a time (ns): the odometry then, with the current correction of the localization.
+        """Return a frame's pose at a time (ns): odometry at that time, with the current correction of the localization.
 
         Raises `FramesError` if it is not known (yet).
         """
@@ -72,7 +72,7 @@ class SensorPoses:
 class Sources:
     """Subscribes to the sensors; ``on_reading`` gets each reading once its sensor's pose is known.
 
-    On the module's thread.
+    Used only on the module's thread.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class Sources:
         return stamp_ns(message["header"]) or self._clock.now_ns()
 
     def add(self, read: Callable[[], SensorReading]) -> None:
-        """Add a message; ``read`` raises `FramesError` while it has to wait. It is read once."""
+        """Add a message; ``read`` raises `FramesError` while the message has to wait. It is read once."""
         self.queue.add(cache(read))
 
     def _use(self, read: Callable[[], SensorReading]) -> None:
@@ -112,7 +112,7 @@ class Sources:
 
 
 class _DepthCamera:
-    """A depth camera: its images with the CameraInfo of their time."""
+    """A depth camera: combines its images with the CameraInfo of the same time."""
 
     def __init__(self, sources: Sources, host: Host, section: Mapper3DSection, source: DepthSource) -> None:
         self._sources, self._sync_ns = sources, round(section.sync * 1e9)

@@ -17,9 +17,9 @@ from yarp_compat.octree import OcTree
 BLOCK_BYTES = 4700
 """The size of a block of 8 x 8 x 8 voxels, with its share of the table."""
 
-_GIVEN_UP = 0.125  # the share of the blocks, the farthest ones, that a full map drops
+_GIVEN_UP = 0.125  # the share of the blocks that a full map drops, the farthest ones
 _FORGET_EVERY = 1.0  # seconds
-_ALL_AROUND = 0.2  # with this share of points not ahead, a sensor sees in all directions
+_ALL_AROUND = 0.2  # if more than this share of the points is not ahead, a sensor sees in all directions
 
 Floats = NDArray[np.float64]
 Place = tuple[float, float, float]
@@ -36,7 +36,7 @@ class FieldOfView(NamedTuple):
     """The field of view of a sensor.
 
     Attributes:
-        axes: (3, 3), from directions in its frame to ahead, left and up.
+        axes: (3, 3) matrix from directions in the sensor's frame to ahead, left and up.
         edges: tangents of the right, left, lower and upper edge, relative to the distance ahead. If the sensor sees in
             all directions, the first two are infinite, and the others are relative to the horizontal distance.
     """
@@ -45,7 +45,7 @@ class FieldOfView(NamedTuple):
     edges: tuple[float, float, float, float]
 
     def contains(self, directions: Floats) -> NDArray[np.bool_]:
-        """Return which of the directions (n, 3), in its frame, are in the field of view."""
+        """Return which of the directions (n, 3), in the sensor's frame, are in the field of view."""
         ahead, left, up = self.axes @ directions.T
         right_edge, left_edge, lower, upper = self.edges
         around = math.isinf(left_edge)
@@ -61,7 +61,7 @@ OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 def view_of(points: NDArray[np.float32]) -> FieldOfView:
-    """Estimate the field of view from a cloud, (n, 3) in the sensor's frame: it is as wide as the points."""
+    """Estimate the field of view from a cloud, (n, 3) in the sensor's frame, as wide as the points."""
     if not len(points):
         return FieldOfView(np.eye(3), (0.0, 0.0, 0.0, 0.0))
     shares = np.concatenate([(points > 0.0).mean(0), (points < 0.0).mean(0)])
@@ -87,7 +87,7 @@ class Space:
     Attributes:
         clouds: the number of added clouds.
         forgotten: the number of forgotten voxels.
-        given_up: the number of blocks that were dropped since memory was full.
+        given_up: the number of blocks that were dropped because memory was full.
     """
 
     def __init__(self, settings: Mapper3DSection) -> None:
@@ -99,9 +99,9 @@ class Space:
         self._checked_at = -math.inf
 
     def add(self, points: NDArray[np.float32], pose: SensorPose, view: FieldOfView | None, now: float) -> None:
-        """Add points (n, 3) in a sensor's frame, meters; ``now`` in seconds of any clock. Raises `ValueError`.
+        """Add points (n, 3) in a sensor's frame, meters; ``now`` in seconds of any clock.
 
-        Without a view, it is as wide as the points.
+        Without a view, the field of view is as wide as the points. Raises `ValueError` if the sensor is off the map.
         """
         settings = self.settings
         far = np.sqrt(np.einsum("ij,ij->i", points, points))
@@ -131,7 +131,7 @@ class Space:
         self.voxels.clear()
 
     def clear_box(self, low: Floats, high: Floats) -> None:
-        """Free the known voxels whose centers are in a box (meters), as octomap_server's ``clear_bbx``."""
+        """Free the known voxels whose centers are in a box (meters), like octomap_server's ``clear_bbx``."""
         side = SIDE * self.settings.resolution
         corners = (self.voxels.blocks - MIDDLE // SIDE) * side
         near = np.flatnonzero(((corners <= high) & (corners + side >= low)).all(-1))
@@ -144,7 +144,7 @@ class Space:
     def layer(self, base: Place) -> LayerColumns:
         """Return the obstacles that the robot would touch, followed from its base on the floor (meters).
 
-        Raises `ValueError`.
+        Raises `ValueError` if the base's position is not finite.
         """
         voxels = self.voxels
         return columns(
