@@ -29,7 +29,7 @@ class Velocity(NamedTuple):
 STILL = Velocity()
 
 PERCENT, POLAR, CARTESIAN = 1, 2, 3
-"""Types of a command Bottle, its first value (robotology/navigation, ``baseControl``)."""
+"""Types of a command Bottle, which its first value gives (robotology/navigation, ``baseControl``)."""
 
 
 class CommandError(ValueError):
@@ -91,11 +91,11 @@ def _shown(values: Sequence[object]) -> str:
 KEPT_PERIODS = 100
 DEFAULT_TIMEOUT = 0.1  # the default of ``max_timeout``: seconds after which an input is silent
 ABSURD = 10.0
-"""Faster commands (m/s or rad/s) are rejected: no supported base is as fast, so units or sender are wrong."""
+"""Faster commands (m/s or rad/s) are rejected: no supported base is as fast, so units or sender must be wrong."""
 
 
 class CommandInput:
-    """One input with its last command, which is zero after ``timeout`` seconds. Any thread may send commands."""
+    """One input with its last command, which counts as zero after ``timeout`` seconds. Any thread may send commands."""
 
     def __init__(self, name: str, timeout: float = DEFAULT_TIMEOUT) -> None:
         self.name, self.timeout = name, timeout
@@ -105,7 +105,7 @@ class CommandInput:
         self.last: tuple[Velocity, float, float] | None = None
 
     def command(self, velocity: Velocity, now: float, timeout: float | None = None) -> None:
-        """Store a command that came at ``now``, seconds of `Arbiter.choose`'s clock; ``timeout`` may shorten its life.
+        """Store a command that arrived at ``now``, seconds of `Arbiter.choose`'s clock; ``timeout`` may end it earlier.
 
         Raises `CommandError` for NaN, infinity or an absurd value. The last valid command stays until its time-out.
         """

@@ -90,8 +90,8 @@ _STILL_ANGLE, _STILL_RATE = 1e-10, 5e-10  # rad and rad/s that are rounding erro
 class WheelRates:
     """The velocities of wheels, rad/s: reported by their encoders, else computed from their angles over a `WINDOW`.
 
-    A computed velocity is the slope of a least-squares fit, which averages the jitter of stamps: from the difference of
-    two readings with stamps close together, it would be many times too high. The velocity of stopped wheels is exactly
+    A computed velocity is the slope of a least-squares fit, which averages the jitter of stamps: computed from two
+    readings with stamps close together, it would be many times too high. The velocity of stopped wheels is exactly
     zero, after `_STANDING` seconds at the latest.
     """
 

@@ -1,7 +1,7 @@
-"""From a base's velocity to its wheels and back, and the odometry of its encoders.
+"""Converts a base's velocity to wheel velocities and back, and computes odometry from encoders.
 
-Formulas of robotology/navigation, ``baseControl2`` (``cer_motors.cpp``, ``ikart_motors.cpp``), in SI units. The
-conversions are linear, so each kind of base has a matrix: wheel velocities = matrix @ (x, y, turn).
+The formulas are those of robotology/navigation, ``baseControl2`` (``cer_motors.cpp``, ``ikart_motors.cpp``), in SI
+units. The conversions are linear, so each kind of base has a matrix: wheel velocities = matrix @ (x, y, turn).
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class KinematicsError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Kinematics:
-    """A kind of base with its measures."""
+    """A kind of base with its dimensions."""
 
-    matrix: Array  #: (wheels, 3): wheel velocities in rad/s of a velocity (m/s, m/s, rad/s)
-    inverse: Array  #: (3, wheels): the velocity from wheel velocities, by least squares
+    matrix: Array  #: (wheels, 3): from a velocity (m/s, m/s, rad/s) to wheel velocities in rad/s
+    inverse: Array  #: (3, wheels): from wheel velocities to the velocity, by least squares
     rows: tuple[tuple[float, ...], ...]  #: the matrix as plain numbers
     joints: tuple[str, ...]  #: the wheels' usual names, in order
     holonomic: bool  #: whether it can move to its side
@@ -54,9 +54,9 @@ class Kinematics:
 def kinematics(kind: str, wheel_radius: float, wheel_distance: float) -> Kinematics:
     """Return a kind of base; raises `KinematicsError` if the kind is unknown or a measure is not positive.
 
-    ``cer`` is R1's: two driven wheels, left and right; ``ikart_V1`` has three omnidirectional ones. The radius
-    (``geom_r``) and the distance (``geom_L``) are meters, the latter between the two wheels of a
-    ``cer``, or from the center to a wheel of an ``ikart_V1``.
+    ``cer`` is the base of R1, with two driven wheels, left and right; ``ikart_V1`` has three omnidirectional wheels.
+    The radius (``geom_r``) and the distance (``geom_L``) are in meters; the distance is that between the two wheels of
+    a ``cer``, or from the center to a wheel of an ``ikart_V1``.
     """
     for name, value in (("geom_r", wheel_radius), ("geom_L", wheel_distance)):
         if not (math.isfinite(value) and 0.0 < value < 10.0):
@@ -107,7 +107,7 @@ class WheelOdometry:
     """
 
     def __init__(self, kinematics: Kinematics, fastest: float = math.inf) -> None:
-        # plain numbers: for two or three wheels they are faster than arrays
+        # plain numbers, which are faster than arrays for two or three wheels
         self._rows: list[list[float]] = kinematics.inverse.tolist()
         self._wheels = len(kinematics.joints)
         self._fastest = fastest

@@ -5,8 +5,8 @@ turning, motors), and approached no faster than the accelerations allow. The all
 steps stay inside it, so that no limit is ever exceeded, not even for one period.
 
 Robotology/navigation's ``baseControl2`` limits the acceleration first and scales afterwards, which lets a wheel's
-limit brake the base harder than its acceleration allows; its ratio limiter compares percent with meters per second
-and so never acts.
+limit brake the base harder than the limit of its acceleration allows; the ratio limiter compares percent with meters
+per second and so never acts.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Limiter:
         return self.kinematics.wheels(self.now)
 
     def _approached(self, start: Velocity, target: Velocity, seconds: float) -> Velocity:
-        """Step towards the target for one period: each axis by itself if the limits allow that, else in proportion."""
+        """Step towards the target for one period: each axis separately if the limits allow, else in proportion."""
         linear, turn = self._reach(start, target, seconds)
         apart = Velocity(
             start.x + (target.x - start.x) * linear,

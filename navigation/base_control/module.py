@@ -1,4 +1,4 @@
-"""The module BaseControl: drives wheels through topics, as any driver or the simulator offers them.
+"""The module BaseControl: drives wheels through the topics that a driver or the simulator offers.
 
 It replaces robotology/navigation's ``baseControl2`` on a YARP robot, with the ports and message forms of both its
 generations, and also accepts ``/cmd_vel`` from ROS 1, ROS 2 and zenoh. The wheels' driver must stop by itself when
@@ -31,7 +31,7 @@ from navigation.base_control.settings import resolved
 JOINTS = "sensor_msgs/msg/JointState"
 RESET = "std_srvs/srv/Trigger"
 
-SILENT_SECONDS = 0.5  # without encoders, until the health reports it
+SILENT_SECONDS = 0.5  # seconds without encoder readings until the health reports it
 _BEAT = 0.1
 
 
@@ -126,7 +126,7 @@ class BaseControl(Module):
         self.base.restart()
 
     def _miss(self, positions: int) -> None:
-        """Report the wheel without an encoder; a message without any wheel is from another driver on the same topic."""
+        """Report the wheel without an encoder; ignore a message without any wheel, which another driver published."""
         if any(at is not None for at in self._places):
             missing = next(
                 joint for joint, at in zip(self._joints, self._places, strict=True) if at is None or at >= positions

@@ -146,13 +146,13 @@ class CommandInputs:
                 velocity = of_bottle(received.values, self._base.full)
             except CommandError as err:
                 target.refused += 1
-                raise WireError(str(err)) from None  # the port counts it and logs it at intervals
+                raise WireError(str(err)) from None  # the port counts such errors, and logs them at intervals
             self.apply(target, velocity)
 
         return receive
 
     def apply(self, target: CommandInput, velocity: Velocity, timeout: float | None = None) -> bool:
-        """Pass a command to its input; return whether it is accepted. Called from any thread."""
+        """Pass a command to its input; return whether it is accepted. May be called on any thread."""
         if self._stall_detector.stood_still(target.timeout):
             self._drop()
             return False
@@ -210,7 +210,7 @@ _COVARIANCE = [
 
 
 class OdometryPublisher:
-    """Publishes encoder readings: `nav_msgs/Odometry`, ``/tf``, ports of ``odometry2D_nws_yarp`` and older."""
+    """Publishes encoder readings as `nav_msgs/Odometry`, ``/tf``, and on ports of ``odometry2D_nws_yarp`` and older."""
 
     def __init__(self, host: Host, section: BaseControlSection) -> None:
         frames = {"header": {"frame_id": section.odom_frame}, "child_frame_id": section.base_frame}

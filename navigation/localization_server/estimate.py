@@ -34,9 +34,9 @@ class PoseEstimate:
 
     pose: Pose | None  #: on the map; None before a start pose is set
     covariance: Floats  #: (3, 3) of x, y, theta: meters, radians
-    quality: float  #: share of the scan that the map explains, less the share that contradicts it, 0 to 1
+    quality: float  #: share of the scan that the map explains, less the share that contradicts the pose, 0 to 1
     status: LocalizationStatus  #: whether the pose is reliable
-    reason: str  #: why it is not
+    reason: str  #: why the pose is not reliable
 
 
 def unknown(reason: str, status: LocalizationStatus = LocalizationStatus.NOT_YET) -> PoseEstimate:
@@ -69,7 +69,7 @@ def pose_of(message: Mapping[str, Any], stamp: int = 0) -> Pose:
 
 
 def plane_of(covariance: Any) -> Floats | None:
-    """Return the (3, 3) covariance of x, y and yaw of a 6x6; None if it is invalid, or all zeros."""
+    """Return the (3, 3) covariance of x, y and yaw from a 6x6 covariance; None if it is invalid, or all zeros."""
     whole = np.asarray(covariance, np.float64).reshape(6, 6)
     plane: Floats = whole[np.ix_(_PLANE, _PLANE)]
     if not np.isfinite(plane).all() or (np.diag(plane) < 0.0).any() or not plane.any():
@@ -121,7 +121,7 @@ class Track:
             self._poses.popleft()
 
     def pose_at(self, stamp_ns: int) -> Pose | None:
-        """Return the base's pose at a time; outside the known times the nearest. None without any."""
+        """Return the base's pose at a time, or the nearest pose outside the known times; None without poses."""
         later = None
         for pose in reversed(self._poses):
             if pose.stamp_ns <= stamp_ns:
@@ -149,13 +149,13 @@ _SPAN_NS = 300_000_000  # velocities are averaged over this time
 
 
 class OdometryEstimator:
-    """Estimates velocities from the odometry, which does not jump."""
+    """Estimates velocities from odometry, which unlike the pose on the map does not jump."""
 
     def __init__(self) -> None:
         self._track = Track()
 
     def add(self, pose: Pose) -> None:
-        """Add a pose by odometry."""
+        """Add a pose from odometry."""
         self._track.add(pose)
 
     def data(self, pose: Pose) -> OdometryData:

@@ -12,7 +12,7 @@ _MEMORY = 0.7  # weight of the previous quality in the next one
 _HABIT = 0.95  # weight of the previous usual fit in the next one
 _DROP = 0.25  # a scan whose fit is lower than the usual one by this much shows a sudden change
 _PROVEN = 0.85  # quality from which a new pose needs no further check
-_CHECKS = 50  # scans with which a new pose of a lower quality is checked while better poses are searched
+_CHECKS = 50  # scans that check a new pose of lower quality while better poses are searched for
 _STOOD = (0.01, math.radians(0.5))  # meters and radians; a base that moved less has not moved
 
 

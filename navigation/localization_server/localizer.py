@@ -1,8 +1,8 @@
 """The localizer: estimates the pose on a map from a laser and odometry.
 
-A particle filter on a likelihood field. It cannot recover from a start that is wrong by meters; a search can: if
-the map explains too little of a scan, it tries all poses around, and adds particles at those that explain more. The
-localizer uses neither the hub nor a clock: the caller gives all times as stamps.
+It is a particle filter on a likelihood field. The filter cannot recover from a start that is wrong by meters, but a
+search can: if the map explains too little of a scan, the search tries all poses around, and adds particles at those
+that explain more. The localizer uses neither the hub nor a clock; the caller passes all times as stamps.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Localizer:
     """Follows a robot on one map; raises `ValueError` if the map has no walls, or no free cells.
 
     Args:
-        grid: the map, with whose walls scans are compared.
-        seed: of the random numbers; the same seed and data give the same poses.
+        grid: the map; scans are compared with its walls.
+        seed: the seed of the random numbers; the same seed and data give the same poses.
     """
 
     def __init__(self, grid: MapGrid2D, settings: LocalizerSection | None = None, seed: int = 0) -> None:
@@ -69,18 +69,18 @@ class Localizer:
         return self._recovery.searches
 
     def odometry(self, pose: Pose) -> None:
-        """Add a pose of the base by odometry, with its stamp."""
+        """Add a stamped pose of the base from odometry."""
         self._track.add(pose)
 
     def restart(self) -> None:
-        """Start at the current pose with the usual spread: the clock of a simulation was set back."""
+        """Start again at the current pose with the default spread, after the clock of a simulation was set back."""
         pose = self.pose
         self.forget_stamps()
         if pose is not None:
             self.initial(pose)
 
     def forget_stamps(self) -> None:
-        """Discard all stamps, and keep the particles: the system clock was set while the robot drove on."""
+        """Discard all stamps and keep the particles, after the system clock was set while the robot drove on."""
         self._start = self.pose or self._start
         self._track.clear()
         self._scan_ns = _NEVER
@@ -90,7 +90,7 @@ class Localizer:
         """Start at a pose on the map; raises `ValueError` if a value is not finite.
 
         Args:
-            pose: the given current pose of the robot.
+            pose: the robot's current pose.
             covariance: (3, 3) of x, y, theta: meters, radians; None: 0.5 m and 15 degrees.
         """
         if covariance is None:
@@ -112,7 +112,7 @@ class Localizer:
 
     @property
     def pose(self) -> Pose | None:
-        """The newest odometry with the correction."""
+        """The robot's pose on the map: the newest odometry with the correction."""
         newest = self._track.newest
         if not len(self._particles):
             return None
@@ -138,7 +138,7 @@ class Localizer:
         return (now_ns - self._scan_ns) / 1e9
 
     def check(self, now_ns: int) -> tuple[LocalizationStatus, str]:
-        """Return the status at a time, at which scans or odometry may have stopped, and the reason if it is not OK."""
+        """Return the status at a time, when scans or odometry may have stopped, and the reason if it is not OK."""
         if not len(self._particles):
             return self._judge.status, self._judge.reason
         newest = self._track.newest
@@ -157,10 +157,10 @@ class Localizer:
         return self._judge.status, self._judge.reason
 
     def scan(self, stamp_ns: int, points: Floats, odometry: Pose | None = None) -> bool:
-        """Use a scan; return whether the filter ran, as it does if the base has moved, and after a start.
+        """Use a scan; return whether the filter ran. It runs if the base has moved, and after a start.
 
         ``points`` are the hits (n, 2) in the frame of the base, meters; ``odometry`` is the pose of the base at that
-        time by odometry, None: by the poses from `odometry`.
+        time in the odometry frame; by default it follows from the poses added with `odometry`.
         """
         self._scan_ns = stamp_ns
         odometry = odometry or self._track.pose_at(stamp_ns)
@@ -189,7 +189,7 @@ class Localizer:
         return math.sqrt(max(self._covariance[0, 0], self._covariance[1, 1]))
 
     def _step(self, odometry: Pose) -> tuple[float, float, float]:
-        """Return the base's motion since the last update, in its frame then."""
+        """Return the base's motion since the last update, in the base frame at that update."""
         assert self._updated is not None
         step = self._updated.inverse @ odometry
         return step.x, step.y, step.theta
@@ -217,8 +217,8 @@ class Localizer:
         return rotated
 
     def _scatter(self, poses: Floats, scores: Floats, points: int, odometry: Pose) -> None:
-        """Move particles to other poses; the next scans decide."""
-        # the remaining ones still have to make the base's motion since they were weighed
+        """Move some particles to other poses; the next scans decide which poses remain."""
+        # the remaining particles still have to make the base's motion since the last update
         self._particles.scatter(poses, scores, points, self._step(odometry))
         self._updated, self._forced = odometry, _FORCED
         self._judge.doubt()

@@ -54,7 +54,7 @@ from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
 
 _PAUSED = "localization is stopped; startLocalizationService starts it again"
 
-_MOST_POSES = 500  # particles in a reply: each is a whole location with its map's name
+_MOST_POSES = 500  # particles in a reply, because each is a whole location with its map's name
 
 
 class LocalizationServer(Module):
@@ -92,7 +92,7 @@ class LocalizationServer(Module):
 
     @override
     def reload(self, section: Section) -> bool:
-        """Follow another source of maps; the source of the pose continues, and gets the new map."""
+        """Switch to another source of maps; the source of the pose continues with the new map."""
         assert isinstance(section, LocalizationServerSection)
         if self._section.model_copy(update={"map": section.map}) != section or section.source == "server":
             return False
@@ -149,7 +149,7 @@ class LocalizationServer(Module):
         return None if pose is None else self._motion.data(pose)
 
     def begin(self, pose: Pose, covariance: Floats | None, map_name: str) -> None:
-        """Start at a pose on a map ("" for the current one); raises `RuntimeError` with the reason if it cannot."""
+        """Start at a pose on a map ("" for the current one); raises `RuntimeError` with the reason on failure."""
         if map_name in ("", self.map_name):
             self.source.initial(pose, covariance)
             return
@@ -207,7 +207,7 @@ class LocalizationServer(Module):
         self._publisher.publish(estimate, correction, odometry, self.map_name)
 
     def _update_estimate(self) -> PoseEstimate:
-        """Return the estimate, and store it for the threads that report health: a query would change the source."""
+        """Return the estimate, and store it for the threads that report health, whose query would change the source."""
         self._estimate, self._particles = self.estimate(), len(self.cloud())
         return self._estimate
 
@@ -248,7 +248,7 @@ class LocalizationServer(Module):
 
 
 class LocalizationDevice:
-    """YARP's methods, called on connections' threads and executed on the module's. Covariances as in ROS: m, rad."""
+    """YARP's methods, called on connections' threads and executed on the module's. Covariances are in m and rad."""
 
     def __init__(self, server: LocalizationServer, calls: Calls) -> None:
         self._server, self._call = server, calls.do

@@ -43,7 +43,7 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
 
     @override
     def estimate(self) -> PoseEstimate:
-        """Return its last pose, with its status if that is worse."""
+        """Return the server's last pose, with the server's status if that is worse."""
         estimate = super().estimate()
         if estimate.status is LocalizationStatus.OK and self._server_status is not LocalizationStatus.OK:
             reason = f"{self.place} reports {self._server_status.value}"
@@ -56,7 +56,7 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
 
     @override
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
-        """Send it the start after its next reply."""
+        """Send the server the start pose after its next reply."""
         if not self._connected:
             raise RuntimeError(f"{self.place} is not available; start the localization server")
         place = Map2DLocation(self._map_name(), pose.x, pose.y, math.degrees(pose.theta))
@@ -104,7 +104,10 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
     def _on_unreachable(self, reason: str) -> None:
         self._report(f"{self.place}: {reason}")
         with self._lock:
-            self._connected, self._pending_start = False, None  # an old start is wrong when the server is back
+            self._connected, self._pending_start = (
+                False,
+                None,
+            )  # an old start pose would be wrong when the server is back
 
     def _report(self, reason: str) -> None:
         self._post(lambda: self.refuse(reason))
@@ -130,7 +133,7 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
         self._post(lambda: setattr(self, "_server_status", server_status))
         outcome, location, covariance = remote.get_current_position2_RPC()
         matrix = covariance.numpy() if outcome else np.zeros((0, 0))
-        if not matrix.size:  # servers of YARP up to 4.0 reply so, without the location, even if they know it
+        if not matrix.size:  # servers of YARP up to 4.0 leave out the location too, even if they know it
             outcome, location = remote.get_current_position1_RPC()
         if outcome and math.isfinite(location.x + location.y + location.theta):
             usable = matrix.shape == _PLANE and np.isfinite(matrix).all() and matrix.any()

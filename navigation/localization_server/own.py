@@ -1,4 +1,4 @@
-"""Midspan's own localizer with topics of the hub; it saves its last pose over restarts."""
+"""Midspan's own localizer on topics of the hub; it keeps its last pose across restarts."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 
 
 class OwnLocalizer(PoseSource):
-    """The localizer with the laser and odometry of the hub.
+    """The localizer with laser scans and odometry from the hub.
 
     ``changed`` is called after a scan that changes the status, since a pose may be lost for only one scan, between two
     publications.
@@ -72,7 +72,7 @@ class OwnLocalizer(PoseSource):
         try:
             localizer.odometry(self._frames.odometry())
         except FramesError:
-            return  # the localizer reports for how long it is missing
+            return  # the localizer reports how long odometry has been missing
 
     @override
     def correction(self) -> Pose | None:
@@ -187,7 +187,7 @@ class Memory:
         self._written = -math.inf
 
     def save(self, map_name: str, pose: Pose, *, now: bool = False) -> None:
-        """Save a pose if the robot has moved, at most every 2 s unless ``now``; raises `OSError` if it cannot."""
+        """Save a pose if the robot has moved, at most every 2 s unless ``now``; raises `OSError` on failure."""
         if self._saved is not None and not self._far(map_name, pose, self._saved):
             return
         if not now and time.monotonic() - self._written < _PERIOD:
@@ -198,7 +198,7 @@ class Memory:
         new.replace(self._file)
 
     def recall(self, map_name: str, *, of_this_run: bool) -> Pose | None:
-        """Return the saved pose on a map, if any; ``of_this_run``: only one that this run of the daemon saved."""
+        """Return the saved pose on a map, if any; ``of_this_run``: only a pose that this run of the daemon saved."""
         try:
             kept = json.loads(self._file.read_text(encoding="utf-8"))
             x, y, theta = map(float, kept["pose"])
@@ -215,5 +215,5 @@ class Memory:
 
 
 def _run() -> str:
-    """Return the identity of the daemon's process, more than its id, which is 1 in every container; "" if unknown."""
+    """Return a unique name of the daemon's process, since its id is 1 in every container; "" if unknown."""
     return process_name(os.getppid())

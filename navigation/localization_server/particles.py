@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 Step = tuple[float, float, float]
 """The base's motion by odometry, in its previous frame: meters, radians."""
 
-_INDEPENDENT = 30.0  # as how many independent measurements a scan counts, since neighboring beams err together
+_INDEPENDENT = 30.0  # a scan counts as this many independent measurements: neighboring beams err together
 _AFRESH = 0.5  # share of the particles that a search moves to other poses
 _SCATTER = np.diag([0.1**2, 0.1**2, np.radians(3.0) ** 2])
 _JITTER = np.diag([0.02**2, 0.02**2, np.radians(1.0) ** 2])
@@ -24,7 +24,7 @@ class ParticleSet:
 
     Args:
         table: the log likelihoods of the field.
-        seed: of the random numbers.
+        seed: the seed of the random numbers.
 
     Attributes:
         poses: (n, 3) x, y, theta: meters, radians.
@@ -50,7 +50,7 @@ class ParticleSet:
     def update(self, step: Step, points: Floats, *, jitter: bool) -> particle_filter.Cluster:
         """Move and weigh the particles, and resample them if few have most of the weight; return the heaviest cluster.
 
-        ``jitter`` moves them a little more: while the base stands, duplicates would stay the same forever.
+        ``jitter`` moves them a little more, because duplicates would stay the same forever while the base stands.
         """
         self._drive(self.poses, step)
         if jitter:
@@ -65,7 +65,7 @@ class ParticleSet:
         return mode
 
     def scatter(self, poses: Floats, scores: Floats, points: int, step: Step) -> None:
-        """Move particles to other poses, scored by a number of points; the others make the base's motion."""
+        """Move some particles to other poses, scored with a number of points; the others make the base's motion."""
         count = round(_AFRESH * self._settings.particles)
         kept = particle_filter.drawn(self._weights, self._settings.particles - count, self._rng)
         particles = self.poses[kept]

@@ -24,7 +24,7 @@ _NOWHERE = OdometryData(*[math.nan] * 9)
 
 
 class PosePublisher:
-    """Publishes the pose for all sides; stamps of ``tf`` are ``ahead`` by some seconds. On the module's thread."""
+    """Publishes the pose for all sides; the stamps on ``/tf`` are ``ahead`` seconds ahead. Not thread-safe."""
 
     def __init__(self, host: Host, frames: RobotFrames, ports: Sequence[str], *, tf: bool, ahead: float) -> None:
         self._clock, self._frames, self._ahead_ns = host.clock, frames, round(ahead * 1e9)

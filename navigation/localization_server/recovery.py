@@ -36,7 +36,7 @@ def explained(field: LikelihoodField, pose: tuple[float, float, float], points: 
 
 
 class PoseRecovery:
-    """Searches on one map.
+    """Searches for better poses on one map.
 
     Attributes:
         searches: number of searches so far.
@@ -53,7 +53,7 @@ class PoseRecovery:
         self._searched_ns, self._fruitless = _NEVER, 0
 
     def forget_stamps(self) -> None:
-        """Allow a search at once: the clock was set."""
+        """Allow a search at once, because the clock was set."""
         self._searched_ns = _NEVER
 
     def better(self, stamp_ns: int, pose: Pose, share: float, points: Floats) -> tuple[Floats, Floats] | None:

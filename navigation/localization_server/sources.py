@@ -34,15 +34,15 @@ class Start(NamedTuple):
 
 
 def start_covariance(section: LocalizationServerSection) -> Floats:
-    """Return the covariance of a start pose without one."""
+    """Return the default covariance of a start pose."""
     return estimates.covariance_of(section.initial_spread[0], math.radians(section.initial_spread[1]))
 
 
 class PoseSource(ABC):
     """A source of the robot's pose; its methods run on the module's thread.
 
-    A source that does not come with Midspan is created with the host, the section of LocalizationServer, which has the
-    source's ``options``, and the robot's frames on ``/tf``.
+    A source from outside Midspan is created with the host, LocalizationServer's section (which has the source's
+    ``options``), and the robot's frames on ``/tf``.
     """
 
     # whether the module passes on start poses from a topic; amcl subscribes to them itself
@@ -63,30 +63,30 @@ class PoseSource(ABC):
 
     @abstractmethod
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
-        """Start at a pose; covariance None is the default. Raises `RuntimeError` with the reason if it cannot."""
+        """Start at a pose; covariance None is the default. Raises `RuntimeError` with the reason on failure."""
 
-    def use_map(self, grid: MapGrid2D, start: Start | None) -> None:  # noqa: ARG002 - most need not know the map
-        """Switch to another map; ``start``: the pose on it, if given. Raises `RuntimeError` if it cannot."""
+    def use_map(self, grid: MapGrid2D, start: Start | None) -> None:  # noqa: ARG002 - most sources ignore the map
+        """Switch to another map; ``start`` is the pose on that map, if given. Raises `RuntimeError` on failure."""
         if start is not None:
             self.initial(*start)
 
-    def pause(self, *, on: bool) -> None:  # noqa: B027 - most need not
+    def pause(self, *, on: bool) -> None:  # noqa: B027 - optional
         """Pause or resume."""
 
-    def on_clock_jump(self) -> None:  # noqa: B027 - most need not
+    def on_clock_jump(self) -> None:  # noqa: B027 - optional
         """Discard data that depends on time, after the clock jumped."""
 
     def status(self) -> dict[str, Any]:
         """Return additional entries of the status document."""
         return {}
 
-    def close(self) -> None:  # noqa: B027 - most need not
+    def close(self) -> None:  # noqa: B027 - optional
         """Release the source's own resources."""
 
 
 _WIDEST = 1.0
-"""The standard deviation in meters above which amcl is not localized. A start pose set in rviz has 0.5, which lasts
-until the robot drives."""
+"""Above this standard deviation in meters, amcl counts as not localized. A start pose set in rviz has 0.5 until the
+robot drives."""
 
 
 class FrameSource(PoseSource):
@@ -128,7 +128,7 @@ class FrameSource(PoseSource):
 
 
 class AmclSource(FrameSource):
-    """amcl: the pose from /tf, since amcl's topic is published only on resampling; the covariance from that topic."""
+    """amcl's pose from /tf, because amcl publishes its topic only on resampling, and its covariance from that topic."""
 
     def __init__(self, host: Host, section: LocalizationServerSection, frames: RobotFrames) -> None:
         super().__init__(host, section, frames)
@@ -216,7 +216,7 @@ class AmclSource(FrameSource):
         try:
             self._cloud = np.array([pose_of(pose)[:3] for pose in poses]).reshape(-1, 3)
         except ValueError:
-            return  # a cloud with invalid poses
+            return  # ignore a cloud with invalid poses
 
 
 class ExternalSource(PoseSource):
@@ -234,7 +234,7 @@ class ExternalSource(PoseSource):
         self._trouble = ""
 
     def set_pose(self, pose: Pose, covariance: Floats | None = None) -> None:
-        """Set the pose; without a stamp it has the current time."""
+        """Set the pose; a pose without a stamp gets the current time."""
         now = self._host.clock.now_ns()
         if not pose.stamp_ns:
             pose = pose._replace(stamp_ns=now)
@@ -282,7 +282,7 @@ class ExternalSource(PoseSource):
 
     @override
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
-        """Raise `RuntimeError`, as the pose's publisher sets the start."""
+        """Raise `RuntimeError`, because the pose's publisher sets the start."""
         raise RuntimeError(f"poses come from {self.place}; set the start pose at its publisher")
 
     @override
@@ -300,7 +300,7 @@ class ExternalSource(PoseSource):
 
 
 class TopicSource(ExternalSource):
-    """A pose topic of any side, of one of three types."""
+    """A pose topic on any side, with one of three message types."""
 
     def __init__(self, host: Host, section: LocalizationServerSection, frames: RobotFrames) -> None:
         super().__init__(host, section, frames, section.topic)
@@ -333,7 +333,7 @@ class PortSource(ExternalSource):
         host.yarp.input(section.pose_port, self._queue)
 
     def _queue(self, received: Received) -> None:
-        """Queue a pose, on the thread of the connection."""
+        """Queue a pose; runs on the connection's thread."""
         self._poses.put((self._host.clock.now_ns(), list(received.values)))
 
     def _on_values(self, received: tuple[int, list[Any]]) -> None:
