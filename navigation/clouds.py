@@ -1,4 +1,4 @@
-"""Point clouds of the hub (``sensor_msgs/msg/PointCloud2``)."""
+"""Point clouds from the hub (``sensor_msgs/msg/PointCloud2``)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Constraints on the drive to a goal, which a planner sends to a local navigator with each waypoint.
 
 On the hub they are in the ``behavior_tree`` text of a ``nav2_msgs/action/NavigateToPose`` goal, for example
-``midspan: max_lin_speed=0.2 on_obstacle=wait through=true``. Other servers, such as Nav2's, get an empty text.
+``midspan: max_lin_speed=0.2 on_obstacle=wait through=true``. Other servers, such as Nav2's, receive an empty text.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _BOOLEANS = {"true": True, "false": False}
 
 @dataclass(frozen=True)
 class Constraints:
-    """Constraints for one goal, None or "" for the navigator's own; raises `ValueError` for an invalid value."""
+    """Constraints for one goal; None or "" means the navigator's own. Raises `ValueError` for an invalid value."""
 
     max_lin_speed: float | None = None  #: m/s
     min_lin_speed: float | None = None  #: m/s
@@ -29,7 +29,7 @@ class Constraints:
     tolerance_lin: float | None = None  #: m
     tolerance_ang: float | None = None  #: degrees
     on_obstacle: str = ""  #: ``wait`` until the obstacle moves away, or drive ``around`` it
-    beside_keep_out: str = ""  #: the map whose keep-out cells are near: a navigator that does not know them waits, too
+    beside_keep_out: str = ""  #: the map whose keep-out cells are near; a navigator without them waits, too
     heading: bool = True  #: whether the goal's heading matters
     through: bool = False  #: whether the robot passes without a stop, as at a waypoint
     map: str = ""  #: the goal's map, if it is not the current one
@@ -45,14 +45,14 @@ class Constraints:
             raise ValueError(f"a map's name must not have spaces: '{self.map}'")
 
     def to_text(self) -> str:
-        """Return the constraints as text; empty without any."""
+        """Return the constraints as text; empty if there are none."""
         values = {name: value for name, value in vars(self).items() if value != getattr(_NOTHING, name)}
         settings = [f"{name}={_text(name, value)}" for name, value in values.items()]
         return " ".join((PREFIX, *settings)) if settings else ""
 
     @classmethod
     def from_text(cls, text: str) -> Constraints:
-        """Parse a goal's text; other texts have no constraints. Raises `ValueError` for an invalid constraint."""
+        """Parse a goal's text; texts of another kind have no constraints. Raises `ValueError` if invalid."""
         if not text.startswith(PREFIX):
             return cls()
         given: dict[str, Any] = {}

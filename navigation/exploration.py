@@ -20,10 +20,10 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 MOST_FAILURES = 3
 """Goals in a row that may fail before the exploration ends."""
 
-_VIEW = 1.0  # meters, beyond the robot's radius, from which a frontier is looked at
+_VIEW = 1.0  # meters, beyond the robot's radius, from which a goal views a frontier
 _TRIES = 3  # views of a frontier that are tried
-_APART = 0.3  # meters between two of them
-_NEAR_VISITED, _NEAR_FAILED = 0.3, 0.5  # meters around earlier goals in which no other one is sent
+_APART = 0.3  # meters between two of these views
+_NEAR_VISITED, _NEAR_FAILED = 0.3, 0.5  # meters around earlier goals in which no other goal is sent
 _MOST_GROUPS = 200
 _MOST_SIZE = 5.0  # meters; larger frontiers do not count more
 
@@ -36,9 +36,9 @@ class FrontierGoal(NamedTuple):
     """A goal in view of a frontier.
 
     Attributes:
-        pose: on the map, towards the frontier.
-        size: of the frontier, meters.
-        cost: of the path, meters, which the planner's weights of cells multiply.
+        pose: the goal's pose on the map, facing the frontier.
+        size: the frontier's size, meters.
+        cost: the path's length in meters, multiplied by the planner's cell weights.
     """
 
     pose: Pose
@@ -52,8 +52,8 @@ class Exploration:
 
     Attributes:
         radius: distance that paths keep from walls, meters.
-        clearance: additional distance that they keep if the space allows, meters.
-        sent: the number of goals.
+        clearance: additional distance that paths keep if the space allows, meters.
+        sent: the number of goals sent.
         failures: the number of goals in a row that have failed.
     """
 
@@ -65,7 +65,7 @@ class Exploration:
     _failed: list[Pose] = field(default_factory=list)
 
     def choose(self, grid: MapGrid2D, robot: Pose) -> FrontierGoal | None:
-        """Return the next goal on the present map; None if no frontier is left that can be reached.
+        """Return the next goal on the current map; None if no frontier is left that can be reached.
 
         A meter of frontier is worth a meter of path. Frontiers that the robot does not fit through do not count.
         Raises `NoRoomError` if paths cannot begin at the robot's pose.
@@ -80,7 +80,7 @@ class Exploration:
         best: FrontierGoal | None = None
         best_rank = math.inf
         for number in np.argsort(bounds, kind="stable"):
-            # a view is nearer to the robot than the frontier by at most its distance from it
+            # a view is nearer to the robot than its frontier by at most the distance between the two
             if bounds[number] - self.radius - _VIEW >= best_rank:
                 break
             goal = self._goal(ground, free, start, groups[number])
@@ -107,7 +107,7 @@ class Exploration:
         return min(size, _MOST_SIZE)
 
     def _start(self, ground: Ground, robot: Pose) -> Cell:
-        """Return the robot's cell, or the nearest one in which it fits, at most its radius away."""
+        """Return the robot's cell, or the nearest cell in which the robot fits, at most the robot's radius away."""
         cell = ground.cell(robot.x, robot.y)
         if cell is None:
             raise NoRoomError(f"the robot is outside the map, at {robot.x:.2f}, {robot.y:.2f} m")
@@ -120,7 +120,7 @@ class Exploration:
         return _cell(cells[np.abs(cells - cell).max(axis=1).argmin()])
 
     def _goal(self, ground: Ground, free: NDArray[np.bool_], start: Cell, group: Cells) -> FrontierGoal | None:
-        """Return a goal in view of a frontier; None without a path to one."""
+        """Return a goal in view of a frontier; None if no path leads to one."""
         resolution = ground.grid.resolution
         middle = _cell(group[np.square(group - group.mean(axis=0)).sum(axis=1).argmin()])
         x, y = ground.places(np.array([middle], np.int32))[0]
@@ -135,7 +135,7 @@ class Exploration:
         return None
 
     def _views(self, ground: Ground, free: NDArray[np.bool_], middle: Cell) -> Iterator[Cell]:
-        """Yield cells in which the robot fits and sees a cell, the nearest one first."""
+        """Yield cells in which the robot fits and sees a given cell, the nearest one first."""
         resolution = ground.grid.resolution
         cells = _window(ground.weights, middle, math.ceil((self.radius + _VIEW) / resolution))
         cells = cells[in_sight(free, cells, middle)]

@@ -34,7 +34,7 @@ class RobotFrames:
         self,
         host: Host,
         map_frame: str = "map",  # the fixed frame of maps
-        base_frame: str = "base_link",  # the robot's
+        base_frame: str = "base_link",  # the robot's frame
         odom_frame: str = "odom",  # between the two: localization publishes map to odom, odometry odom to base
         *,
         odometry_age: float = 0.5,  # seconds after which odometry is stale
@@ -53,7 +53,7 @@ class RobotFrames:
 
     def listen(self) -> None:
         """Subscribe to the frames: at the start, and again after `unsubscribe`."""
-        # at_once: a base publishes its odometry a hundred times a second, which would wake each module's thread
+        # at_once, because a base publishes odometry a hundred times a second, which would wake each module's thread
         subscribe = self._node.subscription_cdr
         self._ends = [
             subscribe(TF, TF_TYPE, partial(self._on_frames, static=False), Qos(depth=_DEPTH), at_once=True),
@@ -71,7 +71,7 @@ class RobotFrames:
         self.buffer.set_message(cdr, static=static)
 
     def pose(self) -> Pose:
-        """Return the pose of the robot on the map now; raises `FramesError` with the source that is silent."""
+        """Return the pose of the robot on the map now; raises `FramesError`, which names the silent source."""
         try:
             odometry = self.odometry()
         except FramesError:
@@ -82,11 +82,11 @@ class RobotFrames:
         return self.correction() @ odometry
 
     def odometry(self) -> Pose:
-        """Return the pose of the robot in the odometry frame; raises `FramesError` as `pose`."""
+        """Return the pose of the robot in the odometry frame; raises `FramesError` like `pose`."""
         return self._fresh(self.odom_frame, self.base_frame, self._odometry_age, "odometry")
 
     def correction(self) -> Pose:
-        """Return the pose of the odometry frame on the map; raises `FramesError` as `pose`."""
+        """Return the pose of the odometry frame on the map; raises `FramesError` like `pose`."""
         return self._fresh(self.map_frame, self.odom_frame, self._localization_age, "localization")
 
     def hangs(self, frame: str) -> bool:
@@ -131,7 +131,7 @@ class RobotFrames:
                 raise err from None
 
     def floor(self, configured: float | None) -> float:
-        """Return the floor's height in the base frame, meters: as configured, else of ``base_footprint`` (REP 120)."""
+        """Return the floor's height in the base frame, meters: configured, or that of ``base_footprint`` (REP 120)."""
         if configured is None:
             robot, slash, _ = self.base_frame.rpartition("/")
             try:
@@ -181,7 +181,7 @@ _BELIEVED = ("", "localized_ok")
 
 
 class Localized:
-    """The status of a localizer, if it publishes one. On the module's thread."""
+    """The status of a localizer, if it publishes one. Used only on the module's thread."""
 
     def __init__(self, host: Host) -> None:
         self._texts = {STATUS: "", REASON: ""}
@@ -204,7 +204,7 @@ def laser_pose(frames: RobotFrames, frame: str) -> Pose:
 
 
 def moved_at(frames: RobotFrames, stamp_ns: int) -> Pose:
-    """Return the base in the odometry frame, or on the map without odometry; raises `FramesError` if unknown."""
+    """Return the base's pose in the odometry frame, or on the map without odometry; raises `FramesError` if unknown."""
     try:
         return frames.transform(frames.odom_frame, frames.base_frame, stamp_ns, extrapolate=LATE)
     except FramesError as err:

@@ -1,4 +1,4 @@
-"""Goals of the hub: the places that they name, the current goal, and the presence of its client."""
+"""Goals from the hub: their places, the current goal, and the presence of its client."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _FARTHEST = 1e6  # meters; no map is as large, and sums of far larger numbers lo
 
 @dataclass(frozen=True)
 class MapPlace:
-    """A pose on a map; `name` is how people know it."""
+    """A pose on a map; `name` is its name for people."""
 
     map_name: str
     pose: Pose
@@ -128,7 +128,7 @@ CUT_OFF = "the goal's client is unreachable: the program has exited, or the link
 class Clients:
     """Watches the clients of an action while it has a goal.
 
-    If all of them disappear, the link to them is cut: ``gone`` is called once.
+    If all clients disappear, the link to them is cut, and ``gone`` is called once.
     """
 
     def __init__(self, host: Host, server: ActionServer, gone: Callable[[], None]) -> None:
@@ -150,7 +150,7 @@ class Clients:
 
 @dataclass
 class _Far:
-    """A goal's client: whether it is linked directly, was ever seen, and was missing in how many checks in a row."""
+    """A goal's client: whether it is linked directly, whether it was ever seen, and successive checks without it."""
 
     near: bool = False
     seen: bool = False
@@ -160,7 +160,7 @@ class _Far:
 class FarClients:
     """Watches the clients that reach this session through a router: a client that is cut off cannot stop the robot.
 
-    They are the clients on other machines, and short-lived programs of this machine such as ``midspan goto``. The goal
+    These are the clients on other machines, and short-lived programs on this machine such as ``midspan goto``. The goal
     of a client with a direct link goes on when the client ends. ``gone`` is called with the goal of a missing client.
     """
 
@@ -174,7 +174,7 @@ class FarClients:
         self._timer.close()
 
     def _meet(self, goal: Goal) -> None:
-        """Note the client when the goal arrives: the link may be cut before the next check."""
+        """Note the client when the goal arrives, because the link may be cut before the next check."""
         if goal.client:
             self._known[goal.id] = far = _Far()
             self._see(far, goal, self._near())

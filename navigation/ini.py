@@ -27,8 +27,8 @@ def laid_under(
 ) -> tuple[S, list[str]]:
     """Return a section with a file's values as defaults, and notes on the file, each ``file:line: ...``.
 
-    Values that the section sets itself win. ``read`` returns the fields that a file sets; it merges those of ``merged``
-    with the section itself. Raises `RuntimeError` with the place and reason if a file is missing or invalid.
+    Values that the section sets itself win. ``read`` returns the fields that a file sets; it merges those in ``merged``
+    with the section's values. Raises `RuntimeError` with the place and reason if a file is missing or invalid.
     """
     if file is None:
         return section, []
@@ -126,7 +126,7 @@ class IniGroup:
         self._ini, self._name = ini, name
 
     def number(self, key: str, default: float | None, low: float, high: float, unit: str = "") -> float:
-        """Return a number, which is required without a default; note one out of range, and use the default or bound."""
+        """Return a number, required without a default; note a number out of range, and use the default or a bound."""
         keys = self._keys(key)
         value = self._ini.value(keys)
         bound = low if default is None else default
@@ -148,7 +148,7 @@ class IniGroup:
         return float(value)
 
     def choice(self, key: str, default: int, choices: tuple[int, ...]) -> int:
-        """Return one of some integers."""
+        """Return an integer, which must be one of ``choices``."""
         value = self._ini.value(self._keys(key))
         if value is None:
             return default
@@ -172,7 +172,7 @@ class IniGroup:
         return bool(flag)
 
     def text(self, key: str, default: str) -> str:
-        """Return a text."""
+        """Return a value as text."""
         value = self._ini.value(self._keys(key))
         return default if value is None else plain_text(value)
 

@@ -30,7 +30,7 @@ class LayerError(ValueError):
 
 
 def read_layer(message: Mapping[str, Any]) -> Places:
-    """Return points on a layer's cells with values from 50 on, (n, 2) meters in its frame; raises `LayerError`."""
+    """Return points on a layer's cells of 50 or more, (n, 2) meters in the layer's frame; raises `LayerError`."""
     try:
         grid = from_grid(message, "layer")
     except ValueError as err:
@@ -54,13 +54,13 @@ def spread(grid: MapGrid2D, cells: NDArray[np.int64], *, edges: bool = False) ->
 
 
 class LayerSubscriptions:
-    """Subscribes to the layers among obstacle sources; ``on_layer`` gets each one's topic and its points on the map.
+    """Subscribes to the layers among obstacle sources; ``on_layer`` receives a layer's topic and points on the map.
 
     Args:
         now: returns the time in seconds.
 
     Attributes:
-        trouble: by topic, why its last message is invalid.
+        trouble: why the last message of a topic is invalid, by topic.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class LayerSubscriptions:
 
 
 def on(places: Places, at: Pose) -> Places:
-    """Transform points (n, 2) of a frame whose pose in another one is `at` into that one."""
+    """Transform points (n, 2) from a frame into another frame, in which the first one has the pose `at`."""
     c, s = np.cos(at.theta), np.sin(at.theta)
     moved: Places = places @ np.array([(c, s), (-s, c)]) + (at.x, at.y)
     return moved

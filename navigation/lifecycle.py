@@ -1,4 +1,4 @@
-"""What the states of a planner's lifecycle nodes mean for people; ``lifecycle_msgs/msg/State`` names the states."""
+"""Explains the states of a planner's lifecycle nodes to people; ``lifecycle_msgs/msg/State`` names the states."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The map that a module uses: the store's current map, or the map of a topic."""
+"""The map that a module uses: the store's current map, or the map from a topic."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 
 
 class MapInUse:
-    """Follows the map that a section configures: ``store`` (or None), or a topic. On the module's thread.
+    """Follows the map that a section configures: ``store`` (or None), or a topic. Used on the module's thread.
 
-    ``use`` is called with each new map, with None if the store has no current one, and with the same map again when a
+    ``use`` is called with each new map, with None if the store has no current map, and with the same map again when a
     value of ``kinds`` changes in the store.
     """
 
@@ -30,7 +30,7 @@ class MapInUse:
         self.grid: MapGrid2D | None = None
         # why the map is missing, or not the newest
         self.trouble = "" if self.of_store else f"waiting for a map on {self._topic}"
-        # whether its keep-out cells are unknown: the store's map cannot be read, or none of the topic has arrived
+        # whether the map's keep-out cells are unknown: the store cannot be read, or no map has arrived on the topic
         self.unknown = not self.of_store
         self._due = self._closed = False
         watched = {*kinds, MAP, CURRENT} if self.of_store else {*kinds}
@@ -61,7 +61,7 @@ class MapInUse:
             close()
 
     def _changed(self, _change: object) -> None:
-        """Schedule one update for any number of changes; on the store's thread."""
+        """Schedule one update for any number of changes; runs on the store's thread."""
         if not self._due:
             self._due = True
             self._host.loop.post(self.update)

@@ -118,12 +118,12 @@ def reason(code: int) -> str:
 
 
 def is_missing_transform(code: int) -> bool:
-    """Whether a server of Nav2 failed for want of a transform, as it does while a localizer or a bridge starts."""
+    """Whether a Nav2 server failed because of a missing transform, as it does while a localizer or a bridge starts."""
     return _REASONS.get(code) == _NO_TRANSFORM
 
 
 def reason_text(reason: str, code: int) -> str:
-    """Return a reason, with the meaning of an error code of Nav2 that the reason lacks."""
+    """Return a reason, completed with the meaning of a Nav2 error code if the reason lacks it."""
     meaning = _REASONS.get(code, "")
     if not meaning or f"Nav2 {code}" in reason:
         return reason

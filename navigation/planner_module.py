@@ -30,12 +30,12 @@ _FEEDBACK = 0.2  # seconds between two messages of feedback
 
 
 class PlannerModule(Module):
-    """A module that drives to one goal at a time. On the module's thread."""
+    """A module that drives to one goal at a time. Used only on the module's thread."""
 
     def _open(self, host: Host, frames: RobotFrames) -> None:
         """Set up what all planners need."""
         self._host, self._frames = host, frames
-        self.compiled, self._localized = Compiled(), Localized(host)  # without its kernels it refuses goals
+        self.compiled, self._localized = Compiled(), Localized(host)  # without compiled kernels, goals are refused
         self._goal = CurrentGoal(host.loop, self.stop_driving)
         self._began, self._fed = 0.0, -math.inf
 
@@ -51,7 +51,7 @@ class PlannerModule(Module):
     @property
     @abstractmethod
     def target(self) -> MapPlace | None:
-        """The place to which it drives."""
+        """The place to which the module drives."""
 
     @property
     @abstractmethod
@@ -87,7 +87,7 @@ class PlannerModule(Module):
         """Return meters to the goal, the expected speed in m/s and the number of recoveries; `passed` in seconds."""
 
     def _poses_left(self) -> int:
-        """Return the number of poses that it still has to reach."""
+        """Return how many poses of the goal are still to be reached."""
         return 1
 
     def _map_names(self) -> Collection[str]:
@@ -155,7 +155,7 @@ class PlannerModule(Module):
 
 
 class PlannerTopics:
-    """The topics that all planners publish: status and path. On the module's thread."""
+    """The topics that all planners publish: status and path. Used only on the module's thread."""
 
     def __init__(self, host: Host, name: str, frame: str) -> None:
         self._host, self._frame, self._prefix = host, frame, f"/planner/{name}"

@@ -16,7 +16,7 @@ class Pose(NamedTuple):
     stamp_ns: int = 0
 
     def __matmul__(self, other: Pose) -> Pose:
-        """Transform a pose given in this pose's frame into the frame of this pose; keeps its stamp."""
+        """Transform a pose in this pose's frame into the frame in which this pose is given; keeps its stamp."""
         c, s = math.cos(self.theta), math.sin(self.theta)
         return Pose(
             self.x + c * other.x - s * other.y,

@@ -1,4 +1,4 @@
-"""Laser scans of the hub and of YARP."""
+"""Laser scans from the hub and from YARP."""
 
 from __future__ import annotations
 

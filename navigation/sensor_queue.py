@@ -24,15 +24,15 @@ class _Entry(Generic[T]):
 
 
 class SensorQueue(Generic[T]):
-    """Passes data on in order of arrival, each item as soon as its pose is known. For one thread.
+    """Passes data on in order of arrival, each item as soon as its pose is known. Not thread-safe.
 
     An item is dropped after a second, or when ``limit`` newer ones wait.
 
     Args:
         use: called with an item; raises `FramesError` while it has to wait, `ValueError` if it is invalid.
         limit: maximum number of waiting items.
-        what: the item in log lines.
-        clock: of the run.
+        what: the item's name in log lines.
+        clock: the run's clock.
 
     Attributes:
         received_ns: when the last item arrived; None before the first, and after a jump of the clock.

@@ -69,7 +69,7 @@ class Fault(IntEnum):
 
     @property
     def anywhere(self) -> bool:
-        """Whether the robot is at fault, not the path: another path would not help."""
+        """Whether the robot is at fault, not the path, so that another path would not help."""
         return self in (Fault.NO_LASER, Fault.NOT_LOCALIZED, Fault.BASE_STANDS)
 
     @classmethod
@@ -104,7 +104,7 @@ def status_message(
 
 
 class PlanError(ValueError):
-    """A goal cannot be driven to; ``passing`` if only obstacles block the path, which may move away."""
+    """A goal cannot be driven to; ``passing`` if only obstacles, which may move away, block the path."""
 
     def __init__(self, fault: Fault, reason: str, *, passing: bool = False) -> None:
         super().__init__(reason)
@@ -112,7 +112,7 @@ class PlanError(ValueError):
 
 
 def not_compiled() -> str:
-    """Return why goals are refused, with the cure; "" if `kernels.DRIVING` are compiled, even from other sources."""
+    """Return why goals are refused, with the cure; "" if `kernels.DRIVING` are compiled, even if from other sources."""
     missing = tuple(name for name in kernels.state().missing if name in kernels.DRIVING)
     return f"goals are refused, since {kernels.KernelState(missing, ())}: {kernels.CURE}" if missing else ""
 

@@ -1,4 +1,4 @@
-"""The modules' YARP side: calls of clients, and connections to a robot's ports."""
+"""The modules' YARP side: clients' calls, and connections to a robot's ports."""
 
 # ruff: noqa: N802, D102 - YARP's names, documented in `yarp_compat.dev.inavigation2d`
 
@@ -51,10 +51,10 @@ class Calls:
 
 
 class Commands:
-    """The commands of an RPC port, by the first word of a Bottle. Called on the module's thread.
+    """The commands of an RPC port, by the first word of a Bottle. Used only on the module's thread.
 
-    ``lines`` answer ``help``. Each handler in ``known`` gets the values after its command, and returns the answer or
-    raises `ValueError` with the reason.
+    ``lines`` are the reply to ``help``. Each handler in ``known`` receives the values after its command, and
+    returns the answer or raises `ValueError` with the reason.
     """
 
     def __init__(self, lines: Sequence[str], known: Mapping[str, Callable[[list[Any]], str]]) -> None:
@@ -71,7 +71,7 @@ class Commands:
 
 
 class NavigationDevice(ABC):
-    """The targets of YARP's ``INavigation2D``, for the modules that serve it. Called on threads of connections."""
+    """The targets of YARP's ``INavigation2D``, for the modules that serve it. Called on connections' threads."""
 
     def __init__(self, calls: Calls) -> None:
         self._do, self._move = calls.do, calls.move
@@ -125,7 +125,7 @@ _log = logging.getLogger(__name__)
 
 
 class PortConnection:
-    """Connects a port of the robot to ours, and reconnects when it returns. It has its own thread."""
+    """Connects a port of the robot to a port of Midspan, and reconnects when it returns; runs on its own thread."""
 
     def __init__(self, naming: Naming, source: str, target: str) -> None:
         self._naming, self._source, self._target = naming, source, target
@@ -169,11 +169,11 @@ class PolledServer(ABC, Generic[M]):
 
     @abstractmethod
     def _follow(self, remote: M) -> None:
-        """Poll the server for as long as it answers or until `_closed`; on that thread."""
+        """Poll the server until it stops answering, or until `_closed`; runs on the polling thread."""
 
     @abstractmethod
     def _on_unreachable(self, reason: str) -> None:
-        """Handle an unreachable server or an invalid answer; on that thread."""
+        """Handle an unreachable server or an invalid answer; runs on the polling thread."""
 
     def close(self) -> None:
         with self._lock:

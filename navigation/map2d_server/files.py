@@ -22,9 +22,9 @@ class MapsFolder:
         self.path = path
 
     def file(self, name: str, *suffixes: str) -> Path:
-        """Return the path of a name, which must have one of ``suffixes`` (``.yaml``), or gets the first one.
+        """Return the path of a name, which must have one of ``suffixes`` (such as ``.yaml``) or gets the first one.
 
-        Raises `ValueError`, with a text for the client's user, for a name that is not plain, or leaves the folder.
+        Raises `ValueError`, with a text for the client's user, for a name that is not plain, or that leaves the folder.
         """
         if not name or len(name.encode(errors="replace")) > _LONGEST or not name.isprintable():
             raise ValueError(f"invalid file name {name[:60]!r}: it must have 1 to {_LONGEST} printable bytes")
@@ -44,7 +44,7 @@ class MapsFolder:
         return path
 
     def existing(self, name: str, *suffixes: str) -> Path:
-        """Return the path of an existing file, as `file`; raises `FileNotFoundError`."""
+        """Return the path of an existing file, by the rules of `file`; raises `FileNotFoundError`."""
         path = self.file(name, *suffixes)
         others = [path.with_name(name + suffix) for suffix in suffixes if path.name != name]
         for candidate in (path, *others):
@@ -53,7 +53,7 @@ class MapsFolder:
         raise FileNotFoundError(f"no file {name!r} in the maps folder")
 
     def new(self, name: str, *suffixes: str) -> Path:
-        """Return the path of a file to write, as :meth:`file`, and create the folder."""
+        """Return the path of a file to write, by the rules of :meth:`file`, and create the folder."""
         path = self.file(name, *suffixes)
         self.path.mkdir(parents=True, exist_ok=True)
         return path
@@ -64,7 +64,7 @@ _PLACES: dict[str, ValueKind[Any]] = {"locations": LOCATION, "objects": OBJECT, 
 
 
 class MapFiles:
-    """Saves the store to files, and loads it from them. All names are in the maps folder.
+    """Saves the store to files, and loads it from them. All names are those of files in the maps folder.
 
     Loaded values replace values with the same names. ``maps`` and ``locations`` are the files that were imported at the
     start, in any folder. All methods raise `ValueError` or `OSError` for files, and `StoreError` for the store.
@@ -80,7 +80,7 @@ class MapFiles:
         """Save a map, in YARP's format if the file ends in ``.map``, else in the ROS format.
 
         ROS's format has images (pgm, png, bmp; "" for pgm), modes (trinary, scale, raw; "" for what the map needs) and
-        thresholds for free and occupied (0 for the usual ones).
+        thresholds for free and occupied (0 for the defaults).
         """
         grid = self._store.get(MAP, name)
         if grid is None:
@@ -105,11 +105,11 @@ class MapFiles:
         save_maps(self._store.all(MAP), path)
 
     def load_collection(self, file: str) -> None:
-        """Load the maps of a list."""
+        """Load the maps of a list file."""
         self._load_maps(self._folder.existing(file, _LIST), self._folder.path)
 
     def reload_collection(self) -> None:
-        """Load the maps of the start again."""
+        """Load again the maps that were imported at the start."""
         if self._start_maps is None:
             raise ValueError("no collection of maps was imported at the start (store.maps)")
         self._load_maps(self._start_maps, None)
@@ -130,7 +130,7 @@ class MapFiles:
         self._load_places(self._folder.existing(file, _LIST), self._folder.path)
 
     def reload_places(self) -> None:
-        """Load the places of the start again."""
+        """Load again the places that were imported at the start."""
         if self._start_locations is None:
             raise ValueError("no file of locations was imported at the start (store.locations)")
         self._load_places(self._start_locations, None)

@@ -1,6 +1,6 @@
 """The store's 3D maps on latched topics, each an octomap or a cloud, with services for octomaps.
 
-Below each octomap's topic are services with the names of `octomap_server`, so that its `octomap_saver` saves the map if
+Below each octomap's topic are services with the names of `octomap_server`, so that `octomap_saver` can save the map if
 it is started in that namespace.
 """
 
@@ -38,7 +38,7 @@ def octomap_message(octomap: Octomap, header: Message) -> Message:
 
 
 class Maps3D:
-    """Publishes every 3D map on ``/maps3d/<name>``, for an octomap with two services of ``GetOctomap`` below."""
+    """Publishes every 3D map on ``/maps3d/<name>``; an octomap also has two ``GetOctomap`` services below its topic."""
 
     def __init__(self, node: ModuleNode, store: Store, head: Head) -> None:
         self._node, self._store, self._head = node, store, head

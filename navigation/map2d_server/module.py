@@ -101,7 +101,7 @@ class Map2DServer(Module):
             close()
 
     def _on_change(self, change: Change) -> None:
-        """Schedule an update after a change here or elsewhere; on the store's thread."""
+        """Schedule an update after a change here or elsewhere; runs on the store's thread."""
         with self._lock:
             first = not self._changed
             self._changed.add((change.kind, change.name))
@@ -127,7 +127,7 @@ class Map2DServer(Module):
         self._markers.update(self._current, self._masks.areas, changed, map_changed=map_changed)
 
     def _graph_changed(self) -> None:
-        """Schedule a check of the map's publishers; on a thread of zenoh."""
+        """Schedule a check of the map's publishers; runs on a zenoh thread."""
         if not self._graph_due:
             self._graph_due = True
             self._host.loop.post(self._check_publishers)

@@ -128,7 +128,7 @@ def markers_of(store: Store, map_name: str, areas: MapAreas, head: Head) -> Mess
 
 
 class _Markers:
-    """Builds the markers of places; a place's marker and text have its name as namespace."""
+    """Builds the markers of places; the namespaces of a place's marker and text contain its name."""
 
     def __init__(self, head: Head) -> None:
         self._header = head.header()
@@ -304,9 +304,9 @@ class Markers:
 
 
 def topic_of(name: str, taken: AbstractSet[str] = frozenset(), *, under: str = "/maps") -> str:
-    """Return the topic ``/maps/<name>``, with ``_`` for invalid characters, and a hash if it is taken.
+    """Return the topic ``/maps/<name>``, with ``_`` for invalid characters, and with a hash if that is taken.
 
-    The hash has 8 digits of the name's SHA-256.
+    The hash is the first 8 digits of the name's SHA-256.
     """
     part = _FORBIDDEN.sub("_", name)[:200]
     topic = f"{under}/{'n' if part[0].isdigit() else ''}{part}"

@@ -269,7 +269,7 @@ class MapServices:
             answer({"map": self._current.message_of(grid), "result": _SUCCESS})
 
     def _select(self, wanted: str) -> MapGrid2D:
-        """Select the map that a client requests, of the store or from a file; return it aligned with the axes."""
+        """Select the map that a client requests, from the store or a file; return it aligned with the axes."""
         stored = self._store.get(MAP, wanted) if wanted in self._store.names(MAP) else None
         grid = self._files.load_map(wanted) if stored is None else stored
         self._store.use_map(grid.name)

@@ -66,7 +66,7 @@ def occupied(grid: MapGrid2D) -> NDArray[np.int8]:
 
 
 def from_grid(message: Mapping[str, Any], name: str) -> MapGrid2D:
-    """Convert an OccupancyGrid to a map: below 50 is free, from 50 on a wall, -1 unknown. Raises `ValueError`."""
+    """Convert an OccupancyGrid to a map: free below 50, walls from 50 on, -1 unknown. Raises `ValueError`."""
     info, data = message["info"], np.asarray(message["data"], np.int8)
     width, height = int(info["width"]), int(info["height"])
     if width * height > MAX_CELLS:
@@ -120,7 +120,7 @@ _ROWS = 64  # rows converted at once
 _PLACES = ((0.0, 0.0), (-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25))
 _RANK = np.array([MapFlag.UNKNOWN, MapFlag.FREE, MapFlag.ENLARGED_OBSTACLE, MapFlag.TEMPORARY_OBSTACLE,
                   MapFlag.KEEP_OUT, MapFlag.WALL], np.uint8)  # fmt: skip
-"""Flags by rank: if several cells fall into one, the last of them in this order wins."""
+"""Flags from the lowest to the highest rank: if several cells fall into one cell, the highest rank wins."""
 
 
 def turned(grid: MapGrid2D) -> MapGrid2D:
@@ -174,7 +174,7 @@ def _sampled(
         inside = (column >= 0) & (column < grid.m_width) & (row >= 0) & (row < grid.m_height)
         at = np.where(inside, row * np.int64(grid.m_width) + column, 0)
         rank, sample = np.where(inside, ranks[at], 0), np.where(inside, cells[at], UNKNOWN)
-        # of equal ranks, the higher occupancy; 255 wraps to 0, below all known values
+        # of equal ranks, take the higher occupancy; 255 wraps to 0, below all known values
         higher = (rank > worst) | (rank == worst) & (sample + np.uint8(1) > occupancy + np.uint8(1))
         worst, occupancy = np.where(higher, rank, worst), np.where(higher, sample, occupancy)
     return worst, occupancy

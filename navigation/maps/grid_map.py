@@ -1,8 +1,8 @@
 """`grid_map_msgs/GridMap`: layers of numbers on a grid, such as heights.
 
-Its cells are in the opposite order to those of an OccupancyGrid: the first one has the largest x and y. In a layer's
-data, cells with the same y are contiguous, from the largest x down (Eigen's columns). Its pose is that of the map's
-center.
+The cells are in the opposite order to those of an OccupancyGrid: the first cell has the largest x and y. In a layer's
+data, cells with the same y are contiguous, from the largest x down (Eigen's columns). The message's pose is that of
+the map's center.
 """
 
 from __future__ import annotations

@@ -21,8 +21,8 @@ Part = tuple[slice, slice]
 def cells_of(info: MapGrid2DInfo, points: Sequence[Vec2D]) -> tuple[Part, NDArray[np.bool_]]:
     """Return the part of a map (rows and columns) around a polygon, and which of its cells the polygon touches.
 
-    It touches the cells whose center is inside, and those that its border crosses, so that even a polygon thinner than
-    a cell leaves no gap. Corners are in meters; two are a line, one is a point, and none touches no cell.
+    A polygon touches the cells whose center is inside, and those that its border crosses, so that even one thinner
+    than a cell leaves no gap. Corners are in meters; two are a line, one is a point, and none touches no cell.
     """
     corners = info.in_cells(np.array([(point.x, point.y) for point in points], float).reshape(-1, 2))
     low = np.clip(np.floor(np.min(corners, axis=0, initial=np.inf)), 0, None)
@@ -57,7 +57,7 @@ def _draw(cells: NDArray[np.bool_], start: NDArray[np.float64], end: NDArray[np.
     line = end - start
     with np.errstate(divide="ignore", invalid="ignore"):
         bounds = np.sort(np.stack(((0 - start) / line, (size - start) / line)), axis=0)
-    # a line along one axis has no bounds by the other
+    # a line along one axis has no bounds on the other
     enter = max(0.0, *np.where(line != 0, bounds[0], -np.inf))
     leave = min(1.0, *np.where(line != 0, bounds[1], np.inf))
     if not enter <= leave:
@@ -80,7 +80,7 @@ def keep_out_cells(grid: MapGrid2D, areas: Iterable[Map2DArea]) -> NDArray[np.bo
 
 
 KEEP_OUT = 100  # planners must not enter
-TEMPORARY_OBSTACLE = 90  # 35 of a costmap's 254 less than a wall
+TEMPORARY_OBSTACLE = 90  # in a costmap, 35 less than a wall, which has 254
 ENLARGED_OBSTACLE = 60  # the costmap's inflation covers this area, too
 _WEIGHTS = {
     MapFlag.KEEP_OUT: KEEP_OUT,
@@ -124,14 +124,14 @@ class SpeedMask:
     values: NDArray[np.int8]
     base: float  #: m/s
     multiplier: float  #: m/s per unit of a value
-    type: int = ABSOLUTE  #: CostmapFilterInfo's
+    type: int = ABSOLUTE  #: the type in CostmapFilterInfo
 
 
 def speed_mask(info: MapGrid2DInfo, limits: Sequence[tuple[Map2DArea, float]]) -> SpeedMask:
     """Return the mask of areas with limits (m/s); the lowest applies if areas overlap.
 
-    The lowest and the highest limit are exact; those between may be lower by up to a 99th of the difference, never
-    higher. Areas on other maps are ignored. Raises `ValueError` for a limit that is not above 0: 0 means no limit.
+    The lowest and the highest limit are exact; the limits between may be lower by up to a 99th of the difference,
+    never higher. Areas on other maps are ignored. Raises `ValueError` for a limit that is not above 0 (0: no limit).
     """
     on_map = [(area, limit) for area, limit in limits if area.map_id == info.name]
     for area, limit in on_map:
