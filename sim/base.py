@@ -53,13 +53,13 @@ class Encoders:
 class Base(ABC):
     """A base with its wheels, as a DART skeleton."""
 
-    skeleton: Any  #: in DART
+    skeleton: Any  #: the DART skeleton
     body: Any  #: the DART body that collides with walls
     wheels: tuple[Any, ...] = ()  #: the DART bodies that roll; they collide only with the floor
 
     def __init__(self, robot: RobotDescription) -> None:
         self.robot = robot
-        self.names = robot.wheels.names  # of the wheels' joints
+        self.names = robot.wheels.names  # the names of the wheels' joints
 
     def _put_on(self, middle: float) -> None:
         """Attach the upper parts to the body, whose origin is ``middle`` meters above the floor."""
@@ -89,7 +89,7 @@ class Base(ABC):
 
     @abstractmethod
     def place(self, pose: BasePose) -> None:
-        """Move the base to a pose, at rest; the wheels' angles stay."""
+        """Move the base to a pose, at rest; the wheels keep their angles."""
 
     @abstractmethod
     def matrix(self, radius: float, separation: float) -> Floats:

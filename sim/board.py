@@ -115,7 +115,7 @@ class WheelCommands:
         return self.now_ns < self._until[wheel]
 
     def _towards(self, wheel: int, distance: float, seconds: float) -> float:
-        """Return the velocity of a trapezoidal move to a position, or in position direct mode of the shortest move."""
+        """Return the velocity of a trapezoidal move to a position, or of the shortest move in position direct mode."""
         if self.modes[wheel] == modes.VOCAB_CM_POSITION_DIRECT:
             fastest = self.greatest
         else:

@@ -32,7 +32,7 @@ def render(
     eye: cython.const[cython.double][::1],  # (3) the camera's position, meters
     turned: cython.const[cython.double][
         :, ::1
-    ],  # (3, 3) from its optical frame (z ahead, x right, y down) to the world
+    ],  # (3, 3) from the camera's optical frame (z ahead, x right, y down) to the world
     lens: cython.const[cython.double][::1],  # (4) fx, fy, cx, cy, pixels
     farthest: cython.double,  # meters; greater depths become infinite
     out: cython.float[:, ::1],  # (rows, columns) receives the depths, meters
@@ -68,7 +68,7 @@ def render(
             _render_solid(solids, k, False, eye, turned, lens, farthest, out)
 
 
-@cython.boundscheck(False)  # as `render`
+@cython.boundscheck(False)  # as in `render`
 @cython.wraparound(False)
 @cython.initializedcheck(False)
 @cython.cdivision(True)
@@ -109,7 +109,7 @@ def _render_solid(
     by: cython.double = c * turned[1, 1] - s * turned[0, 1]
     ex: cython.double = c * turned[0, 2] + s * turned[1, 2]
     ey: cython.double = c * turned[1, 2] - s * turned[0, 2]
-    # the bounding rectangle of its outline: the parts of the box's edges in front of the camera
+    # the bounding rectangle of the solid's outline: the parts of the box's edges in front of the camera
     left: cython.double = _INFINITY
     right: cython.double = -_INFINITY
     top: cython.double = _INFINITY

@@ -18,19 +18,19 @@ from bridge.config.problems import problems
 
 
 class SimError(RuntimeError):
-    """A simulator error; the text names the fact, its place and the cure."""
+    """A simulator error; the text names the fact, its location and the remedy."""
 
 
 _PACKAGE = "dartpy"
 
 
 def missing() -> str:
-    """Return why dartpy is missing, "" if it is installed; it is not imported."""
+    """Return why dartpy is missing, "" if it is installed; does not import dartpy."""
     if importlib.util.find_spec(_PACKAGE) is not None:
         return ""
     wheels = sys.platform == "linux" and platform.machine() in ("x86_64", "aarch64") and sys.version_info < (3, 14)
     systems = "Linux on x86-64 and arm64 with Python 3.10 to 3.13"
-    elsewhere = f"it is published only for {systems}; run 'midspan sim' on such a machine in the same hub"
+    elsewhere = f"it is published only for {systems}; run 'midspan sim' on such a machine, joined to the same hub"
     cure = "pip install 'midspan[sim]'" if wheels else elsewhere
     return f"the simulator needs dartpy, which is not installed: {cure}"
 
@@ -53,7 +53,7 @@ def available(config: Config) -> str:  # noqa: ARG001 - the signature for all wo
 
 
 def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:  # noqa: ARG001 - as above
-    """Return the environment of the worker's process; raises `SimError` if it cannot run on this machine."""
+    """Return the environment of the worker's process; raises `SimError` if the worker cannot run on this machine."""
     if problem := missing():
         raise SimError(problem)
     return {

@@ -1,7 +1,7 @@
 """Exports a floor plan's maps, locations and areas for planners, and draws the floor from above.
 
-On a map doors are open; movable things, and things that a laser at the R1's height misses, are left out. The drawing is
-our own, because DART's package needs a display.
+On a map doors are open; movable things, and things that a laser at the R1's height misses, are left out. The drawing
+code is Midspan's own, because DART's package needs a display.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SEEN = 0.19  # height of the mapping laser above the floor, meters
 
 
 def grid(plan: Plan, floor: str, resolution: float = 0.05) -> MapGrid2D:
-    """Return a floor's map; cells that no place can reach are unknown. Raises `SimError` if the map is too large."""
+    """Return a floor's map; cells unreachable from all places are unknown. Raises `SimError` if it is too large."""
     plan_floor = plan.floors[floor]
     x0, y0, x1, y1 = plan_floor.extent
     left, bottom = (math.floor((v - _MARGIN) / resolution) * resolution for v in (x0, y0))
@@ -184,7 +184,7 @@ def _hits(simulation: Simulation) -> NDArray[np.float64]:
 
 class _Canvas:
     def __init__(self, extent: tuple[float, float, float, float]) -> None:
-        from PIL import Image, ImageDraw  # as above
+        from PIL import Image, ImageDraw  # imported only by processes that draw
 
         self._left, low, right, self._top = (
             extent[0] - _PICTURE_MARGIN,

@@ -91,8 +91,8 @@ def reference(
     Args:
         segments: (n, 4) x1, y1, x2, y2, meters.
         circles: (m, 3) x, y, radius, meters.
-        pose: of the laser: x, y (meters), yaw (radians).
-        angles: of the beams in the laser's frame, radians.
+        pose: the laser's x and y (meters) and yaw (radians).
+        angles: the beams' angles in the laser's frame, radians.
         farthest: meters.
     """
     x, y, yaw = pose

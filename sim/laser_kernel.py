@@ -30,7 +30,7 @@ _MANY = cython.declare(cython.double, 2.0**40)  # more beams than any laser has
 def cast(
     segments: cython.const[cython.double][:, ::1],  # (n, 4) x1, y1, x2, y2, meters
     circles: cython.const[cython.double][:, ::1],  # (m, 3) x, y, radius, meters; not seen from inside
-    x: cython.double,  # of the laser, meters; also y, and yaw in radians
+    x: cython.double,  # the laser's pose: x and y in meters, yaw in radians
     y: cython.double,
     yaw: cython.double,
     # (k, 2) cosine and sine of each beam's direction, from ``first`` by ``step`` radians
@@ -40,7 +40,7 @@ def cast(
     farthest: cython.double,  # meters; greater distances become infinite
     out: cython.double[::1],  # (k) receives the distances, meters
 ) -> None:
-    """Compute each beam's distance. Nothing is seen from a pose that is not finite; shapes that are not are ignored.
+    """Compute each beam's distance. Nothing is seen from a pose that is not finite; such shapes are ignored.
 
     Raises:
         ValueError: the step is not above 0, or the arrays' shapes do not fit.
@@ -77,7 +77,7 @@ def cast(
             ny: cython.double = ay + t * dy
             if not nx * nx + ny * ny <= reach:
                 continue
-            # into the laser's own frame, as the beams' directions
+            # into the laser's own frame, like the beams' directions
             ax, ay = c * ax + s * ay, c * ay - s * ax
             bx, by = c * bx + s * by, c * by - s * bx
             dx, dy = bx - ax, by - ay
@@ -150,7 +150,7 @@ def _beam(value: cython.double, most: cython.longlong) -> cython.longlong:
 def _end(
     high: cython.longlong, part: cython.longlong, around: cython.longlong, count: cython.longlong
 ) -> cython.longlong:
-    """Return the end of the beam range of a turn's first or second part; a shape spans the beams up to ``high``."""
+    """Return the end of the beam range in a circle's first or second part; a shape spans the beams up to ``high``."""
     if part:
         return min(high - around + 1, count)
     return min(high + 1, around, count)
@@ -162,7 +162,7 @@ def _end(
 @cython.cdivision(True)  # the slots' step is checked
 def blend(
     scan: cython.const[cython.double][::1],  # meters, in the scanner's own frame; NaN in blind sectors
-    first: cython.double,  # angle of the first beam, radians; also ``step``, and ``turned``: the scanner on the base
+    first: cython.double,  # the first beam's angle, radians; ``step``: between beams; ``turned``: of the scanner
     step: cython.double,
     at_x: cython.double,  # position of the scanner on the base, meters; also ``at_y``
     at_y: cython.double,

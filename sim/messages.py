@@ -1,4 +1,4 @@
-"""Converts the simulation's state to ROS 2 messages; the names of its topics and frames."""
+"""Converts the simulation's state to ROS 2 messages, and defines the names of its topics and frames."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FOOTPRINT_FRAME = "base_footprint"  # the floor below the base (REP 120), the or
 DEPTH, DEPTH_INFO, DEPTH_POINTS = "/camera/depth/image_rect_raw", "/camera/depth/camera_info", "/camera/depth/points"
 """Frames and topics of the realsense2_camera driver."""
 _POSE_VARIANCE = np.diag([0.01, 0.01, 1e6, 1e6, 1e6, 0.03]).ravel()
-"""Usual covariance of such a base's odometry, which does not observe height and tilt."""
+"""Typical covariance of a mobile base's odometry, which does not observe height and tilt."""
 
 
 def stamp(time_ns: int) -> Message:
@@ -166,7 +166,7 @@ def turning(time_ns: int, encoders: Encoders) -> tuple[float, ...]:
 
 
 def scan(time_ns: int, turn: Turn, frame: str, rate: float) -> Message:
-    """Return a sensor_msgs/LaserScan, whose beams are all of the same time."""
+    """Return a sensor_msgs/LaserScan, whose beams all have the same time."""
     return {
         "header": header(time_ns, frame),
         "angle_min": turn.first,

@@ -24,14 +24,14 @@ class Pace:
     def __init__(self, speed: float) -> None:
         self._seconds = TICK_NS / 1e9 / speed
         self._next = -math.inf  # when the next tick is due
-        self._owed = 0  # ticks that `due` has counted and `moment` has not passed
+        self._owed = 0  # ticks that `due` has counted and `moment` has not reported
         self.begin()
         self.late = 0  # ticks that were late by their duration or more
         self.left_out = 0  # ticks that were skipped because this process stood still
         self._stood = -_PILED
 
     def begin(self) -> None:
-        """Start from now on: after a pause nothing is due."""
+        """Start from now on, so that nothing is due after a pause."""
         self._next = max(self._next, time.monotonic() + self._seconds)
 
     def stood_still(self) -> bool:

@@ -20,9 +20,9 @@ _ON_LINE = 0.02  # maximum distance of a door's post from its wall's middle line
 class Piece:
     """An upright solid: a cylinder if it has a radius, otherwise a box."""
 
-    name: str  #: "" if it has none
-    x: float  #: its middle, meters
-    y: float  #: its middle, meters
+    name: str  #: "" for none
+    x: float  #: of the middle, meters
+    y: float  #: of the middle, meters
     yaw: float  #: radians
     length: float  #: meters, along its own x
     width: float  #: meters
@@ -32,12 +32,12 @@ class Piece:
 
     @property
     def top(self) -> float:
-        """The height of its top above the floor, in meters."""
+        """The height of the top above the floor, in meters."""
         return self.above + self.height
 
     @property
     def reach(self) -> float:
-        """The radius of its bounding circle, in meters."""
+        """The radius of the bounding circle, in meters."""
         return self.radius or math.hypot(self.length, self.width) / 2
 
     def moved(self, x: float, y: float, yaw: float) -> Piece:
@@ -70,7 +70,7 @@ def walls(floor: Floor) -> Iterator[Piece]:
     for line in floor.walls:
         for a, b in itertools.pairwise(line):
             for start, end, first, last in _standing(a, b, holes):
-                # half a thickness more closes the corners, but not the gaps
+                # half a thickness more at the wall's ends closes the corners, but not the gaps
                 half = floor.thickness / 2
                 length = math.hypot(b[0] - a[0], b[1] - a[1])
                 begin, stop = start - half * first, end + half * last

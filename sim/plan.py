@@ -23,11 +23,11 @@ Size = Annotated[float, Field(gt=0, le=1000)]
 
 
 class RoomDoor(Section):
-    """A door in a wall; the wall's gap follows from it."""
+    """A door in a wall; it also defines the gap in the wall."""
 
     name: str
     line: tuple[Point, Point] = Field(description="From one post to the other.")
-    open: bool = Field(default=True, description="Whether it is open at the start.")
+    open: bool = Field(default=True, description="Whether the door is open at the start.")
 
 
 class Box(Section):
@@ -36,7 +36,7 @@ class Box(Section):
     name: str = ""
     at: Pose
     size: tuple[Size, Size, Size] = Field(description="Length, width, height.")
-    above: float = Field(default=0.0, ge=0, le=1000, description="Height of its underside above the floor.")
+    above: float = Field(default=0.0, ge=0, le=1000, description="Height of the box's underside above the floor.")
     mass: float | None = Field(default=None, gt=0, le=10_000, description="Kilograms.")
     friction: float = Field(default=0.4, ge=0, le=2)
 
@@ -54,7 +54,7 @@ class Round(Section):
     at: Point
     radius: Size
     height: Size = 1.0
-    above: float = Field(default=0.0, ge=0, le=1000, description="Height of its underside above the floor.")
+    above: float = Field(default=0.0, ge=0, le=1000, description="Height of the underside above the floor.")
 
 
 class Table(Section):
@@ -95,14 +95,14 @@ class Person(Section):
 class Room(Section):
     """A named part of the floor."""
 
-    area: Line = Field(min_length=3, description="Its corners.")
+    area: Line = Field(min_length=3, description="The room's corners.")
     at: Pose | None = Field(
-        default=None, description="Where the robot stands in it; default: the middle of its corners."
+        default=None, description="Where the robot stands in the room; default: the middle of the corners."
     )
 
     @property
     def pose(self) -> Pose:
-        """The pose for the robot in it."""
+        """The pose for the robot in the room."""
         n = len(self.area)
         return self.at or (sum(p[0] for p in self.area) / n, sum(p[1] for p in self.area) / n, 0.0)
 
@@ -110,8 +110,8 @@ class Room(Section):
 class Floor(Section):
     """One floor, with one map."""
 
-    thickness: Size = Field(default=0.1, description="Of the walls.")
-    height: Size = Field(default=2.0, description="Of the walls.")
+    thickness: Size = Field(default=0.1, description="Thickness of the walls.")
+    height: Size = Field(default=2.0, description="Height of the walls.")
     walls: tuple[Line, ...] = Field(default=(), description="Lines through points.")
     openings: tuple[tuple[Point, Point], ...] = Field(default=(), description="Gaps in walls without a door.")
     doors: tuple[RoomDoor, ...] = ()
@@ -168,7 +168,7 @@ class Link(Section):
 
     name: str
     ends: tuple[str, str]
-    cost: float = Field(default=30.0, ge=0, description="For a planner, in meters or seconds.")
+    cost: float = Field(default=30.0, ge=0, description="Cost of the link for a planner, in meters or seconds.")
 
     @property
     def split(self) -> tuple[tuple[str, str], tuple[str, str]]:
@@ -183,7 +183,7 @@ class Plan(Section):
     name: str = Field(
         pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,62}$", description="Also the map's name if there is one floor."
     )
-    floors: dict[str, Floor] = Field(min_length=1, description="By map name; the robot starts on the first.")
+    floors: dict[str, Floor] = Field(min_length=1, description="The floors by map name; the robot starts on the first.")
     links: tuple[Link, ...] = ()
 
     @property
@@ -286,7 +286,7 @@ def load_plan(name: str, resolution: float = 0.05) -> Plan:
     """Load a plan that comes with Midspan, or a file: a plan or a ROS map (YAML), a YARP map (.map), or an image.
 
     Args:
-        name: of the plan or the file.
+        name: the plan's name, or the file.
         resolution: meters per pixel of an image.
 
     Raises:

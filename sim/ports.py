@@ -1,7 +1,8 @@
 """The simulator's YARP ports, named like the robot's (``/cer/...``) or its Gazebo model's (``/SIM_CER_ROBOT/...``).
 
 A laser (`rangefinder2D_nws_yarp`), odometry (`odometry2D_nws_yarp`), the battery (`battery_nws_yarp`, for each reader
-in the order of its release), and the wheels as a control board (`controlBoard_nws_yarp`) for clients of YARP 3 and 4.
+in the field order of its YARP release), and the wheels as a control board (`controlBoard_nws_yarp`) for clients of
+YARP 3 and 4.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class RobotPorts:
         self._battery_data = yarp.output(f"{prefix}/battery/data:o", by_release=True)
         yarp.serve(f"{prefix}/battery/rpc:i", _Battery())
         self._board = _Board(host, f"{prefix}/{simulation.section.part}", simulation)
-        # as rgbdSensor_nws_yarp names it
+        # named like the port of rgbdSensor_nws_yarp
         camera = simulation.section.camera.rate
         self._depth = yarp.output(f"{prefix}/depthCamera/depthImage:o") if camera else None
         self._ticks = 0
@@ -132,7 +133,7 @@ class _Board:
         return {"halted": True}
 
     def publish(self, envelope: str) -> None:
-        """Write the state of the wheels, on the simulation's thread."""
+        """Write the state of the wheels; runs on the simulation's thread."""
         if self._state.has_readers or self._positions.has_readers:
             state = self._board.state()
             self._state.write(state, envelope)
@@ -198,12 +199,12 @@ class _Battery(IBatteryMsgs, OlderBatteryVocabs):
 
     @override
     def getBatteryInfoRPC(self) -> tuple[ReturnValue, str]:
-        """Answer clients from 3.12 on."""
+        """Answer clients of YARP 3.12 and later."""
         return OK, self._INFO
 
     @override
     def ibat_btnf(self) -> VocabReply:
-        """Answer clients before 3.12."""
+        """Answer clients of YARP before 3.12."""
         return VocabReply("btnf", self._INFO)
 
 

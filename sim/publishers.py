@@ -86,7 +86,7 @@ class SimPublishers:
         if self._view is not None and self._ticks % self._view.every == 0:
             self._view.publish(time_ns)
         if self._clock is not None:
-            # last, and with the same priority: the measurements of a time arrive before it
+            # last, and with the same priority, so that the measurements of a time arrive before that time
             self._clock.publish({"clock": messages.stamp(time_ns)})
 
     def _publish_pose(self, time_ns: int) -> None:

@@ -21,24 +21,28 @@ class Wheels(Section):
 
     names: tuple[str, ...] = Field(description="The joints' names, the left wheel first.")
     radius: float = Field(gt=0.01, le=1, description="Meters.")
-    separation: float = Field(gt=0.01, le=3, description="Between the two wheels, meters; ikart_V1: from the center.")
-    width: float = Field(default=0.03, gt=0, le=1, description="Of a tire, meters.")
-    mass: float = Field(default=3.0, gt=0, description="Of one wheel, kilograms.")
-    inertia: Triple = Field(
-        default=(0.02, 0.0376, 0.02), description="Of one wheel, about x, y (its axle) and z, kg m2."
+    separation: float = Field(
+        gt=0.01, le=3, description="Distance between the two wheels, meters; ikart_V1: from the center."
     )
-    damping: float = Field(default=0.5, ge=0, description="Of the joint, N m s/rad.")
-    torque: float = Field(default=30.0, gt=0, description="Maximum of the motor, N m.")
+    width: float = Field(default=0.03, gt=0, le=1, description="Width of a tire, meters.")
+    mass: float = Field(default=3.0, gt=0, description="Mass of one wheel, kilograms.")
+    inertia: Triple = Field(
+        default=(0.02, 0.0376, 0.02), description="Inertia of one wheel about x, y (its axle) and z, kg m2."
+    )
+    damping: float = Field(default=0.5, ge=0, description="Damping of the joint, N m s/rad.")
+    torque: float = Field(default=30.0, gt=0, description="Maximum torque of the motor, N m.")
     friction: float = Field(default=1.0, ge=0, description="Coulomb coefficient on the floor.")
-    max_velocity: float = Field(default=6.28, gt=0, le=100, description="Maximum of the joint, radians per second.")
+    max_velocity: float = Field(
+        default=6.28, gt=0, le=100, description="Maximum velocity of the joint, radians per second."
+    )
 
 
 class Part(Section):
     """A round part of the body above the hull."""
 
     radius: float = Field(gt=0.02, le=3, description="Meters.")
-    low: float = Field(ge=0, description="Its lower end above the floor, meters.")
-    high: float = Field(gt=0, le=10, description="Its upper end above the floor, meters.")
+    low: float = Field(ge=0, description="Height of the part's lower end above the floor, meters.")
+    high: float = Field(gt=0, le=10, description="Height of the part's upper end above the floor, meters.")
 
     @model_validator(mode="after")
     def _is_upright(self) -> Part:
@@ -50,18 +54,18 @@ class Part(Section):
 class Body(Section):
     """The body on the wheels."""
 
-    mass: float = Field(gt=0, description="Of the whole robot including its wheels, kilograms.")
+    mass: float = Field(gt=0, description="Mass of the whole robot including its wheels, kilograms.")
     com: Triple = Field(default=(0.0, 0.0, 0.3), description="Center of mass without wheels, above the axle, meters.")
-    inertia: Triple = Field(description="Without wheels, about the center of mass, kg m2.")
-    radius: float = Field(gt=0.02, le=3, description="Of the round hull that collides with walls, meters.")
-    low: float = Field(default=0.05, ge=0, description="The hull's lower end above the floor, meters.")
-    high: float = Field(default=0.5, gt=0, description="Its upper end above the floor, meters.")
-    friction: float = Field(default=0.0, ge=0, description="Of the hull on walls.")
+    inertia: Triple = Field(description="Inertia without wheels, about the center of mass, kg m2.")
+    radius: float = Field(gt=0.02, le=3, description="Radius of the round hull that collides with walls, meters.")
+    low: float = Field(default=0.05, ge=0, description="Height of the hull's lower end above the floor, meters.")
+    high: float = Field(default=0.5, gt=0, description="Height of the hull's upper end above the floor, meters.")
+    friction: float = Field(default=0.0, ge=0, description="Friction of the hull on walls.")
     upper: tuple[Part, ...] = Field(default=(), description="Parts above the hull, the lowest first.")
 
     @property
     def tall(self) -> float:
-        """The height of its top above the floor, in meters."""
+        """The height of the body's top above the floor, in meters."""
         return max([self.high, *(part.high for part in self.upper)])
 
 
@@ -70,18 +74,18 @@ class Casters(Section):
 
     at: tuple[Pair, ...] = Field(default=(), description="Positions, meters from the axle's center.")
     radius: float = Field(default=0.02, gt=0, description="Meters.")
-    gap: float = Field(default=0.0014, ge=0, description="Between them and the floor when the robot stands level.")
+    gap: float = Field(default=0.0014, ge=0, description="Meters between casters and floor when the robot is level.")
 
 
 class Belief(Section):
     """The wheel geometry that the odometry assumes."""
 
     radius: float = Field(gt=0, description="Meters.")
-    separation: float = Field(gt=0, description="As for the wheels, meters.")
+    separation: float = Field(gt=0, description="The same as for the wheels, meters.")
 
 
 class Limits(Section):
-    """Limits of the base's motion by ``/cmd_vel``, if the simulator itself drives it."""
+    """Limits of the base's motion by ``/cmd_vel``, if the simulator itself drives the base."""
 
     linear: float = Field(default=0.3, gt=0, description="Meters per second.")
     angular: float = Field(default=30.0, gt=0, description="Degrees per second.")
@@ -95,15 +99,17 @@ class Scanner(Section):
 
     at: Triple = Field(default=(0.0, 0.0, 0.0), description="x, y (meters) and direction (degrees) on the base.")
     blind: tuple[Pair, ...] = Field(
-        default=(), description="Sectors without values, from and to in degrees, exclusive."
+        default=(), description="Sectors without values: begin and end in degrees, exclusive."
     )
 
 
 class Mount(Section):
     """The positions of the robot's own scanners."""
 
-    height: float = Field(default=0.2, ge=0, description="Above the floor, meters; lower things are not seen.")
-    scanners: tuple[Scanner, ...] = Field(default=(Scanner(),), description="Blended into one scan.")
+    height: float = Field(
+        default=0.2, ge=0, description="Height of the scanners above the floor, meters; lower things are not seen."
+    )
+    scanners: tuple[Scanner, ...] = Field(default=(Scanner(),), description="The scanners, blended into one scan.")
 
 
 class BatteryDescription(Section):
@@ -130,7 +136,9 @@ class RobotDescription(Section):
     wheels: Wheels
     body: Body
     casters: Casters = Casters()
-    belief: Belief | None = Field(default=None, description="If it differs from the wheels.")
+    belief: Belief | None = Field(
+        default=None, description="The assumed wheel geometry, if it differs from the wheels."
+    )
     motor_timeout: float = Field(
         default=0.1, gt=0, le=0.5, description="Seconds after the last command until the wheels stop."
     )

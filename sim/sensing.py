@@ -22,8 +22,8 @@ class Sensing:
 
     Attributes:
         faults: the injected faults.
-        odometry: from the encoders.
-        camera: None without one.
+        odometry: the odometry from the encoders.
+        camera: the depth camera, if any.
         scan: the last scan.
         pictured: when the camera took its last picture, ns; -1 before the first.
     """
@@ -45,7 +45,7 @@ class Sensing:
         self.scan = self._scan(world, time_ns)
 
     def read(self, time_ns: int, *, rests: bool = False) -> Encoders:
-        """Return a reading of the encoders, and update the odometry; ``rests``: nothing has moved since the last."""
+        """Return a reading of the encoders, and update the odometry; ``rests``: nothing has moved since then."""
         self._encoders.frozen = "encoders_frozen" in self.faults
         last, reading = self._reading, self._encoders.read(time_ns, rests=rests)
         if last is not None and reading.positions is last.positions and reading.velocities is last.velocities:
@@ -64,7 +64,7 @@ class Sensing:
             self.pictured = time_ns
 
     def depth(self, world: FloorWorld, time_ns: int) -> Depths:
-        """Return the depth camera's picture of now, (height, width) meters; computed once per time, on demand."""
+        """Return the depth camera's current picture, (height, width) meters; computed once per time, on demand."""
         assert self.camera is not None
         if self._depth is None or self._depth[0] != time_ns:
             seen = self.camera.picture(time_ns, self._base.pose(), world.solids(), world.drops)

@@ -14,7 +14,7 @@ from sim.robot import BatteryDescription
 from sim.section import EncodersSection
 
 _ROUNDING = 1e-9
-"""Lower velocities of a wheel, rad/s, are rounding errors of the physics: the encoders of standing wheels report 0."""
+"""Wheel velocities below this, rad/s, are rounding errors of the physics: encoders of standing wheels report 0."""
 
 
 class WheelEncoders:
@@ -33,7 +33,9 @@ class WheelEncoders:
         """Return a reading; called at a steady rate. ``rests`` means that nothing has moved since the last call."""
         if rests and self._unchanged is not None and not self.frozen:
             if self._noise:
-                self._rng.normal(0.0, 1.0, len(self._reading))  # as in motion: later noise must not depend on rests
+                self._rng.normal(
+                    0.0, 1.0, len(self._reading)
+                )  # as in motion, because later noise must not depend on rests
             return Encoders(time_ns, self._unchanged.positions, self._unchanged.velocities)
         self._unchanged = None
         positions, velocities = self._base.joints()
@@ -63,7 +65,7 @@ class Estimate:
 
 
 class Odometry:
-    """Integrates encoder readings, with the wheels' geometry as the robot believes it to be."""
+    """Integrates encoder readings, with the wheel geometry that the robot assumes."""
 
     def __init__(self, base: Base) -> None:
         believed = base.robot.believed
@@ -93,7 +95,7 @@ class Odometry:
         self.now = Estimate(self.now.time_ns, BasePose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0), 0.0, 0.0)
 
 
-_EFFICIENCY = 0.7  # of the motors, mechanical per electrical power
+_EFFICIENCY = 0.7  # mechanical per electrical power of the motors
 
 
 @dataclass(frozen=True)
@@ -154,6 +156,6 @@ class Faults:
     def set(self, name: str, *, on: bool) -> str:
         """Inject or remove a fault, and return a description. Raises `SimError` for an unknown name."""
         if name not in KINDS:
-            raise SimError(f"unknown fault {name!r}; there are {', '.join(KINDS)}")
+            raise SimError(f"unknown fault {name!r}; the faults are {', '.join(KINDS)}")
         (self._now.add if on else self._now.discard)(name)
         return f"{name}: {KINDS[name]}" if on else f"{name}: removed"

@@ -1,4 +1,4 @@
-"""The simulator's services on the hub, under ``/sim/``: changes of the simulation, and single steps."""
+"""The simulator's services on the hub, under ``/sim/``: changes to the simulation, and single steps."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class ChangeServices:
         if walker is None:
             raise SimError(f"unknown person {request['name']!r}; people: {', '.join(people) or 'none'}")
         if len(request["path"]) > _MOST_POINTS:
-            raise SimError(f"a path has {_MOST_POINTS} points at most")
+            raise SimError(f"a path may have at most {_MOST_POINTS} points")
         points = [_finite(point["x"], point["y"], 0.0)[:2] for point in request["path"]]
         walker.send(((p[0], p[1]) for p in points), loop=bool(request["loop"]))
         return f"{request['name']} walks"
@@ -109,13 +109,13 @@ def _finite(*values: float) -> tuple[float, ...]:
 
 
 _LONGEST_STEP = 3600.0
-_BUNDLE = 50  # ticks without handling messages
+_BUNDLE = 50  # ticks between two rounds of message handling
 
 
 class Stepping:
     """Serves ``/sim/step``: the reply follows once all named participants have acknowledged the time of the step.
 
-    One step at a time; all on the module's thread.
+    It runs one step at a time, and is used only on the module's thread.
 
     Args:
         tick: runs one tick, and returns its stamp in ns.

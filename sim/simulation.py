@@ -126,7 +126,7 @@ class Simulation:
         self.wheels.halt()
 
     def teleport(self, to: BasePose) -> None:
-        """Move the robot without its odometry; raises `SimError` if the place is occupied."""
+        """Move the robot without changing its odometry; raises `SimError` if the place is occupied."""
         self.world.place(to)
 
     def ride(self, name: str) -> str:

@@ -32,7 +32,7 @@ from sim.stamps import WallStamps
 
 _ALL = Qos(depth=1000)  # every participant acknowledges each tick of a step
 _NEWEST = Qos(Reliability.BEST_EFFORT, depth=1)
-_BUNDLE = 5  # ticks without handling messages, at maximum speed
+_BUNDLE = 5  # ticks between two rounds of message handling, at maximum speed
 
 
 class Simulator(Module):
@@ -158,7 +158,7 @@ class Simulator(Module):
 
     def _try(self, do: Callable[[], None]) -> None:
         if self._pace is not None and self._pace.stood_still():
-            self._refuse("it may have been queued while the simulator stood still")
+            self._refuse("the command may have been queued while the simulator stood still")
             return
         try:
             do()

@@ -10,7 +10,7 @@ from bridge.clock import SystemClock
 _log = logging.getLogger(__name__)
 
 _STEP_NS = 50_000_000
-"""A change of the system clock that is a step. Smaller ones are errors of reading two clocks on a busy machine."""
+"""A larger change of the system clock is a step. A smaller one is an error of reading two clocks on a busy machine."""
 
 
 class WallStamps:

@@ -1,4 +1,4 @@
-"""What commands the simulated wheels: BaseControl through motors, a velocity, or the control board."""
+"""The command sources of the simulated wheels: BaseControl through motors, a velocity, or the control board."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ABSURD = 100.0  # greater velocities (meters or radians per second) are rejecte
 
 
 class Motors:
-    """The wheels' motors, which BaseControl drives: by these methods in one process, by two topics over the hub."""
+    """The wheels' motors, which BaseControl drives with these methods in one process, or over two topics of the hub."""
 
     def __init__(self, names: tuple[str, ...], timeout: float) -> None:
         self.names = names  # of the wheels' joints, in the order of all velocities and positions
@@ -96,11 +96,11 @@ class VelocityDrive:
 
 
 class WheelControls:
-    """All sources of commands. A command to the control board takes precedence.
+    """All command sources. A command to the control board takes precedence.
 
     Attributes:
-        motors: for BaseControl.
-        drive: the simulator's own, for velocities.
+        motors: the motors that BaseControl drives.
+        drive: the simulator's own velocity drive.
         board: the control board.
         stopped: whether the emergency stop is on.
     """

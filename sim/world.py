@@ -1,4 +1,4 @@
-"""A floor with a base, in DART, whose world contains only nearby things."""
+"""A floor with a base in DART; DART's world contains only nearby things."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ class FloorWorld:
     def step(self, count: int, *, aims_still: bool = False) -> None:
         """Run DART steps; the motors keep their commands.
 
-        If they are commanded to stand still and nothing moves, steps are skipped, because they would change nothing.
+        If the motors are commanded to stand still and nothing moves, steps are skipped: they would change nothing.
         """
         if aims_still and self._rests:
             return

@@ -49,7 +49,7 @@ def test_frozen_encoders_miss_motion_and_continue_from_their_last_value() -> Non
 
 def test_unknown_faults_are_rejected_and_a_reset_removes_all() -> None:
     simulated = simulation()
-    with pytest.raises(SimError, match="there are laser_silent"):
+    with pytest.raises(SimError, match="the faults are laser_silent"):
         simulated.faults.set("camera", on=True)
     simulated.faults.set("laser_silent", on=True)
     assert list(simulated.faults) == ["laser_silent"]
@@ -72,9 +72,9 @@ def test_a_missing_opengl_library_is_reported_with_its_package(monkeypatch: pyte
     [
         ("linux", "x86_64", (3, 13), "pip install 'midspan[sim]'"),
         ("linux", "aarch64", (3, 11), "pip install 'midspan[sim]'"),
-        ("linux", "aarch64", (3, 14), "run 'midspan sim' on such a machine in the same hub"),
-        ("linux", "riscv64", (3, 11), "run 'midspan sim' on such a machine in the same hub"),
-        ("darwin", "arm64", (3, 11), "run 'midspan sim' on such a machine in the same hub"),
+        ("linux", "aarch64", (3, 14), "run 'midspan sim' on such a machine, joined to the same hub"),
+        ("linux", "riscv64", (3, 11), "run 'midspan sim' on such a machine, joined to the same hub"),
+        ("darwin", "arm64", (3, 11), "run 'midspan sim' on such a machine, joined to the same hub"),
     ],
 )
 def test_a_machine_without_dart_names_what_to_do(
