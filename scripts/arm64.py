@@ -45,12 +45,12 @@ KERNEL_TESTS = (
 
 RESULTS = [sys.executable, "-m", "tests.arm64.results"]
 _PACKAGES = ("bridge", "navigation", "sim", "yarp_compat")
-"""What the wheel has: the copy of this checkout has the rest, so that tests import the installed packages."""
+"""The packages in the wheel; the copy of this checkout lacks them, so that tests import the installed packages."""
 
 _COPY, _VENV, _WHEELS = "root/midspan", "opt/midspan", "root/wheels"
 _SECONDS = 3600
 _SLOWNESS = "10"
-"""Factor for the deadlines of tests, as qemu needs several times the processor time, and the machine may be busy."""
+"""Factor for the deadlines of tests: qemu needs several times the processor time, and the machine may be busy."""
 
 
 class Place:
@@ -92,7 +92,7 @@ class Place:
 
 
 def stale(wheel: Path) -> list[str]:
-    """Return the kernels that a wheel has from other sources than this checkout's."""
+    """Return the kernels in a wheel that were compiled from other sources than this checkout's."""
     with zipfile.ZipFile(wheel) as archive:
         record = json.loads(archive.read(f"bridge/{kernels.RECORD}"))
     return [name for name in kernels.KERNELS if record.get(name) != kernels.digest(name, record.get("cython", ""))]
@@ -132,7 +132,7 @@ def install(place: Place, own: Sequence[Path], log: Path) -> str:
     deb.download(release, root / _WHEELS, "arm64", wanted)
     for wheel in own:
         shutil.copy(wheel, root / _WHEELS)
-    # not by pip: it takes minutes under qemu, and Midspan's programs are not needed
+    # not with pip, which takes minutes under qemu, and Midspan's programs are not needed
     if place.tree.run(["python3", "-m", "venv", "--without-pip", f"/{_VENV}"], log, _SECONDS):
         raise RuntimeError(f"no virtual environment; {log}")
     site = root / _VENV / "lib" / f"python3.{release.python}" / "site-packages"
@@ -145,7 +145,7 @@ def install(place: Place, own: Sequence[Path], log: Path) -> str:
 
 
 def compare(place: Place, log: Path) -> str:
-    """Compare the kernels' results there with those here."""
+    """Compare the kernels' results in a release with those of this machine."""
     here = OUTPUT / "results-here.json"
     done = subprocess.run([*RESULTS, str(here)], cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode:

@@ -98,7 +98,7 @@ def stage(release: Release, wheels: Sequence[Path], root: Path, arch: str = "amd
 
     Args:
         release: the target release.
-        wheels: those of Midspan and yarp-compat.
+        wheels: the wheels of Midspan and yarp-compat.
         root: the folder.
         arch: Debian's name of the processor.
     """
@@ -121,7 +121,7 @@ def stage(release: Release, wheels: Sequence[Path], root: Path, arch: str = "amd
 
 
 def _runs_on(library: Path, arch: str) -> bool:
-    """Return whether a compiled file is for a processor; also if it is not compiled, such as a linker's script."""
+    """Return whether a compiled file is for a processor; True for other files, such as a linker script."""
     with library.open("rb") as file:
         header = file.read(20)
     return header[:4] != b"\x7fELF" or int.from_bytes(header[18:20], "little") == processor.ELF[arch]
@@ -132,7 +132,7 @@ def _download(release: Release, to: Path, arch: str) -> list[Path]:
 
 
 def download(release: Release, to: Path, arch: str, wanted: Sequence[str]) -> list[Path]:
-    """Download wheels for the release's Python by pip; pure libraries with only a source release are built here."""
+    """Download wheels for the release's Python with pip; pure libraries with only a source release are built here."""
     pip = [sys.executable, "-m", "pip", "-q", "--disable-pip-version-check"]
     command = [*pip, "download", "--no-deps", "-d", str(to), "--implementation", "cp"]
     command += ["--python-version", f"3.{release.python}"]
@@ -223,7 +223,7 @@ def pack(
         release: the target release.
         root: folder of the files; their modes are set, and dpkg's control files are added.
         to: folder for the package.
-        version: without the release's suffix; default: this checkout's.
+        version: the version without the release's suffix; default: this checkout's version.
         arch: Debian's name of the processor.
         quick: whether to skip compression.
     """

@@ -35,7 +35,7 @@ from scripts.reproducible import epoch, mode, repack_sdist, rewrite_wheel
 ROOT = Path(__file__).resolve().parents[1]
 VERSION_LINE = re.compile(r'^__version__ = "(.+)"$', re.MULTILINE)
 MIDSPAN = ("LICENSE", "bridge", "configs", "examples", "navigation", "packaging", "setup.py", "sim")
-"""Files of its source distribution, in addition to pyproject.toml and README.md."""
+"""Files of Midspan's source distribution, in addition to pyproject.toml and README.md."""
 
 _LINK = re.compile(r"!?\[([^\]]*)\]\((?!https?:)[^)]*\)")
 
@@ -48,7 +48,7 @@ def version() -> str:
 
 
 def copy_tracked(names: Iterable[str], to: Path) -> None:
-    """Copy the tracked files of these files and folders in their current state, and so no build results."""
+    """Copy these files and folders in their current state, without files that git ignores, such as build results."""
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", "--", *names]
     listed = subprocess.run(command, cwd=ROOT, capture_output=True, check=True).stdout.decode()
     for name in filter(None, listed.split("\0")):

@@ -95,7 +95,7 @@ def _result(title: str, code: int, text: str) -> str:
 
 @contextmanager
 def system(release: str) -> Iterator[Place]:
-    """A fresh minimal system, on which only `make` is installed."""
+    """Create a fresh minimal system, on which only `make` is installed."""
     with tempfile.TemporaryDirectory(prefix="everywhere-") as folder, ExitStack() as stack:
         root = stack.enter_context(Root(Path(folder) / "tree", release))
         copy = root.folder / COPY[1:]
@@ -111,7 +111,7 @@ def system(release: str) -> Iterator[Place]:
 
 @contextmanager
 def python(version: str) -> Iterator[Place]:
-    """This machine's system, with another Python."""
+    """Provide this machine's system, with another Python."""
     program = find_python(version)
     if program is None:
         raise LookupError(f"no Python {version} on this machine")
@@ -127,7 +127,7 @@ def _with(environ: Mapping[str, str], copy: Path) -> list[str]:
 
 
 def find_python(version: str) -> Path | None:
-    """Return a Python with venv: of the system, of pyenv, or of uv."""
+    """Return a Python with venv, from the system, pyenv or uv."""
     homes = [Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"]
     homes.append(Path.home() / ".local" / "share" / "uv" / "python")
     places = [Path(found) for found in [shutil.which(f"python{version}", path="/usr/bin:/usr/local/bin")] if found]
@@ -137,7 +137,7 @@ def find_python(version: str) -> Path | None:
 
 
 def run(place: Place) -> None:
-    """Run all steps in a place; without the simulator, the demo is left out."""
+    """Run all steps in a place; without the simulator, the demo is skipped."""
     if not place.step("set-up", "make setup"):
         return
     if place.step("simulator", ".venv/bin/python -c 'import dartpy'"):

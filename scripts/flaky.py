@@ -1,7 +1,7 @@
 """Runs the tests repeatedly, each time in another order, and lists the tests that failed at least once.
 
     python scripts/flaky.py 5                           `make test`, five times
-    python scripts/flaky.py 20 tests/hub -k latched     some of them: arguments of pytest
+    python scripts/flaky.py 20 tests/hub -k latched     only some tests: arguments for pytest
     python scripts/flaky.py 5 --target test-all         another target
     python scripts/flaky.py 3 --busy 4                  with four busy processes in the background
     python scripts/flaky.py 1 --one-core                everything on one core
@@ -38,10 +38,10 @@ class Run:
     """One run of the tests.
 
     Attributes:
-        seed: seed of its order, also its number.
-        seconds: its duration.
+        seed: the seed of the tests' order, which is also the run's number.
+        seconds: the run's duration.
         failed: the tests that failed, once each, and leftovers such as processes.
-        last: the last line of its output.
+        last: the last line of the output.
     """
 
     seed: int
@@ -109,13 +109,13 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="scripts/flaky.py", description="Run the tests repeatedly; other arguments are passed to pytest."
     )
-    parser.add_argument("runs", type=int, help="how often")
-    parser.add_argument("--target", default="test", choices=("test", "test-fast", "test-all"), help="of make")
+    parser.add_argument("runs", type=int, help="number of runs")
+    parser.add_argument("--target", default="test", choices=("test", "test-fast", "test-all"), help="target of make")
     parser.add_argument(
         "--seed", type=int, default=1, help="seed of the first run's order (1), incremented for each run"
     )
-    parser.add_argument("--busy", type=int, default=0, metavar="N", help="with N busy processes in the background")
-    parser.add_argument("--one-core", action="store_true", help="with everything on one core")
+    parser.add_argument("--busy", type=int, default=0, metavar="N", help="run N busy processes in the background")
+    parser.add_argument("--one-core", action="store_true", help="run everything on one core")
     parser.add_argument("--logs", type=Path, default=ROOT / ".cache" / "flaky", help="folder for the output")
     return parser
 

@@ -5,10 +5,10 @@
                                        files, public methods and functions without a docstring, tests without an
                                        assertion, too many phrases and vague names of `scripts/language.py`
 
-In tests, it counts accesses to private attributes, and lists the tests that neither assert nor call a helper whose
-name implies an assertion.
+In tests, the script counts accesses to private attributes, and lists the tests that neither assert nor call a helper
+whose name implies an assertion.
 
-The figures cover the product (`bridge`, `yarp_compat`, `navigation`, `sim`), the language all folders and the docs.
+The figures cover the product (`bridge`, `yarp_compat`, `navigation`, `sim`); those of language all folders and docs.
 Imports inside functions and under ``TYPE_CHECKING`` count too, because they hide a cycle without removing it.
 """
 
@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PRODUCT = ("bridge", "yarp_compat", "navigation", "sim")
 SMALL, LARGE = 60, 500
 KNOWN_LARGE = {"bridge.tf.history", "navigation.algorithms.voxel_map"}
-"""Kernels of one class each: across files Cython would make real calls of its inlined functions."""
+"""Kernels of one class each, because Cython does not inline functions across files."""
 
 _NAMEDTUPLE = {"_replace", "_asdict", "_fields", "_make", "_field_defaults"}
 _ASSERTS = re.compile(r"(^|_)(assert|expect|until|check|raises|fail|warns)(_|$)")
@@ -54,7 +54,7 @@ class File:
 
 @functools.cache
 def read(root: Path) -> dict[str, File]:
-    """The product's modules by dotted name; a package has its folder's."""
+    """Return the product's modules by dotted name; a package has the name of its folder."""
     files = {}
     for path in sorted(path for part in PRODUCT for path in (root / part).rglob("*.py")):
         text = path.read_text(encoding="utf-8")
@@ -64,7 +64,7 @@ def read(root: Path) -> dict[str, File]:
 
 
 def imports(files: Mapping[str, File]) -> Graph:
-    """Which module imports which. ``from package import name`` is an import of the module that defines the name."""
+    """Return which module imports which. ``from package import name`` imports the module that defines the name."""
     return {name: {to for to in _imports(file, files) if to != name} for name, file in files.items()}
 
 
@@ -91,7 +91,7 @@ def _defines(module: str, name: str, files: Mapping[str, File]) -> str:
 
 
 def cycles(graph: Graph) -> list[list[str]]:
-    """The groups of nodes that reach each other (Tarjan's strongly connected components of two and more)."""
+    """Return the groups of nodes that reach each other (Tarjan's strongly connected components of two and more)."""
     index: dict[str, int] = {}
     low: dict[str, int] = {}
     stack: list[str] = []
@@ -142,7 +142,7 @@ def package_cycles(files: Mapping[str, File], graph: Graph) -> list[list[str]]:
 
 
 def shared_classes(files: Mapping[str, File]) -> dict[str, list[str]]:
-    """Public classes at the top of several files, by their name."""
+    """Return the public classes at the top of several files, by their name."""
     modules = defaultdict[str, list[str]](list)
     for name, file in files.items():
         for node in file.tree.body:
@@ -267,7 +267,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
     parser.add_argument("--check", action="store_true", help="fail if there is a violation")
     check = parser.parse_args().check
-    gc.disable()  # it would visit millions of nodes of syntax trees, again and again
+    gc.disable()  # the collector would visit millions of nodes of syntax trees, again and again
     files = read(ROOT)
     report(files)
     if not check:

@@ -1,4 +1,4 @@
-"""Measure the language of code and docs: phrases that read as translated, and names that name nothing.
+"""Measure the language of code and docs: phrases that read as translated, and vague names.
 
 A phrase counts in docstrings, comments, messages and Markdown. It hints at a sentence to read again; some are
 good English, so a limit leaves room for them. A function or an assignment counts if its name is on a list of words
@@ -24,7 +24,7 @@ PAGES = "docs"
 
 PHRASES_PER_1000, VAGUE_PERCENT = 4.0, 1.0
 FEW_WORDS, FEW_NAMES = 1000, 300
-"""A smaller folder is measured, but one phrase or name in it decides nothing."""
+"""The limits do not apply to a smaller folder, in which a single phrase or name would decide."""
 
 PHRASES = {
     name: re.compile(pattern, re.MULTILINE | re.IGNORECASE)
@@ -50,7 +50,7 @@ _WORD = re.compile(r"[A-Za-z']+")
 
 @dataclass
 class Count:
-    """The words and names of some files, and how many of them count."""
+    """The words and names of some files, and the phrases and vague names among them."""
 
     words: int = 0
     phrases: Counter[str] = field(default_factory=Counter)
@@ -168,7 +168,7 @@ def measure(root: Path) -> dict[str, dict[Path, Count]]:
 
 
 def total(counts: Iterable[Count]) -> Count:
-    """Return the sum."""
+    """Return the sum of the counts."""
     result = Count()
     for count in counts:
         result += count

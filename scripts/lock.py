@@ -1,14 +1,14 @@
 """Write the lock files: the exact versions that `make` installs.
 
-Run it on Linux, in the virtual environment, with Python 3.11.
+Run this script on Linux, in the virtual environment, with Python 3.11.
 
 requirements.lock lists the packages that Midspan and its tests need, requirements-ros2.lock the additional ROS 2 wheels
 (not installed if a ROS 2 installation is sourced), requirements-kilted.lock those of ROS 2 Kilted for tests. Newer
 Pythons use the versions of the oldest supported one; the continuous integration verifies that. A package that newer
 Pythons do not need, such as a backport, has a marker. The files contain versions only; pip uses its configured index.
 
-Both serve every system in SYSTEMS: a line for only some of them has a marker. A package without a wheel for one of them
-needs a marker in pyproject.toml, which leaves it out on that system; `midspan doctor` reports it there.
+The files serve every system in SYSTEMS: a line for only some of them has a marker. A package without a wheel for one of
+them needs a marker in pyproject.toml, which leaves the package out on that system; `midspan doctor` reports it there.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def ask_pip(requirements: Iterable[str], system: System, wheels: Path) -> dict[s
 
 
 def build_sources(chosen: Iterable[Mapping[str, Any]], wheels: Path) -> None:
-    """Build wheels of packages published only as source, as pip needs wheels to resolve for other systems."""
+    """Build wheels of packages published only as source, because pip needs wheels to resolve for other systems."""
     named = [
         f"{e['metadata']['name']}=={e['metadata']['version']}"
         for e in chosen
@@ -161,7 +161,7 @@ def _without_marker(text: str) -> str:
 
 
 def write(file: str, of_systems: Mapping[System, Versions], own: Mapping[str, str]) -> None:
-    """Write one lock file, sorted by name; ``own``: markers by package name to keep, as newer Pythons need them."""
+    """Write one lock file, sorted by name; ``own``: markers by package name to keep, since newer Pythons need them."""
     systems_of: dict[tuple[str, str], list[System]] = {}
     for system, versions in of_systems.items():
         for pin in versions.items():
@@ -205,7 +205,7 @@ def main() -> None:
     }
     write("requirements.lock", plain, kept_markers)
     write("requirements-ros2.lock", ros2, kept_markers)
-    # what Kilted's packages import besides is in the virtual environment
+    # other packages that Kilted's packages import are in the virtual environment
     others = {name: version for name, version in kilted.items() if name.startswith("ros-")}
     write("requirements-kilted.lock", {SYSTEMS[0]: others}, {})
 

@@ -1,4 +1,4 @@
-"""The processors that packages are built for, and the settings to build for another one than this machine's.
+"""The processors that packages are built for, and the settings to build for a processor other than this machine's.
 
 Debian's cross compiler compiles the kernels. The Python that runs the build reads the compiler's name, flags and
 platform from the configuration in Debian's package of the same Python for the other processor.

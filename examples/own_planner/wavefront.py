@@ -1,6 +1,6 @@
-"""A planner of your own: it searches a path on the map, and RobotGoto drives it, waypoint by waypoint.
+"""A planner of your own: it searches for a path on the map, and RobotGoto drives it, waypoint by waypoint.
 
-Clients of every side send it goals through the gateway. Replace `wave.plan`, and keep the rest.
+Clients of every side send it goals through the gateway. Replace `wave_search.plan`, and keep the rest.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Wavefront(Module):
     """Option: ``robot_radius``, meters of free floor that the robot needs around its center."""
 
     def start(self, host: Host, section: Any) -> None:
-        """Open the planner's action, and a client of the driver's."""
+        """Open the planner's action, and a client of the driver's action."""
         settings, name = host.config.navigation, f"/planner/{host.name}"
         self._radius, self._frame = float(section.options.get("robot_radius", 0.35)), settings.frame
         self._frames = RobotFrames(host, settings.frame, settings.base_frame)
@@ -65,7 +65,7 @@ class Wavefront(Module):
         return True
 
     def _drive(self) -> None:
-        """Send the driver its next waypoint, which it passes without a stop; the goal it reaches with its heading."""
+        """Send the driver the next waypoint, which it passes without a stop, or the goal, which has a heading."""
         waypoint = self._waypoints.pop(0)
         passing = Constraints(through=True, heading=False) if self._waypoints else Constraints()
         stamped = {"header": {"frame_id": self._frame}, "pose": pose_message(waypoint)}

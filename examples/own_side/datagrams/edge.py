@@ -40,7 +40,7 @@ class DatagramSection(SideSection):
 
 
 class DatagramEdge(Edge):
-    """Joins a network of datagrams; only topics cross."""
+    """Joins a network of datagrams; only topics are bridged."""
 
     side: ClassVar[str] = "datagrams"
 

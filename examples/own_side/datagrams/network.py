@@ -32,8 +32,8 @@ LARGEST = 60_000
 class End:
     """A publisher (``kind`` is "pub") or a subscription ("sub").
 
-    Of another program, ``id`` ends with ``@`` and a number that changes when the program was silent and returns: its
-    latched messages are then received again, for the new endpoint.
+    The ``id`` of another program's endpoint ends with ``@`` and a number that changes when the program was silent and
+    returns, so that its latched messages are received again, for the new endpoint.
     """
 
     id: str
@@ -64,7 +64,7 @@ class Program:
     ends: dict[str, End] = field(default_factory=dict)
 
     def graph(self) -> list[tuple[str, ...]]:
-        """Return the properties of its endpoints that the graph shows."""
+        """Return the properties of the program's endpoints that the graph shows."""
         return [(e.id, e.kind, e.topic, e.type, str(e.latched)) for e in self.ends.values()]
 
 
@@ -218,7 +218,7 @@ class Node:
         program = self.programs.get(str(datagram["from"]).partition(".")[0])
         publisher = None if program is None else program.ends.get(datagram["from"])
         if publisher is None and "number" in datagram:
-            return  # its next hello, which lists the number, has it requested again
+            return  # requested again after the publisher's next hello, which lists the number
         id_ = str(datagram["from"]) if publisher is None else publisher.id
         with self._lock:
             ends = [e for e in self._ends.values() if e.topic == datagram["topic"] and e.take]
