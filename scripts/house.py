@@ -8,8 +8,9 @@
 In tests, the script counts accesses to private attributes, and lists the tests that neither assert nor call a helper
 whose name implies an assertion.
 
-The figures cover the product (`bridge`, `yarp_compat`, `navigation`, `sim`); those of language all folders and docs.
-Imports inside functions and under ``TYPE_CHECKING`` count too, because they hide a cycle without removing it.
+The figures cover the product (`bridge`, `yarp_compat`, `navigation`, `sim`); those of the language cover all folders
+and the docs. Imports inside functions and under ``TYPE_CHECKING`` count too, because they hide a cycle without removing
+it.
 """
 
 from __future__ import annotations

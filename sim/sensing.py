@@ -45,7 +45,7 @@ class Sensing:
         self.scan = self._scan(world, time_ns)
 
     def read(self, time_ns: int, *, rests: bool = False) -> Encoders:
-        """Return a reading of the encoders, and update the odometry; ``rests``: nothing has moved since then."""
+        """Return an encoder reading, and update the odometry; ``rests``: nothing has moved since the last reading."""
         self._encoders.frozen = "encoders_frozen" in self.faults
         last, reading = self._reading, self._encoders.read(time_ns, rests=rests)
         if last is not None and reading.positions is last.positions and reading.velocities is last.velocities:

@@ -33,9 +33,8 @@ class WheelEncoders:
         """Return a reading; called at a steady rate. ``rests`` means that nothing has moved since the last call."""
         if rests and self._unchanged is not None and not self.frozen:
             if self._noise:
-                self._rng.normal(
-                    0.0, 1.0, len(self._reading)
-                )  # as in motion, because later noise must not depend on rests
+                # as in motion, because later noise must not depend on rests
+                self._rng.normal(0.0, 1.0, len(self._reading))
             return Encoders(time_ns, self._unchanged.positions, self._unchanged.velocities)
         self._unchanged = None
         positions, velocities = self._base.joints()

@@ -40,7 +40,7 @@ class GridWay:
 
     @property
     def length(self) -> float:
-        """The path's length in cells; a diagonal step counts the square root of two."""
+        """The path's length in cells; a diagonal step counts as the square root of two."""
         steps = np.abs(np.diff(self.cells, axis=0)).sum(axis=1)
         return float((steps == 1).sum() + np.sqrt(2.0) * (steps == 2).sum())
 

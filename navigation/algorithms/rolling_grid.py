@@ -34,9 +34,7 @@ _NEVER = cython.declare(cython.double, NEVER)
 _INFINITY = cython.declare(cython.double, math.inf)
 _FULL_TURN = cython.declare(cython.double, 2.0 * math.pi)
 
-_FAR = cython.declare(
-    cython.double, 2.0**52
-)  # cells; beyond all positions, because doubles have no fractions from there on
+_FAR = cython.declare(cython.double, 2.0**52)  # cells; beyond all positions: doubles have no fractions from there on
 _SETTLED = cython.declare(cython.double, 0.5)
 """A cell counts as vacated this many seconds after its last echo; a later echo is a new object."""
 

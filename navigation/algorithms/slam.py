@@ -54,9 +54,8 @@ _METERS, _RADIANS, _DRIFT = 0.004, math.radians(2.0), 0.05
 _LEAST_SHARE = 0.3  # least share of a scan's points on the submap's lines; below it, only the odometry counts
 _MOST_OFF = 0.15, math.radians(6.0)  # largest distance of a match from the odometry
 _JUMP = 1.0, math.radians(60.0)  # if odometry moves farther between two scans, it counts as reset
-_STEADY = np.diag(
-    (0.005**-2.0, 0.005**-2.0, math.radians(0.1) ** -2.0)
-)  # information of the edge between two consecutive submaps
+# information of the edge between two consecutive submaps
+_STEADY = np.diag((0.005**-2.0, 0.005**-2.0, math.radians(0.1) ** -2.0))
 
 
 @dataclass

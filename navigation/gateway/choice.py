@@ -46,7 +46,7 @@ class PlannerChoice:
         self._next = self._next or self.section
 
     def configure(self, section: NavigationSection) -> None:
-        """Use another section once the robot stands still; a chosen planner stays unless that names a new one."""
+        """Use another section once the robot stands still; a chosen planner stays unless the section names another."""
         if section.planner != (self._next or self.section).planner:
             self._chosen = ""
         self._next = section

@@ -302,9 +302,8 @@ class Execution:
                 drive.due = time.monotonic() + RETRY_SECONDS
                 drive.machine.on(DriveEvent.RESUMED_CONTACT)
             else:
-                drive.released = (
-                    link.state.reported and not drive.forgotten
-                )  # a controller may still execute a forgotten goal
+                # a controller may still execute a forgotten goal
+                drive.released = link.state.reported and not drive.forgotten
                 drive.machine.on(DriveEvent.RETRY)
                 self._send(drive, None)
 

@@ -122,9 +122,8 @@ class Gateway:
             targets = targets_of(goal.goal)
         except TargetError as err:
             self.ended["refused"] += 1
-            goal.abort(
-                {"error_code": int(Fault.BAD_GOAL), "error_msg": str(err)}
-            )  # a rejection could not give a reason
+            # not a rejection, which could not give a reason
+            goal.abort({"error_code": int(Fault.BAD_GOAL), "error_msg": str(err)})
             return True
         self.execution.begin(targets, "a client of the action", goal=goal)
         return True

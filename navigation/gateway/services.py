@@ -63,7 +63,7 @@ class VelocityCommander:
             self._timer = self._host.loop.every(_PERIOD, self._repeat)
 
     def stop(self) -> None:
-        """End the command, so that the base stops if it followed it."""
+        """End the command; a base that followed the command stops."""
         if self._timer is not None:
             self._timer.close()
             self._timer = None

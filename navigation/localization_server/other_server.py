@@ -104,10 +104,8 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
     def _on_unreachable(self, reason: str) -> None:
         self._report(f"{self.place}: {reason}")
         with self._lock:
-            self._connected, self._pending_start = (
-                False,
-                None,
-            )  # an old start pose would be wrong when the server is back
+            # an old start pose would be wrong when the server is back
+            self._connected, self._pending_start = False, None
 
     def _report(self, reason: str) -> None:
         self._post(lambda: self.refuse(reason))

@@ -358,7 +358,7 @@ class DriveTask:
         return np.array(line)
 
     def passes_wall(self, ground: Ground, pose: Pose) -> bool:
-        """Whether the robot does not fit on the line to its waypoint, as it left the path; true once at each place."""
+        """Whether the robot, which has left the path, does not fit on the line to its waypoint; once at each place."""
         if self.beside_wall is not None and self.beside_wall.distance(pose) < _ELSEWHERE:
             return False
         if not blocked(ground, ground.weights == 0, self.line(pose)[:2], inside=True):
