@@ -31,7 +31,7 @@ def main(name: str, router: str = "tcp/127.0.0.1:7447") -> int:
     statuses: queue.Queue[dict] = queue.Queue()
     with zenoh.open(config) as session:
         session.declare_subscriber(STATUS, lambda sample: statuses.put(json.loads(sample.payload.to_bytes())))
-        last = newest(session)  # of an earlier goal
+        last = newest(session)  # the status of an earlier goal
         for reply in session.get(GO_TO, payload=json.dumps({"name": name}), timeout=30):
             if not reply.ok:
                 sys.exit(reply.err.payload.to_string())

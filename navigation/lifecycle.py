@@ -17,7 +17,7 @@ def trouble(states: Mapping[str, str]) -> str:
 
 
 def cure(states: Mapping[str, str]) -> str:
-    """Return how the nodes become active, "" if all are."""
+    """Return what makes the nodes active, "" if all are."""
     kinds = set(states.values())
     if not kinds:
         return ""

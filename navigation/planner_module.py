@@ -178,7 +178,7 @@ class PlannerTopics:
 
 
 class PlannerDevice(NavigationDevice):
-    """The YARP device of a planner; its methods run on the threads of connections."""
+    """The YARP device of a planner; its methods run on connections' threads."""
 
     def __init__(self, module: PlannerModule, calls: Calls) -> None:
         super().__init__(calls)

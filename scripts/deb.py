@@ -35,7 +35,7 @@ from scripts import dist, lock, manual, processor, sbom  # noqa: E402
 from scripts.reproducible import epoch  # noqa: E402
 
 EXTRAS = ("ros2", "web", "foxglove")
-"""Without the simulator: DART adds a quarter of the size, and requires OpenGL's libraries on the robot."""
+"""The package lacks the simulator, because DART adds a quarter of the size, and requires OpenGL on the robot."""
 
 PRIVATE = Path("opt/midspan")
 CONFFILES = ("etc/midspan/midspan.yaml", "etc/midspan/environment")

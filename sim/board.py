@@ -44,7 +44,7 @@ class WheelCommands:
         self._timeout = round(base.robot.limits.timeout * 1e9)
         self.modes = [modes.VOCAB_CM_VELOCITY] * count
         self.speeds, self.ramps = np.full(count, _SPEED), np.full(count, _RAMP)
-        self.targets: list[float | None] = [None] * count  # of position moves, degrees
+        self.targets: list[float | None] = [None] * count  # targets of position moves, degrees
         self.velocities = np.zeros(count)  # last commanded, degrees per second
         self._until = [0] * count
         self.zero = np.zeros(count)  # angles at which the encoders were reset, degrees

@@ -15,7 +15,7 @@ Depths = NDArray[np.float32]
 Floats = NDArray[np.float64]
 
 _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""From the optical frame (z ahead, x to the right, y down) to the camera's own (x ahead, y to the left, z up)."""
+"""Rotation from the optical frame (z ahead, x right, y down) to the camera's own frame (x ahead, y left, z up)."""
 
 
 class DepthCamera:

@@ -12,7 +12,7 @@ _Prefix = Annotated[str, matching(r"(?:/[A-Za-z0-9_]+)*", "is not a prefix of po
 
 _Angle = Annotated[float, Field(ge=1, le=170)]
 
-_Part = Annotated[str, matching(r"[A-Za-z0-9_]+", "is no part of a port's name: write it as mobile_base")]
+_Part = Annotated[str, matching(r"[A-Za-z0-9_]+", "is not a part of a port's name: write it as mobile_base")]
 
 
 class LaserSection(Section):

@@ -57,8 +57,8 @@ class Estimate:
     """An estimate of the odometry."""
 
     time_ns: int  #: on the simulation's clock
-    pose: BasePose  #: since the start, in the odometry frame
-    twist: Twist  #: in the base's frame
+    pose: BasePose  #: the pose since the start, in the odometry frame
+    twist: Twist  #: the velocity in the base's frame
     traveled: float  #: meters
     turned: float  #: radians, the sum of turns to both sides
 

@@ -18,7 +18,7 @@ class Motors:
     """The wheels' motors, which BaseControl drives with these methods in one process, or over two topics of the hub."""
 
     def __init__(self, names: tuple[str, ...], timeout: float) -> None:
-        self.names = names  # of the wheels' joints, in the order of all velocities and positions
+        self.names = names  # names of the wheels' joints, in the order of all velocities and positions
         self._timeout = round(timeout * 1e9)
         self._wanted = np.zeros(len(names))
         self._until = 0

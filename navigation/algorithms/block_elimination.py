@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _DENSE = 60  # nodes that are solved as a dense system
-_MOST_NEIGHBORS = 40  # of a node that is eliminated
+_MOST_NEIGHBORS = 40  # largest number of neighbors of an eliminated node
 _FEW_NEIGHBORS, _SPREAD = 3, 1.3  # a step eliminates nodes with few neighbors, or little more than the least number
 
 

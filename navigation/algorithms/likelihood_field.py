@@ -52,7 +52,7 @@ class LikelihoodField:
             sigma: standard deviation of a beam's end from its wall, meters.
             hit: share of beams that end at walls of the map; the others may end anywhere.
         """
-        # in float64: NumPy's exp and log of float32 differ between processors
+        # computed in float64, because NumPy's exp and log of float32 differ between processors
         near = np.exp(-0.5 * np.square(self.distances / np.float64(sigma)))
         logs: Field = np.log(hit * near + (1.0 - hit)).astype(np.float32)
         return logs

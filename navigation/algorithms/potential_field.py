@@ -55,7 +55,7 @@ class Descent:
     cells: NDArray[np.int32]
     aim: int  #: the index in ``cells`` of the farthest cell to which a straight line is free
     blocked: float  #: length of the path up to its first blocked cell, cells; infinite if there is none
-    cost: float  #: of the whole path, in cells of open floor
+    cost: float  #: the cost of the whole path, in cells of open floor
     # whether a straight line to the goal itself is free; in that case no path is searched, and ``cells`` is empty
     direct: bool
 
@@ -66,7 +66,7 @@ def descend(
     start: Cell,  # the robot's row and column
     goal: Place,  # row and column, in cells; it may be outside
     before: Place | None,  # the previous exit from the window: another one must be better by 20 cells
-    radius: float,  # of the robot, cells
+    radius: float,  # the robot's radius, cells
     influence: float,  # distance beyond which obstacles do not repel, cells
     spare: float,  # distance that a straight line keeps beyond the radius, cells
 ) -> Descent:

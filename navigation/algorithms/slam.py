@@ -47,7 +47,7 @@ _MOVED, _TURNED = 0.03, math.radians(1.5)  # least motion since the last matched
 _VIEW_MOVED, _VIEW_TURNED = 0.15, math.radians(8.0)  # least motion since the last view
 _WAY, _VIEWS = 5.0, 80  # size of a submap: meters of the robot's path, and the largest number of views
 _LOOP_EVERY = 0.5  # meters between two searches for loops
-_POINTS = 240  # of a scan that are matched
+_POINTS = 240  # points of a scan that are matched
 # standard deviations of a step of odometry: meters, radians, and the share of the step that is added to each. The
 # errors are biased, and a small standard deviation of the heading would let the bias turn the map
 _METERS, _RADIANS, _DRIFT = 0.004, math.radians(2.0), 0.05

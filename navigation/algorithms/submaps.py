@@ -94,7 +94,7 @@ class Submaps:
         self.graph, self.views = PoseGraph(), list[View]()
         self.views_of: list[list[int]] = []
         self._surfels: OrderedDict[int, Surfels] = OrderedDict()
-        self._lock = Lock()  # of the surfels' cache
+        self._lock = Lock()  # protects the surfels' cache
 
     def snapshot(self) -> Submaps:
         """Return the submaps with a copy of the graph, for another thread; views and surfels are shared.

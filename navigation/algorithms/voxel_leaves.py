@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _CELLS = cython.declare(cython.longlong, 512)
-_BITS = 13  # of a block's key along one axis
+_BITS = 13  # bits of a block's key along one axis
 
 
 def leaves(

@@ -31,7 +31,7 @@ class ReadingTimes:
         self._jump = math.inf if simulated else _JUMP
         self._last: ReadingTime | None = None
         self._arrival = 0.0
-        self._stamp_ns = 0  # of the last reading, accepted or not
+        self._stamp_ns = 0  # the stamp of the last reading, accepted or not
         self._stopped = False  # whether the driver's clock has stopped
 
     def add(self, stamp_ns: int, arrival: float, now_ns: int) -> ReadingTime | None:

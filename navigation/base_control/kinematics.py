@@ -87,7 +87,7 @@ class Traveled:
     x: float = 0.0  #: meters
     y: float = 0.0  #: meters
     theta: float = 0.0  #: radians, not wrapped
-    velocity: Velocity = STILL  #: in the base's frame
+    velocity: Velocity = STILL  #: the velocity in the base's frame
     distance: float = 0.0  #: meters driven since the start or the last reset, forward and backward
     angle: float = 0.0  #: radians turned, in both directions
 
@@ -111,8 +111,8 @@ class WheelOdometry:
         self._rows: list[list[float]] = kinematics.inverse.tolist()
         self._wheels = len(kinematics.joints)
         self._fastest = fastest
-        self._angles: Sequence[float] | None = None  # of the last reading
-        self._total = [0.0] * self._wheels  # across wraps and restarts of the encoders
+        self._angles: Sequence[float] | None = None  # the angles of the last reading
+        self._total = [0.0] * self._wheels  # total angles, across wraps and restarts of the encoders
         self._rates = WheelRates(self._wheels)
         self._time = 0.0
         self.now = Traveled()

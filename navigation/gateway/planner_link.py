@@ -42,7 +42,7 @@ class PlannerLink:
         ]
         self._through = ActionClient(host.node, through, THROUGH) if through else None
         self._through_goals = next((action for action in self._motion if action.action == through), None)
-        self._through_ids = deque[bytes](maxlen=_KEPT_IDS)  # of goals of several poses
+        self._through_ids = deque[bytes](maxlen=_KEPT_IDS)  # ids of goals of several poses
         self.foreign_goals = ForeignGoals(mark, f"the planner {planner} has disappeared")
         self.telemetry = Telemetry(host, section, planner, changed)
         self.lifecycle = LifecycleNodes(host, other.lifecycle_nodes if other is not None else (), changed)

@@ -6,5 +6,5 @@ MODULE = ModuleDescriptor(
     name="localization_server",
     factory="navigation.localization_server.module:LocalizationServer",
     section="navigation.localization_server.section:LocalizationServerSection",
-    about="Where the robot is, for all sides, with Midspan's own localizer; see docs/navigation/localization.md.",
+    about="The robot's pose for all sides, by Midspan's own localizer or another; see docs/navigation/localization.md.",
 )

@@ -56,7 +56,7 @@ def _methods(kind: ValueKind[Any]) -> tuple[Any, ...]:
 
 
 class MapAnswers(IMap2DMsgs):
-    """Serves IMap2D, on threads of connections; stored and loaded values replace those with the same name."""
+    """Serves IMap2D on connections' threads; stored and loaded values replace those with the same name."""
 
     def __init__(self, store: Store, files: MapFiles, on_refusal: Callable[[str], None]) -> None:
         super().__init__()

@@ -6,5 +6,5 @@ MODULE = ModuleDescriptor(
     name="mapper2d",
     factory="navigation.mapper2d.module:Mapper2D",
     section="navigation.mapper2d.section:Mapper2DSection",
-    about="Makes a map from a laser, with drifting odometry or a known pose; see docs/navigation/mapper2d.md.",
+    about="Builds a map from a laser, with drifting odometry or a known pose; see docs/navigation/mapper2d.md.",
 )

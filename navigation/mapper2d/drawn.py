@@ -51,9 +51,9 @@ class DrawnMap:
     mapper: Mapper
     run: RunSearch = at_once
     slam: Slam = field(init=False)
-    _poses: list[Pose] = field(default_factory=list)  # of the submaps, as drawn
+    _poses: list[Pose] = field(default_factory=list)  # the submaps' poses as drawn
     _drawing: Drawing | None = None
-    _scans: int = 0  # since the last drawing
+    _scans: int = 0  # scans since the last drawing
     _drawn_ns: int = 0  # the time of the last scan that was drawn
 
     def __post_init__(self) -> None:

@@ -20,7 +20,7 @@ PAINTS = {"wall": MapFlag.WALL, "free": MapFlag.FREE, "unknown": MapFlag.UNKNOWN
 MOST_BRUSH = 200
 _BARE = 255  # not painted
 _STEP = 5.0  # meters by which the map grows at a side, so that it does not grow at every scan
-_TOLERANCE = 1e-3  # by which a size in cells or meters may exceed its limit, for rounding
+_TOLERANCE = 1e-3  # cells or meters by which a size may exceed its limit, because of rounding
 
 
 class Mapper:

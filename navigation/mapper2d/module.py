@@ -122,7 +122,7 @@ class Mapper2D(Module):
             self._add(scan)
 
     def _on_yarp_scan(self, received: Received) -> None:
-        """Handle a scan, on the thread of the connection."""
+        """Handle a scan; runs on the connection's thread."""
         try:
             turn = of_yarp(received.to(LaserScan2D), sent_ns(received.envelope) or self._host.clock.now_ns())
         except ScanError as err:

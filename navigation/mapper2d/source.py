@@ -117,7 +117,7 @@ class MatchedPoses(PoseSource):
         self._mount = Pose(0.0, 0.0, 0.0)
         self._start: Pose | None = None
         self._localizer = ""  # the status of a localizer
-        self._stamp_ns = 0  # of the last transform
+        self._stamp_ns = 0  # the stamp of the last transform
         self._tf = host.node.publisher(TF, TF_TYPE, Qos(depth=100)) if section.publish_tf else None
         if self._tf is not None:
             host.node.subscription(STATUS, STRING, self._on_localizer, LATCHED)

@@ -6,5 +6,5 @@ MODULE = ModuleDescriptor(
     name="robot_path_planner",
     factory="navigation.robot_path_planner.module:RobotPathPlanner",
     section="navigation.robot_path_planner.section:RobotPathPlannerSection",
-    about="Plans paths on the map and drives them by a local navigator; see docs/navigation/robot_path_planner.md.",
+    about="Plans paths on the map, which a local navigator drives; see docs/navigation/robot_path_planner.md.",
 )

@@ -30,7 +30,7 @@ class LinkedPlaces:
     first: MapPlace
     second: MapPlace  #: on another map
     cost: float = 0.0  #: equivalent meters of path
-    name: str = ""  #: in the store
+    name: str = ""  #: the link's name in the store
 
 
 @dataclass(frozen=True)

@@ -187,7 +187,7 @@ class RobotPathPlanner(PlannerModule):
             self._local.brake()()
 
     def _brake(self, goal_id: bytes) -> None:
-        """Stop the robot at once, on a thread of the hub, which must not block."""
+        """Stop the robot at once; runs on a thread of the hub, which must not block."""
         task, goal = self.planner.task, self._goal.goal  # read in this order, so that a replaced task does no harm
         if task is not None and goal is not None and (goal.id == goal_id or not any(goal_id)):
             self.planner.brake(task)
@@ -196,7 +196,7 @@ class RobotPathPlanner(PlannerModule):
                 self._executor.submit(stop)
 
     def _on_halt(self, _params: dict[str, Any]) -> Any:
-        """Handle the request "halt", on a thread of the hub."""
+        """Handle the request "halt"; runs on a thread of the hub."""
         self.brake()
         return self._host.loop.call(self.halt)
 
@@ -235,7 +235,7 @@ class RobotPathPlanner(PlannerModule):
         return {"png": base64.b64encode(file).decode() if file else "", "status": self.planner.status.state.value}
 
     def _clicked(self, received: Received) -> None:
-        """Handle a click on the picture, on the connection's thread."""
+        """Handle a click on the picture; runs on the connection's thread."""
         values = received.values
 
         def drive() -> None:

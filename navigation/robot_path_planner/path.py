@@ -150,14 +150,14 @@ class Waypoint:
 class PlannedPath:
     """A path that the planner found."""
 
-    waypoints: tuple[Waypoint, ...]  #: from the first after the start to the goal
+    waypoints: tuple[Waypoint, ...]  #: the waypoints from the first after the start to the goal
     length: float  #: meters
     note: str = ""  #: for people, for example that it starts in a keep-out area; often empty
 
 
 def plan_path(
     ground: Ground,  # the map
-    start: Pose,  # of the robot
+    start: Pose,  # the robot's pose
     goal: Pose,  # theta is NaN if the heading does not matter
     settings: RobotPathPlannerSection,  # constraints of waypoints and goal
     wanted: Constraints | None = None,  # the client's constraints, which override the settings
@@ -318,14 +318,14 @@ class DriveTask:
     """An active goal and its progress. Times are in seconds of the caller's clock."""
 
     goal: MapPlace
-    constraints: Constraints  #: the client's
+    constraints: Constraints  #: the client's constraints
     since: float  #: when the goal arrived
     further: tuple[MapPlace, ...] = ()  #: the goals after this one, in sequence
     replan_reason: str = "a new goal"  #: why a path has to be planned; empty if none has to
     not_before: float = -math.inf  #: when planning may be tried next
     leg: Leg | None = None  #: the part on the current map
-    waypoints: tuple[Waypoint, ...] = field(default=())  #: of the current path
-    index: int = 0  #: of the current waypoint
+    waypoints: tuple[Waypoint, ...] = field(default=())  #: the waypoints of the current path
+    index: int = 0  #: the index of the current waypoint
     note: str = ""  #: a note on the path, for people
     attempts: int = 0  #: other paths that were tried since the robot last came nearer
     recoveries: int = 0  #: other paths that were tried in total
