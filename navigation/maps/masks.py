@@ -80,7 +80,7 @@ def keep_out_cells(grid: MapGrid2D, areas: Iterable[Map2DArea]) -> NDArray[np.bo
 
 
 KEEP_OUT = 100  # planners must not enter
-TEMPORARY_OBSTACLE = 90  # in a costmap, 35 less than a wall, which has 254
+TEMPORARY_OBSTACLE = 90  # 229 in a costmap, where a wall has 254
 ENLARGED_OBSTACLE = 60  # the costmap's inflation covers this area, too
 _WEIGHTS = {
     MapFlag.KEEP_OUT: KEEP_OUT,
