@@ -1,4 +1,4 @@
-"""What a ROS 2 action is made of: the names and types of its five parts, and the states of a goal.
+"""The names and types of the five parts of a ROS 2 action, and the states of a goal.
 
 See https://design.ros2.org/articles/actions.html; the messages are those of action_msgs (Jazzy).
 """
@@ -18,9 +18,9 @@ PARTS = (*SERVICES, *TOPICS)
 CANCEL = "action_msgs/srv/CancelGoal"
 STATUSES = "action_msgs/msg/GoalStatusArray"
 
-BETWEEN = "/_action/"  # stands between an action's name and that of a part
+BETWEEN = "/_action/"  # between the name of an action and the name of a part
 ENDINGS = {SEND_GOAL: "_SendGoal", GET_RESULT: "_GetResult", FEEDBACK: "_FeedbackMessage"}
-"""What follows the action's type in the types of the parts that are its own."""
+"""The suffixes that turn an action's type into the types of those parts that are specific to the action."""
 
 COMMON = {CANCEL_GOAL: CANCEL, STATUS: STATUSES}  # the types of the parts that all actions have in common
 
@@ -38,12 +38,12 @@ class GoalState(IntEnum):
 
     @property
     def ended(self) -> bool:
-        """Whether a goal stays in it."""
+        """Whether this state is final."""
         return self >= GoalState.SUCCEEDED
 
     @classmethod
     def parse(cls, number: int) -> GoalState:
-        """The state of a number from the network; one that ROS 2 does not know is UNKNOWN."""
+        """Return the state for a number from the network; UNKNOWN for a number that ROS 2 does not define."""
         try:
             return cls(number)
         except ValueError:
@@ -60,13 +60,13 @@ class CancelCode(IntEnum):
 
 
 def part_name(action: str, part: str) -> str:
-    """The full name of one part of an action."""
+    """Return the full name of one part of an action."""
     return f"{action}{BETWEEN}{part}"
 
 
 def split(name: str) -> tuple[str, str]:
-    """An action's name and the part that a topic or service is of it; "" both where it is none."""
-    if BETWEEN not in name:  # as of most names
+    """Split the name of an action's topic or service into action and part; both are "" if it belongs to no action."""
+    if BETWEEN not in name:  # true of most names
         return "", ""
     action, _, part = name.rpartition(BETWEEN)
     return (action, part) if action and part in PARTS else ("", "")
@@ -83,10 +83,10 @@ class ActionParts(NamedTuple):
 
 
 def names(action: str) -> ActionParts:
-    """The names of an action's parts."""
+    """Return the names of an action's parts."""
     return ActionParts(*(part_name(action, part) for part in PARTS))
 
 
 def types(action_type: str) -> ActionParts:
-    """The types of an action's parts."""
+    """Return the types of an action's parts."""
     return ActionParts(*(f"{action_type}{ENDINGS[part]}" if part in ENDINGS else COMMON[part] for part in PARTS))

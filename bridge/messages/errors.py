@@ -3,7 +3,7 @@
 ::
 
     MessageError
-     +-- MessageTypeError     a type is unknown, has no pair, or cannot be built
+     +-- MessageTypeError     a type is unknown, has no counterpart, or cannot be built
      +-- ConversionError      the bytes of one message do not match its type
 """
 
@@ -19,7 +19,7 @@ class MessageTypeError(MessageError):
 
     def __init__(self, message: str, cure: str = "") -> None:
         super().__init__(message)
-        self.cure = cure  # what a person can do about it, "" where nothing is known to help
+        self.cure = cure  # what a person can do about it; "" if nothing is known to help
 
 
 class ConversionError(MessageError):

@@ -2,7 +2,7 @@
 
 A message is an object with ROS 2's field names. Arrays of octets (``uint8``, ``byte``, ``char``) are base64 text; NaN
 and the infinities are the texts ``"NaN"``, ``"Infinity"`` and ``"-Infinity"``. In the other direction, octets may also
-be lists of numbers, missing fields have their defaults, and an unknown field is an error.
+be lists of numbers, missing fields get their defaults, and an unknown field is an error.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ _NOT_NUMBERS = {"nan": math.nan, "infinity": math.inf, "inf": math.inf, "-infini
 
 
 def to_json(registry: Registry, type_name: str, cdr: bytes, type_hash: str = "") -> dict[str, Any]:
-    """Decode a message; raises `MessageTypeError` for an unknown type, `ConversionError` if the bytes do not fit it."""
+    """Decode a message; raises `MessageTypeError` for an unknown type, `ConversionError` if the bytes do not fit."""
     checked = registry.hub_check(type_name, type_hash)(cdr)
     return _JsonReader(registry.schema(type_name, type_hash), checked).message()
 
 
 def from_json(registry: Registry, type_name: str, value: Mapping[str, Any], type_hash: str = "") -> bytes:
-    """Encode a message for the hub; missing fields have their defaults.
+    """Encode a message for the hub; missing fields get their defaults.
 
-    Raises `MessageTypeError` for an unknown type, `ConversionError` with the field that is unknown or does not fit.
+    Raises `MessageTypeError` for an unknown type, or `ConversionError`, which names the unknown or unsuitable field.
     """
     check = registry.hub_check(type_name, type_hash)
     return check(_JsonWriter(registry.schema(type_name, type_hash)).message(value))
@@ -45,7 +45,7 @@ class _JsonReader(MessageReader):
 
     @override
     def plain(self, value: Any, base: str) -> Any:
-        """Return a number; a float32 with only its significant digits."""
+        """Return a number; a float32 has only its significant digits."""
         if isinstance(value, float):
             if not math.isfinite(value):
                 return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
@@ -67,14 +67,14 @@ class _JsonWriter(MessageWriter):
 
     @override
     def plain(self, base: str, value: Any, where: str) -> bool | int | float:
-        """Return a number, also from the texts for NaN and the infinities."""
+        """Return a number, which may be given as a text for NaN or an infinity."""
         if base.startswith("float") and isinstance(value, str) and value.lower() in _NOT_NUMBERS:
             return _NOT_NUMBERS[value.lower()]
         return super().plain(base, value, where)
 
     @override
     def items(self, kind: FieldType, value: Any, where: str) -> Sequence[Any] | np.ndarray | bytes:
-        """Return the elements, also from base64 text."""
+        """Return the elements, which may be given as base64 text."""
         if kind.base not in OCTETS or isinstance(value, np.ndarray):
             return super().items(kind, value, where)
         if isinstance(value, str):

@@ -30,7 +30,7 @@ from bridge.messages.transcode.conversion import Conversion, Convert, ServiceCon
 
 
 class _Types(Protocol):
-    """The section ``types`` of a configuration."""
+    """The ``types`` section of a configuration."""
 
     @property
     def folders(self) -> Sequence[Path]: ...
@@ -42,9 +42,10 @@ class _Types(Protocol):
 class Registry:
     """The registry of types; every method may be called from any thread.
 
-    The configuration's ``.msg`` folders serve both ROS 1 and ROS 2; ``prefixes`` hold the ROS 2 packages that were
-    built here (``share/<package>/msg/*.msg``), ``ros1_packages`` ROS 1's Python packages, None for the usual folder.
-    Every method raises `MessageTypeError` if a type is unknown, has another md5 or hash here, or has no counterpart.
+    The configuration's ``.msg`` folders serve both ROS 1 and ROS 2. ``prefixes`` hold the ROS 2 packages that were
+    built here (``share/<package>/msg/*.msg``), and ``ros1_packages`` holds ROS 1's Python packages (None: the usual
+    folders). Every method raises `MessageTypeError` if a type is unknown, has a different md5 or hash here, or has no
+    counterpart.
 
     Attributes:
         releases: the conversions between the versions of ROS 2 types.
@@ -75,26 +76,26 @@ class Registry:
 
     @classmethod
     def of(cls, types: _Types) -> Self:
-        """Return the registry for a configuration's section ``types``."""
+        """Return the registry for a configuration's ``types`` section."""
         return cls(types.folders, types.mapping_rules)
 
     def rule_errors(self) -> list[MessageTypeError]:
-        """Return an error for each of the configuration's rules about versions that cannot apply."""
+        """Return an error for each of the configuration's version rules that cannot apply."""
         with self._lock:
             return list(rule_errors(self._version_rules, self._versions))
 
     def ros1(self, name: str) -> SideType:
-        """Return the ROS 1 type ``name``; if only ROS 2 has it, the one derived from there."""
+        """Return the ROS 1 type ``name``, derived from the ROS 2 type if only ROS 2 has it."""
         with self._lock:
             return self._messages.side(self._messages.find_ros1(name))
 
     def ros2(self, name: str) -> SideType:
-        """Return the ROS 2 type ``name``; if only ROS 1 has it, the one derived from there."""
+        """Return the ROS 2 type ``name``, derived from the ROS 1 type if only ROS 1 has it."""
         with self._lock:
             return self._messages.side(self.schema(name))
 
     def schema(self, name: str, type_hash: str = "") -> Schema:
-        """Return the ROS 2 type with all types that it nests, as the decoders need it."""
+        """Return the ROS 2 type with all types that it nests, for decoders."""
         with self._lock:
             return self._find_ros2(name, type_hash)
 
@@ -124,9 +125,9 @@ class Registry:
             return known
 
     def ros1_to_hub(self, name: str, md5: str = "", definition: str = "") -> Conversion:
-        """Return the conversion of a ROS 1 publisher's bytes to the hub's; an md5 of "" or "*" means any.
+        """Return the conversion of a ROS 1 publisher's messages to the hub's; an md5 of "" or "*" means any.
 
-        The name may be an action's ``pkg/action/Name_FeedbackMessage``; the definition is the connection header's.
+        The name may be an action's ``pkg/action/Name_FeedbackMessage``; ``definition`` is from the connection header.
         """
         key = ("ros1", name, md5)
         with self._lock:
@@ -144,7 +145,7 @@ class Registry:
             return self._answers[key]
 
     def hub_to_ros1(self, type_name: str, type_hash: str = "") -> Conversion:
-        """Return the conversion of the hub's bytes to a ROS 1 message's."""
+        """Return the conversion of the hub's messages to ROS 1 messages."""
         key = ("ros2", type_name, type_hash)
         with self._lock:
             if key not in self._answers:
@@ -159,15 +160,15 @@ class Registry:
             return self._answers[key]
 
     def hub_check(self, type_name: str, type_hash: str = "") -> Callable[[bytes], bytes]:
-        """Return a check of CDR bytes against their type (lengths, bounds, truncation); it raises `ConversionError`.
+        """Return a function that checks CDR bytes against their type: lengths, bounds and truncation.
 
-        The check returns the message without the slack that rclpy's serializer appends.
+        The function raises `ConversionError`, or returns the message without the slack that rclpy's serializer appends.
         """
         with self._lock:
             return self._check(self._find_ros2(type_name, type_hash))
 
     def service_ros1_to_hub(self, name: str, md5: str = "") -> ServiceConversion:
-        """Return the conversion of a ROS 1 service, or one of an action; an md5 of "" or "*" means any."""
+        """Return the conversion of a ROS 1 service, which may be part of an action; an md5 of "" or "*" means any."""
         wanted = "" if md5 in ANY_MD5 else md5
         key = ("ros1", name, wanted)
         with self._lock:
@@ -182,7 +183,7 @@ class Registry:
             return self._service_answers[key]
 
     def service_hub_to_ros1(self, type_name: str, type_hash: str = "") -> ServiceConversion:
-        """Return the conversion of a service of the hub, which may be part of an action, to ROS 1."""
+        """Return the conversion of a hub service, which may be part of an action, to ROS 1."""
         key = ("ros2", type_name, type_hash)
         with self._lock:
             if key not in self._service_answers:
@@ -201,13 +202,13 @@ class Registry:
             return self._find_service(type_name, type_hash).side_type
 
     def service_schemas(self, type_name: str, type_hash: str = "") -> tuple[Schema, Schema]:
-        """Return request and response of a ROS 2 service with all types that they nest, as the decoders need them."""
+        """Return the request and response of a ROS 2 service with all types that they nest, for decoders."""
         with self._lock:
             service = self._find_service(type_name, type_hash)
             return service.request, service.response
 
     def hub_service_check(self, type_name: str, type_hash: str = "") -> tuple[Convert, Convert]:
-        """Return checks of a service's requests and responses; see `hub_check`."""
+        """Return functions that check a service's requests and responses; see `hub_check`."""
         with self._lock:
             service = self._find_service(type_name, type_hash)
             return self._check(service.request), self._check(service.response)
@@ -228,7 +229,7 @@ class Registry:
             return self._actions.topic(name, "Feedback")
 
     def ros2_package_sources(self, package: str) -> dict[str, str]:
-        """Return the files from which a ROS 2 package is built: text by path (``msg/Name.msg``)."""
+        """Return the definition files from which a ROS 2 package is built: texts by path (``msg/Name.msg``)."""
         with self._lock:
             files: dict[str, str] = {}
             for source in self._sources2:
@@ -256,7 +257,7 @@ class Registry:
         self._messages.clear_cache()
 
     def _find_ros2(self, name: str, type_hash: str = "") -> Schema:
-        """Return a message of ROS 2, which may be part of a service or action."""
+        """Return a ROS 2 message, which may be part of a service or action."""
         if self._ros2.find(name, type_hash) is None and is_ros2_name(name):
             if _is_action(name):
                 return self._actions.schema(name, type_hash)
@@ -281,7 +282,7 @@ def _is_action(name: str) -> bool:
 
 
 def _is_feedback(name: str) -> bool:
-    """Whether it is the feedback topic of an action, whose type belongs to that action."""
+    """Whether a type is that of an action's feedback topic, which is converted with the action."""
     return _is_action(name) and name.endswith("_FeedbackMessage")
 
 

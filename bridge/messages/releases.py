@@ -1,8 +1,8 @@
 """The ROS 2 releases that a node may belong to, by what it announces.
 
-No node announces its release. What it does announce excludes some: Humble has no type hashes, and only later releases
-have certain types, or certain definitions of a type (`bridge.messages.definitions.versions`). On the hub, tokens
-differ too (`bridge.hub.graph.releases`).
+No node announces its release. What it does announce excludes some releases: Humble has no type hashes, and only later
+releases have certain types, or certain definitions of a type (`bridge.messages.definitions.versions`). On the hub,
+tokens differ too (`bridge.hub.graph.releases`).
 """
 
 from __future__ import annotations
@@ -37,24 +37,24 @@ WITHOUT_HASHES: Releases = frozenset({Release.HUMBLE})
 WITH_HASHES = ALL - WITHOUT_HASHES
 
 _EARLIER = {"jazzy": frozenset({Release.IRON, Release.JAZZY})}
-"""The releases that a version of Jazzy admits: Midspan does not have the definitions of Iron."""
+"""The releases that a version of Jazzy may belong to, because Midspan does not have the definitions of Iron."""
 
 _types = cache(ReleaseTypes)
 
 
 def by_hash(type_name: str, type_hash: str) -> Releases:
-    """Return the releases whose packages have this definition of a type; all with hashes if it excludes none."""
+    """Return the releases whose packages have this definition of a type; all with hashes if no release is excluded."""
     named = (_EARLIER.get(name) or {Release[name.upper()]} for name in _types().with_hash(type_name, type_hash))
     return frozenset().union(*named) or WITH_HASHES
 
 
 def common(announced: Iterable[Releases]) -> Releases:
-    """Return the releases that all announcements of one node admit."""
+    """Return the releases that no announcement of one node excludes."""
     return ALL.intersection(*announced)
 
 
 def release_text(releases: Releases) -> str:
-    """Return the releases in words; "" if nothing, or everything, is excluded.
+    """Return the releases in words; "" if none or all of them are excluded.
 
     Releases after the newest known one may announce the same, so a range that ends with it is open.
     """

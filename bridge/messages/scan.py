@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """One scan: a turn of a laser."""
+    """One scan: a rotation of a laser."""
 
     time_ns: int  #: the time of the scan
     first: float  #: the first beam's direction on the laser, radians

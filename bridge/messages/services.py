@@ -13,7 +13,7 @@ from bridge.messages.values import MessageReader, MessageWriter
 class ServiceCodec:
     """The codec of one service, ``pkg/srv/Name``, ``pkg/action/Name_SendGoal`` or ``..._GetResult``, in ROS 2's names.
 
-    A hash means the very definition, "" the one known here. Raises `MessageTypeError` if the type is unknown.
+    ``type_hash`` selects a definition; "" selects the one known here. Raises `MessageTypeError` if the type is unknown.
     """
 
     reader: ClassVar[type[MessageReader]] = MessageReader
@@ -25,11 +25,11 @@ class ServiceCodec:
         self._check_request, self._check_response = registry.hub_service_check(type_name, type_hash)
 
     def request(self, value: Mapping[str, Any]) -> bytes:
-        """Encode a request; fields that are missing have their defaults; raises `ConversionError`, naming the field."""
+        """Encode a request; missing fields get their defaults; raises `ConversionError`, which names the field."""
         return self._check_request(self.writer(self._request).message(value))
 
     def response(self, value: Mapping[str, Any]) -> bytes:
-        """Encode a reply, in the same way."""
+        """Encode a reply; see `request`."""
         return self._check_response(self.writer(self._response).message(value))
 
     def request_value(self, cdr: bytes) -> dict[str, Any]:
@@ -47,7 +47,10 @@ _REJECTED = 1  # action_msgs/srv/CancelGoal_Response.ERROR_REJECTED
 
 
 def refusal(registry: Registry, type_name: str, type_hash: str = "") -> Callable[[], bytes] | None:
-    """Return a function that makes the refusing reply in CDR, or None; `MessageTypeError` for an unknown action."""
+    """Return a function that creates the reply, in CDR, with which an action's service refuses a call.
+
+    Returns None for other services; raises `MessageTypeError` for an unknown action.
+    """
     value = _refusal(type_name)
     if value is None:
         return None
@@ -56,9 +59,9 @@ def refusal(registry: Registry, type_name: str, type_hash: str = "") -> Callable
 
 
 def unknown_result(registry: Registry, type_name: str, type_hash: str = "") -> Callable[[str], bytes]:
-    """Return a function that makes the GetResult reply in CDR for a goal whose end is unknown, given the reason.
+    """Return a function that creates the GetResult reply in CDR for a goal whose end is unknown, given the reason.
 
-    The reason is the result's ``error_msg`` if it has a string of that name.
+    The reason becomes the result's ``error_msg`` if the result has a string of that name.
     """
     _, response = registry.service_schemas(type_name, type_hash)
     kind = next(field.type for field in response.root.fields if field.name == "result")

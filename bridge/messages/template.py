@@ -1,4 +1,4 @@
-"""Messages of which only some numbers change: encoded once, and filled in each time."""
+"""Messages in which only some numbers change: they are encoded once, and filled in for each message."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from bridge.messages.values import HEADER, MessageWriter
 
 
 class MessageTemplate:
-    """A message whose texts and whose arrays' lengths stay as they are.
+    """A message whose texts and array lengths do not change.
 
-    Filling it takes a tenth of the time of writing a `nav_msgs/msg/Odometry` field by field. Paths say what changes: a
-    number, or a part of which all numbers do (``header.stamp``, ``transforms[0].transform``). Raises `ConversionError`
-    if a field is unknown, its value does not fit, or nothing at a path could change.
+    Filling in a `nav_msgs/msg/Odometry` takes a tenth of the time of writing it field by field. Each path in
+    ``changing`` is that of a number, or of a part in which all numbers change (``header.stamp``,
+    ``transforms[0].transform``). Raises `ConversionError` if a field is unknown, its value does not fit, or there is no
+    number at a path.
     """
 
     def __init__(self, schema: Schema, message: Mapping[str, Any], *changing: str) -> None:
@@ -33,9 +34,14 @@ class MessageTemplate:
         self._runs = _runs(writer.places)
 
     def fill(self, *numbers: float) -> bytes:
-        """The message in CDR with as many numbers as change, in its order; raises `ConversionError` for others."""
+        """Return the message in CDR with new values for all changing numbers, in message order.
+
+        Raises `ConversionError` if their count is wrong or a value does not fit.
+        """
         if len(numbers) != self._count:
-            raise ConversionError(f"{len(numbers)} numbers are given for {self._count} of {self._name}")
+            raise ConversionError(
+                f"{len(numbers)} numbers are given for {self._count} changing numbers of {self._name}"
+            )
         content = bytearray(self._content)
         try:
             for run, at, first, end in self._runs:
@@ -46,7 +52,7 @@ class MessageTemplate:
 
 
 class _PlaceWriter(MessageWriter):
-    """Notes where numbers are written, by which paths they change."""
+    """Records the offsets and types of the changing numbers, and the paths that lead to some."""
 
     def __init__(self, schema: Schema, changing: tuple[str, ...]) -> None:
         super().__init__(schema)
@@ -73,7 +79,7 @@ def _within(where: str, path: str) -> bool:
 
 
 def _runs(places: list[tuple[int, str]]) -> list[tuple[struct.Struct, int, int, int]]:
-    """Numbers that lie without a gap, together: their format, their offset, and which of all they are."""
+    """Group adjacent numbers; return the format of each group, its offset, and the range of its numbers among all."""
     ends = (at + PRIMITIVE_SIZES[base] for at, base in places)
     gaps = [i for i, (end, (at, _)) in enumerate(zip(ends, places[1:], strict=False), 1) if end != at]
     bounds = [0, *gaps, len(places)] if places else []

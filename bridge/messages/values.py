@@ -1,7 +1,7 @@
-"""Messages as Python values: a message is a mapping with ROS 2's field names, an array of numbers a numpy array.
+"""Messages as Python values: a message is a mapping with ROS 2's field names, and an array of numbers a numpy array.
 
-Subclasses may represent single numbers and arrays differently, such as those of `bridge.messages.json`.
-numpy is loaded with the first array: a worker that passes bytes on has no need of its 6 MB.
+Subclasses, such as those in `bridge.messages.json`, may represent single numbers and arrays differently.
+numpy is imported with the first array, because a worker that only forwards bytes does not need its 6 MB.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from bridge.messages.errors import ConversionError
 if TYPE_CHECKING:
     import numpy as np
 
-HEADER = b"\0\1\0\0"  # what CDR in little-endian begins with
+HEADER = b"\0\1\0\0"  # header of little-endian CDR
 _STRUCTS = {base: struct.Struct("<" + code) for base, code in STRUCT_FORMATS.items()}
 
 
 @functools.cache
 def dtype(base: str) -> np.dtype[Any]:
-    """A ROS 2 primitive as numpy names it."""
+    """Return numpy's type for a ROS 2 primitive."""
     import numpy as np
 
     return np.dtype("<" + STRUCT_FORMATS[base])
 
 
 def is_array(value: object) -> TypeGuard[np.ndarray]:
-    """Whether a value is a numpy array; numpy is not loaded for that."""
+    """Whether a value is a numpy array; the check does not import numpy."""
     return isinstance(value, getattr(sys.modules.get("numpy"), "ndarray", ()))
 
 
 class MessageReader:
-    """Reads a message that was checked before; arrays of numbers share its memory."""
+    """Reads a message that has been checked; arrays of numbers share the message's memory."""
 
     def __init__(self, schema: Schema, cdr: bytes) -> None:
         self.schema = schema
@@ -54,11 +54,11 @@ class MessageReader:
         self.at = len(HEADER)
 
     def message(self) -> dict[str, Any]:
-        """The whole message."""
+        """Read the whole message."""
         return self.structure(self.schema.root)
 
     def structure(self, definition: Definition) -> dict[str, Any]:
-        """A nested message."""
+        """Read a nested message."""
         if not definition.fields:
             self.at += 1
         single = Shape.SINGLE
@@ -68,7 +68,7 @@ class MessageReader:
         }
 
     def value(self, kind: FieldType) -> Any:
-        """An array."""
+        """Read an array or a sequence."""
         count = kind.length if kind.shape is Shape.ARRAY else int(self.number("uint32"))
         if kind.base in PRIMITIVE_SIZES:
             size = PRIMITIVE_SIZES[kind.base]
@@ -76,10 +76,10 @@ class MessageReader:
         return [self.element(kind.element) for _ in range(count)]
 
     def element(self, kind: FieldType) -> Any:
-        """A field of one value, or one element of an array."""
+        """Read a field of one value, or one element of an array."""
         base = kind.base
         struct_ = _STRUCTS.get(base)
-        if struct_ is not None:  # as most are; `number` once more, for a call less
+        if struct_ is not None:  # true of most fields; repeats `number` to save a call
             start = self.at + -(self.at - 4) % struct_.size
             self.at = start + struct_.size
             return self.plain(struct_.unpack_from(self.data, start)[0], base)
@@ -89,30 +89,30 @@ class MessageReader:
             end = int(self.number("uint32")) + self.at
             start, self.at = self.at, end
             return str(self.data[start : end - 1], "utf-8", "replace")
-        units = self.read_bytes(4, 4 * int(self.number("uint32")))  # a wstring: two bytes of four count
+        units = self.read_bytes(4, 4 * int(self.number("uint32")))  # a wstring: two of every four bytes
         content = bytearray(len(units) // 2)
         content[::2], content[1::2] = units[::4], units[1::4]
         return content.decode("utf-16-le", errors="replace")
 
     def plain(self, value: Any, base: str) -> Any:  # noqa: ARG002 - for subclasses
-        """One number, as it is given out."""
+        """Return one number in the form that the caller gets."""
         return value
 
     def numbers(self, content: memoryview | bytes, base: str) -> Any:
-        """An array of numbers, as it is given out."""
+        """Return an array of numbers in the form that the caller gets."""
         import numpy as np
 
         return np.frombuffer(content, dtype(base))
 
     def number(self, base: str) -> Any:
-        """The number that comes next."""
+        """Read the next number."""
         struct_ = _STRUCTS[base]
         start = self.at + -(self.at - len(HEADER)) % struct_.size
         self.at = start + struct_.size
         return struct_.unpack_from(self.data, start)[0]
 
     def read_bytes(self, alignment: int, size: int) -> memoryview:
-        """Read the next bytes, after their alignment."""
+        """Skip the padding, and read the next bytes."""
         self.at += -(self.at - len(HEADER)) % alignment
         start, self.at = self.at, self.at + size
         return self.data[start : self.at]
@@ -126,12 +126,12 @@ class MessageWriter:
         self.data = bytearray()
 
     def message(self, value: Mapping[str, Any]) -> bytes:
-        """The whole message in CDR, with defaults for missing fields; raises `ConversionError`, naming the field."""
+        """Write a message in CDR, with defaults for missing fields; raises `ConversionError`, which names the field."""
         self.structure(self.schema.root, value, "")
         return HEADER + self.data
 
     def structure(self, definition: Definition, value: Any, where: str) -> None:
-        """A nested message."""
+        """Write a nested message."""
         if not isinstance(value, Mapping):
             raise wrong(where, f"an object with the fields of {definition.name}", value)
         names = [field.name for field in definition.fields]
@@ -147,7 +147,7 @@ class MessageWriter:
             self.value(field.type, given, join(where, field.name))
 
     def value(self, kind: FieldType, value: Any, where: str) -> None:
-        """A field."""
+        """Write a field."""
         if kind.shape is Shape.SINGLE:
             self.element(kind, value, where)
             return
@@ -165,14 +165,14 @@ class MessageWriter:
             import numpy as np
 
             self.align(PRIMITIVE_SIZES[kind.base] if len(items) else 1)
-            with np.errstate(over="ignore", invalid="ignore"):  # what is too large is infinite
+            with np.errstate(over="ignore", invalid="ignore"):  # values that are too large become infinite
                 self.data += np.ascontiguousarray(items, dtype(kind.base)).view(np.uint8).data
             return
         for number, item in enumerate(items):
             self.element(kind.element, item, f"{where}[{number}]")
 
     def items(self, kind: FieldType, value: Any, where: str) -> Sequence[Any] | np.ndarray | bytes:
-        """The elements of an array or sequence."""
+        """Return the elements of an array or sequence."""
         if is_array(value) and value.ndim == 1 and kind.base in PRIMITIVE_SIZES:
             return value
         if isinstance(value, list | tuple):
@@ -180,7 +180,7 @@ class MessageWriter:
         raise wrong(where, "a list", value)
 
     def element(self, kind: FieldType, value: Any, where: str) -> None:
-        """A field of one value, or one element of an array."""
+        """Write a field of one value, or one element of an array."""
         if kind.nested:
             self.structure(self.schema.types[kind.base], value, where)
         elif kind.base in PRIMITIVE_SIZES:
@@ -189,7 +189,7 @@ class MessageWriter:
             self.text(kind, value, where)
 
     def text(self, kind: FieldType, value: Any, where: str) -> None:
-        """A string."""
+        """Write a string."""
         if not isinstance(value, str):
             raise wrong(where, "text", value)
         wide = kind.base == "wstring"
@@ -199,7 +199,7 @@ class MessageWriter:
             raise ConversionError(f"{where} cannot be encoded: {err}") from None
         length = len(content) // 2 if wide else len(content)
         if kind.string_bound and length > kind.string_bound:
-            raise ConversionError(f"{where} has at most {kind.string_bound} characters, not {length}")
+            raise ConversionError(f"{where} must have at most {kind.string_bound} characters, not {length}")
         if wide:
             self.number("uint32", length, where)
             units = bytearray(2 * len(content))
@@ -210,7 +210,7 @@ class MessageWriter:
             self.data += content + b"\0"
 
     def number(self, base: str, value: Any, where: str) -> None:
-        """A number."""
+        """Write a number."""
         self.align(PRIMITIVE_SIZES[base])
         try:
             self.data += struct.pack("<" + STRUCT_FORMATS[base], self.plain(base, value, where))
@@ -218,7 +218,7 @@ class MessageWriter:
             raise wrong(where, base, value) from None
 
     def plain(self, base: str, value: Any, where: str) -> bool | int | float:
-        """The value as ``base`` wants it; never a bool for a number or the other way round."""
+        """Return the value in the form for ``base``; a bool is not accepted as a number, nor a number as a bool."""
         if base == "bool":
             if isinstance(value, bool):
                 return value
@@ -237,7 +237,7 @@ class MessageWriter:
 
 
 def _default(field: Field) -> Any:
-    """The value of a field that is not given."""
+    """Return the value of a field that is missing."""
     if field.default is not None:
         return field.default
     kind = field.type
@@ -252,13 +252,13 @@ def _default(field: Field) -> Any:
 
 
 def join(where: str, name: str) -> str:
-    """The path of a field within what ``where`` is the path of."""
+    """Return the path of the field ``name`` of the message at the path ``where``."""
     return f"{where}.{name}" if where else name
 
 
 def wrong(where: str, wanted: str, value: Any) -> ConversionError:
-    """The error of a value that does not fit its field."""
+    """Return the error for a value that does not fit its field."""
     shown = repr(value)
     return ConversionError(
-        f"{where or 'the message'} is {wanted}, not {shown[:60] + ('...' if len(shown) > 60 else '')}"
+        f"{where or 'the message'} must be {wanted}, not {shown[:60] + ('...' if len(shown) > 60 else '')}"
     )

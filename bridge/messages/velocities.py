@@ -1,4 +1,4 @@
-"""The ROS 2 types of velocity commands: Nav2 publishes stamped ones by default since Kilted."""
+"""The ROS 2 types of velocity commands: since Kilted, Nav2 publishes stamped ones by default."""
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 VELOCITIES = (TWIST, TWIST_STAMPED)

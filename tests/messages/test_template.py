@@ -84,7 +84,7 @@ def test_a_path_without_a_number_is_refused(registry: Registry, path: str, why: 
 def test_numbers_that_do_not_fit_are_refused(registry: Registry) -> None:
     template = MessageTemplate(registry.schema("builtin_interfaces/msg/Time"), {}, "sec", "nanosec")
     for numbers, problem in (
-        ((1,), "1 numbers are given for 2"),
+        ((1,), "1 numbers are given for 2 changing"),
         ((1, -1), "does not fit"),
         ((1, 0.5), "does not fit"),
     ):

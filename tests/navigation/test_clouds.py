@@ -60,9 +60,9 @@ def field(name, changed):
     [
         ({"width": 100_000_000}, "width, height: 100000000 x 1 points are declared, more than"),
         ({"width": 65536, "height": 65536}, "width, height"),
-        ({"width": 5, "row_step": 60}, "data: 48 bytes, where 1 rows of 60 .* need 60"),
+        ({"width": 5, "row_step": 60}, "data: 48 bytes, but 1 rows of 60 .* need 60"),
         ({"height": 2}, "data: 48 bytes"),
-        ({"row_step": 47}, "row_step: 47 bytes hold no 4 points of 12 bytes"),
+        ({"row_step": 47}, "row_step: 47 bytes cannot hold 4 points of 12 bytes"),
         ({"point_step": 11}, "fields.z.offset: byte 8 is not within a point of 11 bytes"),
         ({"point_step": 0}, "fields.x.offset"),
         ({"fields": cloud()["fields"][:2]}, "fields: no z among x, y"),

@@ -62,7 +62,7 @@ def test_a_services_definition_has_request_and_response(desk: Desk) -> None:
         ),
         (
             "publish", {"topic": "/x", "type": "std_msgs/Int8", "message": {"data": 300}},
-            "std_msgs/msg/Int8: data is int8, not 300",
+            "std_msgs/msg/Int8: data must be int8, not 300",
         ),
         ("call_service", {"name": "/x/_action/send_goal", "type": "a/srv/B", "request": {}}, "is not a service name"),
     ],
@@ -147,7 +147,7 @@ def test_a_service_call_returns_its_reply(desk: Desk) -> None:
         reply = page.call("call_service", name="/light", type="std_srvs/SetBool", request={"data": True})
         assert reply["value"] == {"success": True, "message": "it is on"}
         invalid = page.call("call_service", name="/light", type="std_srvs/SetBool", request={"data": 3})
-        assert invalid["error"] == "std_srvs/srv/SetBool: data is bool, not 3"
+        assert invalid["error"] == "std_srvs/srv/SetBool: data must be bool, not 3"
         other = page.call("call_service", name="/light", type="std_srvs/Trigger", request={})
         assert "/light is std_srvs/srv/SetBool on the hub, not std_srvs/srv/Trigger" in other["error"]
         graph = desk.far.hub.graph

@@ -1,9 +1,9 @@
-"""Values of constants: how each world writes them, and how one world's become the other's.
+"""Values of constants: how each world writes them, and how they are converted.
 
-ROS 1 is read as genmsg 0.6 does (``msg_loader.convert_constant_value``): integers are decimal, ``byte`` has a sign, a
-bool is a Python literal (``True``, ``1``), and a string is all that follows the ``=``. ROS 2 is read as rosidl_adapter
-4.6 does (``parser.parse_primitive_value_string``): integers may be hexadecimal, a bool is ``true``, ``false``, ``0`` or
-``1`` in any case, and a string may have quotes.
+ROS 1 constants are read as in genmsg 0.6 (``msg_loader.convert_constant_value``): integers are decimal, ``byte`` has a
+sign, a bool is a Python literal (``True``, ``1``), and a string is all that follows the ``=``. ROS 2 constants are read
+as in rosidl_adapter 4.6 (``parser.parse_primitive_value_string``): integers may be hexadecimal, a bool is ``true``,
+``false``, ``0`` or ``1`` in any case, and a string may have quotes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from bridge.messages.definitions.schema import PRIMITIVE_SIZES, STRING_TYPES, Co
 Value = bool | int | float | str
 
 _BOOLS = {"true": True, "1": True, "false": False, "0": False}
-_MAX_LITERAL = 100  # characters of a bool's literal in ROS 1
+_MAX_LITERAL = 100  # maximum characters of a bool literal in ROS 1
 
 
 def constant_value(constant: Constant, world: World) -> Value:
@@ -35,12 +35,12 @@ def constant_value(constant: Constant, world: World) -> Value:
     lowest, highest = _range(base, world)
     value = integer(text) if world is World.ROS2 else int(text)
     if not lowest <= value <= highest:
-        raise ValueError(f"{value} is not from {lowest} to {highest}")
+        raise ValueError(f"{value} is not between {lowest} and {highest}")
     return value
 
 
 def integer(text: str) -> int:
-    """Return the integer that ROS 2 reads: decimal, also with leading zeros (``08``), or with a prefix (``0x1F``)."""
+    """Return the integer that ROS 2 reads: decimal, with or without leading zeros (``08``), or prefixed (``0x1F``)."""
     try:
         return int(text)
     except ValueError:
@@ -59,7 +59,7 @@ def is_readable(constant: Constant, world: World) -> bool:
 def ros1_constants(constants: Iterable[Constant]) -> tuple[Constant, ...]:
     """Return ROS 2 constants as ROS 1 writes them: bools as 1 and 0, decimal integers, strings without quotes.
 
-    ROS 1 has no constants of type wstring.
+    Constants of type wstring are left out, because ROS 1 has none.
     """
     return tuple(_ros1_constant(c) for c in constants if c.base != "wstring" and is_readable(c, World.ROS2))
 
@@ -78,7 +78,7 @@ def _ros1_constant(constant: Constant) -> Constant:
 
 
 def ros2_constants(constants: Iterable[Constant]) -> tuple[Constant, ...]:
-    """Return ROS 1 constants as ROS 2 writes them: upper-case names, ``true`` and ``false``, octets not negative."""
+    """Return ROS 1 constants as ROS 2 writes them: upper-case names, ``true`` and ``false``, unsigned octets."""
     constants = [c for c in constants if is_readable(c, World.ROS1) or is_readable(c, World.ROS2)]
     names = legal_constants(constant.name for constant in constants)
     return tuple(_ros2_constant(names[constant.name], constant) for constant in constants)
@@ -123,7 +123,7 @@ def _bool(text: str, world: World) -> bool:
 
 
 def _range(base: str, world: World) -> tuple[int, int]:
-    """Return the least and the greatest value of an integer type; ROS 1's byte has a sign, ROS 2's has none."""
+    """Return the least and the greatest value of an integer type; ROS 1's byte has a sign, ROS 2's does not."""
     if base in ("byte", "char"):
         base = "int8" if base == "byte" and world is World.ROS1 else "uint8"
     bits = int(base.partition("int")[2])

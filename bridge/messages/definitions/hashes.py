@@ -1,7 +1,8 @@
 """The two fingerprints of a message type: ROS 1's md5 and ROS 2's RIHS01.
 
-md5: as ``genmsg.gentools.compute_md5_text`` does: constants, then fields, nested types by their own md5.
-RIHS01: SHA-256 of the type description in JSON (REP 2011; ``rosidl_generator_type_description``).
+The md5 covers the constants, then the fields, with the md5 of each nested type in place of its name, as in
+``genmsg.gentools.compute_md5_text``. RIHS01 is the SHA-256 of the type description in JSON (REP 2011;
+``rosidl_generator_type_description``).
 """
 
 from __future__ import annotations
@@ -28,12 +29,12 @@ _BOUNDED_SEQUENCE_STEP = 96
 
 
 def md5_sum(*schemas: Schema) -> str:
-    """The md5 of a ROS 1 type, in hex; that of a service covers its request and its response, as one text."""
+    """Return the md5 of a ROS 1 type, in hex; that of a service covers its request and its response as one text."""
     return _md5("".join(_md5_text(schema) for schema in schemas))
 
 
 def _md5_text(schema: Schema) -> str:
-    """What the md5 of a ROS 1 type is taken of."""
+    """Return the text that the md5 of a ROS 1 type covers."""
     sums: dict[str, str] = {}
 
     def text(name: str) -> str:
@@ -55,7 +56,7 @@ def _md5(text: str) -> str:
 
 
 def rihs01(schema: Schema) -> str:
-    """The RIHS01 hash of a ROS 2 type, ``RIHS01_<64 hex>``."""
+    """Return the RIHS01 hash of a ROS 2 type, ``RIHS01_<64 hex>``."""
     nested = sorted(schema.nested_order())
     description = {
         "type_description": _describe(schema, schema.name),

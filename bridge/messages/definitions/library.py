@@ -12,19 +12,19 @@ from bridge.messages.definitions.sources import DefinitionSource, find_first
 from bridge.messages.definitions.text import MAX_DEPTH, closure
 from bridge.messages.errors import MessageTypeError
 
-MAX_VARIANTS = 16  # different definitions that are kept of one learned name; the oldest goes first
-MAX_NAMES = 10_000  # learned names that are kept
-MAX_LEARNED = 64 << 20  # characters of definitions that are learned, in all
-MAX_NESTED = 2_000  # types that one definition may nest
+MAX_VARIANTS = 16  # maximum number of definitions stored for one learned name; the oldest is dropped first
+MAX_NAMES = 10_000  # maximum number of learned names
+MAX_LEARNED = 64 << 20  # maximum length of all learned definitions together, in characters
+MAX_NESTED = 2_000  # maximum number of types that one definition may nest
 
 
 class DefinitionLibrary:
-    """Schemas by name and by fingerprint (md5 in ROS 1, RIHS01 in ROS 2). Not thread-safe: the registry locks."""
+    """Schemas by name and fingerprint (md5 in ROS 1, RIHS01 in ROS 2). Not thread-safe; the registry holds the lock."""
 
     def __init__(self, world: World, sources: Sequence[DefinitionSource]) -> None:
         self.world = world
         self.derive: Callable[[str], Schema | None] = lambda _name: None
-        """Derives a type that only the other world's definitions have; None if they do not have it."""
+        """Derives a type that only the other world's definitions have; returns None if they lack it, too."""
         self.versions: Callable[[str], Mapping[str, tuple[str, Schema]]] = lambda _name: {}
         """Returns the versions of a type in other releases, by fingerprint."""
         self._deriving: list[str] = []
@@ -33,7 +33,7 @@ class DefinitionLibrary:
         self._nested: dict[str, Definition] = {}
         self._found: dict[str, Schema] = {}
         self._own: dict[str, Definition] = {}
-        """Definitions of this machine that others nest; like those in ``_found``, they are read only once."""
+        """Definitions on this machine that other types nest; like those in ``_found``, they are read only once."""
         self._room = MAX_LEARNED
 
     def fingerprint(self, schema: Schema) -> str:
@@ -41,21 +41,21 @@ class DefinitionLibrary:
         return md5_sum(schema) if self.world is World.ROS1 else rihs01(schema)
 
     def learn(self, name: str, text: str, announced: str = "") -> str:
-        """Keep a full definition from the network or a bag, and return its fingerprint; raises `MessageTypeError`."""
+        """Store a full definition from the network or a bag, and return its fingerprint; raises `MessageTypeError`."""
         definitions = parse_announced(text, name, self.world)
         if len(definitions) > MAX_NESTED:
             raise MessageTypeError(f"the definition of {name} nests more than {MAX_NESTED} types")
         schema = self._close(name, definitions)
         fingerprint = self.fingerprint(schema)
         if announced and announced != fingerprint:
-            msg = f"the definition sent of {name} has the fingerprint {fingerprint}, but {announced} was announced"
-            raise MessageTypeError(msg, f"build the publisher again with the right version of {name.split('/')[0]}")
+            msg = f"the received definition of {name} has the fingerprint {fingerprint}, but {announced} was announced"
+            raise MessageTypeError(msg, f"rebuild the publisher with the right version of {name.split('/')[0]}")
         if fingerprint in self._learned.get(name, {}):
             self._learned[name][fingerprint] = self._learned[name].pop(fingerprint)
             return fingerprint
         if len(self._learned) >= MAX_NAMES or len(text) > self._room:
-            msg = f"the definition of {name} is not stored: too many definitions were learned already"
-            raise MessageTypeError(msg, "restart the worker if the network's types are meant to change so often")
+            msg = f"the definition of {name} is not stored: too many definitions have been learned"
+            raise MessageTypeError(msg, "restart the worker if the network's types are meant to change this often")
         self._room -= len(text)
         variants = self._learned.setdefault(name, {})
         variants[fingerprint] = schema
@@ -115,9 +115,9 @@ class DefinitionLibrary:
         return self._found[name]
 
     def _empty(self, name: str, fingerprint: str) -> Schema | None:
-        """The schema of a type without fields and constants, if ``fingerprint`` is that of such a type.
+        """Return the schema of a type without fields and constants, if ``fingerprint`` is that of such a type.
 
-        ROS 1's connection headers and ROS 2's tokens carry no text for it: the fingerprint is its whole definition.
+        ROS 1's connection headers and ROS 2's tokens carry no text for such a type; the fingerprint defines it fully.
         """
         if self.world is World.ROS1:
             legal, text = is_ros1_name(name), ""
@@ -134,7 +134,7 @@ class DefinitionLibrary:
         return None if definition is None else self._close(name, {name: definition})
 
     def _close(self, name: str, found: dict[str, Definition]) -> Schema:
-        """Return the schema of ``name``; nested types that ``found`` lacks are searched like any other type."""
+        """Return the schema of ``name``; nested types that ``found`` lacks are looked up like any other type."""
         types = dict(found)
         waiting = [types[name]]
         seen = {name}
@@ -155,7 +155,7 @@ class DefinitionLibrary:
         """Return a nested type that only the other world's definitions have, with all that it nests."""
         if name in self._deriving or len(self._deriving) > MAX_DEPTH:
             raise MessageTypeError(
-                f"{name} cannot be used: its definitions for ROS 1 and ROS 2 nest each other without an end"
+                f"{name} cannot be used: its definitions for ROS 1 and ROS 2 nest each other endlessly"
             )
         self._deriving.append(name)
         try:

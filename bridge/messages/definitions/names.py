@@ -1,4 +1,4 @@
-"""Names of message types and fields in ROS 1 and ROS 2, and how one world's become legal in the other.
+"""Names of message types and fields in ROS 1 and ROS 2, and how names of one world are made legal in the other.
 
 The rules for ROS 2 are from rosidl_adapter (jazzy, ``rosidl_adapter/parser.py``): packages and fields are lower case
 with single underscores and none at the end, messages are CamelCase, constants UPPER_CASE.
@@ -13,7 +13,7 @@ from pathlib import Path
 ROS1_PACKAGES = "MIDSPAN_ROS1_PACKAGES"
 """Environment variable with folders of ROS 1's Python packages, separated as in ``PYTHONPATH``."""
 
-MAX_NAME = 200  # characters of a type's name; longer ones cannot be the names of files that define them
+MAX_NAME = 200  # maximum characters of a type's name; longer names do not fit the names of defining files
 _ROS1_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*")
 _ROS2_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*/(?:msg|srv|action)/[A-Za-z][A-Za-z0-9_]*")
 _XML_NAME = re.compile(r"<name>\s*([^<\s]+)\s*</name>")
@@ -23,7 +23,7 @@ _LEGAL_CONSTANT = re.compile(r"(?!.*__)(?!.*_$)[A-Z][A-Z0-9_]*")
 
 
 def package_name(folder: Path) -> str:
-    """Return the name in a package's ``package.xml``, else that of its folder, not of a link to it."""
+    """Return the name in a package's ``package.xml``, or else the name of its folder, with links resolved."""
     try:
         match = _XML_NAME.search((folder / "package.xml").read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError):
@@ -32,24 +32,24 @@ def package_name(folder: Path) -> str:
 
 
 def is_ros1_name(name: str) -> bool:
-    """Whether ``name`` is spelled as ROS 1 spells message types."""
+    """Whether ``name`` has the form of a ROS 1 message type."""
     return len(name) <= MAX_NAME and _ROS1_NAME.fullmatch(name) is not None
 
 
 def is_ros2_name(name: str) -> bool:
-    """Whether ``name`` is spelled as ROS 2 spells types: messages, services, actions and their parts."""
+    """Whether ``name`` has the form of a ROS 2 type: a message, service or action, or a part of these."""
     return len(name) <= MAX_NAME and _ROS2_NAME.fullmatch(name) is not None
 
 
 def split_part(name: str) -> tuple[str, str]:
-    """A name of ROS 2 as that of the service or action and the part: ``pkg/srv/Name``, ``Request``; "" for no part."""
+    """Split a ROS 2 name into a service or action and its part: ``pkg/srv/Name``, ``Request``; "" for no part."""
     package, kind, short = name.split("/")
     base, _, part = short.partition("_")
     return f"{package}/{kind}/{base}", part
 
 
 def ros2_candidates(ros1_name: str, kind: str = "msg") -> list[str]:
-    """ROS 2 names that may stand for a ROS 1 message, service (``srv``) or ``action``, the likeliest first."""
+    """Return ROS 2 names that a ROS 1 message, service (``srv``) or ``action`` may have, the likeliest first."""
     package, name = ros1_name.split("/")
     candidates = [f"{package}/{kind}/{name}"]
     if package.endswith("_msgs"):
@@ -59,7 +59,7 @@ def ros2_candidates(ros1_name: str, kind: str = "msg") -> list[str]:
 
 
 def ros1_candidates(ros2_name: str) -> list[str]:
-    """ROS 1 names that may stand for a ROS 2 message, service or action, the likeliest first; none for their parts."""
+    """Return ROS 1 names that a ROS 2 message, service or action may have, the likeliest first; none for parts."""
     package, kind, name = ros2_name.split("/")
     if kind != "msg" and split_part(ros2_name)[1]:
         return []
@@ -70,12 +70,12 @@ def ros1_candidates(ros2_name: str) -> list[str]:
 
 
 def legal_package(name: str) -> str:
-    """The package's name as ROS 2 allows it."""
+    """Return the package's name, made legal in ROS 2."""
     return name if _LEGAL_PACKAGE.fullmatch(name) else _snake(name.lower())
 
 
 def legal_type(ros1_name: str, kind: str = "msg") -> str:
-    """The ROS 2 name of the type derived from a ROS 1 type: ``my_msgs/my_type`` becomes ``my_msgs/msg/MyType``."""
+    """Return the ROS 2 name for a type derived from ROS 1: ``my_msgs/my_type`` becomes ``my_msgs/msg/MyType``."""
     package, name = ros1_name.split("/")
     if not _LEGAL_MESSAGE.fullmatch(name):
         name = "".join(part[:1].upper() + part[1:] for part in name.split("_"))
@@ -104,16 +104,16 @@ def is_legal_message(name: str) -> bool:
 
 
 def legal_fields(names: Iterable[str]) -> dict[str, str]:
-    """Return ROS 2's name of each ROS 1 field of one message.
+    """Return the legal ROS 2 name of each ROS 1 field of one message.
 
-    Legal names stay as they are. Others become legal, with ``_2``, ``_3`` and so on if that name is in use:
-    ``T`` is ``t_2`` beside ``t``.
+    Legal names stay as they are. Others are made legal, with ``_2``, ``_3`` and so on if the legal name is in use:
+    ``T`` becomes ``t_2`` if there is a ``t``.
     """
     return _distinct(names, lambda name: _snake(name.lower()))
 
 
 def legal_constants(names: Iterable[str]) -> dict[str, str]:
-    """ROS 2's name for each ROS 1 constant of one message."""
+    """Return the legal ROS 2 name of each ROS 1 constant of one message."""
     return _distinct(names, lambda name: name if is_legal_constant(name) else _snake(name.lower()).upper())
 
 

@@ -1,12 +1,13 @@
-"""Messages that are made of services and actions: ``pkg/srv/Name_Request``, ``pkg/action/Name_FeedbackMessage`` ...
+"""The messages of services and actions: ``pkg/srv/Name_Request``, ``pkg/action/Name_FeedbackMessage`` ...
 
 The parts are those of ``rosidl_parser.definition`` (jazzy): a service has request, response and event; an action has
-goal, result, feedback, the services send_goal and get_result, and the feedback message. A service and an action are
-described as a message that has all of these as fields, which is what their RIHS01 hash covers
+goal, result, feedback, the services send_goal and get_result, and the feedback message. A service or an action is
+described as a message that has all of these parts as fields, and its RIHS01 hash covers that message
 (``rosidl_generator_type_description``).
 
-ROS 1's parts are spelled alike here, unlike anything else in ROS 1, except an action's goal, result and feedback: these
-are messages of ROS 1, ``pkg/NameGoal`` and so on, as genaction.py of actionlib_msgs makes them.
+The parts of ROS 1 services and actions have names of the same form here, unlike anything else in ROS 1. Only an
+action's goal, result and feedback are ROS 1 messages, ``pkg/NameGoal`` and so on, as genaction.py of actionlib_msgs
+creates them.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from bridge.messages.definitions.text import parse_definition, parse_full, split
 from bridge.messages.errors import MessageTypeError
 
 CONTENTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}
-"""The parts that a file of either kind defines, in their order."""
+"""The parts that a file of either kind defines, in order."""
 
 ACTION_SERVICES = ("SendGoal", "GetResult")  # an action's services that have types
 STATUS_TEXT = "actionlib_status_text"
-"""A field before a ROS 1 action's result, as GetResult of ROS 1's edge has it: the text of actionlib's GoalStatus."""
+"""A field before the result in the ROS 1 adapter's GetResult: the text of actionlib's GoalStatus."""
 
-CANCEL_GOAL = "action_msgs/srv/CancelGoal"  # the third; on ROS 1's edge it is spelled so too
+CANCEL_GOAL = "action_msgs/srv/CancelGoal"  # the third service; the ROS 1 adapter uses the same name
 _SERVICE = "{base}_Request request_message\n{base}_Response response_message\n{base}_Event event_message\n"
 _EVENT = "service_msgs/ServiceEventInfo info\n{base}_Request[<=1] request\n{base}_Response[<=1] response\n"
 _SENT = {
@@ -63,7 +64,7 @@ def is_service(name: str) -> bool:
 
 
 def generated_parts(base: str, world: World) -> dict[str, Definition]:
-    """Return the definitions that a service or action has in addition to its file's; no events in ROS 1."""
+    """Return the definitions of a service or action in addition to those in its file; there are no events in ROS 1."""
     kind = base.split("/")[1]
     templates = _MADE[kind] if world is World.ROS2 else _SENT
     texts = {f"{base}_{part}" if part else base: text for part, text in templates.items()}
@@ -82,14 +83,14 @@ def actionlib_messages(action: str) -> dict[str, Definition]:
 
 
 def with_status_text(result: Schema) -> dict[str, Definition]:
-    """A ROS 1 action's result and all that it nests, with the status's text before it."""
+    """Return a ROS 1 action's result and all types that it nests, with the status text as the result's first field."""
     root = result.root
     text = Field(STATUS_TEXT, FieldType("string"))
     return {**result.types, root.name: replace(root, fields=(text, *root.fields), text="")}
 
 
 def parse_announced(text: str, name: str, world: World) -> dict[str, Definition]:
-    """The definitions in one that the network announced, by name; a service has a ``---``; `MessageTypeError`."""
+    """Return the definitions in an announced text by name; a service's has a ``---``. Raises `MessageTypeError`."""
     if world is World.ROS1 or not is_service(name):
         return parse_full(text, name, world)
     sections = split_parts(text)
@@ -105,15 +106,15 @@ def parse_announced(text: str, name: str, world: World) -> dict[str, Definition]
 
 
 def base_of(name: str, world: World) -> str:
-    """The service or action that a part belongs to: ``pkg/srv/Name`` of ``pkg/srv/Name_Request``."""
-    # names of ROS 1 may contain underscores
+    """Return the service or action that a part belongs to: ``pkg/srv/Name`` for ``pkg/srv/Name_Request``."""
+    # ROS 1 names may contain underscores
     return name.rpartition("_")[0] if world is World.ROS1 else split_part(name)[0]
 
 
 def find_part(folder: Path, name: str, world: World = World.ROS2) -> dict[str, Definition] | None:
-    """Return a message of a service or action whose file is in ``folder``, with its others; None if it is missing.
+    """Return all messages of the service or action whose file is in ``folder``; None if ``name`` is missing.
 
-    ``pkg/srv/Name_Request`` is the request, ``pkg/srv/Name`` is what describes the whole service.
+    ``pkg/srv/Name_Request`` is the request, and ``pkg/srv/Name`` is the message that describes the whole service.
     """
     base = base_of(name, world)
     kind = name.split("/")[1]
@@ -133,7 +134,10 @@ def with_made(definitions: dict[str, Definition], name: str, world: World) -> di
 
 
 def find_actionlib(folder: Path, name: str) -> dict[str, Definition] | None:
-    """A ROS 1 message that comes of an ``.action`` file in ``folder``: ``pkg/NameGoal``, ``pkg/NameActionGoal`` ..."""
+    """Return all ROS 1 messages of the ``.action`` file in ``folder`` that defines ``name``; None if no file does.
+
+    Their names are ``pkg/NameGoal``, ``pkg/NameActionGoal`` and so on.
+    """
     for part in (*_ACTIONLIB, *CONTENTS["action"]):
         action = name.removesuffix(part)
         path = folder / f"{action.rpartition('/')[2]}.action"
@@ -148,14 +152,14 @@ def find_actionlib(folder: Path, name: str) -> dict[str, Definition] | None:
 
 
 def actionlib_names(stems: Iterable[str]) -> list[str]:
-    """Short names of the ROS 1 messages that come of ``.action`` files of these names."""
+    """Return the short names of the ROS 1 messages of ``.action`` files with these stems."""
     return [stem + part for stem in stems for part in (*CONTENTS["action"], *_ACTIONLIB)]
 
 
 def read_sections(path: Path, kind: str) -> list[str]:
     """Return the texts of a service's or an action's parts; raises `MessageTypeError`.
 
-    In a service only the first separator counts, as for genmsg.
+    In a service only the first separator counts, as in genmsg.
     """
     try:
         text = path.read_text(encoding="utf-8-sig", errors="replace")

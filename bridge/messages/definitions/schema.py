@@ -1,6 +1,6 @@
 """The model of a message definition: fields, constants, and nested types.
 
-Type names have the spelling of their world: ``std_msgs/Header`` in ROS 1, ``std_msgs/msg/Header`` in ROS 2
+Type names have the form of their world: ``std_msgs/Header`` in ROS 1, ``std_msgs/msg/Header`` in ROS 2
 (``pkg/srv/Name_Request`` and ``pkg/action/Name_Goal`` for the parts of services and actions).
 """
 
@@ -38,7 +38,8 @@ STRUCT_FORMATS: Mapping[str, str] = {
 """The `struct` format of each ROS 2 primitive."""
 
 PRIMITIVE_SIZES: Mapping[str, int] = {base: struct.calcsize(f"<{code}") for base, code in STRUCT_FORMATS.items()}
-"""Size of each primitive in both formats; ROS 1's ``byte`` is an int8, ``char`` a uint8, ROS 2's ``byte`` an octet."""
+"""Size of each primitive in both wire formats, bytes; ROS 1's ``byte`` is an int8 and ``char`` a uint8, ROS 2's
+``byte`` is an octet."""
 
 TIME_TYPES: Mapping[str, str] = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
 """ROS 1's two built-in structures (each two 32-bit integers) and the corresponding ROS 2 messages."""
@@ -113,7 +114,7 @@ class Definition:
         return self.name.split("/", 1)[0]
 
     def nested_names(self) -> list[str]:
-        """Names of the message types that the fields use, each once, in order."""
+        """Return the names of the message types that the fields use, each once, in order."""
         return list(dict.fromkeys(f.type.base for f in self.fields if f.type.nested))
 
 
@@ -140,7 +141,7 @@ class Schema:
 
     @property
     def world(self) -> World:
-        """The language of its definition."""
+        """The language of the root type's definition."""
         return self.root.world
 
     def sub(self, name: str) -> Schema:

@@ -1,8 +1,8 @@
-"""Places of definitions on this machine. Nothing is read before it is needed.
+"""Finds definitions on this machine. No file is read before it is needed.
 
 A source returns a type's own definition, and those of nested types if the same file holds them.
-Names are checked against ROS's grammar before they become paths. The standard types of Noetic and Jazzy and the reader
-of IDL are those that rosbags ships.
+Names are checked against ROS's grammar before they become paths. The standard types of Noetic and Jazzy and the IDL
+parser come from rosbags.
 """
 
 # ruff: noqa: D102 - `DefinitionSource` documents the methods
@@ -50,14 +50,14 @@ class DefinitionSource(Protocol):
         """Return the definition of ``name``, then those of nested types in the same file; None if it is missing."""
 
     def names(self, package: str, kind: str = "msg") -> list[str]:
-        """Return the names of the package's messages, services (``srv``) or actions here; of ROS 1, no actions."""
+        """Return the names of the package's messages, services (``srv``) or (of ROS 2 only) actions in this place."""
 
 
 class DefinitionFolder:
     """A folder of ``.msg``, ``.srv`` and ``.action`` (or ``.idl``) files.
 
-    Laid out as ``<package>/msg/<Name>.msg``, as ``<package>/<Name>.msg``, or being the package's own folder or its
-    ``msg``. The package has the name in its ``package.xml`` or that of its folder.
+    Files are laid out as ``<package>/msg/<Name>.msg`` or ``<package>/<Name>.msg``, or ``root`` is itself a package's
+    folder or its ``msg``. A package is found by the name in its ``package.xml`` and by the name of its folder.
     """
 
     def __init__(self, root: Path, world: World) -> None:
@@ -65,7 +65,7 @@ class DefinitionFolder:
         self.world = world
 
     def folders(self, package: str, kind: str) -> list[Path]:
-        """Folders of this tree that hold the package's files of one kind (``msg``, ``srv``, ``action``)."""
+        """Return the folders of this tree that hold the package's files of one kind (``msg``, ``srv``, ``action``)."""
         wanted = [self.root / package / kind]
         if kind == "msg":
             wanted.append(self.root / package)
@@ -79,17 +79,17 @@ class DefinitionFolder:
 
     @cached_property
     def _names(self) -> set[str]:
-        """The names of the package if this is a package's own folder."""
+        """The names of the package if the root is a package's own folder."""
         return {self.root.name, package_name(self.root)}
 
     @cached_property
     def _parent_names(self) -> set[str]:
-        """The names of the package if this is its folder ``msg``, ``srv`` or ``action``."""
+        """The names of the package if the root is a package's ``msg``, ``srv`` or ``action`` folder."""
         return {self.root.parent.name, package_name(self.root.resolve().parent)}
 
     @cached_property
     def _renamed(self) -> Mapping[str, list[Path]]:
-        """The folders of packages in this folder that have other names than their packages, by package."""
+        """Package folders in the root whose own name is not that of the package, by the package's name."""
         folders: dict[str, list[Path]] = {}
         for file in sorted(self.root.glob("*/package.xml")):
             if (name := package_name(file.parent)) != file.parent.name:
@@ -130,9 +130,10 @@ class DefinitionFolder:
         return None
 
     def _native(self, found: Found, path: Path) -> Found | None:
-        """Return the definitions of a file; None if it is written for the other world, from which they are derived.
+        """Return a file's definitions; None if the file is written for the other world.
 
-        Raises `MessageTypeError` if the file is written for neither.
+        The types of such a file are derived from those of the other world. Raises `MessageTypeError` if the file is
+        written for neither world.
         """
         if all(map(_is_native, found.values())):
             return found
@@ -140,13 +141,13 @@ class DefinitionFolder:
         if all(_is_native(parse_definition(part, "any/msg/Any", other)) for part in split_parts(read_text(path))):
             return None
         raise MessageTypeError(
-            f"{path} mixes what only ROS 1 writes with what only ROS 2 writes",
-            "if it has bounds, default values or types of ROS 2, write std_msgs/Header, builtin_interfaces/Time and"
-            " builtin_interfaces/Duration instead of Header, time and duration",
+            f"{path} mixes syntax of ROS 1 only with syntax of ROS 2 only",
+            "if the file has bounds, default values or types of ROS 2, write std_msgs/Header, builtin_interfaces/Time"
+            " and builtin_interfaces/Duration instead of Header, time and duration",
         )
 
     def files(self, package: str) -> dict[str, str]:
-        """Text of the package's definition files by their path within it."""
+        """Return the text of the package's definition files by their path within the package."""
         texts: dict[str, str] = {}
         for kind in ("msg", "srv", "action"):
             for folder in self.folders(package, kind):
@@ -172,7 +173,7 @@ class DefinitionFolder:
 
 
 class GenpyPackages:
-    """ROS 1 Python packages, read as text: ROS 2's have the same names, so one process cannot import both."""
+    """ROS 1 Python packages, read as text because a process cannot import both these and ROS 2's of the same names."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -199,7 +200,7 @@ class GenpyPackages:
         return parse_full(texts[CONTENTS["srv"].index(part)], name, World.ROS1)
 
     def _texts(self, path: Path) -> list[str]:
-        """The full definitions in a generated file."""
+        """Return the full definitions in a generated file."""
         if not path.is_file():
             return []
         return [str(ast.literal_eval(text)) for text in _FULL_TEXT.findall(read_text(path))]
@@ -245,7 +246,7 @@ class ShippedTypes:
 
 def find_first(sources: Iterable[DefinitionSource], name: str, world: World) -> Found | None:
     """Return the first source's definitions; None if no source has ``name`` or the name is invalid."""
-    # The parts of ROS 1's services have names as ROS 2's.
+    # requests and responses of ROS 1 services have names in the form of ROS 2 (pkg/srv/Name_Request)
     if not is_ros2_name(name) and (world is World.ROS2 or not is_ros1_name(name)):
         return None
     for source in sources:
@@ -256,7 +257,7 @@ def find_first(sources: Iterable[DefinitionSource], name: str, world: World) -> 
 
 
 def ros1_sources(folders: Sequence[Path], packages: Path | None) -> list[DefinitionSource]:
-    """Return the places of ROS 1 definitions, the most specific first."""
+    """Return the sources of ROS 1 definitions, the most specific first."""
     python = [packages] if packages is not None else _ros1_python_folders()
     shares = [*_split(os.environ.get("ROS_PACKAGE_PATH")), Path("/opt/ros/noetic/share"), Path("/usr/share")]
     return [
@@ -268,7 +269,7 @@ def ros1_sources(folders: Sequence[Path], packages: Path | None) -> list[Definit
 
 
 def ros2_sources(folders: Sequence[Path], prefixes: Sequence[Path]) -> list[DefinitionSource]:
-    """Return the places of ROS 2 definitions, the most specific first."""
+    """Return the sources of ROS 2 definitions, the most specific first."""
     roots = [*prefixes, *_split(os.environ.get("AMENT_PREFIX_PATH")), Path(sys.prefix), Path("/opt/ros/jazzy")]
     shares = dict.fromkeys(root / "share" for root in roots)
     return [
@@ -280,7 +281,7 @@ def ros2_sources(folders: Sequence[Path], prefixes: Sequence[Path]) -> list[Defi
 
 @cache
 def jazzy_sources() -> tuple[DefinitionSource, ...]:
-    """Return the definitions of Jazzy that Midspan and rosbags ship."""
+    """Return the sources of the Jazzy definitions that Midspan and rosbags ship."""
     bundled = Path(__file__).parents[2] / "interfaces" / "definitions"
     folders = [shipped_folder(folder) for folder in (bundled, _OWN / "ros2")]
     return *folders, ShippedTypes(RosbagsTypes(World.ROS2))
@@ -293,12 +294,12 @@ def _noetic_sources() -> tuple[DefinitionSource, ...]:
 
 @cache
 def shipped_folder(folder: Path, world: World = World.ROS2) -> ShippedTypes:
-    """Return the definitions in a folder that Midspan ships."""
+    """Return the source for a folder of definitions that Midspan ships."""
     return ShippedTypes(DefinitionFolder(folder, world))
 
 
 def _is_native(definition: Definition) -> bool:
-    """Whether the definition's world would write its text so; see `parse_definition`."""
+    """Whether the definition was written in the syntax of its own world; see `parse_definition`."""
     return bool(definition.text or not (definition.fields or definition.constants))
 
 
@@ -318,7 +319,7 @@ def read_text(path: Path) -> str:
 
 
 def _ros1_python_folders() -> list[Path]:
-    """Where Debian, a sourced workspace or /opt/ros put ROS 1's Python packages; never the venv's own ROS 2 ones."""
+    """Return Debian's, the sourced workspaces' and /opt/ros's folders of ROS 1 Python packages; not the venv's own."""
     site_folders = {Path(folder).resolve() for folder in site.getsitepackages()}
     wanted = [*_split(os.environ.get(ROS1_PACKAGES)), *_split(os.environ.get("PYTHONPATH"))]
     wanted += [Path("/opt/ros/noetic/lib/python3/dist-packages"), Path("/usr/lib/python3/dist-packages")]
@@ -345,13 +346,16 @@ def find_in_store(name: str, world: World) -> Definition | None:
 
 
 def store_names(package: str, world: World) -> list[str]:
-    """Names of a package's types in the store."""
+    """Return the names of a package's types in the store."""
     names = [key for key in _store(world) if key.startswith(f"{package}/")]
     return names if world is World.ROS2 else [key.replace("/msg/", "/", 1) for key in names]
 
 
 def parse_idl(text: str, name: str) -> dict[str, Definition]:
-    """The messages of an ``.idl`` file, a service's request and reply; raises `MessageTypeError` without ``name``."""
+    """Return an ``.idl`` file's messages, or a service's request and response.
+
+    Raises `MessageTypeError` if the file cannot be read or does not define ``name``.
+    """
     from rosbags.typesys import TypesysError, get_types_from_idl  # slow, and seldom needed
 
     try:

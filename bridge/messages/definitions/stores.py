@@ -1,8 +1,8 @@
 """The definitions of standard types that rosbags ships, read without the message classes in the same files.
 
 A store of rosbags is a generated Python module: a dataclass for each type, and the table ``FIELDDEFS``. Each release
-takes most of its table from the one before. To create 300 dataclasses takes most of the modules' import, and workers
-use the tables only, so this module runs the stores' code with a decorator that leaves the classes as they are.
+takes most of its table from the previous one. Creating 300 dataclasses takes most of a module's import time, and
+workers use only the tables, so this module runs the stores' code with a decorator that leaves the classes as they are.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def _run(folder: Path, store: str) -> dict[str, Any]:
     assert code is not None
 
     def import_(module: str, scope: Any = None, names: Any = None, wanted: Any = (), level: int = 0) -> Any:
-        if level:  # of another store
+        if level:  # a relative import from another store
             return SimpleNamespace(**{other: SimpleNamespace(**_run(folder, other)) for other in wanted})
         if module == "dataclasses":
             return SimpleNamespace(dataclass=lambda cls: cls)

@@ -1,8 +1,8 @@
 """Reads and writes definitions as text: ``.msg``, ``.srv`` and ``.action`` of both worlds.
 
 The grammar is that of genmsg (ROS 1, http://wiki.ros.org/msg) and of rosidl_adapter (ROS 2,
-https://docs.ros.org/en/jazzy/Concepts/Basic/About-Interfaces.html). A text written for one world is also understood as
-the other's: ``time``, ``duration`` and a bare ``Header`` in ROS 2, ``builtin_interfaces/Time`` and bounds in ROS 1.
+https://docs.ros.org/en/jazzy/Concepts/Basic/About-Interfaces.html). A text written for one world is also accepted for
+the other: ``time``, ``duration`` and a bare ``Header`` for ROS 2, ``builtin_interfaces/Time`` and bounds for ROS 1.
 Text is written in the form that ROS 1's connection headers and ROS 2's bags carry.
 """
 
@@ -31,8 +31,8 @@ from bridge.messages.definitions.schema import (
 from bridge.messages.errors import MessageTypeError
 
 MAX_TEXT = 4 << 20  # longest definition text that is read, in characters
-MAX_LINE = 20_000  # longest line of a definition, but for comments
-MAX_DEPTH = 64  # how deep types may nest each other
+MAX_LINE = 20_000  # longest line that is read, in characters; comment lines may be longer
+MAX_DEPTH = 64  # maximum nesting depth of types
 MAX_ARRAY = 1 << 28  # longest fixed array or bound that is accepted
 _SEPARATOR = re.compile(r"^={20,}[ \t]*\n", re.MULTILINE)
 _LINE = re.compile(r"(\S+)\s+([A-Za-z_]\w*)\s*(.*)", re.DOTALL)
@@ -44,9 +44,9 @@ _BUILTIN_TIMES = {"builtin_interfaces/Time": "time", "builtin_interfaces/Duratio
 
 
 def parse_definition(text: str, name: str, world: World) -> Definition:
-    """Read one type's own definition; raises `MessageTypeError` with the type and the line that cannot be read.
+    """Read one type's own definition; raises `MessageTypeError`, which names the type and the line that is wrong.
 
-    The definition has no text if only the other world would write it so.
+    The result has an empty ``text`` if the definition is in the syntax of the other world.
     """
     if len(text) > MAX_TEXT:
         raise MessageTypeError(f"the definition of {name} is longer than {MAX_TEXT} characters")
@@ -68,12 +68,12 @@ def parse_definition(text: str, name: str, world: World) -> Definition:
             raise MessageTypeError(f"the definition of {name} has two fields named {field.name!r}")
         seen.add(field.name)
     if world is World.ROS2 and seen == {EMPTY_MEMBER}:
-        fields = []  # an empty message as IDL has it
+        fields = []  # IDL's form of an empty message
     return Definition(name, world, tuple(fields), tuple(constants), text if native else "")
 
 
 def parse_full(text: str, name: str, world: World) -> dict[str, Definition]:
-    """Read a full definition, the type's own first, then nested ones after lines of ``=`` and ``MSG: name``."""
+    """Read a full definition: the type's own, then that of each nested type after lines of ``=`` and ``MSG: name``."""
     main, *sections = _SEPARATOR.split(text.replace("\r\n", "\n"))
     definitions = {name: parse_definition(main, name, world)}
     for part in sections:
@@ -88,7 +88,7 @@ def parse_full(text: str, name: str, world: World) -> dict[str, Definition]:
 def split_parts(text: str) -> list[str]:
     """Return the parts of a ``.srv`` (request, response) or ``.action`` (goal, result, feedback) file.
 
-    A separator is any line that begins with ``---``, as for genmsg and genaction: also ``----`` and ``--- # reply``.
+    As in genmsg and genaction, every line that begins with ``---`` is a separator, also ``----`` and ``--- # reply``.
     """
     parts: list[list[str]] = [[]]
     for line in text.replace("\r\n", "\n").split("\n"):
@@ -100,7 +100,7 @@ def split_parts(text: str) -> list[str]:
 
 
 def spell(type_name: str, owner: str, world: World) -> str:
-    """The full name, as ``world`` spells it, of a type that ``owner``'s definition mentions."""
+    """Return the full name, in the form of ``world``, of a type that the definition of ``owner`` mentions."""
     parts = type_name.split("/")
     if type_name in ("Header", "roslib/Header"):
         parts = ["std_msgs", "Header"]
@@ -112,22 +112,25 @@ def spell(type_name: str, owner: str, world: World) -> str:
 
 
 def closure(root: Definition, types: dict[str, Definition]) -> Schema:
-    """The schema of ``root`` from definitions that hold all it nests; raises `MessageTypeError`."""
+    """Return ``root`` with all types that it nests, taken from ``types``.
+
+    Raises `MessageTypeError` if ``types`` lacks a definition, or the types are nested too deeply.
+    """
     done: dict[str, Definition] = {}
 
     def visit(definition: Definition, path: tuple[str, ...]) -> None:
         if definition.name in path:
             raise MessageTypeError(f"{root.name} cannot be used: {definition.name} contains itself")
         if len(path) > MAX_DEPTH:
-            raise MessageTypeError(f"{root.name} cannot be used: types nest each other more than {MAX_DEPTH} deep")
+            raise MessageTypeError(f"{root.name} cannot be used: its types are nested more than {MAX_DEPTH} deep")
         if definition.name in done:
             return
         for name in definition.nested_names():
             if name not in types:
-                msg = f"{root.name} nests {name}, of which no definition is known"
+                msg = f"{root.name} nests {name}, whose definition is unknown"
                 raise MessageTypeError(
                     msg,
-                    f"install the package {name.split('/')[0]} or give a folder with its .msg files in types.folders",
+                    f"install the package {name.split('/')[0]} or add a folder with its .msg files to types.folders",
                 )
             visit(types[name], (*path, definition.name))
         done[definition.name] = definition
@@ -146,9 +149,9 @@ def parse_type(text: str, owner: str, world: World) -> FieldType:
     if "[" in text:
         shape = Shape.ARRAY if count and not bounded else Shape.SEQUENCE
     if length > MAX_ARRAY or int(string_bound or 0) > MAX_ARRAY or (shape is Shape.ARRAY and not length):
-        raise ValueError(f"array length or bound of {text!r} is not from 1 to {MAX_ARRAY}")
+        raise ValueError(f"array length or bound of {text!r} is not between 1 and {MAX_ARRAY}")
     if string_bound and base not in STRING_TYPES:
-        raise ValueError(f"only strings have a bound on their own length, not {base}")
+        raise ValueError(f"only strings can have a bound on their own length, not {base}")
     base = _base_name(base, owner, world)
     if world is World.ROS1:
         return FieldType(base, shape, length if shape is Shape.ARRAY else 0)
@@ -165,14 +168,14 @@ def _base_name(base: str, owner: str, world: World) -> str:
 
 
 def _read_line(line: str, bare: str, owner: str, world: World, fields: list[Field], constants: list[Constant]) -> bool:
-    """Read one line; returns whether ``world`` itself would write it so."""
+    """Read one line; return whether it is in the syntax of ``world`` itself."""
     match = _LINE.fullmatch(bare) if len(bare) <= MAX_LINE else None
     if match is None:
         raise ValueError("expected '<type> <name>'" if len(bare) <= MAX_LINE else f"longer than {MAX_LINE} characters")
     type_text, name, remainder = match.groups()
     if remainder.startswith("="):
         if type_text.split("<=")[0] in STRING_TYPES and world is World.ROS1:
-            # A string constant of ROS 1 is everything after the '=', '#' included.
+            # the value of a string constant in ROS 1 is everything after the '=', including a '#'
             remainder = "=" + line.split("=", 1)[1]
         constant = Constant(name, parse_type(type_text, owner, world).base, remainder[1:].strip())
         constants.append(constant)
@@ -196,7 +199,7 @@ def parse_default(text: str, field_type: FieldType) -> DefaultValue:
     if field_type.shape is Shape.SINGLE:
         return _scalar(text, field_type.base)
     if not (text.startswith("[") and text.endswith("]")):
-        raise ValueError(f"the default of an array is a list in brackets, not {text!r}")
+        raise ValueError(f"the default of an array must be a list in brackets, not {text!r}")
     values = tuple(_scalar(item, field_type.base) for item in _split_list(text[1:-1]))
     if field_type.shape is Shape.ARRAY and len(values) != field_type.length:
         raise ValueError(f"{len(values)} default values for {field_type.length} elements")
@@ -217,11 +220,11 @@ def _scalar(text: str, base: str) -> DefaultValue:
 
 
 def _unquoted(text: str) -> str:
-    """Return a text without its quotes, with its escapes resolved as in Python; raises `ValueError`."""
+    """Return a quoted text without its quotes, and with its escapes resolved as in Python; raises `ValueError`."""
     try:
         return str(ast.literal_eval(text))
     except SyntaxError as err:
-        raise ValueError(f"{text!r} is not a text: {err.msg}") from None
+        raise ValueError(f"{text!r} is not a valid string: {err.msg}") from None
 
 
 def _split_list(text: str) -> Iterator[str]:
@@ -249,7 +252,7 @@ _NESTED_LINE = "=" * 80
 
 
 def own_text(definition: Definition) -> str:
-    """The type's own definition: its author's text, else one made from the fields."""
+    """Return the type's own definition: its author's text, or else a text made from the constants and fields."""
     if definition.text:
         return definition.text
     lines = [_constant(constant, definition.world) for constant in definition.constants]
@@ -258,11 +261,11 @@ def own_text(definition: Definition) -> str:
 
 
 def full_text(schema: Schema) -> str:
-    """The type's own definition, then each nested type's after a line of ``=`` and ``MSG: package/Name``."""
+    """Return the type's definition, then that of each nested type after lines of ``=`` and ``MSG: package/Name``."""
     parts = [own_text(schema.root).rstrip("\n")]
     for name in schema.nested_order():
         main = own_text(schema.types[name]).rstrip("\n")
-        # of an empty type, genpy wants the line of its text, too (genpy/dynamic.py)
+        # genpy expects a line of text even for an empty type (genpy/dynamic.py)
         parts.append(f"{_NESTED_LINE}\nMSG: {_short(name)}\n{main}")
     return "\n".join(parts) + "\n"
 

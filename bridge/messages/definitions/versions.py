@@ -1,8 +1,8 @@
 """The versions of ROS 2 types: those of the releases, and those of the configuration's folders.
 
-A release is a chain of folders: its own, with the definitions that differ from the release before, then those of the
-releases before. Types that a chain lacks come from the usual sources. Humble's endpoints announce no hash, so its
-versions have no entry by hash.
+A release is a chain of folders: its own, with the definitions that differ from the previous release, then those of the
+earlier releases. Types that a chain lacks come from the usual sources. Humble's endpoints announce no hash, so Humble's
+versions are not listed by hash.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from bridge.messages.errors import MessageTypeError
 RELEASES_FOLDER = Path(__file__).parent / "releases"
 
 _CHAINS = {"jazzy": (), "kilted": ("kilted",), "lyrical": ("lyrical", "kilted")}
-"""The folders of each release, the newest first; before all of them is Jazzy."""
+"""The folders of each release, the newest first; all releases build on Jazzy."""
 
 INSTALLED = "this machine"
-"""Label of the version of a type that neither Midspan nor a folder has, but another package on this machine."""
+"""Label of a version that neither Midspan nor a configured folder has, only another package on this machine."""
 
 _HASHLESS = "humble"
 _MAX_CACHED = 10_000
 
 
 def _libraries(rest: Sequence[DefinitionSource]) -> dict[str, DefinitionLibrary]:
-    """Return the definitions of each release with hashes; ``rest`` has those of Jazzy."""
+    """Return the definitions of each release that announces hashes; ``rest`` has those of Jazzy."""
     return {name: DefinitionLibrary(World.ROS2, [*_folders_of(name), *rest]) for name in _CHAINS}
 
 
@@ -52,7 +52,7 @@ def _stored() -> frozenset[str]:
 
 
 class ReleaseTypes:
-    """The types of the releases by what Midspan ships, whatever this machine has. Safe to use from any thread."""
+    """The types of the releases as Midspan ships them, whatever is installed here. Safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -60,7 +60,7 @@ class ReleaseTypes:
         self._hashes: dict[str, Mapping[str, str]] = {}
 
     def with_hash(self, name: str, type_hash: str) -> tuple[str, ...]:
-        """Return the releases that have this version of a type; () if it is the same in all, or unknown."""
+        """Return the releases that have this version of a type; () if the type is the same in all, or unknown."""
         with self._lock:
             hashes = self._hashes.get(name)
             if hashes is None:
@@ -78,7 +78,7 @@ class ReleaseTypes:
 
 
 class TypeVersions:
-    """All known versions of ROS 2 types. Not thread-safe: the registry locks.
+    """All known versions of ROS 2 types. Not thread-safe; the registry holds the lock.
 
     Args:
         installed: the types that this machine uses.
@@ -123,7 +123,7 @@ class TypeVersions:
 
     def _varies(self, name: str) -> bool:
         """Whether a type or one that it nests may have several versions."""
-        if not is_ros2_name(name):  # a plain DDS program may have any
+        if not is_ros2_name(name):  # a plain DDS program may announce any name
             return False
         schema = _find(self._installed, name)
         names = (name,) if schema is None else schema.types

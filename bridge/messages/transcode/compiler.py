@@ -1,6 +1,6 @@
-"""Compiles the conversion program of a pair of types, or of one type that is only checked.
+"""Compiles the program that converts between a pair of types, or that checks one type.
 
-The program writes fields in the target's order. If the source has the same order, it reads them sequentially; if a
+The program writes fields in the target's order. It reads them sequentially if the source has the same order; if a
 mapping rule reorders them, it first scans the whole source structure for their positions.
 """
 
@@ -51,7 +51,7 @@ def compile_check(schema: Schema) -> ConversionProgram:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A part of a structure in the order of its bytes: a wanted field, or one to skip."""
+    """A field of a structure: ``wanted`` if it has a counterpart, else to be skipped (source) or filled (target)."""
 
     path: FieldPath
     type: FieldType
@@ -90,11 +90,11 @@ class _Compiler:
             self.program.emit(Instruction(Op.ZERO, size=1, field=_name(at)))
 
     def _hidden_member(self, definition: Definition, schema: Schema) -> bool:
-        """Whether a structure has ROS 2's hidden byte: C and IDL need a member, even without fields."""
+        """Whether a structure has ROS 2's hidden byte, because structures without fields need a member in C and IDL."""
         return not definition.fields and schema.world is World.ROS2
 
     def _stream(self, source_parts: list[_Part], target_parts: list[_Part], at: FieldPath) -> None:
-        """Convert the fields if both sides have the wanted ones in the same order."""
+        """Convert fields that both sides have in the same order."""
         reading = iter(source_parts)
         for part in target_parts:
             if not part.wanted:
@@ -116,7 +116,7 @@ class _Compiler:
         target_parts: list[_Part],
         at: FieldPath,
     ) -> None:
-        """Convert the fields if the order differs: find their positions, then read them in the target's order."""
+        """Convert fields whose order differs: mark their positions, then read them in the target's order."""
         slots: dict[FieldPath, tuple[int, FieldType]] = {}
 
         def mark() -> int:
@@ -184,7 +184,7 @@ class _Compiler:
         elif one.base == "string":
             self.program.emit(Instruction(Op.STRING, bound=strings, field=name))
         elif one.base == "wstring":
-            # Fast CDR: a count of UTF-16 units, each in four bytes, and no NUL.
+            # Fast CDR writes a count of UTF-16 units, each in four bytes, and no NUL
             self.program.emit(Instruction(Op.SEQUENCE, 3, 4, strings, field=name))
         elif one.base == "bool":
             self.program.emit(Instruction(Op.BOOL, size=1, field=name))
@@ -225,7 +225,7 @@ class _Compiler:
             self.program.emit(Instruction(Op.SKIP, size - 1, size, field=name))
 
     def default(self, kind: FieldType, default: DefaultValue | None, at: FieldPath) -> None:
-        """Write a field that the source lacks: the definition's default value, else empty or zero."""
+        """Write a field that the source lacks, with the definition's default value, or else empty or zero."""
         self._step()
         if kind.shape is Shape.SINGLE:
             self._default_element(kind, default, at)
@@ -279,12 +279,12 @@ class _Compiler:
         self._defaults += size
         if self._defaults > MAX_DEFAULT:
             raise MessageTypeError(
-                f"{self.target.name} cannot be made from {self.source.name}: the fields that only the first has, up to"
-                f" {_name(at)}, take more than {MAX_DEFAULT} bytes"
+                f"{self.target.name} cannot be created from {self.source.name}: the fields that only the former has, up"
+                f" to {_name(at)}, take more than {MAX_DEFAULT} bytes"
             )
 
     def least(self, kind: FieldType) -> int:
-        """Return the minimum size of a value of the source in bytes."""
+        """Return the minimum size of a source value in bytes, capped at `MAX_STEP`."""
         if kind.shape is Shape.SEQUENCE:
             return 4
         if kind.base in TIME_TYPES:
@@ -303,7 +303,7 @@ class _Compiler:
         return self._least[name]
 
     def _step(self) -> None:
-        """Count a step; deeply nested types would take too long to compile."""
+        """Count a step; raises `MessageTypeError` for deeply nested types, which would take too long to compile."""
         self._steps += 1
         if self._steps > MAX_STEPS:
             msg = f"{self.program.name} is too large to be converted: it has more than {MAX_STEPS} fields in all"
@@ -311,7 +311,7 @@ class _Compiler:
 
 
 def _parts(definition: Definition, schema: Schema, wanted: set[FieldPath], prefix: FieldPath) -> Iterator[_Part]:
-    """Yield a structure's fields in byte order; a nested one is expanded if only parts of it are wanted."""
+    """Yield a structure's fields in byte order; a nested structure is expanded if only fields of it are wanted."""
     for field in definition.fields:
         path = (*prefix, field.name)
         inner = schema.of(field.type)

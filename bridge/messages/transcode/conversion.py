@@ -70,7 +70,7 @@ _REASONS = {
     MessageFault.TRAILING: "bytes are left over after the last field",
     MessageFault.ENCAPSULATION: "not little-endian CDR: the message does not begin with 00 01",
     MessageFault.TOO_LARGE: f"the converted message would be larger than {MAX_MESSAGE} bytes",
-    MessageFault.ENDLESS: "more empty elements than any message holds",
+    MessageFault.ENDLESS: "more elements without content than a message may have",
 }
 
 
@@ -87,7 +87,7 @@ def cdr_to_ros1(source: Schema, target: Schema, pairs: PairTable) -> Convert:
 
 
 def check_cdr(schema: Schema) -> Convert:
-    """Return a check of CDR against its type, which returns the normal form, or the same object if it already is."""
+    """Return a function that checks CDR against its type and returns the normal form (the same object if unchanged)."""
     assert schema.world is World.ROS2
     return make_vm(compile_check(schema)).check
 

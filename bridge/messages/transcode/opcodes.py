@@ -1,7 +1,7 @@
-"""The small instruction set that message conversion runs on, and the check of a program before it runs.
+"""The instruction set of conversion programs, and the check of a program before it runs.
 
-One instruction is `WORDS` 64-bit words: code, mask, size, bound, link. ``mask`` is alignment less one; it counts only
-on the side that is CDR. What each word means to an instruction stands at the instruction.
+One instruction is `WORDS` 64-bit words: code, mask, size, bound, link. ``mask`` is the alignment minus one, and applies
+only if the message that is read or written is CDR. The other words are described at each instruction.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from enum import IntEnum
 
 WORDS = 5
-FRAMES = 32  # how deep loops may nest
-SLOTS = 224  # how many read positions one program can keep
+FRAMES = 32  # maximum nesting depth of loops
+SLOTS = 224  # maximum number of read positions that one program can store
 SOURCE_CDR = 1
 TARGET_CDR = 2
 
@@ -20,10 +20,10 @@ class Op(IntEnum):
     """Instructions. The first group reads and writes, the second only reads, the third only writes."""
 
     COPY = 0  #: ``size`` bytes as they are
-    BOOL = 1  #: ``size`` bytes, each made 0 or 1
+    BOOL = 1  #: ``size`` bytes, each normalized to 0 or 1
     STRING = 2  #: a string of at most ``bound`` bytes (0: any)
     SEQUENCE = 3  #: a count of at most ``bound`` and as many elements of ``size`` bytes
-    BOOLS = 4  #: a count of at most ``bound`` and as many bytes, each made 0 or 1
+    BOOLS = 4  #: a count of at most ``bound`` and as many bytes, each normalized to 0 or 1
     STRINGS = 5  #: a count of at most ``bound`` and as many strings of at most ``size`` bytes
     LOOP = 6
     """A count of at most ``bound``, then the body; elements take at least ``size`` bytes; ``link`` is past the end."""
@@ -31,20 +31,20 @@ class Op(IntEnum):
     SKIP = 7  #: ``size`` bytes
     SKIP_STRING = 8
     SKIP_SEQUENCE = 9  #: a count and as many elements of ``size`` bytes
-    SKIP_LOOP = 10  #: as LOOP
+    SKIP_LOOP = 10  #: like LOOP
     REPEAT = 11  #: the body ``bound`` times; elements take at least ``size`` bytes (-1: they read nothing)
     NEXT = 12  #: end of a body that begins at ``link``
-    MARK = 13  #: remember the read position in slot ``link``
-    SEEK = 14  #: go on reading at slot ``link``
+    MARK = 13  #: store the read position in slot ``link``
+    SEEK = 14  #: continue reading at the position in slot ``link``
 
     ZERO = 15  #: ``size`` zero bytes
-    LITERAL = 16  #: ``size`` bytes that stand among the program's literals at byte ``link``
+    LITERAL = 16  #: ``size`` bytes of the program's literals, from byte ``link`` on
 
     END = 17
 
 
 class MessageFault(IntEnum):
-    """Why the bytes of a message were refused."""
+    """Why a message was refused."""
 
     TRUNCATED = 1
     TOO_MANY = 2
@@ -60,23 +60,23 @@ FAULT_BITS = 5
 INSTRUCTION_BITS = 22
 MAX_INSTRUCTIONS = 20_000
 
-MAX_MESSAGE = 1 << 30  # largest message that is made, in bytes
-EMPTY_ELEMENTS = 65_536  # elements without any bytes that a message may hold beyond its own length
+MAX_MESSAGE = 1 << 30  # maximum size of a converted message, in bytes
+EMPTY_ELEMENTS = 65_536  # a message may have at most this number of zero-size elements, plus its length in bytes
 DIRTY = 1 << 62
-"""Set in a measured size where a valid message is not in its normal form: bools other than 0 and 1, strings without
-their NUL."""
+"""Set in a measured size if a valid message is not in its normal form: it has bools other than 0 and 1, or strings
+without their NUL."""
 
 
-MAX_STEP = 1 << 30  # most bytes that one instruction moves for one element; times any count it still fits 64 bits
+MAX_STEP = 1 << 30  # maximum bytes that an instruction moves for one element; times any count, this fits in 64 bits
 _MAX_COUNT = (1 << 32) - 1
 _LOOPS = (Op.LOOP, Op.SKIP_LOOP, Op.REPEAT)
 
 
 def verify(words: bytes, literals: bytes) -> None:
-    """Refuse a program (flags, `WORDS` words for each instruction; its literals) that could leave its own memory.
+    """Refuse a program (flags, `WORDS` words for each instruction; its literals) that could access other memory.
 
-    The virtual machine checks each access to a message's bytes; this is about all else that it indexes: the
-    instructions, the loops' counters, the kept positions, the literals. Raises `ValueError`.
+    The virtual machine checks each access to a message's bytes. This function checks all else that it indexes: the
+    instructions, the loop counters, the stored read positions and the literals. Raises `ValueError`.
     """
     flags, *rest = memoryview(words).cast("q")
     steps = [rest[at : at + WORDS] for at in range(0, len(rest), WORDS)]
@@ -84,10 +84,10 @@ def verify(words: bytes, literals: bytes) -> None:
     if not whole or not 0 <= flags <= SOURCE_CDR | TARGET_CDR:
         raise ValueError("the program has no flags, no end, or too many steps")
     loops: list[int] = []
-    kept: list[set[int]] = [set()]  # slots that are surely filled, within each loop
+    kept: list[set[int]] = [set()]  # slots that are certainly filled, by loop
     for number, step in enumerate(steps):
         if not _sound(step, last=number == len(steps) - 1, literals=len(literals)):
-            raise ValueError(f"step {number} of the program has bad numbers: {step}")
+            raise ValueError(f"step {number} of the program has invalid numbers: {step}")
         code, link = step[0], step[4]
         if code in _LOOPS:
             loops.append(number)
@@ -107,7 +107,7 @@ def verify(words: bytes, literals: bytes) -> None:
 
 
 def _sound(step: Sequence[int], *, last: bool, literals: int) -> bool:
-    """Whether an instruction's numbers are in their ranges."""
+    """Whether the words of an instruction are in their ranges."""
     code, mask, size, bound, link = step
     if mask not in (0, 1, 3, 7) or not 0 <= bound <= _MAX_COUNT or not -(code == Op.REPEAT) <= size <= MAX_STEP:
         return False

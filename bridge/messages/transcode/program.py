@@ -1,4 +1,4 @@
-"""Conversion programs: instructions for `bridge.messages.transcode.vm`, gathered and laid out in memory."""
+"""Conversion programs: collects instructions for `bridge.messages.transcode.vm`, and lays them out in memory."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FUSED = (Op.COPY, Op.SKIP, Op.ZERO)
 
 @dataclass(slots=True)
 class Instruction:
-    """One instruction, and the field that it is about."""
+    """One instruction, and the path of the field that it handles."""
 
     op: Op
     mask: int = 0
@@ -30,7 +30,7 @@ class ConversionProgram:
     """A program under construction."""
 
     name: str
-    source_cdr: bool  #: whether it reads CDR; else ROS 1's format
+    source_cdr: bool  #: whether the program reads CDR, else the ROS 1 serialization
     target_cdr: bool
     instructions: list[Instruction] = field(default_factory=list)
     _literals: bytearray = field(default_factory=bytearray)
@@ -39,7 +39,7 @@ class ConversionProgram:
     _slots: int = 0
 
     def emit(self, instruction: Instruction) -> None:
-        """Add an instruction; runs of plain bytes become one."""
+        """Add an instruction; consecutive instructions over plain bytes are joined into one."""
         if instruction.size > MAX_STEP:
             msg = f"{self.name} cannot be converted: field {instruction.field} is larger than {MAX_STEP} bytes"
             raise MessageTypeError(msg)
@@ -54,7 +54,7 @@ class ConversionProgram:
         self.instructions.append(instruction)
 
     def literal(self, mask: int, content: bytes, name: str) -> None:
-        """Write fixed bytes."""
+        """Add an instruction that writes fixed bytes."""
         if any(content):
             self.emit(Instruction(Op.LITERAL, mask, len(content), link=len(self._literals), field=name))
             self._literals += content
@@ -63,10 +63,10 @@ class ConversionProgram:
 
     @contextmanager
     def loop(self, start: Instruction) -> Iterator[None]:
-        """Instructions made within are repeated; ``start`` is a LOOP, SKIP_LOOP or REPEAT."""
+        """Repeat the instructions that are added within the context; ``start`` is a LOOP, SKIP_LOOP or REPEAT."""
         self._depth += 1
         if self._depth > FRAMES:
-            msg = f"{self.name} is too deep to be converted: sequences within sequences more than {FRAMES} times"
+            msg = f"{self.name} is too deep to be converted: sequences are nested more than {FRAMES} deep"
             raise MessageTypeError(msg)
         outer = self._barrier
         self.barrier()
@@ -86,25 +86,25 @@ class ConversionProgram:
         start.link = len(self.instructions)
 
     def new_slot(self) -> int:
-        """A slot to remember a read position in."""
+        """Return a new slot for a read position."""
         if self._slots >= SLOTS:
-            raise MessageTypeError(f"{self.name} cannot be converted: more than {SLOTS} fields in another order")
+            raise MessageTypeError(f"{self.name} cannot be converted: more than {SLOTS} fields in a different order")
         self._slots += 1
         return self._slots - 1
 
     def barrier(self) -> None:
-        """Keep what comes from being joined with what was."""
+        """Prevent later instructions from being joined with earlier ones."""
         self._barrier = len(self.instructions)
 
     def assemble(self) -> tuple[bytes, bytes]:
-        """The program as the virtual machine takes it: a word of flags and the instructions; the literals."""
+        """Return the virtual machine's arguments: a word of flags with the instructions, and the literals."""
         code = [self.source_cdr * SOURCE_CDR + self.target_cdr * TARGET_CDR]
         for instruction in (*self.instructions, Instruction(Op.END)):
             code += [instruction.op, instruction.mask, instruction.size, instruction.bound, instruction.link]
         return struct.pack(f"={len(code)}q", *code), bytes(self._literals)
 
     def field_of(self, number: int) -> str:
-        """Path of the field that an instruction is about, "" past the end."""
+        """Return the path of the field that an instruction handles; "" past the end."""
         return self.instructions[number].field if number < len(self.instructions) else ""
 
 
@@ -114,7 +114,7 @@ def _joins(last: Instruction, new: Instruction) -> bool:
 
 
 def _flatten(start: Instruction, body: Instruction) -> bool:
-    """Make a loop over plain bytes one instruction, where the elements follow each other without padding."""
+    """Turn a loop over plain bytes into one instruction if its elements have no padding; return whether it did."""
     if body.op not in _FUSED or body.size % (body.mask + 1):
         return False
     if start.op is Op.LOOP and body.op is Op.COPY:

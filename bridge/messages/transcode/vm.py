@@ -1,13 +1,13 @@
 """Runs conversion programs over messages: bytes in, bytes out. A kernel, see `bridge.kernels`.
 
 One interpreter serves every type, so that no type needs compiling and the first message is as fast as the last. The
-program runs twice over a message: without a target, to check the message and measure its converted form, and then into
-a buffer of that size. Every read is checked against the message's end; `bridge.messages.transcode.opcodes` has checked
-before that the program only uses its own memory.
+program runs twice over each message: first without a target, to check the message and measure its converted form, and
+then into a buffer of the measured size. Every read is checked against the message's end;
+`bridge.messages.transcode.opcodes` has already verified that the program uses only its own memory.
 
-``i`` and ``o`` are positions in the message and in its converted form. ``in_mask`` and ``out_mask`` are 7 if that side
-is CDR, and 0 if it is ROS 1's format, which has no alignment. Compiled, messages are pointers; uncompiled, they are
-bytes, and an access out of bounds is an IndexError.
+``i`` and ``o`` are positions in the message and in its converted form. ``in_mask`` (of the message) and ``out_mask``
+(of its converted form) are 7 for CDR, and 0 for the ROS 1 serialization, which has no alignment. In compiled code
+messages are pointers; in uncompiled code they are bytes, and an access out of bounds raises IndexError.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ if sys.byteorder != "little":
     raise ImportError("the message converters need a little-endian machine")
 
 _LARGE = cython.declare(cython.longlong, 64 << 10)
-"""Messages from this size on are converted without the GIL. For smaller ones, releasing it costs more than the
-conversion: to get it back may take the 5 ms for which a busy thread keeps it."""
+"""Messages of at least this size in bytes are converted without the GIL. For smaller messages, releasing the GIL costs
+more than the conversion, because getting it back may take the 5 ms for which a busy thread keeps it."""
 
 # C variables, which are read without the GIL
 _COPY = cython.declare(cython.longlong, Op.COPY)
@@ -65,7 +65,7 @@ _DIRTY = cython.declare(cython.longlong, opcodes.DIRTY)
 
 
 def _within(memory: bytes | bytearray, at: int, size: int) -> None:
-    """Check an access of uncompiled code: Python truncates slices, and accepts negative indexes."""
+    """Check the bounds of an access in uncompiled code: Python truncates slices, and accepts negative indexes."""
     if at < 0 or at + size > len(memory):
         raise IndexError(f"bytes {at} to {at + size} of {len(memory)}")
 
@@ -191,7 +191,7 @@ def _flags(
 def _read_count(
     source: cython.p_const_uchar, i: cython.longlong, size: cython.longlong, bound: cython.longlong
 ) -> cython.longlong:
-    """Return the number of elements that follow; a negative result is a fault, at ``i`` or at the message's end."""
+    """Return the number of elements that follow; a negative result is a fault, at ``i`` or an earlier end."""
     if i + 4 > size:
         return -_TRUNCATED
     count: cython.longlong = _load32(source, i)
@@ -221,7 +221,7 @@ def _read_string(
     from_cdr: cython.longlong,
     bound: cython.longlong,
 ) -> cython.longlong:
-    """Return the length of the string whose head is at ``i``; a negative result is a fault."""
+    """Return the length of the string whose length field is at ``i``; a negative result is a fault."""
     if i + 4 > size:
         return -_TRUNCATED
     length: cython.longlong = _load32(source, i)
@@ -267,10 +267,11 @@ def _run(
     target: cython.p_uchar,  # buffer for the converted message
     write: cython.bint,  # whether to write; otherwise the message is checked and the size measured
 ) -> cython.longlong:
-    """Run a program over one message. One long function, so that its state stays in the processor's registers.
+    """Run a program over one message. This is one long function, so that its state stays in the processor's registers.
 
     Returns:
-        The size of the converted message, with `opcodes.DIRTY` if the message is not in its normal form; or a fault.
+        The size of the converted message, with `opcodes.DIRTY` set if the message is not in its normal form; or the
+        negative code of a fault.
     """
     counters = cython.declare(cython.longlong[32])  # opcodes.FRAMES
     marks = cython.declare(cython.longlong[224])  # opcodes.SLOTS
@@ -419,12 +420,12 @@ def _words(program: bytes) -> cython.p_const_longlong:
 @cython.final
 @cython.cclass
 class VirtualMachine:
-    """A conversion program, ready for any thread; raises `ValueError` if it would leave its own memory.
+    """A conversion program that any thread may run; raises `ValueError` if it could access memory other than its own.
 
     Args:
         words: 64-bit words: flags, then five for each instruction.
         literals: constant bytes that the program writes.
-        refuse: returns the error for a fault.
+        refuse: returns the error for the code of a fault.
     """
 
     _words: bytes
@@ -441,17 +442,17 @@ class VirtualMachine:
         return self._write(message, self._measure(message) & ~_DIRTY)
 
     def check(self, payload: bytes | bytearray | memoryview) -> bytes:
-        """Return the message in its normal form, the same object if it already is; raises like `convert`."""
+        """Return the message in its normal form (the same object if nothing changes); raises like `convert`."""
         message: bytes = payload if type(payload) is bytes else bytes(payload)
         size: cython.longlong = self._measure(message)
         if size == len(message):
             return message
-        # only slack follows the message; the layout before it is the same
+        # a message that is not dirty differs from its normal form only by the slack after it
         return self._write(message, size & ~_DIRTY) if size & _DIRTY else message[:size]
 
     @cython.cfunc
     def _measure(self, message: bytes) -> cython.longlong:
-        """Check a message; return the size of its converted form, and whether it is dirty."""
+        """Check a message; return the size of its converted form, with `opcodes.DIRTY` set if the message is dirty."""
         size: cython.longlong = _run(_words(self._words), self._literals, message, len(message), cython.NULL, False)
         if size < 0:
             raise self._refuse(size)
@@ -476,5 +477,5 @@ class VirtualMachine:
             with cython.nogil:
                 written = _run(program, literals, source, length, target, True)
         if written & ~_DIRTY != size:
-            raise SystemError(f"a message of {size} bytes was converted into {written} bytes")
+            raise SystemError(f"a conversion measured as {size} bytes wrote {written} bytes")
         return result if cython.compiled else bytes(result)

@@ -45,7 +45,7 @@ def test_values_that_json_cannot_represent() -> None:
         (b"[1]", "has to be a JSON object"),
         (b"null", "has to be a JSON object"),
         (b'{"dat": "hi"}', "did you mean 'data'"),
-        (b'{"data": 3}', "data is text"),
+        (b'{"data": 3}', "data must be text"),
         (b'{"data": "\\ud800"}', "cannot be encoded"),
     ],
 )

@@ -262,4 +262,4 @@ def test_a_value_that_another_version_cannot_hold_is_logged_once(
         until(lambda: (publisher.publish({"code": "4"}), len(received.samples) > count)[1], "later ones arrive")
     warnings = [record.getMessage() for record in caplog.records if "in another version of its type" in record.msg]
     assert len(warnings) == 1
-    assert "code is a text with a number, not 'two'" in warnings[0]
+    assert "code must be a text with a number, not 'two'" in warnings[0]

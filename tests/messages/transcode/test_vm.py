@@ -120,7 +120,7 @@ def test_output_of_another_size_is_rejected():
     program.emit(Instruction(Op.COPY, size=3))
     python = uncompiled("bridge.messages.transcode.vm")
     runner = ready(python, program)
-    with pytest.raises(SystemError, match="of 4 bytes was converted into 3"):
+    with pytest.raises(SystemError, match="measured as 4 bytes wrote 3"):
         runner._write(b"abc", 4)
     with pytest.raises(IndexError):
         runner._write(b"abc", 2)
