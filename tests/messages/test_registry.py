@@ -266,8 +266,8 @@ NO_PAIRS = [
     ("int32 a\n", "float32 a\n", r"field a \(int32\) and field a \(float32\): the two types differ"),
     ("int32[3] a\n", "int32[4] a\n", "the arrays differ in length"),
     ("int32[] a\n", "int32 a\n", "one is a sequence, the other a single value"),
-    ("geometry_msgs/Point a\n", "geometry_msgs/Point32 a\n", "do not stand for each other"),
-    ("time a\n", "builtin_interfaces/Duration a\n", "time stands for builtin_interfaces/msg/Time alone"),
+    ("geometry_msgs/Point a\n", "geometry_msgs/Point32 a\n", "are not counterparts"),
+    ("time a\n", "builtin_interfaces/Duration a\n", "time corresponds to builtin_interfaces/msg/Time only"),
     ("string a\n", "wstring a\n", "ROS 1 has no wstring"),
 ]
 

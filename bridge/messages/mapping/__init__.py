@@ -1,1 +1,1 @@
-"""Which types of ROS 1 and ROS 2 stand for each other."""
+"""Which types of ROS 1 and ROS 2 are counterparts."""

@@ -1,10 +1,11 @@
 """Corresponding actions of ROS 1 and ROS 2, and the services and messages that they consist of.
 
-The parts that cross are those of ROS 2: the services SendGoal and GetResult, and FeedbackMessage. The ROS 1 adapter
-has the same parts with the same names in ROS 1's serialization: ``move_base_msgs/action/MoveBase_SendGoal`` corresponds
-to ``nav2_msgs/action/NavigateToPose_SendGoal``. They contain the goal, result and feedback of the ROS 1 action, which
-are messages of actionlib (``move_base_msgs/MoveBaseGoal``), so connection headers may be enough to know them. The ROS 1
-adapter puts the text of actionlib's status before a result; it corresponds to the result's ``error_msg`` in ROS 2.
+The bridged parts are those of ROS 2: the services SendGoal and GetResult, and FeedbackMessage. The ROS 1 adapter has
+the same parts with the same names in the ROS 1 serialization: ``move_base_msgs/action/MoveBase_SendGoal`` corresponds
+to ``nav2_msgs/action/NavigateToPose_SendGoal``. These parts contain the goal, result and feedback of the ROS 1 action,
+which are messages of actionlib (``move_base_msgs/MoveBaseGoal``), so connection headers may suffice to define them. The
+ROS 1 adapter puts the text of actionlib's status before a result; this text corresponds to the result's ``error_msg``
+in ROS 2.
 """
 
 from __future__ import annotations
@@ -39,13 +40,13 @@ class ActionTopicTypes:
 
 
 class ActionMapping:
-    """The registry's actions; the registry locks. Methods raise `MessageTypeError` for actions without a mapping."""
+    """The registry's actions; the registry holds the lock. Methods raise `MessageTypeError` for unmapped actions."""
 
     def __init__(self, messages: MessageMapping) -> None:
         self._messages = messages
 
     def ros2_name(self, action: str) -> str:
-        """Return the ROS 2 action for a ROS 1 action: installed, else on the hub with a matching goal, else derived."""
+        """Return the ROS 2 action for a ROS 1 action: installed, else announced with an equal goal, else derived."""
         names = self._messages.rules.ros2_names(action, "action")
         for name in names:
             if self._messages.ros2.installed(f"{name}_Goal") is not None:
@@ -71,7 +72,10 @@ class ActionMapping:
         return SideType(wrapper.name, md5_sum(wrapper), full_text(wrapper))
 
     def of_ros1(self, name: str) -> tuple[str, Types, Types]:
-        """Return ROS 2's name of a ROS 1 part, ``pkg/action/Name_SendGoal``, and its definitions in ROS 1 and ROS 2."""
+        """Return a ROS 1 part's name in ROS 2, and the part's definitions in ROS 1 and ROS 2.
+
+        Both names have the form ``pkg/action/Name_SendGoal``.
+        """
         base, part = _split(name, World.ROS1)
         action, content = base.replace("/action/", "/", 1), _CONTENT_OF[part]
         ros2_action = self.ros2_name(action)
@@ -80,7 +84,7 @@ class ActionMapping:
         return f"{ros2_action}_{part}", self._ros1_types(base, part, ros1), self._ros2_types(ros2_action, ros2)
 
     def of_ros2(self, name: str, type_hash: str = "") -> tuple[str, Types, Types]:
-        """Return ROS 1's name of a ROS 2 part, and its definitions in ROS 1 and ROS 2; see `of_ros1`."""
+        """Return a ROS 2 part's name in ROS 1, and the part's definitions in ROS 1 and ROS 2; see `of_ros1`."""
         action, part = _split(name, World.ROS2)
         content = _CONTENT_OF[part]
         root = self._messages.ros2.find(name, type_hash)
@@ -97,7 +101,7 @@ class ActionMapping:
         return f"{base}_{part}", self._ros1_types(base, part, ros1), dict(root.types)
 
     def _derived(self, name: str, type_hash: str) -> tuple[str, Types, Types]:
-        """Return the same for a part that is known only from ROS 1."""
+        """Do the same as `of_ros2` for a part that is known only from ROS 1."""
         action, part = _split(name, World.ROS2)
         known = " or ".join(self._messages.ros2.fingerprints(name))
         for ros1_action in self._known_ros1(action):
@@ -158,7 +162,7 @@ class ActionMapping:
         return derive_ros2(ros1, self._messages.to_ros2, name)
 
     def _announced(self, action: str, part: str) -> list[Schema]:
-        """Return the goals, results or feedbacks in the definitions that are announced on the hub."""
+        """Return the goals, results or feedback messages in the definitions that are announced on the hub."""
         content = f"{action}_{_CONTENT_OF[part]}"
         return [root.sub(content) for root in self._messages.ros2.variants(f"{action}_{part}") if content in root.types]
 

@@ -1,10 +1,11 @@
 """The fields of a ROS 1 type that correspond to fields of a ROS 2 type.
 
-Fields correspond by a mapping rule that lists them, otherwise by name: first equal names, then the name that ROS 2
-gives a ROS 1 field (`legal_fields`), then names that differ only in case (``CameraInfo.D`` is ``d``).
+Fields correspond by a mapping rule that lists them, or else by name: first equal names, then the legal ROS 2 name of a
+ROS 1 field (`legal_fields`), then names that differ only in case (``CameraInfo.D`` is ``d``).
 ``Header.seq`` needs no counterpart. Fields of only one type get default values; if both types have such fields, the
-types do not match, since a field may have been renamed. actionlib's status text (`parts.STATUS_TEXT`) corresponds to
-the ``error_msg`` of a ROS 2 action's result unless a field of the ROS 1 result does; otherwise it needs no counterpart.
+types do not match, because a field may have been renamed. actionlib's status text (`parts.STATUS_TEXT`) corresponds to
+the ``error_msg`` of a ROS 2 action's result, unless a field of the ROS 1 result does; the status text needs no
+counterpart.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ PairTable = Mapping[tuple[str, str], Pair]  # pairs by ROS 1 and ROS 2 name: of 
 
 
 def pair_types(ros1: Schema, ros2: Schema, rules: Rules) -> PairTable:
-    """Match two types and their nested types; raises `MessageTypeError` with the fields that do not match."""
+    """Match two types and their nested types; raises `MessageTypeError`, which names the fields that do not match."""
     table: dict[tuple[str, str], Pair] = {}
 
     def visit(name1: str, name2: str) -> None:
@@ -83,7 +84,7 @@ def _named(ros1: Definition) -> list[str]:
 
 
 def _status_text(ros1: Definition, ros2: Definition, fields: Fields) -> Fields:
-    """Match actionlib's status text with ``error_msg``, if both exist and no other field matches."""
+    """Match actionlib's status text with ``error_msg``, if both exist and no other field matches ``error_msg``."""
     has_text = any(field.name == STATUS_TEXT for field in ros1.fields)
     has_error = Field(_ERROR_MSG, FieldType("string")) in ros2.fields
     pair = (STATUS_TEXT,), (_ERROR_MSG,)
@@ -106,7 +107,7 @@ def has_equal_fields(ros1: Schema, ros2: Schema, rules: Rules) -> bool:
 
 
 def field_at(schema: Schema, path: FieldPath) -> FieldType | None:
-    """Return the type of the field at a path such as ``("header", "stamp")``, None if the field does not exist."""
+    """Return the type of the field at a path such as ``("header", "stamp")``; None if the field does not exist."""
     definition: Definition | None = schema.root
     kind: FieldType | None = None
     for step in path:
@@ -160,17 +161,17 @@ def _by_name(ros1: Definition, ros2: Definition) -> Fields:
 
 
 def _unlike(one: FieldType, two: FieldType, rules: Rules) -> str:
-    """Return the reason why a ROS 1 field cannot correspond to a ROS 2 field, "" if it can."""
+    """Return the reason why a ROS 1 field cannot correspond to a ROS 2 field; "" if it can."""
     if one.shape is not two.shape:
         return f"one is {_a(one.shape)}, the other {_a(two.shape)}"
     if one.shape is Shape.ARRAY and one.length != two.length:
         return "the arrays differ in length"
     if one.base in TIME_TYPES:
-        return "" if TIME_TYPES[one.base] == two.base else f"{one.base} stands for {TIME_TYPES[one.base]} alone"
+        return "" if TIME_TYPES[one.base] == two.base else f"{one.base} corresponds to {TIME_TYPES[one.base]} only"
     if one.nested and two.nested:
         if rules.stand_for_each_other(one.base, two.base):
             return ""
-        return "the two message types do not stand for each other"
+        return "the two message types are not counterparts"
     if two.base == "wstring":
         return "ROS 1 has no wstring"
     if one.base == two.base or _same_bits(one.base, two.base):

@@ -1,6 +1,6 @@
-"""Messages of ROS 1 and ROS 2: which stand for each other, and how their bytes get across.
+"""Finds the counterparts of ROS 1 and ROS 2 messages, and the conversions of their bytes.
 
-A type that only one world has gets a counterpart with the same fields in the same order, its nested types mapped.
+A type that only one world has gets a counterpart with the same fields in the same order; nested types are mapped, too.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from bridge.messages.mapping.fields import has_equal_fields, left_out, pair_type
 from bridge.messages.mapping.rules import Rules
 from bridge.messages.transcode.conversion import Conversion, SideType, cdr_to_ros1, ros1_to_cdr
 
-Counterpart = Callable[[Schema], Schema]  # gives the other world's schema of a nested type
+Counterpart = Callable[[Schema], Schema]  # returns the other world's schema of a nested type
 _TIMES_BACK = {name: base for base, name in TIME_TYPES.items()}
 
 
 def derive_ros2(ros1: Schema, counterpart: Counterpart, name: str = "") -> Schema:
-    """The ROS 2 type for a type that only ROS 1 has; names are made legal as ROS 2 wants them."""
+    """Derive the ROS 2 type for a type that only ROS 1 has; names are made legal in ROS 2."""
     names = legal_fields(field.name for field in ros1.root.fields)
     types: dict[str, Definition] = {}
 
@@ -42,7 +42,7 @@ def derive_ros2(ros1: Schema, counterpart: Counterpart, name: str = "") -> Schem
 
 
 def derive_ros1(ros2: Schema, counterpart: Counterpart, name: str = "") -> Schema:
-    """The ROS 1 type for a type that only ROS 2 has; bounds are dropped, and checked when messages are converted."""
+    """Derive the ROS 1 type for a type that only ROS 2 has; bounds are dropped, and checked for each message."""
     package, kind, short = ros2.name.split("/")
     if kind != "msg" and not name:
         raise MessageTypeError(f"{ros2.name} is part of a service or action, for which ROS 1 has no message")
@@ -93,15 +93,15 @@ def unknown_type(name: str, world: World, wanted: str = "", known: str = "", kin
     announced = "" if kind == "msg" else ", and no connection announces one"
     return MessageTypeError(
         f"no definition of the {world.value} {kind_name} {name} is known{announced}",
-        f"install {package}, or put its .{kind} files into a folder that types.folders names",
+        f"install {package}, or put its .{kind} files into a folder listed in types.folders",
     )
 
 
-ANY_MD5 = ("", "*")  # what a ROS 1 endpoint announces that takes any definition
+ANY_MD5 = ("", "*")  # md5 values of a ROS 1 endpoint that accepts any definition
 
 
 class MessageMapping:
-    """The registry's messages; the registry locks. Raises `MessageTypeError` for those that it cannot map."""
+    """The registry's messages; the registry holds the lock. Raises `MessageTypeError` for messages it cannot map."""
 
     def __init__(self, ros1: DefinitionLibrary, ros2: DefinitionLibrary, rules: Rules) -> None:
         self.ros1, self.ros2, self.rules = ros1, ros2, rules
@@ -111,12 +111,12 @@ class MessageMapping:
         ros1.derive, ros2.derive = self._installed_as_ros1, self._installed_as_ros2
 
     def clear_cache(self) -> None:
-        """A new definition may change what stands for what."""
+        """Clear the cached counterparts, because a new definition may change them."""
         self._counterparts.clear()
         self._sides.clear()
 
     def side(self, schema: Schema) -> SideType:
-        """A message as its side, or the hub, names it."""
+        """Return a message type as its side, or the hub, announces it."""
         key = schema.world, schema.name
         known = self._sides.get(key)
         if known is None or known[0] is not schema:
@@ -125,7 +125,7 @@ class MessageMapping:
         return known[1]
 
     def conversion(self, source: Schema, target: Schema) -> Conversion:
-        """How messages of one type become messages of its counterpart."""
+        """Return the conversion of a type's messages to messages of its counterpart."""
         sides = self.side(source), self.side(target)
         key = (*(side.name for side in sides), *(side.type_id for side in sides))
         if key not in self._converters:
@@ -183,12 +183,12 @@ class MessageMapping:
         return None
 
     def _ros1_variants(self, ros2_name: str) -> Iterator[Schema]:
-        """All ROS 1 definitions that may stand for a ROS 2 name, the likeliest first."""
+        """Yield all ROS 1 definitions that may correspond to a ROS 2 name, the likeliest first."""
         for name in self._ros1_names(ros2_name):
             yield from self.ros1.variants(name)
 
     def _ros1_names(self, ros2_name: str) -> Iterator[str]:
-        """The ROS 1 names that may stand for a ROS 2 name, the likeliest first."""
+        """Yield the ROS 1 names that may correspond to a ROS 2 name, the likeliest first."""
         names = self.rules.ros1_names(ros2_name)
         yield from names
         for name in self.ros1.names(ros2_name.split("/", 1)[0]):
@@ -196,7 +196,7 @@ class MessageMapping:
                 yield name
 
     def to_ros2(self, ros1: Schema) -> Schema:
-        """The ROS 2 type for one of ROS 1: installed; else on the hub and the same, field for field; else derived."""
+        """Return the ROS 2 type for a ROS 1 type: installed, else announced with equal fields, else derived."""
         key = (ros1.name, self.ros1.fingerprint(ros1))
         if key not in self._counterparts:
             self._counterparts[key] = self._match_ros2(ros1)
@@ -215,7 +215,7 @@ class MessageMapping:
         return derive_ros2(ros1, self.to_ros2)
 
     def to_ros1(self, ros2: Schema) -> Schema:
-        """The ROS 1 type that stands for a ROS 2 type: announced by publishers, installed, else derived."""
+        """Return the ROS 1 type for a ROS 2 type: announced by publishers, else installed, else derived."""
         key = (ros2.name, self.ros2.fingerprint(ros2))
         if key not in self._counterparts:
             self._counterparts[key] = self._match_ros1(ros2, key[1])
@@ -231,7 +231,7 @@ class MessageMapping:
         return first or derive_ros1(ros2, self.to_ros1)
 
     def derivable(self, package: str) -> Iterator[Schema]:
-        """ROS 2 types of a package that are made from ROS 1 types."""
+        """Yield the ROS 2 types of a package that are derived from ROS 1 types."""
         for name in self.ros1.names(package):
             ros1 = self.ros1.find(name, newest=True)
             if ros1 is None:

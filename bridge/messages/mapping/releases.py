@@ -1,7 +1,7 @@
 """Conversions between two versions of one ROS 2 type, such as those of Jazzy and Lyrical.
 
 Fields correspond by name and type, or by a rule (`bridge.messages.mapping.version_rules`). An added field gets its
-default, a removed one is left out. Two versions convert even if they have no field in common.
+default value; a removed field is left out. Two versions convert even if they have no field in common.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from bridge.messages.transcode.conversion import Convert, make_vm
 from bridge.messages.unchanged import same
 
 NO_HASH = ""
-"""In place of a hash: the version of Humble, whose endpoints announce none."""
+"""Stands for the Humble version, because Humble's endpoints announce no hash."""
 
 Losses = tuple[tuple[str, ...], tuple[str, ...]]
-"""The fields that are left out between two versions, and those whose values may be rounded or refused."""
+"""The fields that a conversion between two versions leaves out, and those whose values may be rounded or refused."""
 
 _Key = tuple[str, str, str, str]
-"""Type, hashes of source and target, and part of a service."""
+"""Type name, hashes of the source and the target version, and part of a service ("" for the whole type)."""
 
 _MAX_CACHED = 10_000
 
@@ -39,11 +39,11 @@ class VersionMatch:
     """The corresponding fields of two versions.
 
     Attributes:
-        fields: by the names of a message and its counterpart.
-        target: the target's schema with the defaults of the rules.
+        fields: the pairs of field paths, by the names of a message and its counterpart.
+        target: the target's schema, with the default values from the rules.
         lost: the source's fields without a counterpart, as ``package/kind/Name.field``.
         changed: the source's fields whose values may be rounded or refused, each with the reason.
-        retyped: whether a field has another primitive type.
+        retyped: whether any field's counterpart has a different primitive type.
     """
 
     fields: Mapping[tuple[str, str], Fields]
@@ -86,7 +86,7 @@ def match_versions(source: Schema, target: Schema, rules: VersionRules) -> Versi
 
 
 def _fields(one: Schema, two: Schema, rules: VersionRules) -> Fields:
-    """Return the corresponding fields of two messages; rules first, as they are more specific."""
+    """Return the corresponding fields of two messages; rules come before names, because rules are more specific."""
     pairs: list[tuple[FieldPath, FieldPath]] = []
     for name1, name2, _ in rules.fields(one.name, two.name):
         _add(pairs, one, two, (tuple(name1.split(".")), tuple(name2.split("."))), fits_by_rule, rules)
@@ -97,7 +97,7 @@ def _fields(one: Schema, two: Schema, rules: VersionRules) -> Fields:
 
 
 def _unmapped(schema: Schema, definition: Definition, mapped: Collection[FieldPath], at: FieldPath) -> Iterator[str]:
-    """Yield the fields of a message that have a value and no counterpart."""
+    """Yield the fields of a message that hold data but have no counterpart."""
     for other in definition.fields:
         path, nested = (*at, other.name), schema.of(other.type)
         if path in mapped or (nested is not None and not nested.fields):
@@ -125,20 +125,20 @@ def _add(
 
 
 def overlap(one: FieldPath, two: FieldPath) -> bool:
-    """Whether two paths are equal, or one is of a field within the other's."""
+    """Whether two paths are equal, or one leads to a field within the other."""
     length = min(len(one), len(two))
     return one[:length] == two[:length]
 
 
 def _fits(one: FieldType, two: FieldType, rules: VersionRules) -> bool:
-    """Whether the values of one field can be those of the other without a rule about the field."""
+    """Whether the values of field ``one`` fit field ``two`` without a rule about the two fields."""
     if one.shape is not two.shape or (one.shape is Shape.ARRAY and one.length != two.length):
         return False
     return rules.replace(one.base, two.base)
 
 
 def fits_by_rule(one: FieldType, two: FieldType, rules: VersionRules) -> bool:
-    """Whether the values of one field can be those of the other if a rule says so."""
+    """Whether the values of field ``one`` fit field ``two`` if a rule pairs the two fields."""
     return _fits(one, two, rules) or not obstacle(one, two)
 
 
@@ -186,7 +186,7 @@ class ReleaseConversions:
         self._parts: dict[str, Mapping[tuple[str, str], str]] = {}
 
     def hashes(self, type_name: str) -> Collection[str]:
-        """Return the hashes of all known versions of a type or service, the installed one among them."""
+        """Return the hashes of all known versions of a type or service, including the installed version."""
         known = self._hashes.get(type_name)
         if known is None:
             with self._lock:
@@ -216,7 +216,7 @@ class ReleaseConversions:
     def service_hash(self, service: str, request: str, response: str = "") -> str:
         """Return the hash of the version of a service whose request and response have these hashes.
 
-        A ``response`` of "" is any. Returns "" if no version has them, or several do.
+        A ``response`` of "" matches any response. Returns "" if no version matches, or several do.
         """
         parts = self._service_parts(service)
         if response:
@@ -244,7 +244,7 @@ class ReleaseConversions:
         return parts
 
     def here(self, type_name: str, type_hash: str) -> str:
-        """Return the hash that this machine uses for a type announced with a hash; the same if it is unknown."""
+        """Return the installed version's hash if ``type_hash`` is that of a convertible version; else ``type_hash``."""
         known = self._here.get((type_name, type_hash))
         if known is None:
             with self._lock:
@@ -253,7 +253,7 @@ class ReleaseConversions:
         return known
 
     def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert | None:
-        """Return the converter from the version with one hash to that with another; None if either is unknown.
+        """Return the converter between two versions, given by their hashes; None if either is unknown or unusable.
 
         ``part`` is ``Request`` or ``Response`` of a service. The converter raises `ConversionError`.
         """
@@ -274,7 +274,7 @@ class ReleaseConversions:
             return self._losses[key]
 
     def release(self, type_name: str, type_hash: str) -> str:
-        """Return the first release or folder that has a version, "" if none has it."""
+        """Return the first release or folder that has the version ``type_hash``; "" if none has it."""
         with self._lock:
             if type_hash == NO_HASH:
                 return "humble"

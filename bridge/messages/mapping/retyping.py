@@ -1,8 +1,8 @@
-"""Messages between two versions of a type in which fields have other primitive types.
+"""Converts messages between two versions of a type in which fields have different primitive types.
 
-Numbers convert to numbers and to text, text to numbers if it is one, and everything keeps its value or is rounded; a
-message whose value does not fit is refused. Such messages are decoded, so this is slower than the virtual machine of
-`bridge.messages.transcode`, which converts all others.
+Numbers convert to numbers and to text, and text converts to a number if it is the text of one. A value is kept or
+rounded; a message with a value that does not fit is refused. Such messages are decoded, so this is slower than the
+virtual machine of `bridge.messages.transcode`, which converts all other messages.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from bridge.messages.values import MessageReader, MessageWriter, dtype, is_array
 _INTEGER = re.compile(r"[+-]?\d{1,20}", re.ASCII)
 _NUMBER = re.compile(r"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|inf|nan)", re.ASCII | re.IGNORECASE)
 _MANTISSA = {"float32": 24, "float64": 53}
-"""The bits of an integer that each type holds exactly."""
+"""The number of bits up to which each type holds every integer exactly."""
 
 
 def obstacle(one: FieldType, two: FieldType) -> str:
-    """Return why the values of a field cannot become those of a field with another type, "" if they can."""
+    """Return why values of a field cannot become values of a field with another type; "" if they can."""
     if one.nested or two.nested:
-        return "a message has no counterpart in another type; name its fields by their paths"
+        return "a nested message cannot become another type; name its fields by their paths"
     if one.shape is not two.shape or (one.shape is Shape.ARRAY and one.length != two.length):
-        return "only one is an array, or their lengths differ"
+        return "only one is an array, or the arrays differ in length or kind"
     if "bool" in (one.base, two.base) and STRING_TYPES & {one.base, two.base}:
-        return "a text has no counterpart in a bool"
+        return "text cannot be converted to or from bool"
     return ""
 
 
 def effect(one: str, two: str) -> str:
-    """Return what happens to values of one type that become another, "" if all keep their value."""
+    """Return what happens to values of type ``one`` that are converted to ``two``; "" if all stay the same."""
     if two in STRING_TYPES or one == two:
         return ""
     if one in STRING_TYPES:
@@ -62,12 +62,12 @@ def _range(base: str) -> tuple[int, int]:
 
 
 class RetypingConverter:
-    """The conversion of messages between two versions, one of whose fields has another primitive type.
+    """Converts messages between two versions in which a field has different primitive types.
 
     Args:
         source: the version of the messages.
-        target: the other version, with the defaults of its fields.
-        fields: the corresponding fields by the names of a message and its counterpart.
+        target: the other version, with default values for its fields.
+        fields: the corresponding fields, by the names of a message and its counterpart.
     """
 
     def __init__(self, source: Schema, target: Schema, fields: Mapping[tuple[str, str], Fields]) -> None:
@@ -114,7 +114,7 @@ def _at(message: Mapping[str, Any], path: FieldPath) -> Any:
 
 
 def _element(one: str, two: str, value: Any, where: str) -> Any:
-    """Return one value with another type; the writer refuses numbers beyond its range."""
+    """Convert one value from type ``one`` to ``two``; the writer refuses numbers beyond the range of ``two``."""
     if two in STRING_TYPES:
         return value if one in STRING_TYPES else _text(one, value)
     if one in STRING_TYPES:
@@ -138,7 +138,7 @@ def _element(one: str, two: str, value: Any, where: str) -> Any:
 
 
 def _text(base: str, value: float) -> str:
-    """Return the shortest text of a number that has the same value in its type."""
+    """Return the shortest text that reads back as the same value of type ``base``."""
     if base != "float32" or not math.isfinite(value):
         return repr(value)
     texts = (f"{value:.{digits}g}" for digits in range(1, 10))
@@ -146,7 +146,7 @@ def _text(base: str, value: float) -> str:
 
 
 def _numbers(base: str, values: Any, where: str) -> Any:
-    """Return an array of numbers with another type."""
+    """Convert an array of numbers to type ``base``."""
     import numpy as np
 
     if base in _MANTISSA:
@@ -157,12 +157,12 @@ def _numbers(base: str, values: Any, where: str) -> Any:
         converted, (low, high) = np.rint(values) if values.dtype.kind == "f" else values, _range(base)
         fits = not len(values) or (low <= converted.min().item() and converted.max().item() <= high)
     if not fits:
-        raise ConversionError(f"{where} has a value that is not a {base}")
+        raise ConversionError(f"{where} has a value that does not fit {base}")
     return converted.astype(dtype(base))
 
 
 class _Reader(MessageReader):
-    """Reads strings without loss, also those that are not UTF-8."""
+    """Reads strings without loss, including those that are not UTF-8."""
 
     @override
     def element(self, kind: FieldType) -> Any:
@@ -174,7 +174,7 @@ class _Reader(MessageReader):
 
 
 class _Writer(MessageWriter):
-    """Writes strings as `_Reader` reads them."""
+    """Writes the strings that `_Reader` reads."""
 
     @override
     def text(self, kind: FieldType, value: Any, where: str) -> None:
@@ -183,6 +183,6 @@ class _Writer(MessageWriter):
             return
         content = value.encode("utf-8", "surrogateescape")
         if kind.string_bound and len(content) > kind.string_bound:
-            raise ConversionError(f"{where} has at most {kind.string_bound} characters, not {len(content)}")
+            raise ConversionError(f"{where} must have at most {kind.string_bound} characters, not {len(content)}")
         self.number("uint32", len(content) + 1, where)
         self.data += content + b"\0"

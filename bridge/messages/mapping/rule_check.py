@@ -1,4 +1,4 @@
-"""The check of the configuration's rules about versions against the versions that are known."""
+"""Checks the configuration's version rules against the known versions of each type."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bridge.messages.mapping.retyping import obstacle
 from bridge.messages.mapping.version_rules import VersionRule, VersionRules
 from bridge.messages.values import MessageWriter
 
-_FOLDERS = "put each version of the package into a separate folder of types.folders"
+_FOLDERS = "add a separate folder for each version of the package to types.folders"
 
 
 def rule_errors(rules: VersionRules, versions: TypeVersions) -> Iterator[MessageTypeError]:
@@ -65,13 +65,13 @@ def _errors(rule: VersionRule, versions: TypeVersions) -> Iterator[MessageTypeEr
         applied = [(kind1, kind2) for kind1, kind2 in kinds if kind1 is not None and kind2 is not None]
         if not applied:
             yield MessageTypeError(
-                f"{rule.origin}: no version of {rule.older} has {path1} while another has {path2}", _FOLDERS
+                f"{rule.origin}: no version of {rule.older} with {path1} has a counterpart with {path2}", _FOLDERS
             )
         for kind1, kind2 in dict.fromkeys(applied):
             if not fits_by_rule(kind1, kind2, VersionRules()) and (reason := obstacle(kind1, kind2)):
                 yield MessageTypeError(
                     f"{rule.origin}: {path1} ({kind1}) cannot become {path2} ({kind2}): {reason}",
-                    "remove the line: the newer field then has its default",
+                    "remove the line: the newer field then gets its default",
                 )
     for name in rule.defaults:
         error = _missing(rule, rule.newer, name, newer)
@@ -89,7 +89,10 @@ def _missing(rule: VersionRule, name: str, path: str, schemas: list[Schema]) -> 
 
 
 def _contradiction(first: VersionRule, second: VersionRule, versions: TypeVersions) -> Iterator[MessageTypeError]:
-    """Yield an error if two entries give a field two counterparts between the same versions."""
+    """Yield an error for each contradiction of two entries about the same versions.
+
+    They contradict each other if they give a field different counterparts or default values.
+    """
     for old1, new1 in first.fields.items():
         for old2, new2 in second.fields.items():
             if (old1, new1) == (old2, new2):
@@ -101,14 +104,14 @@ def _contradiction(first: VersionRule, second: VersionRule, versions: TypeVersio
                     field_at(new, _path(path)) is not None for path in (new1, new2)
                 ):
                     yield MessageTypeError(
-                        f"{second.origin}: {old2} becomes {new2}, which contradicts {old1}: {new1} of {first.origin}",
+                        f"{second.origin}: maps {old2} to {new2}, which contradicts {old1} to {new1} in {first.origin}",
                         "keep one of them",
                     )
                     break
     for name in first.defaults.keys() & second.defaults.keys():
         if first.defaults[name] != second.defaults[name]:
             yield MessageTypeError(
-                f"{second.origin}: the default of {name} differs from that of {first.origin}", "keep one of them"
+                f"{second.origin}: the default of {name} differs from that in {first.origin}", "keep one of them"
             )
 
 

@@ -1,10 +1,10 @@
-"""ros1_bridge's mapping rules: which packages, messages, services and fields of ROS 1 and ROS 2 stand for each other.
+"""ros1_bridge's mapping rules: which packages, messages, services and fields of ROS 1 and ROS 2 are counterparts.
 
 The files are those of ros1_bridge (https://github.com/ros2/ros1_bridge/blob/master/doc/index.rst): a YAML list of
 mappings. A rule with ``fields_1_to_2`` maps only these fields; a path such as ``header.stamp`` names a nested field.
-Actions, which ros1_bridge has none of, are written the same way: ``ros1_action_name``, ``ros2_action_name``, and
-``goal_fields_1_to_2``, ``result_fields_1_to_2``, ``feedback_fields_1_to_2``. Entries about versions of ROS 2's types
-may be in the same files (`bridge.messages.mapping.version_rules`).
+Rules for actions, which ros1_bridge lacks, are written the same way: ``ros1_action_name``, ``ros2_action_name``, and
+``goal_fields_1_to_2``, ``result_fields_1_to_2``, ``feedback_fields_1_to_2``. The same files may contain rules about
+versions of ROS 2 types (`bridge.messages.mapping.version_rules`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _PARTS = {
     "service": {part: f"{part.lower()}_fields_1_to_2" for part in ("Request", "Response")},
     "action": {part: f"{part.lower()}_fields_1_to_2" for part in ("Goal", "Result", "Feedback")},
 }
-"""What a rule may map the fields of, and the key that does."""
+"""For each kind of rule, the parts whose fields it may map, with the key for each part."""
 
 _KINDS = {"message": "msg", "service": "srv", "action": "action"}
 _KEYS = {
@@ -37,7 +37,7 @@ _KEYS = {
 
 @dataclass(frozen=True, slots=True)
 class MappingRule:
-    """Two packages, or two messages, services or actions, that stand for each other."""
+    """Two packages, messages, services or actions that are counterparts."""
 
     ros1_package: str
     ros2_package: str
@@ -51,7 +51,7 @@ class MappingRule:
 
 @dataclass(frozen=True, slots=True)
 class FieldRule:
-    """The fields of two types that stand for each other; all others have no counterpart."""
+    """The corresponding fields of two types; all other fields have no counterpart."""
 
     fields: Fields
     origin: str
@@ -77,7 +77,9 @@ BUILT_IN = (
     MappingRule("tf", "tf2_msgs", "tfMessage", "TFMessage", "msg", {"": {"transforms": "transforms"}}),
     MappingRule("rosgraph_msgs", "rcl_interfaces", "Log", "Log", "msg", _LOG_FIELDS),
     MappingRule("grid_map_msgs", "grid_map_msgs", "GridMap", "GridMap", "msg", _GRID_MAP_FIELDS),
-    MappingRule("roscpp_tutorials", "example_interfaces", "TwoInts", "AddTwoInts", "srv"),  # of example_interfaces
+    MappingRule(
+        "roscpp_tutorials", "example_interfaces", "TwoInts", "AddTwoInts", "srv"
+    ),  # example_interfaces' own rule
     MappingRule("move_base_msgs", "nav2_msgs", "MoveBase", "NavigateToPose", "action", _MOVE_BASE_FIELDS),
 )
 
@@ -95,7 +97,7 @@ class Rules:
                 self._fields.setdefault(_part_names(rule, part), FieldRule(fields, rule.origin))
 
     def ros2_names(self, ros1_name: str, kind: str = "msg") -> list[str]:
-        """ROS 2 names that may stand for a ROS 1 message, service (``srv``) or ``action``, the likeliest first."""
+        """Return ROS 2 names that a ROS 1 message, service (``srv``) or ``action`` may have, the likeliest first."""
         package, name = ros1_name.split("/")
         ruled = [
             f"{rule.ros2_package}/{kind}/{rule.ros2 or name}"
@@ -105,7 +107,7 @@ class Rules:
         return list(dict.fromkeys([*ruled, *ros2_candidates(ros1_name, kind)]))
 
     def ros1_names(self, ros2_name: str) -> list[str]:
-        """ROS 1 names that may stand for a ROS 2 message, service or action, the likeliest first."""
+        """Return ROS 1 names that a ROS 2 message, service or action may have, the likeliest first."""
         return list(
             dict.fromkeys(
                 [*_ruled_ros1(ros2_name, self._given), *ros1_candidates(ros2_name), *_ruled_ros1(ros2_name, BUILT_IN)]
@@ -113,9 +115,9 @@ class Rules:
         )
 
     def stand_for_each_other(self, ros1_name: str, ros2_name: str) -> bool:
-        """Whether the two messages are a pair by name or by rule; a goal, result or feedback is one as its action is.
+        """Whether two messages are a pair by name or by rule; goals, results and feedback are if their actions are.
 
-        ``move_base_msgs/MoveBaseGoal`` and ``nav2_msgs/action/NavigateToPose_Goal`` are such.
+        An example is ``move_base_msgs/MoveBaseGoal`` and ``nav2_msgs/action/NavigateToPose_Goal``.
         """
         kind = ros2_name.split("/")[1]
         if kind == "action":
@@ -135,7 +137,7 @@ class Rules:
 
 
 def _part_names(rule: MappingRule, part: str) -> tuple[str, str]:
-    """Names of a part in ROS 1 and in ROS 2: of the messages, of the requests, of the goals ..."""
+    """Return the ROS 1 and ROS 2 names of a rule's part: of its message, request, goal ..."""
     middle = "srv/" if rule.kind == "srv" else ""
     short1 = f"{rule.ros1}_{part}" if rule.kind == "srv" else f"{rule.ros1}{part}"
     short2 = f"{rule.ros2}_{part}" if part else rule.ros2
@@ -154,13 +156,13 @@ def _ruled_ros1(ros2_name: str, rules: Iterable[MappingRule]) -> list[str]:
 
 
 def load_rules(file: Path) -> list[MappingRule]:
-    """Read the mapping rules of one file; `MessageTypeError` names the file and the entry that is wrong."""
+    """Read the mapping rules of one file; raises `MessageTypeError`, which names the file and the wrong entry."""
     return [_rule(entry, origin) for origin, entry in read_entries(file) if not is_version_entry(entry)]
 
 
 def read_entries(file: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yield the entries of a rule file, each with its place; raises `MessageTypeError` for what is no rule file."""
-    import yaml  # most configurations name no such file
+    """Yield the entries of a rule file, each with its origin; raises `MessageTypeError` if it is not a rule file."""
+    import yaml  # most configurations have no rule file
 
     try:
         entries = yaml.safe_load(file.read_text(encoding="utf-8"))
@@ -193,7 +195,7 @@ def _rule(entry: Mapping[str, Any], origin: str) -> MappingRule:
     named = {prefix: _both(entry, f"ros1_{prefix}_name", f"ros2_{prefix}_name", origin) for prefix in _PARTS}
     meant = [prefix for prefix, names in named.items() if any(names)]
     if len(meant) > 1:
-        raise MessageTypeError(f"{origin}: speaks of {meant[0]}s and of {meant[1]}s; write two entries")
+        raise MessageTypeError(f"{origin}: names both {meant[0]}s and {meant[1]}s; write two entries")
     prefix = meant[0] if meant else ""
     fields: dict[str, Fields] = {}
     for other, parts in _PARTS.items():

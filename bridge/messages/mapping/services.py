@@ -1,4 +1,4 @@
-"""Services of ROS 1 and ROS 2: their definitions, their counterparts, and the conversion of their bytes."""
+"""Services of ROS 1 and ROS 2: their definitions, their counterparts, and the conversion of their messages."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from bridge.messages.transcode.conversion import ServiceConversion, SideType
 
 @dataclass(frozen=True)
 class ServiceSchema:
-    """A service of one world."""
+    """A service type of ROS 1 or ROS 2."""
 
-    name: str  #: in the spelling of its side
+    name: str  #: as its world spells it
     type_id: str
     request: Schema  #: the request's message, named ``pkg/srv/Name_Request`` in both worlds
     response: Schema
@@ -33,7 +33,7 @@ class ServiceSchema:
 
 
 def ros1_service(name: str, request: Schema, response: Schema) -> ServiceSchema:
-    """Return a service of ROS 1."""
+    """Return the ROS 1 service with this request and response."""
     return ServiceSchema(name, md5_sum(request, response), request, response)
 
 
@@ -46,13 +46,13 @@ def ros2_service(root: Schema) -> ServiceSchema:
 
 
 class ServiceMapping:
-    """The registry's services; the registry locks. Raises `MessageTypeError` for services that it cannot map."""
+    """The registry's services; the registry holds the lock. Raises `MessageTypeError` for services it cannot map."""
 
     def __init__(self, messages: MessageMapping) -> None:
         self._messages = messages
 
     def of_ros1(self, name: str, md5: str = "") -> ServiceSchema:
-        """Return the ROS 1 service ``pkg/Name``; if only ROS 2 has it, the one derived from there."""
+        """Return the ROS 1 service ``pkg/Name``, derived from the ROS 2 service if only ROS 2 has it."""
         if name == CANCEL_GOAL:
             return self._derive_ros1(self.of_ros2(name))
         if not is_ros1_name(name):
@@ -72,7 +72,7 @@ class ServiceMapping:
         return service
 
     def of_ros2(self, name: str, type_hash: str = "") -> ServiceSchema:
-        """Return the ROS 2 service ``pkg/srv/Name``; if only ROS 1 has it, the one derived from there."""
+        """Return the ROS 2 service ``pkg/srv/Name``, derived from the ROS 1 service if only ROS 1 has it."""
         if not is_ros2_name(name) or not is_service(name):
             raise unknown_type(name, World.ROS2)
         service = self._find_ros2(name, type_hash)
@@ -97,7 +97,7 @@ class ServiceMapping:
         return schema
 
     def to_ros2(self, ros1: ServiceSchema) -> ServiceSchema:
-        """Return the ROS 2 service for one of ROS 1: installed, announced with equal fields, else derived."""
+        """Return the ROS 2 service for a ROS 1 service: installed, else announced with equal fields, else derived."""
         names = [CANCEL_GOAL] if ros1.name == CANCEL_GOAL else self._messages.rules.ros2_names(ros1.name, "srv")
         for name in names:
             root = self._messages.ros2.installed(name)
@@ -113,7 +113,7 @@ class ServiceMapping:
         return self._derive_ros2(ros1)
 
     def to_ros1(self, ros2: ServiceSchema) -> ServiceSchema:
-        """Return the ROS 1 service for one of ROS 2: installed, else derived."""
+        """Return the ROS 1 service for a ROS 2 service: installed, else derived."""
         first: ServiceSchema | None = None
         for ros1 in self._ros1_candidates(ros2.name):
             back = self.to_ros2(ros1)
@@ -123,7 +123,7 @@ class ServiceMapping:
         return first or self._derive_ros1(ros2)
 
     def conversion(self, ros1: ServiceSchema, ros2: ServiceSchema) -> ServiceConversion:
-        """Return the conversion of calls between the two."""
+        """Return the conversion of requests and responses between two corresponding services."""
         request = self._messages.conversion(ros1.request, ros2.request)
         response = self._messages.conversion(ros1.response, ros2.response)
         return ServiceConversion(
@@ -151,7 +151,7 @@ class ServiceMapping:
         return ros1_service(name, request, response) if request is not None and response is not None else None
 
     def _empty_ros1(self, name: str) -> ServiceSchema:
-        """Return a service whose md5 shows that neither its request nor its response has a field."""
+        """Return the definition of a service whose md5 shows that neither its request nor its response has a field."""
         base = name.replace("/", "/srv/", 1)
         request, response = (Definition(f"{base}_{part}", World.ROS1, ()) for part in CONTENTS["srv"])
         return ros1_service(name, closure(request, {}), closure(response, {}))

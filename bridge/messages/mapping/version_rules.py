@@ -1,9 +1,9 @@
-"""Rules for types whose versions differ: renamed, moved or retyped fields, and values of added ones.
+"""Rules for types whose versions differ: renamed, moved or retyped fields, and default values of added fields.
 
-The built-in ones are in ``releases/fields.json``, which every worker reads, so that none loads a parser for YAML.
-The configuration's files (``types.mapping_rules``) have entries of the same form next to ros1_bridge's. Fields with the
-same name and type need no rule. A rule applies in both directions, between all versions that have its fields; several
-entries may be about one message.
+The built-in rules are in JSON (``releases/fields.json``), because every worker reads them and should not load a YAML
+parser for them. The configuration's files (``types.mapping_rules``) have entries of the same form next to those of
+ros1_bridge. Fields with the same name and type need no rule. A rule applies in both directions, between all versions
+that have its fields; several entries may be about one message.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _PAIR = 2
 
 @dataclass(frozen=True, slots=True)
 class VersionRule:
-    """The fields that correspond although their names or types differ, and values of added fields.
+    """The fields that correspond although their names or types differ, and default values of added fields.
 
     Attributes:
         older: name of the message in the older version.
         newer: its name in the newer version, usually the same.
-        fields: paths in the newer version by those in the older one.
-        defaults: values of fields that only the newer version has.
+        fields: paths in the newer version by the paths in the older version.
+        defaults: default values of fields that only the newer version has.
         origin: file and entry, for errors.
     """
 
@@ -45,7 +45,7 @@ class VersionRule:
 
 
 class VersionRules:
-    """All rules about versions: those of the given files before the built-in ones."""
+    """All version rules: those of the given files before the built-in ones."""
 
     def __init__(self, files: Iterable[Path] = ()) -> None:
         self.given = tuple(rule for file in files for rule in load_version_rules(file))
@@ -54,21 +54,21 @@ class VersionRules:
             self._by_names.setdefault((rule.older, rule.newer), []).append(rule)
 
     def fields(self, source: str, target: str) -> Iterator[tuple[str, str, VersionRule]]:
-        """Yield the paths of corresponding fields in two versions, in the order of their precedence."""
+        """Yield the paths of corresponding fields in two versions, in order of precedence."""
         for rule in self._by_names.get((source, target), ()):
             yield from ((path1, path2, rule) for path1, path2 in rule.fields.items())
         for rule in self._by_names.get((target, source), ()):
             yield from ((path2, path1, rule) for path1, path2 in rule.fields.items())
 
     def defaults(self, source: str, target: str) -> Mapping[str, DefaultValue]:
-        """Return the values of the fields that only the target has."""
+        """Return the default values of the fields that only the target has."""
         values: dict[str, DefaultValue] = {}
         for rule in reversed(self._by_names.get((source, target), ())):
             values.update(rule.defaults)
         return values
 
     def replace(self, one: str, two: str) -> bool:
-        """Whether two messages replace each other as the type of a field."""
+        """Whether two messages may replace each other as the type of a field."""
         return one == two or (one, two) in self._by_names or (two, one) in self._by_names
 
 
@@ -80,14 +80,14 @@ def built_in() -> tuple[VersionRule, ...]:
 
 
 def load_version_rules(file: Path) -> list[VersionRule]:
-    """Read the rules about versions in a file; raises `MessageTypeError`, which names the file and the entry."""
+    """Read the version rules in a file; raises `MessageTypeError`, which names the file and the entry."""
     return [_rule(entry, origin) for origin, entry in read_entries(file) if is_version_entry(entry)]
 
 
 def _rule(entry: Mapping[str, Any], origin: str) -> VersionRule:
     if unknown := [key for key in entry if key not in _KEYS]:
         raise MessageTypeError(
-            f"{origin}: unknown key {unknown[0]!r} in a rule about versions", f"its keys are {', '.join(_KEYS)}"
+            f"{origin}: unknown key {unknown[0]!r} in a version rule", f"the keys are {', '.join(_KEYS)}"
         )
     if "messages" in entry and "message" in entry:
         raise MessageTypeError(f"{origin}: has both message and messages", "keep one of them")
@@ -96,7 +96,7 @@ def _rule(entry: Mapping[str, Any], origin: str) -> VersionRule:
     if not isinstance(names, list) or len(names) != _PAIR or not all(_is_message(name) for name in names):
         raise MessageTypeError(
             f"{origin}: {key} is {entry[key]!r}",
-            "write message: package/msg/Name, or two of them in messages; the parts of services and actions are"
+            "write message: package/msg/Name, or two such names in messages; the parts of services and actions are"
             " package/srv/Name_Request, ..._Response, package/action/Name_Goal, ..._Result and ..._Feedback",
         )
     fields, defaults = entry.get("fields", {}), entry.get("defaults", {})

@@ -347,7 +347,7 @@ def test_actions_with_other_names_and_fields_cross_by_rule(folders: Path, tmp_pa
         ("ros1_action_name: A, ros2_action_name: B, request_fields_1_to_2: {}", "request_fields_1_to_2 needs"),
         (
             "ros1_action_name: A, ros2_action_name: B, ros1_service_name: A, ros2_service_name: B",
-            "speaks of services and of actions",
+            "names both services and actions",
         ),
     ],
 )
