@@ -1,1 +1,1 @@
-"""What YARP ports carry for each ROS message, and the ways from CDR to there and back."""
+"""The content of YARP ports for each ROS message, and its conversion from and to CDR."""

@@ -1,8 +1,9 @@
 """The default content of a port: the Bottle that YARP's own converter creates from a ROS message.
 
-It has the fields of the ROS 1 type, the only ones that YARP's converter supports: its header has ``seq``, which ROS 2's
-header lacks. Bottles written by hand are accepted, too. They may have integers for floats, typed lists and blobs; but
-each list must have the right number of values, and each value must fit. Errors name the field.
+The Bottle has the fields of the ROS 1 type, because YARP's converter supports only ROS 1 types: the header has ``seq``,
+which ROS 2's header lacks. Bottles written by hand are accepted, too. They may have integers in place of floats, and
+may use typed lists and blobs; but each list must have the right number of values, and each value must fit. Errors name
+the field.
 """
 
 from __future__ import annotations
@@ -40,7 +41,10 @@ Convert = Callable[[bytes], bytes]
 
 
 class RosBottle(Codec):
-    """Messages as nested lists in field order, by way of ROS 1's bytes; ``stamped``: they begin with a header."""
+    """Messages as nested lists in field order, converted via the ROS 1 serialization.
+
+    ``stamped`` means that the messages begin with a header.
+    """
 
     def __init__(
         self, schema: Schema, to_ros1: Convert, to_cdr: Convert, profile: Profile, *, stamped: bool = False
@@ -57,7 +61,7 @@ class RosBottle(Codec):
 
     @override
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
-        """Convert a Bottle as in `Codec`, also one written by hand."""
+        """Convert a Bottle as `Codec` specifies, including one written by hand."""
         data = bytes(payload)
         try:
             ros1 = self._layouts[profile or self._profile].to_ros1(data)
@@ -88,9 +92,9 @@ def ros1_schema(name: str, definition: str) -> Schema:
 
 
 def decode_arrays(data: Buffer, profile: Profile | None) -> Any:
-    """Decode a Bottle; lists of numbers, also the whole Bottle if it is one, become arrays.
+    """Decode a Bottle. Each list of numbers becomes an array, including the Bottle itself if it is such a list.
 
-    Raises `ConversionError` for other bytes.
+    Raises `ConversionError` if the bytes are not a Bottle.
     """
     try:
         return binary.decode_arrays(data, profile)
@@ -102,7 +106,7 @@ _SIGNED = {"byte": "b", "char": "B"}  # ROS 1's ``byte`` is signed, unlike ROS 2
 
 
 def to_ros1(schema: Schema, values: Sequence[Any]) -> bytes:
-    """Encode a Bottle's values as ROS 1; raises `ConversionError` with the field that does not fit."""
+    """Encode a Bottle's values as a ROS 1 message; raises `ConversionError`, which names the field that is wrong."""
     writer = _Writer(schema)
     writer.message(schema.root, values, "")
     return b"".join(writer.out)
@@ -119,7 +123,7 @@ class _Writer:
         if len(values) != len(definition.fields):
             names = " ".join(field.name for field in definition.fields)
             raise ConversionError(
-                f"{where or 'the Bottle'} has {len(values)} values, and a {definition.name} has the"
+                f"{where or 'the Bottle'} has {len(values)} values, but {definition.name} has"
                 f" {len(definition.fields)} fields ({names}): {shown(values)}"
             )
         for field, value in zip(definition.fields, values, strict=True):
@@ -157,7 +161,7 @@ class _Writer:
 
 
 def floats(base: str, values: np.ndarray, where: str) -> np.ndarray:
-    """Convert numbers to a type of floats; raises `ConversionError` with the first finite one beyond its range."""
+    """Convert numbers to a float type; raises `ConversionError`, which names the first finite number out of range."""
     with np.errstate(over="ignore", invalid="ignore"):
         converted = values.astype(dtype(base))
     if converted.dtype.itemsize < values.dtype.itemsize:
@@ -171,8 +175,8 @@ def floats(base: str, values: np.ndarray, where: str) -> np.ndarray:
 def pack_number(base: str, value: Any, where: str, code: str) -> bytes:
     """Encode a number.
 
-    A negative value for an unsigned type is encoded with its own bits, as YARP writes large unsigned values as negative
-    ones.
+    A negative value for an unsigned type is encoded with its two's complement bits, because YARP writes large unsigned
+    values as negative numbers.
     """
     if isinstance(value, np.generic):
         value = value.item()

@@ -32,7 +32,7 @@ class EncodedMessage(NamedTuple):
 class Codec(ABC):
     """Converts messages of one ROS type to and from one content of a port (such as a Bottle).
 
-    It uses one YARP dialect (`Profile`). Methods may be called from any thread.
+    A codec writes one YARP dialect (`Profile`). Methods may be called from any thread.
     """
 
     # returns the time with which to stamp a message that has no stamp, if its ROS type needs one
@@ -51,7 +51,7 @@ class Codec(ABC):
 
 
 def has_header(schema: Schema) -> bool:
-    """Return whether messages of a ROS 2 type begin with a header; a list of headers is none."""
+    """Return whether messages of a ROS 2 type begin with a header; a list of headers does not count."""
     first = schema.root.fields[0].type if schema.root.fields else None
     return first is not None and first.base in _HEADERS and first.shape is Shape.SINGLE
 
@@ -76,20 +76,20 @@ def split_time(stamp_ns: int) -> tuple[int, int]:
     return min(seconds, 2**31 - 1), nanoseconds
 
 
-Message = dict[str, Any]  # a ROS message as `bridge.messages.values` has it
+Message = dict[str, Any]  # a ROS message as `bridge.messages.values` represents it
 
 
 @dataclass(frozen=True, slots=True)
 class Missing:
     """Values that ROS's types need and YARP's lack."""
 
-    frame: str = ""  #: the header's frame, "" for the type's own default
-    child_frame: str = ""  #: an odometry's frame of the robot, "" for its default
-    joints: tuple[str, ...] = field(default=())  #: names of the joints, in the order of the numbers
+    frame: str = ""  #: the header's frame; "" for the type's own default
+    child_frame: str = ""  #: the robot's frame in odometry; "" for the default
+    joints: tuple[str, ...] = field(default=())  #: names of the joints, in the order of their positions
 
 
 class NaturalType(Protocol):
-    """A YARP type and the ROS type that it stands for.
+    """Converts between a YARP type and the ROS type with the same meaning.
 
     Both methods may raise `ConversionError`; `to_ros` also raises the errors of an `ElementReader`.
     """
@@ -98,11 +98,11 @@ class NaturalType(Protocol):
         """Write the YARP type."""
 
     def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
-        """Read a value of the YARP type; ``stamp_ns`` is the time of its envelope, else the current time."""
+        """Read a value of the YARP type; ``stamp_ns`` is the time in the envelope, or else the current time."""
 
 
 def header(stamp_ns: int, frame: str) -> Message:
-    """A header."""
+    """Return a header."""
     seconds, nanoseconds = split_time(stamp_ns)
     return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame}
 

@@ -33,7 +33,7 @@ class Content:
     # the format of messages; a type without a natural form is sent as a Bottle, and a clock always as YARP's type
     form: Form = "bottle"
     fields: tuple[BottleEntry, ...] = ()  #: the entries of the Bottle of chosen fields
-    profile: Profile = Profile.YARP3  #: format of written bytes, and of read bytes that do not show theirs
+    profile: Profile = Profile.YARP3  #: format of written bytes, and of read bytes whose format is not recognizable
     missing: Missing = field(default_factory=Missing)  #: values that YARP's types lack
 
     def codec(self, registry: Registry, type_name: str, type_hash: str = "") -> Codec:

@@ -1,8 +1,8 @@
-"""Short Bottles of chosen fields, as people use them: ``linear.x linear.y deg(angular.z)``.
+"""Short Bottles of chosen fields, as people write them: ``linear.x linear.y deg(angular.z)``.
 
-An entry is the path of a field by its ROS 2 names, ``path[2]`` for one element of an array, ``deg(path)`` for an angle
-that is in degrees in the Bottle, or a constant: a number, or a text in single quotes. A time is one number of seconds,
-an array a list.
+An entry is the path of a field in ROS 2 names, ``path[2]`` for one element of an array, ``deg(path)`` for an angle
+that is in degrees in the Bottle, or a constant: a number, or a text in single quotes. A time is one number in seconds,
+and an array is a list.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ _TIMES = frozenset(TIME_TYPES.values())
 class BottleEntry:
     """One value of the Bottle."""
 
-    text: str  #: as it was written, for errors
-    path: tuple[str, ...] = ()  #: the field's names from the root on; none for a constant
-    index: int | None = None  #: index of an array's element, None for the whole field
+    text: str  #: the entry as written, for errors
+    path: tuple[str, ...] = ()  #: the field's path from the root; empty for a constant
+    index: int | None = None  #: index of an array's element; None for the whole field
     degrees: bool = False  #: whether an angle is in degrees in the Bottle
-    constant: int | float | str | None = None  #: the constant value, None for a field
+    constant: int | float | str | None = None  #: the constant value; None for a field
 
     @classmethod
     def parse(cls, entry: float | str) -> BottleEntry:
@@ -77,7 +77,7 @@ class FieldsCodec(Codec):
 
     @override
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
-        """Convert a Bottle as in `Codec`; fields that it lacks have their defaults."""
+        """Convert a Bottle as `Codec` specifies; fields that the Bottle lacks get their defaults."""
         values = decode_arrays(bytes(payload), profile)
         if len(values) != len(self._entries):
             wanted = " ".join(entry.text for entry, _ in self._entries)
@@ -99,7 +99,7 @@ class FieldsCodec(Codec):
 
 
 def _resolve(schema: Schema, entry: BottleEntry) -> FieldType | None:
-    """Return the type of an entry's field, None for a constant."""
+    """Return the type of an entry's field; None for a constant."""
     if not entry.path:
         return None
     definition, kind = schema.root, FieldType("")
@@ -121,7 +121,7 @@ def _resolve(schema: Schema, entry: BottleEntry) -> FieldType | None:
         names = ", ".join(field.name for field in schema.types[kind.base].fields)
         raise MessageTypeError(f"{entry.text} is a whole {kind.base}", f"name one of its fields: {names}")
     if entry.degrees and not (kind.base.startswith("float") and kind.shape is Shape.SINGLE):
-        raise MessageTypeError(f"{entry.text}: only one number can be in degrees", "leave deg() out")
+        raise MessageTypeError(f"{entry.text}: only a single float can be in degrees", "leave deg() out")
     return kind
 
 
@@ -133,7 +133,7 @@ def _get(message: Mapping[str, Any], entry: BottleEntry, kind: FieldType | None)
         value = value[name]
     if entry.index is not None:
         if entry.index >= len(value):
-            raise ConversionError(f"{entry.text}: the message has {len(value)} elements there")
+            raise ConversionError(f"{entry.text}: the message's array has {len(value)} elements")
         value = value[entry.index]
         value = value.item() if isinstance(value, np.generic) else value
     if kind.base in _TIMES:
@@ -151,11 +151,11 @@ def _assign(message: dict[str, Any], path: Sequence[str], value: Any) -> None:
 
 def _compare(entry: BottleEntry, value: Any) -> None:
     if isinstance(value, bool) or not isinstance(value, int | float | str) or value != entry.constant:
-        raise ConversionError(f"a value of the Bottle is {value!r}, but the rule has {entry.text}")
+        raise ConversionError(f"a value of the Bottle is {value!r}, but the rule requires {entry.text}")
 
 
 def _taken(entry: BottleEntry, kind: FieldType, value: Any) -> Any:
-    """Convert a Bottle's value to that of the field."""
+    """Convert a Bottle's value to a value of the field."""
     if kind.base in _TIMES:
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1 << 31:
             raise wrong(entry.text, "a time in seconds", value)

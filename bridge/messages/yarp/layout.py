@@ -1,12 +1,13 @@
-"""The layout of a Bottle from YARP's own converter of ROS messages: a plan of its bytes, for both directions.
+"""The layout of the Bottles that YARP's own converter makes of ROS messages, as a plan of bytes for both directions.
 
-A message is a list of its fields, each with its own tag, even if all have the same type; a nested message is also such
-a list, and a time a list of two integers. An array of numbers or strings is a list of that one type, even if empty;
-octets are one-byte integers; an array of messages is a list of lists. Unsigned numbers are written as signed ones with
-the same bits. (``yarpidl_rosmsg``, RosTypeCodeGenYarp.cpp in YARP 3.5, whose readers accept nothing else.)
+A message is a list of its fields, each with its own tag, even if all have the same type. A nested message is a list of
+the same form, and a time is a list of two integers. An array of numbers or strings is a list of that one type, even if
+it is empty; octets are one-byte integers; an array of messages is a list of lists. Unsigned numbers are written as
+signed numbers with the same bits. The source is ``yarpidl_rosmsg`` (RosTypeCodeGenYarp.cpp) in YARP 3.5, whose readers
+accept no other layout.
 
-ROS 1's bytes have the same fields in the same order without tags, so a plan is a list of steps that read one and write
-the other.
+The ROS 1 serialization has the same fields in the same order without tags, so a plan is a list of steps, each of which
+reads one format and writes the other.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from bridge.messages.errors import ConversionError, MessageTypeError
 from yarp_compat.wire import tags
 from yarp_compat.wire.profile import Profile
 
-LONG_RUN = 16  # number of fixed-size messages in an array from which numpy is faster than a loop
+LONG_RUN = 16  # minimum number of fixed-size messages in an array for numpy to be faster than a loop
 _TWO = struct.Struct("<ii")
 _COUNT = struct.Struct("<I")
 _INTEGERS = {1: tags.INT8, 2: tags.INT16, 4: tags.INT32, 8: tags.INT64}
@@ -30,17 +31,17 @@ _TAGS = {base: _INTEGERS[size] for base, size in PRIMITIVE_SIZES.items() if not 
 
 
 class MismatchError(Exception):
-    """The bytes have another layout; they may still be a valid message."""
+    """The bytes have a different layout; they may still be a valid message."""
 
 
 class _Step(Protocol):
-    """One part of a message. Both methods append the part's bytes to ``out``, and return the next position."""
+    """One part of a message. Both methods append the converted bytes to ``out``, and return the next position."""
 
     def to_bottle(self, data: bytes, at: int, out: list[bytes]) -> int:
-        """Convert from checked ROS 1 bytes."""
+        """Convert ROS 1 bytes, which have been checked."""
 
     def to_ros1(self, data: bytes, at: int, out: list[bytes]) -> int:
-        """Convert from unchecked bytes of a Bottle; raises `MismatchError`."""
+        """Convert bytes of a Bottle, which have not been checked; raises `MismatchError`."""
 
 
 class _Run:
@@ -61,12 +62,12 @@ class _Run:
 
     @property
     def empty(self) -> bool:
-        """Whether the run has no numbers."""
+        """Whether nothing has been appended."""
         return not self._pairs and not self._constant
 
     @property
     def ros1_size(self) -> int:
-        """Size in ROS 1's format, in bytes."""
+        """Size in the ROS 1 serialization, in bytes."""
         return sum(size for _, size in self._pairs)
 
     @property
@@ -95,7 +96,7 @@ class _Run:
         return end
 
     def columns(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the Bottle's bytes with zeros for the numbers, and the positions of the numbers."""
+        """Return the run's bytes in a Bottle with zeros for the numbers, and a mask of the numbers' bytes."""
         parts = [part for before, size in self._pairs for part in (before, bytes(size))]
         marks = [part for before, size in self._pairs for part in (bytes(len(before)), b"\1" * size)]
         template = np.frombuffer(b"".join([*parts, self._constant]), np.uint8)
@@ -222,7 +223,7 @@ def _ros1_count(data: bytes, at: int, length: int) -> tuple[int, int]:
 
 
 def _bottle_count(data: bytes, at: int, tag: int, length: int, least: int, out: list[bytes]) -> tuple[int, int]:
-    """Read a list's count, and write it for ROS 1 if it is variable; each element has at least ``least`` bytes."""
+    """Read a list's count, and append it if ``length`` is 0 (variable); each element has at least ``least`` bytes."""
     if at + 8 > len(data):
         raise MismatchError
     actual, count = _TWO.unpack_from(data, at)
@@ -249,7 +250,7 @@ class _Maker:
                 self._field(field.type)
             except KeyError:
                 msg = f"field {field.name} of {definition.name} is a {field.type.base}, which YARP lacks"
-                raise MessageTypeError(msg, "choose its fields: 'fields' in an entry of yarp.topics") from None
+                raise MessageTypeError(msg, "choose other fields with 'fields' in an entry of yarp.topics") from None
 
     def _field(self, kind: FieldType) -> None:
         nested = TIME_DEFINITIONS.get(kind.base) or (self._schema.types[kind.base] if kind.nested else None)
@@ -285,7 +286,7 @@ class _Maker:
 
 
 class Layout:
-    """A ROS 1 type's Bottle in one profile; raises `MessageTypeError` if YARP lacks the type of a field."""
+    """The layout of a ROS 1 type's Bottle in one profile; raises `MessageTypeError` if YARP lacks a field's type."""
 
     def __init__(self, schema: Schema, profile: Profile) -> None:
         floats = {"float32": profile.float32_tag, "float64": profile.float64_tag}
@@ -294,7 +295,7 @@ class Layout:
         self._steps = maker.finish()
 
     def to_bottle(self, ros1: bytes) -> bytes:
-        """Return the Bottle of a checked message."""
+        """Return the Bottle for a ROS 1 message, which has been checked."""
         out: list[bytes] = []
         at = 0
         for step in self._steps:
@@ -304,7 +305,7 @@ class Layout:
         return b"".join(out)
 
     def to_ros1(self, bottle: bytes) -> bytes:
-        """Return the message of a Bottle; raises `MismatchError` if the Bottle has another layout."""
+        """Return the ROS 1 message for a Bottle; raises `MismatchError` if the Bottle has a different layout."""
         out: list[bytes] = []
         at = 0
         for step in self._steps:

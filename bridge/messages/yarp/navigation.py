@@ -1,8 +1,9 @@
-"""Motion and places as YARP's types: odometry, velocities, joints, poses, paths and maps. YARP's angles are in degrees.
+"""Converts odometry, velocities, joints, poses, paths and maps to and from YARP's types. YARP's angles are in degrees.
 
-A pose is ``map x y theta description`` (``yarp/dev/Map2DLocation.h``), with the map's name as frame. A map is
-``yarp::dev::Nav2D::MapGrid2D``: the flags of a ROS map are those that YARP assigns to a map without flags: free below
-50, wall from 50 on, unknown. The two have different origins for a rotated map, see `yarp_compat.dev.mapinfo`.
+A pose is ``map x y theta description`` (``yarp/dev/Map2DLocation.h``); the map's name is the frame in ROS. A map is a
+``yarp::dev::Nav2D::MapGrid2D``. A ROS map gets the flags that YARP assigns to a map without flags: free below an
+occupancy of 50, wall from 50 on, or unknown. YARP and ROS have different origins for a rotated map; see
+`yarp_compat.dev.mapinfo`.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from yarp_compat.wire.elements import ElementReader, ElementWriter
 
 
 class _Odometry:
-    """``yarp::dev::OdometryData``: pose, velocity in the robot's frame, velocity in odometry's, each x y theta."""
+    """``yarp::dev::OdometryData``: the pose, and the velocity in the robot's and the odometry frame, each x y theta."""
 
     def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
         pose, twist = message["pose"]["pose"], message["twist"]["twist"]
@@ -87,7 +88,7 @@ class _Joints:
             positions = np.radians(vector.numpy())
         names = missing.joints or tuple(f"joint_{number}" for number in range(len(positions)))
         if len(names) != len(positions):
-            raise ConversionError(f"there are {len(positions)} joints, and the rule names {len(names)}")
+            raise ConversionError(f"there are {len(positions)} joints, but the rule names {len(names)}")
         return {"header": header(stamp_ns, missing.frame), "name": list(names), "position": positions}
 
 
@@ -96,14 +97,14 @@ def _twist(ahead: float, left: float, turn: float) -> Message:
 
 
 class Grid:
-    """The pair of map types."""
+    """``yarp::dev::Nav2D::MapGrid2D``."""
 
     def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
         """Write the map uncompressed."""
         info = message["info"]
         width, height, position = info["width"], info["height"], info["origin"]["position"]
         if len(message["data"]) != width * height:
-            raise ConversionError(f"a map of {width} x {height} cells cannot have {len(message['data'])}")
+            raise ConversionError(f"a map of {width} x {height} cells needs as many values, not {len(message['data'])}")
         cells = np.ascontiguousarray(message["data"].reshape(height, width)[::-1]).view(np.uint8)  # -1 is 255
         yaw = math.radians(heading(info["origin"]["orientation"]))
         try:
@@ -147,7 +148,7 @@ def _pose(location: Map2DLocation) -> Message:
 
 
 class _Pose:
-    """A pose; YARP has no covariance."""
+    """``Map2DLocation``, which has no covariance."""
 
     def __init__(self, *, covariant: bool) -> None:
         self._covariant = covariant

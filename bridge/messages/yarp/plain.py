@@ -1,7 +1,7 @@
-"""Plain values as YARP's: a text or number is a Bottle of one, an array a vector, points are vectors of x y z.
+"""Converts plain values to and from YARP's types.
 
-``/clock`` is YARP's network clock: a Bottle of two integers, seconds and nanoseconds (``NetworkClock::read`` of YARP 3
-and 4).
+A text or number is a Bottle of one value, an array is a vector, and a point is a vector of x y z. ``/clock`` is YARP's
+network clock: a Bottle of two integers, seconds and nanoseconds (``NetworkClock::read`` of YARP 3 and 4).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def _bottle(source: ElementReader) -> list[Any]:
 
 
 class _Text:
-    """A Bottle of one string; any other Bottle is taken as the text of it, as when people type words."""
+    """A Bottle of one string; any other Bottle, such as words that a person types, is accepted in its text form."""
 
     def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
         out.block(encode([message["data"]], out.profile))
@@ -68,7 +68,7 @@ class _Number:
 
 
 class _Array:
-    """A vector of the array's own type."""
+    """A vector of the array's element type."""
 
     def __init__(self, base: str) -> None:
         self._base = base
@@ -108,7 +108,7 @@ CLOCK = "rosgraph_msgs/msg/Clock"
 
 
 class _Clock:
-    """Also taken in a list of its own, as YARP's converter of ROS messages would write it."""
+    """YARP's network clock; also accepted within a list, as YARP's converter of ROS messages would write it."""
 
     def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
         time = message["clock"]
@@ -119,7 +119,7 @@ class _Clock:
         if len(values) == 1 and isinstance(values[0], list):
             values = values[0]
         if len(values) != 2 or not all(type(value) is int for value in values) or not 0 <= values[1] < 1_000_000_000:
-            raise ConversionError(f"a clock is two integers, seconds and nanoseconds: {to_text(values)[:80]}")
+            raise ConversionError(f"a clock must be two integers, seconds and nanoseconds: {to_text(values)[:80]}")
         return {"clock": {"sec": values[0], "nanosec": values[1]}}
 
 

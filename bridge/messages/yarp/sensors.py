@@ -1,14 +1,15 @@
-"""Sensors as YARP's types: laser scans, point clouds, octomaps and pictures.
+"""Converts laser scans, point clouds, octomaps and images to and from YARP's own types.
 
-A scan is ``yarp::dev::LaserScan2D``: ``(angle_min angle_max range_min range_max (ranges) status)``, angles in degrees,
-no echo is infinity. The limits are passed on unchanged; YARP does not send the angle between two rays, which its
-readers compute as the span divided by the number of rays (``laserFromExternalPort.cpp``).
+A scan is a ``yarp::dev::LaserScan2D``: ``(angle_min angle_max range_min range_max (ranges) status)``, with angles in
+degrees, and infinity for no echo. The limits are passed on unchanged. YARP does not send the angle between two rays;
+its readers compute the angle as the span divided by the number of rays (``laserFromExternalPort.cpp``).
 
-``yarp::sig::PointCloud`` has points of a few fixed kinds with PCL's layout. A cloud with such fields is passed on
-unchanged; from other clouds the fields of the nearest kind are copied. The rows of ``yarp::sig::Image`` are padded to a
-multiple of 8 bytes. Depth is in meters as floats: millimeters (``16UC1``, REP 118) are converted, ``mono16`` is not.
+``yarp::sig::PointCloud`` has points of a few fixed kinds with PCL's layout. A cloud with the layout of such a kind is
+passed on unchanged; from other clouds the fields of the best kind are copied. The rows of ``yarp::sig::Image`` are
+padded to a multiple of 8 bytes. Depth is sent as floats in meters: millimeters (``16UC1``, REP 118) are converted,
+``mono16`` is not.
 
-An octomap has the same form in both, see `yarp_compat.octomap`.
+An octomap has the same form in YARP and in ROS; see `yarp_compat.octomap`.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ _CHOICE = (
     (PointType.NORMAL, {"normal_x"}),
     (PointType.XY, {"x", "y"}),
 )
-"""The kinds of points, in order of preference: a cloud is sent as the first one whose fields it has."""
+"""The kinds of points, in order of preference: a cloud is sent as the first kind whose fields it has."""
 
 
 class _Cloud:
@@ -77,7 +78,7 @@ class _Cloud:
         kind = next((kind for kind, wanted in _CHOICE if wanted <= names), None)
         if kind is None:
             have = sorted({field["name"] for field in message["fields"]})
-            raise ConversionError(f"YARP has no points of the fields {', '.join(have) or 'none'}")
+            raise ConversionError(f"YARP has no kind of points for the fields {', '.join(have) or 'none'}")
         layout = LAYOUTS[kind]
         if points.dtype.itemsize == layout.itemsize and _same_places(points.dtype, layout):
             points = np.ascontiguousarray(points).view(layout)
@@ -109,9 +110,9 @@ class _Cloud:
 
 
 def _points(message: Mapping[str, Any]) -> np.ndarray:
-    """Return the points as an array of records (height, width), or of one row; a color is four bytes ``b g r a``.
+    """Return the points as an array of records, (height, width) or (width,); a color is four bytes ``b g r a``.
 
-    Of several fields with one name the first is used, and a color in four bytes rather than in separate fields.
+    Of several fields with the same name, the first is used. A color in four bytes is preferred to separate fields.
     """
     names: list[str] = []
     formats: list[str] = []
@@ -172,16 +173,16 @@ _CODES = {
         if "BAYER" in code.name
     },
 }
-"""ROS's encodings (``sensor_msgs/image_encodings.hpp``) and the equivalent pixels of YARP."""
+"""ROS's encodings (``sensor_msgs/image_encodings.hpp``) and YARP's equivalent pixel codes."""
 
-_ENCODINGS = {code: name for name, code in reversed(_CODES.items())}  # of several encodings, the first
+_ENCODINGS = {code: name for name, code in reversed(_CODES.items())}  # the first encoding of each code
 
 
 class _Picture:
     def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
         code = _CODES.get(message["encoding"])
         if code is None:
-            raise ConversionError(f"YARP has no pixels of the encoding {message['encoding']!r}")
+            raise ConversionError(f"YARP has no pixel code for the encoding {message['encoding']!r}")
         rows = _rows(message, format_of(code).size)
         if message["is_bigendian"] and format_of(code).dtype.itemsize > 1:
             rows = rows.view(format_of(code).dtype.newbyteorder(">")).astype(format_of(code).dtype).view(np.uint8)
@@ -216,7 +217,7 @@ class _Picture:
 
 
 def _rows(message: Mapping[str, Any], pixel: int) -> np.ndarray:
-    """Return the picture's rows without padding."""
+    """Return the image's rows without padding; raises `ConversionError` if the sizes do not fit the data."""
     width, height, step, data = (message[name] for name in ("width", "height", "step", "data"))
     if step < width * pixel or len(data) < step * height:
         raise ConversionError(

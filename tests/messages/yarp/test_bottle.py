@@ -153,10 +153,10 @@ def test_handwritten_bottle_is_accepted() -> None:
 @pytest.mark.parametrize(
     ("values", "error"),
     [
-        ([[1, 0], [0, 0, 0]], r"linear has 2 values, and a geometry_msgs/Vector3 has the 3 fields \(x y z\): 1 0"),
+        ([[1, 0], [0, 0, 0]], r"linear has 2 values, but geometry_msgs/Vector3 has 3 fields \(x y z\): 1 0"),
         ([[1, 0, 0]], "the Bottle has 1 values"),
-        ([[1, "a", 0], [0, 0, 0]], "linear.y is float64, not 'a'"),
-        ([5, [0, 0, 0]], "linear is a list of the fields of geometry_msgs/Vector3, not 5"),
+        ([[1, "a", 0], [0, 0, 0]], "linear.y must be float64, not 'a'"),
+        ([5, [0, 0, 0]], "linear must be a list of the fields of geometry_msgs/Vector3, not 5"),
     ],
 )
 def test_a_wrong_bottle_is_refused_with_its_field(values: list[Any], error: str) -> None:
@@ -165,7 +165,7 @@ def test_a_wrong_bottle_is_refused_with_its_field(values: list[Any], error: str)
 
 
 def test_numbers_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(ConversionError, match="data is int16, not 70000"):
+    with pytest.raises(ConversionError, match="data must be int16, not 70000"):
         codec("std_msgs/msg/Int16").to_hub(binary.encode([70000], Profile.YARP3), None, None)
     unsigned = codec("std_msgs/msg/UInt16").to_hub(binary.encode([-1], Profile.YARP3), None, None)
     assert to_json(REGISTRY, "std_msgs/msg/UInt16", unsigned) == {"data": 65535}
@@ -208,5 +208,5 @@ def test_a_double_beyond_float32_in_a_list_is_refused_with_its_index() -> None:
     result = codec(name).to_hub(binary.encode(allowed, Profile.YARP4), Profile.YARP4, None)
     assert to_json(REGISTRY, name, result)["ranges"][1:3] == ["Infinity", "NaN"]
     wrong = [*scan[:8], [1.5, math.inf, -1e39], *scan[9:]]
-    with pytest.raises(ConversionError, match=r"ranges\[2\] is float32, not -1e\+39"):
+    with pytest.raises(ConversionError, match=r"ranges\[2\] must be float32, not -1e\+39"):
         codec(name).to_hub(binary.encode(wrong, Profile.YARP4), Profile.YARP4, None)

@@ -51,7 +51,7 @@ def test_constants_and_degrees_make_a_command_of_robot_goto() -> None:
     message = {"linear": {"x": 0.5}, "angular": {"z": math.pi}}
     assert out(known, TWIST, message) == [3, 0.5, 0.0, pytest.approx(180.0), 100.0]
     assert back(known, TWIST, [3, 0.5, 0, 90, 100])["angular"]["z"] == pytest.approx(math.pi / 2)
-    with pytest.raises(ConversionError, match=r"a value of the Bottle is 2, but the rule has 3"):
+    with pytest.raises(ConversionError, match=r"a value of the Bottle is 2, but the rule requires 3"):
         back(known, TWIST, [2, 0.0, 0.5, 90.0, 100.0])
 
 
@@ -70,7 +70,7 @@ def test_times_texts_arrays_and_elements() -> None:
     assert (got["header"]["stamp"], got["name"], got["position"]) == (
         {"sec": 2, "nanosec": 500_000_000}, ["a", "b"], [1.0, 2.0],
     )  # fmt: skip
-    with pytest.raises(ConversionError, match=r"velocity\[1\]: the message has 0 elements there"):
+    with pytest.raises(ConversionError, match=r"velocity\[1\]: the message's array has 0 elements"):
         out(codec(name, "velocity[1]"), name, {})
 
 
@@ -88,9 +88,9 @@ def test_a_header_gets_the_envelopes_time_and_the_rules_frame() -> None:
     ("values", "error"),
     [
         ([1.0, 2.0], r"the Bottle has 2 values, not the 3 of \(linear.x linear.y angular.z\): 1.0 2.0"),
-        ([1.0, "fast", 0.0], "linear.y is float64, not 'fast'"),
-        ([1.0, [2.0], 0.0], "linear.y is float64"),
-        ([1.0, True, 0.0], "linear.y is float64, not True"),
+        ([1.0, "fast", 0.0], "linear.y must be float64, not 'fast'"),
+        ([1.0, [2.0], 0.0], "linear.y must be float64"),
+        ([1.0, True, 0.0], "linear.y must be float64, not True"),
     ],
 )
 def test_a_wrong_bottle_is_refused(values: list[Any], error: str) -> None:
@@ -100,12 +100,12 @@ def test_a_wrong_bottle_is_refused(values: list[Any], error: str) -> None:
 
 @pytest.mark.parametrize("value", [1e300, math.inf, math.nan, -1e12, True, "now"])
 def test_an_invalid_time_is_refused(value: Any) -> None:
-    with pytest.raises(ConversionError, match=r"header\.stamp is a time in seconds"):
+    with pytest.raises(ConversionError, match=r"header\.stamp must be a time in seconds"):
         back(codec("sensor_msgs/msg/JointState", "header.stamp"), "sensor_msgs/msg/JointState", [value])
 
 
 def test_a_list_where_the_rule_has_a_constant() -> None:
-    with pytest.raises(ConversionError, match="but the rule has 3"):
+    with pytest.raises(ConversionError, match="but the rule requires 3"):
         back(codec(TWIST, 3, "linear.x"), TWIST, [[1.0, 2.0], 1.0])
 
 
@@ -150,7 +150,7 @@ def test_the_envelope_stamps_a_header_of_any_name() -> None:
 
 def test_a_double_beyond_float32_is_refused_in_lists_as_elsewhere() -> None:
     name = "sensor_msgs/msg/LaserScan"
-    with pytest.raises(ConversionError, match=r"range_max is float32, not 1e\+39"):
+    with pytest.raises(ConversionError, match=r"range_max must be float32, not 1e\+39"):
         back(codec(name, "range_max"), name, [1e39])
-    with pytest.raises(ConversionError, match=r"ranges\[1\] is float32, not 1e\+39"):
+    with pytest.raises(ConversionError, match=r"ranges\[1\] must be float32, not 1e\+39"):
         back(codec(name, "ranges"), name, [[math.inf, 1e39]])

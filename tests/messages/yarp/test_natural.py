@@ -190,7 +190,7 @@ def test_points_of_each_type_come_back_as_they_were(kind: pointcloud.PointType) 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"width": 100_000_000}, "row_step: 16 bytes hold no 100000000 points"),
+        ({"width": 100_000_000}, "row_step: 16 bytes cannot hold 100000000 points"),
         ({"height": 100_000_000}, "data: 16 bytes, where 100000000 rows"),
         ({"point_step": 0}, "fields.x"),
         ({"fields": [_field("x", 4_294_967_295)]}, "fields.x.offset: byte 4294967295"),
@@ -314,7 +314,7 @@ def test_joints_are_a_vector_in_degrees() -> None:
     assert got["name"] == ["a", "b"]
     assert got["position"] == pytest.approx([math.pi, -math.pi / 2])
     assert back(name, payload)["name"] == ["joint_0", "joint_1"]
-    with pytest.raises(ConversionError, match="there are 2 joints, and the rule names 1"):
+    with pytest.raises(ConversionError, match="there are 2 joints, but the rule names 1"):
         back(name, payload, joints=("a",))
 
 
