@@ -1,4 +1,4 @@
-"""What pages watch: the newest value of each feed, which is updated only while a page watches it."""
+"""Feeds, which pages watch: each has a newest value, which is updated only while a page watches the feed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Watcher(Protocol):
 
 
 class Feed(ABC):
-    """One feed. To be used on the module's thread.
+    """One feed. Used only on the module's thread.
 
     Args:
         name: the name that pages use.
@@ -35,7 +35,7 @@ class Feed(ABC):
 
     @property
     def watched(self) -> bool:
-        """Whether any page watches it."""
+        """Whether any page watches the feed."""
         return bool(self._watchers)
 
     def watch(self, watcher: Watcher) -> None:
@@ -53,7 +53,7 @@ class Feed(ABC):
             watcher.changed(self.name, self._n, self._text)
 
     def unwatch(self, watcher: Watcher) -> None:
-        """Stop sending to a page; without any page the feed is closed."""
+        """Stop sending to a page; the feed is closed after the last page."""
         if watcher in self._watchers:
             self._watchers.discard(watcher)
             if not self._watchers:
@@ -61,7 +61,7 @@ class Feed(ABC):
                 self._text = self._value = ""
 
     def put(self, value: Any, why: str = "") -> None:
-        """Publish a value, or None with the reason ``why``; an unchanged one is not sent again."""
+        """Publish a value, or None with the reason ``why``; an unchanged value is not sent again."""
         if not self._watchers:
             return  # a value that arrived after the last page left
         document = {"value": value, "why": why} if value is None else {"value": value}
@@ -111,15 +111,15 @@ class Feeds:
 
     Args:
         fixed: the feeds that always exist.
-        factories: by a name's prefix, creates the feed of that name; raises `LookupError` if the rest of the name is
-            invalid.
+        factories: functions that create a feed from its name, by the name's prefix; they raise `LookupError` if the
+            rest of the name is invalid.
 
     Attributes:
         fixed: the feeds that always exist, by name.
     """
 
     MOST_TOPICS = 100
-    """Largest number of topics that all pages together may watch."""
+    """Maximum number of topics that all pages together may watch."""
 
     def __init__(self, fixed: list[Feed], factories: Mapping[str, Make]) -> None:
         self.fixed = {feed.name: feed for feed in fixed}
@@ -127,7 +127,7 @@ class Feeds:
         self._topics: dict[str, Feed] = {}
 
     def find(self, name: str) -> Feed:
-        """Return the feed of a name; raises `LookupError` with the reason if there is none."""
+        """Return the feed of a name; raises `LookupError` with the reason if there is no such feed."""
         if name in self.fixed:
             return self.fixed[name]
         make = next((make for begin, make in self._factories.items() if name.startswith(begin)), None)

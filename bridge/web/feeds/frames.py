@@ -1,4 +1,4 @@
-"""The feeds of the frames: their tree, and the pose of one in another (``pose:REFERENCE>FRAME``)."""
+"""The feeds of the frames: their tree, and the pose of one frame in another (``pose:REFERENCE>FRAME``)."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ class FrameFollower:
         return self._frames
 
     def grid_frame(self, topic: str, grid: dict[str, Any], most: int) -> Pose:
-        """Return the pose of a grid's frame on the map; raises `FramesError`, also for more than ``most`` cells."""
+        """Return the pose of a grid's frame on the map; raises `FramesError`, also beyond ``most`` cells."""
         width, height = int(grid["info"]["width"]), int(grid["info"]["height"])
         if width * height > most:
             raise FramesError(f"{topic} has {width} x {height} cells; up to {most} are shown")
         return self.frames.on_map(str(grid["header"]["frame_id"]).lstrip("/"))
 
     def begin(self) -> None:
-        """Add a user; the first user causes the subscription."""
+        """Add a user; subscribe for the first user."""
         self._users += 1
         if self._frames is None:
             section = self._config.navigation
@@ -52,7 +52,7 @@ class FrameFollower:
             self._frames.listen()
 
     def end(self) -> None:
-        """Remove a user; without users, unsubscribe."""
+        """Remove a user; unsubscribe after the last user."""
         self._users -= 1
         if not self._users:
             self.frames.unsubscribe()
@@ -106,9 +106,9 @@ class FramesFeed(FrameFeed):
 
 
 class FramePoseFeed(FrameFeed):
-    """The pose at the newest time known for all frames between the two; `LookupError` if the name lacks two frames.
+    """The pose of one frame in another, at the newest time that all frames between the two have.
 
-    A frame that is not known yet gives a reason instead.
+    While a frame is unknown, the value is None with the reason. Raises `LookupError` if the name lacks two frames.
     """
 
     def __init__(self, host: Host, follower: FrameFollower, name: str) -> None:

@@ -54,7 +54,7 @@ class PolledFeed(Feed):
 
     @override
     def open(self) -> None:
-        """Query now, and again after each pause."""
+        """Query now, and then periodically."""
         self._timer = self._host.loop.every(self._seconds, self._poll)
         self._poll()
 
@@ -83,7 +83,7 @@ class PolledFeed(Feed):
 
 
 class StatusPoller:
-    """Makes the value of ``status``; one thread calls it periodically."""
+    """Creates the value of the feed ``status``; one thread calls it periodically."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -105,7 +105,7 @@ class StatusPoller:
 
 
 def ask_status(client: Client) -> dict[str, Any]:
-    """Return the workers on the hub with their routes, and those that this daemon reports as not answering yet."""
+    """Return the workers on the hub with their routes, and this daemon's workers that do not answer yet."""
     documents = answered(client, _ASK_SECONDS)
     answering = {(document.daemon, document.worker) for document in documents}
     daemon = ask_daemon(client.config) or DaemonStatus()

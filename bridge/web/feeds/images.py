@@ -19,7 +19,7 @@ from bridge.web.feeds.topics import NewestFeed
 
 PREFIX = "image:"
 WIDTHS = (160, 320, 640, 1280)
-"""Largest width and height in pixels; only a few values, so that pages share the scaled images."""
+"""Maximum width and height in pixels; there are only a few values, so that pages share the scaled images."""
 
 TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _QUALITY = 75

@@ -22,13 +22,13 @@ from navigation.pose import Pose
 
 SECONDS = 0.5
 MOST_CELLS = 1 << 22
-"""Largest number of cells of a layer; a larger one is not shown."""
+"""Maximum number of cells of a layer; a larger layer is not shown."""
 
 MOST_TINTED = 20_000
-"""Largest number of cells sent to a page; if more are blocked, four are merged into one, repeatedly."""
+"""Maximum number of cells sent to a page; if more are blocked, squares of four are merged, repeatedly."""
 
 BLOCKED = 50
-"""Smallest value that planners treat as blocked."""
+"""Minimum value that planners treat as blocked."""
 
 
 class LayerFeed(TopicsFeed):
@@ -87,7 +87,7 @@ class LayerFeed(TopicsFeed):
 
 
 def tint(grid: dict[str, Any], heights: dict[str, Any] | None, frame: Pose) -> dict[str, Any]:
-    """Return a layer's value; ``frame``: pose of the layer's frame on the map. Raises `ValueError` with the reason."""
+    """Return the feed's value; ``frame``: pose of the layer's frame on the map. Raises `ValueError` with the reason."""
     info = grid["info"]
     height, width, size = int(info["height"]), int(info["width"]), float(info["resolution"])
     cells = np.asarray(grid["data"], np.int8)
@@ -125,14 +125,14 @@ def _heights_of(
 
 
 def _halved(cells: NDArray[Any], fill: float) -> NDArray[Any]:
-    """Group the cells by twos: (rows, 2, columns, 2)."""
+    """Group the cells in squares of four: (rows, 2, columns, 2)."""
     rows, columns = cells.shape
     full = np.pad(cells, ((0, rows % 2), (0, columns % 2)), constant_values=fill)
     return full.reshape(full.shape[0] // 2, 2, full.shape[1] // 2, 2)
 
 
 def runs_of(blocked: NDArray[np.bool_], heights: NDArray[np.float32]) -> list[list[float | None]]:
-    """Return runs of adjacent blocked cells: row, column of the first, the height of each (None: unknown)."""
+    """Return runs of adjacent blocked cells: row and column of the first, then the height of each (None: unknown)."""
     rows, columns = np.nonzero(blocked)
     values = heights[rows, columns]
     rounded = [None if math.isinf(value) else value for value in np.round(values.astype(np.float64), 2).tolist()]

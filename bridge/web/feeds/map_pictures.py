@@ -18,9 +18,9 @@ from PIL import Image
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
 TILE = 1024
-"""Width and height of a tile in cells: pages fetch only changed tiles."""
+"""Width and height of a tile in cells; pages fetch only changed tiles."""
 _CACHED_IMAGES = 2
-"""Images of each kind that are cached: a page may still fetch the previous one."""
+"""Number of cached images of each kind, because a page may still fetch the previous one."""
 _LEVELS, _UNKNOWN_CELL = 101, 101
 """Grays for 0 to 100 percent occupied, and the color of unknown cells."""
 _DARK_FREE, _DARK_WALL = (0x14, 0x19, 0x1E), (0xA0, 0xB0, 0xBE)
@@ -91,7 +91,7 @@ class Pictures:
 
         ``{"size": width of a tile, "tiles": rows of addresses, null for a transparent tile}``
 
-        An address depends on the tile's content: an unchanged tile keeps its address, and is not compressed again.
+        An address depends on the tile's content, so an unchanged tile keeps its address and is not compressed again.
         """
         clear, packed, rows = CLEAR[name], dict[str, bytes](), []
         for top in range(0, cells.shape[0], TILE):

@@ -82,7 +82,10 @@ class StoreFollower:
             self._timer = self._view = self._digest = self._map = None
 
     def client(self) -> StoreClient:
-        """Return the store on the hub; raises `StoreError` without one. Blocks: not for the module's thread."""
+        """Return the store on the hub; raises `StoreError` without one.
+
+        Do not call it on the module's thread, because it blocks.
+        """
         with self._lock:
             if self._client is None:
                 self._space = self._space or self._host.node.hub.keyspace(prefix(self._config.hub.domain))
@@ -91,11 +94,11 @@ class StoreFollower:
 
     @property
     def writing(self) -> tuple[Callable[[], StoreClient], Callable[[], None]]:
-        """What verbs need to change the store: `client`, and what to call after a change."""
+        """What verbs need to change the store: `client`, and a function to call after each change."""
         return self.client, lambda: self._host.loop.post(self.refresh)
 
     def refresh(self) -> None:
-        """Poll now, unless a query is running or no feed exists."""
+        """Poll now, unless a query is running or no feed is watched."""
         if not self._asking and self._feeds:
             self._asking = True
             self._executor.submit(self._ask)
@@ -215,7 +218,7 @@ class MapFeed(TopicsFeed):
         self._drawing.submit(partial(self._draw, grid, self._source))
 
     def _draw(self, grid: MapGrid2D, name: str) -> None:
-        """Draw on a separate thread: images of 16 million cells take a quarter of a second."""
+        """Draw the images, on a separate thread because 16 million cells take a quarter of a second."""
         picture = self._pictures.put("occupancy", occupancy_picture(grid))
         tints = flags_picture(grid)
         flags = self._pictures.put("flags", tints) if tints is not None else None

@@ -22,7 +22,7 @@ from navigation.pose import Pose
 
 SECONDS = 0.25
 MOST_CELLS = 1 << 20
-"""Maximum number of cells of a local map; a larger one is not shown."""
+"""Maximum number of cells of a local map; a larger map is not shown."""
 
 OCCUPIED = 100
 """Value of an occupied cell; lower values are inflation (Nav2's costmap_2d_publisher: lethal 100, inscribed 99)."""

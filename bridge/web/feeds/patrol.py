@@ -23,7 +23,7 @@ class PatrolFeed(Feed):
 
     @override
     def close(self) -> None:
-        """Do nothing: it has no subscriptions."""
+        """Do nothing: the feed has no subscriptions."""
 
     def publish(self, value: Mapping[str, Any]) -> None:
         """Publish a new state."""

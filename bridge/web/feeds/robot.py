@@ -1,4 +1,4 @@
-"""The feeds of the robot: its pose, laser scan and goal. To be used on the module's thread."""
+"""The feeds of the robot: its pose, laser scan, path and goal. Used only on the module's thread."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from navigation.status import STATUS, State
 
 ROBOT_SECONDS = 0.1
 MOST_POINTS = 2000
-"""Largest number of points of a path or scan; of a longer one every second, third ... is sent."""
+"""Maximum number of points of a path or scan; of a longer one only every second (third ...) point is sent."""
 _CORNERS = 16
 _LASER_GAP = 0.8 * ROBOT_SECONDS
-"""Shortest time between two scans; one that arrives sooner is delayed, which at 10 Hz is rarely the case."""
+"""Minimum time between two scans, seconds; an earlier scan is delayed, which is rare at 10 Hz."""
 
 
 class RobotFeed(FrameFeed):
-    """``robot``: pose and footprint."""
+    """``robot``: the robot's pose and footprint."""
 
     def __init__(self, host: Host, follower: FrameFollower, footprint: Sequence[Sequence[float]]) -> None:
         super().__init__(host, follower, "robot", ROBOT_SECONDS)
@@ -165,7 +165,8 @@ class PathFeed(TopicsFeed):
         points = points_of_path(path)
         if not (self._driving.drives or self._driving.paused):
             return
-        # planners clear their path as soon as their goal is canceled for a pause; the status shows how a goal ends
+        # ignore an empty path during a goal: planners clear it when the goal is canceled for a pause; `_update` handles
+        # the end of a goal
         if points or not any(self._driving.goal_id):
             self._last = points
             self.put({"points": points})
@@ -200,7 +201,7 @@ class DrivingFeed(TopicsFeed):
 
     @property
     def state(self) -> str:
-        """The gateway's state, "" if unknown."""
+        """The gateway's state; "" if unknown."""
         return "" if self._status is None else str(self._status["state"])
 
     @property
@@ -210,7 +211,7 @@ class DrivingFeed(TopicsFeed):
 
     @property
     def busy(self) -> str:
-        """Why manual driving is refused, "" if it is allowed."""
+        """Why manual driving is refused; "" if it is allowed."""
         return f"{self.planner} drives; pause or stop it first" if self.drives else ""
 
     @override
@@ -285,7 +286,7 @@ class DrivingFeed(TopicsFeed):
 
 
 def _moved(frames: RobotFrames, stamp: int) -> Pose:
-    """Return the robot's pose on the map at a time; the odometry is finer than a localizer that publishes rarely."""
+    """Return the robot's pose on the map at a time, by odometry if possible: a localizer may publish rarely."""
     try:
         return frames.correction() @ frames.transform(frames.odom_frame, frames.base_frame, stamp, extrapolate=LATE)
     except FramesError:
@@ -299,7 +300,7 @@ def disc(radius: float) -> list[list[float]]:
 
 
 def points_of_path(path: dict[str, Any]) -> list[float]:
-    """Return x, y, x, y, ... of a ``nav_msgs/Path`` in meters; of a long one every second, third ... pose."""
+    """Return x, y, x, y, ... of a ``nav_msgs/Path`` in meters; of a long path only every second (third ...) pose."""
     poses = path["poses"][:: max(1, math.ceil(len(path["poses"]) / MOST_POINTS))]
     spots = [pose["pose"]["position"] for pose in poses]
     return [round(float(spot[axis]), 3) for spot in spots for axis in "xy"]

@@ -106,7 +106,7 @@ class NewestFeed(Feed):
         now = time.monotonic()
         self._rate, self._count, self._since = round(self._count / (now - self._since), 1), 0, now
         self._subscribe()
-        if self._shown is not None and not self._rate and self._shown["rate"]:  # no message updates it
+        if self._shown is not None and not self._rate and self._shown["rate"]:  # no message will update the rate
             self._show({**self._shown, "rate": self._rate})
 
     def _decode_newest(self) -> None:
@@ -118,7 +118,7 @@ class NewestFeed(Feed):
             self._executor.submit(partial(self._decode, *newest))
 
     def _decode(self, sample: HubSample, type_name: str, type_hash: str) -> None:
-        """Decode on a thread that may block: the type's definition may have to be requested."""
+        """Decode on a thread that may block, because the type's definition may have to be requested."""
         reason, value = "", None
         if len(sample.payload) > self.most_bytes:
             reason = f"a message of {len(sample.payload)} bytes is not shown: the limit is {self.most_bytes}"

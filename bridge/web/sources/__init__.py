@@ -1,1 +1,1 @@
-"""What both the feeds and the verbs of the console use; these packages do not import each other."""
+"""Modules that both the feeds and the verbs of the console use, because these packages do not import each other."""

@@ -1,4 +1,4 @@
-"""Message definitions, in the form that pages build input forms from."""
+"""Message definitions in the form from which pages build input forms."""
 
 from __future__ import annotations
 

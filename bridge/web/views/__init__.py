@@ -39,7 +39,7 @@ class Parts:
 
     Attributes:
         host: the console's node, thread and clock.
-        client: queries the hub; it blocks, so use it on the threads of ``asking`` only, and in verbs.
+        client: queries the hub; it blocks, so use it only on the thread of ``asking`` and in verbs.
         types: the message types that the console knows.
         follower: the transforms.
         store: the maps and places.
@@ -67,9 +67,9 @@ class Offer:
 
     Attributes:
         feeds: what pages may watch.
-        factories: by the prefix of a feed's name, what creates the feed of that name.
+        factories: functions that create a feed from its name, by the name's prefix.
         verbs: what pages may call, by name.
-        closing: run when the console closes.
+        closing: functions that run when the console closes.
     """
 
     feeds: Sequence[Feed] = ()
@@ -87,7 +87,7 @@ class View(Tab):
     """A view: its tab, its files, and what it adds to the console.
 
     Attributes:
-        offer: creates its feeds and verbs, once per console.
+        offer: creates the view's feeds and verbs, once per console.
     """
 
     offer: Callable[[Parts], Offer] = _nothing

@@ -1,4 +1,4 @@
-"""The view Frames: the tree of frames, and the pose of one in another."""
+"""The view Frames: the tree of frames, and the pose of one frame in another."""
 
 from __future__ import annotations
 
