@@ -1,4 +1,4 @@
-"""The console: its certificate, and access from other machines."""
+"""The doctor's check of the console: its certificate, and access from other machines."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bridge.metrics.section import MetricsSection
 from bridge.web.section import WebSection
 
 SOON_DAYS = 30
-_MAKE = "'midspan keys make' makes the files; see docs/operate/console.md"
+_MAKE = "'midspan keys make' creates the files; see docs/operate/console.md"
 
 
 def check_certificate(context: CheckContext) -> Findings:
@@ -39,9 +39,9 @@ def check_certificate(context: CheckContext) -> Findings:
     strange = [name for name in web.names if name not in certificate.names]
     if strange:
         cure = f"'midspan keys make {certificate.name} {' '.join(web.names)} --replace'"
-        findings.append(warn(f"browsers warn of {', '.join(strange)}: not in {certificate.file}", cure))
+        findings.append(warn(f"browsers warn about {', '.join(strange)}: not in {certificate.file}", cure))
     return findings or ok(
-        f"browsers find the console as {', '.join(web.names or certificate.names)}, until {certificate.until:%Y-%m-%d}"
+        f"browsers accept the console as {', '.join(web.names or certificate.names)} until {certificate.until:%Y-%m-%d}"
     )
 
 

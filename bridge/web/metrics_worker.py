@@ -29,7 +29,7 @@ _log = logging.getLogger("midspan.metrics")
 
 
 class MetricsWorker(Worker):
-    """Serves Prometheus at a separate address, with the console's authentication if other machines reach it.
+    """Serves metrics at a separate address, with the console's authentication if other machines reach the address.
 
     Attributes:
         server: the HTTP server, while it runs.
@@ -45,14 +45,14 @@ class MetricsWorker(Worker):
 
     @override
     def start(self, config: Config) -> None:
-        """Open the server; raises `RuntimeError` if the address is in use, or requires authentication."""
+        """Open the server; raises `RuntimeError` if the address is in use, or needs authentication that is missing."""
         self._config = config
         section, web = config.section(MetricsSection), config.section(WebSection)
         if conflict := section.conflict(config):
             raise RuntimeError(f"metrics.listen: {conflict}")
         self._link = HubLink(config, "metrics", self._status)
         if section.reached:
-            from bridge.web.serving.tls import ServerTls  # loopback does without its memory
+            from bridge.web.serving.tls import ServerTls  # saves its memory on loopback
 
             self._tls = ServerTls(config)
         # without a login page, no cookie is valid

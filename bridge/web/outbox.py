@@ -1,4 +1,4 @@
-"""What waits until one page can receive it."""
+"""The queues of one page: messages for the page, and its actions for the module's thread."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ Post = Callable[[Callable[[], Any]], None]
 
 
 class PageOutbox:
-    """Messages for one page: all replies in order, and of each feed and the commanded velocity only the newest.
+    """Messages for one page: all replies in order, but only the newest value of each feed and the newest velocity.
 
-    The module's thread calls `changed`, `held` and `refuse`, so a feed's watcher and a manual driver is the outbox of a
-    page. ``_lock`` guards the values that these write; the rest is used only on the server's event loop.
+    The outbox is what watches feeds and drives for the page: the module's thread calls `changed`, `held` and `refuse`.
+    ``_lock`` guards the values that these methods write; the rest is used only on the server's event loop.
 
     Attributes:
         who: the page's user, for the log.
-        full: whether a reply was dropped, as the page does not read them.
+        full: whether a reply was dropped because the page does not read its replies.
     """
 
     def __init__(self, who: str) -> None:
@@ -73,7 +73,7 @@ class PageOutbox:
     # -- on the server's event loop ------------------------------------------------------------------------------------
 
     def queue(self, message: dict[str, Any]) -> None:
-        """Queue a message, unless the page sends requests but does not read replies."""
+        """Queue a message; if too many are queued, because the page does not read them, drop it and set ``full``."""
         if len(self._replies) >= MOST_REPLIES:
             self.full = True
             return
@@ -87,7 +87,7 @@ class PageOutbox:
             self._wake.set()
 
     def unwatched(self, name: str) -> None:
-        """Expect no drawing of a feed any longer."""
+        """Stop waiting until the page has drawn the value of a feed."""
         self._drawing.pop(name, None)
 
     async def send_to(self, socket: WebSocket) -> None:
@@ -111,7 +111,7 @@ class PageOutbox:
 
 
 class PostedActions:
-    """A page's actions that wait for the module's thread. ``_lock`` guards both the count and the newest action."""
+    """A page's actions that wait for the module's thread. ``_lock`` guards the count and the newest action."""
 
     def __init__(self, post: Post) -> None:
         self._post = post
@@ -135,7 +135,7 @@ class PostedActions:
         return True
 
     def run_latest(self, action: Callable[[], None]) -> None:
-        """Run only the newest of these actions, for holding and releasing: at most one waits, and none is refused."""
+        """Run an action instead of the one that still waits, for holding and releasing; it is never refused."""
         with self._lock:
             waits, self._newest = self._newest is not None, action
         if not waits:

@@ -1,4 +1,4 @@
-"""One page's conversation over its WebSocket; see docs/operate/console_protocol.md. On the server's event loop."""
+"""Serves one page over its WebSocket, on the server's event loop; see docs/operate/console_protocol.md."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _log = logging.getLogger("midspan.web")
 
 MOST_FEEDS = 64
 MOST_CALLS, MOST_STOPS = 16, 64
-"""Pending calls of a page; stops have a separate limit."""
+"""Maximum number of pending calls of a page; stops have a separate limit."""
 MOST_ERRORS = 20
 _POLICY = 1008
 _check_speed = number_between(-1e9, 1e9)
@@ -42,7 +42,7 @@ class PageCalls:
         self._stops: set[asyncio.Task[None]] = set()
 
     def begin(self, number: int, verb: str, args: dict[str, Any], outbox: PageOutbox) -> None:
-        """Begin a call, whose reply goes to the outbox; refuse it if too many are pending."""
+        """Begin a call, whose reply goes to the outbox; refuse the call if too many are pending."""
         stops = self._verbs.is_stop(verb)
         most = MOST_STOPS if stops else MOST_CALLS
         if len(self._pending) >= most:
@@ -94,16 +94,16 @@ class Page:
         self._actions = PostedActions(post)
         self._post = post
         self._calls = PageCalls(verbs, user)
-        self._watched: set[str] = set()  # as the page has asked, on the server's event loop
-        self._open: dict[str, Feed] = {}  # as it is, on the module's thread
+        self._watched: set[str] = set()  # feeds that the page has requested; used on the server's event loop
+        self._open: dict[str, Feed] = {}  # feeds that are watched for the page; used on the module's thread
         self._errors = 0
 
     async def serve(self) -> None:
-        """Serve the page until the socket ends; its hold and its feeds end with it."""
+        """Serve the page until the socket closes, which also ends the page's hold and feeds."""
         sender = asyncio.create_task(self._outbox.send_to(self._socket))
         try:
             await self._receive()
-        except (WebSocketDisconnect, RuntimeError):  # starlette raises them after the other end closed
+        except (WebSocketDisconnect, RuntimeError):  # starlette raises them after the page has closed the socket
             pass
         finally:
             self._post(self._unwatch_all)
@@ -127,7 +127,7 @@ class Page:
                 self._outbox.queue({"op": "error", "error": str(err)})
             full = self._outbox.full
             if self._errors > MOST_ERRORS or full:
-                reason = f"it has not read {MOST_REPLIES} replies" if full else f"{MOST_ERRORS} invalid messages"
+                reason = f"the page has not read {MOST_REPLIES} replies" if full else f"{MOST_ERRORS} invalid messages"
                 _log.warning("%s: closing its socket: %s", self._outbox.who, reason)
                 await self._socket.close(_POLICY)
                 return
@@ -205,7 +205,7 @@ class Page:
 
 
 def _parsed(message: Any) -> dict[str, Any]:
-    """The JSON object of a frame; raises `BadMessageError`."""
+    """Return the JSON object of a frame; raises `BadMessageError`."""
     text = message.get("text")
     if not isinstance(text, str):
         raise BadMessageError("messages must be JSON in text frames")
@@ -226,7 +226,7 @@ _DECODER = json.JSONDecoder(parse_constant=_refused_number)
 
 
 def _velocity(**parts: Any) -> list[float]:
-    """Return the numbers of a hold; raises `BadMessageError`."""
+    """Return the velocity of a ``hold`` message; raises `BadMessageError`."""
     checked = []
     for name, value in parts.items():
         try:

@@ -1,4 +1,4 @@
-"""The section ``web``: the console, a page for people who watch and drive."""
+"""The ``web`` section: the console, a page for people who watch and drive."""
 
 from __future__ import annotations
 

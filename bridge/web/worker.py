@@ -62,7 +62,7 @@ class WebWorker(Worker):
 
     @override
     def reload(self, config: Config) -> bool:
-        """Request a restart after any change: pages reconnect by themselves."""
+        """Return whether nothing changed; otherwise the worker restarts, and pages reconnect by themselves."""
         return config == self._config
 
     @override
@@ -188,7 +188,7 @@ class Console:
         return WorkerStatus(**head, metrics={"pages": pages}, **self.host.status()).document()
 
     def close(self) -> None:
-        """Stop the robot if a page drives it, then leave."""
+        """Stop the robot if a page or a patrol drives it, then leave the hub."""
         self.server.close()
         self.host.loop.call(self._stop_robot)
         self.host.loop.call(self.feeds.close)

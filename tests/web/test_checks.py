@@ -42,9 +42,9 @@ def test_missing_certificate_files_are_reported(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("days", "mode", "names", "seen"),
-    [(400, 0o600, [], "browsers find the console as robot1"), (10, 0o600, [], "expires in"),
+    [(400, 0o600, [], "browsers accept the console as robot1"), (10, 0o600, [], "expires in"),
      (0, 0o600, [], "expired on"), (400, 0o644, [], "other users can read"),
-     (400, 0o600, ["tablet"], "browsers warn of tablet")],
+     (400, 0o600, ["tablet"], "browsers warn about tablet")],
 )  # fmt: skip
 def test_certificate_and_key_are_examined(tmp_path: Path, days: int, mode: int, names: list[str], seen: str) -> None:
     authority = Authority(tmp_path)

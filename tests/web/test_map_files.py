@@ -140,7 +140,7 @@ def test_invalid_map_files_are_refused(page: TestPage, store: Store, files: dict
         ({"data": "%%%%"}, "data must be base64"),
         ({"data": "A" * 48_004}, "data must be base64 of up to 48000 characters"),
         ({"at": -1}, "at must be an integer"),
-        ({"at": 7}, "the part at 7 does not follow on 0 bytes"),
+        ({"at": 7}, "the part at 7 does not follow the 0 bytes received"),
         ({"key": "guessed"}, "this transfer has expired"),
     ],
 )

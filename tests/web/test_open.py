@@ -67,7 +67,7 @@ def test_the_documented_steps_open_the_console(tmp_path: Path) -> None:
     assert "for connecting to robot1, robot1.local, 192.168.1.20" in steps.run([*keys, "127.0.0.1"])
     printed = [steps.run(command) for command in (anna, hall)]
     port = steps.configure(printed)
-    assert "browsers find the console as robot1" in steps.run(doctor, config=True)
+    assert "browsers accept the console as robot1" in steps.run(doctor, config=True)
     daemon = Process([*MIDSPAN, "run", "--config", steps.file])
     try:
         output = until(lambda: address(steps, web), f"the address is printed; {daemon.output()[-2000:]}", 60)

@@ -1,8 +1,8 @@
 """Authentication of the console's clients: tokens, certificates, logins.
 
 A token has 256 random bits; the configuration contains its SHA-256, from which the token cannot be derived. A login
-gives the browser a cookie that only this console can make: name and expiry, with an HMAC (RFC 2104) over both and the
-token's hash. So a login outlasts a restart, and ends when the token is removed from the configuration.
+gives the browser a cookie that only this console can create: name and expiry, with an HMAC (RFC 2104) over both and the
+token's hash. So a login survives a restart, and ends when the token is removed from the configuration.
 """
 
 from __future__ import annotations
@@ -29,13 +29,14 @@ MOST_TOKEN = 200
 _SECRET_BYTES = 32
 
 FIRST_WAIT, LONGEST_WAIT = 1.0, 60.0
-"""Seconds for which a wrong token is refused with 429 after its first use, doubled after each further one."""
+"""Seconds for which a wrong token is refused with 429 after its first use, doubled after each further use, and their
+maximum."""
 MOST_WRONG = 20
-"""Different wrong tokens of one address that are counted separately; further ones share one entry."""
+"""Number of wrong tokens of one address that are counted separately; further tokens share one entry."""
 MOST_ENTRIES = 1000
 FORGET_SECONDS = 600.0
 LOG_SECONDS = 600.0
-"""Shortest time between two log lines about the same wrong token of an address."""
+"""Minimum time between two log lines about the same wrong token of an address."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,8 @@ class Grant:
     """Name and role of a client.
 
     Attributes:
-        name: of the token or the certificate, "" without authentication.
-        until: seconds since 1970 at which it expires, 0 if it does not.
+        name: the name of the token or the certificate; "" without authentication.
+        until: seconds since 1970 at which the grant expires; 0 if it does not expire.
     """
 
     name: str
@@ -58,14 +59,14 @@ class Grant:
 
 
 EVERYBODY = Grant("", "drive")
-"""For every client on loopback without tokens."""
+"""The grant of every client of a console on loopback without tokens."""
 
 
 class WrongTokenError(RuntimeError):
     """A token is unknown.
 
     Attributes:
-        wait: seconds after which the client may try it again; 0 if it has not tried it just before.
+        wait: seconds until the client may try the token again, if it tried too early; else 0.
     """
 
     def __init__(self, wait: int = 0) -> None:
@@ -75,7 +76,7 @@ class WrongTokenError(RuntimeError):
 
     @property
     def headers(self) -> dict[str, str]:
-        """HTTP headers of the refusal. The connection is closed, as an address may have a limited number of them."""
+        """HTTP headers of the refusal. They close the connection, because the connections of an address are limited."""
         return {"connection": "close", **({"retry-after": str(self.wait)} if self.wait else {})}
 
 
@@ -86,11 +87,11 @@ class Access:
         section: the configuration.
         secret: this console's key for cookies.
         key: the configuration's key of the tokens, for the log.
-        log: for wrong tokens.
+        log: receives warnings about wrong tokens.
 
     Attributes:
         prefix: path at which a reverse proxy serves the console.
-        cookie: name of the login's cookie; consoles at several prefixes of one proxy have different ones.
+        cookie: name of the login's cookie; consoles at several prefixes of one proxy have different names.
     """
 
     def __init__(
@@ -102,15 +103,15 @@ class Access:
         self._wrong = WrongTokens(log or ScarceLog(), key)
 
     def grant(self, headers: Mapping[str, str], certificate: str, address: str) -> Grant | None:
-        """Return the client's grant, None if it is not authenticated.
+        """Return the client's grant; None if the client is not authenticated.
 
         Args:
-            headers: of the request, by their names in lower case.
-            certificate: the name in the client's certificate, "" without one.
-            address: the client's.
+            headers: the request's headers, by lower-case name.
+            certificate: the name in the client's certificate; "" without one.
+            address: the client's address.
 
         Raises:
-            WrongTokenError: its token is unknown.
+            WrongTokenError: the client's token is unknown.
         """
         if not self.guarded:
             return EVERYBODY
@@ -124,7 +125,7 @@ class Access:
         return grant
 
     def login(self, token: str, address: str, program: str = "") -> tuple[Grant, str]:
-        """Return the token's owner and the cookie; raises `WrongTokenError`."""
+        """Return a token's grant and the value of the cookie; raises `WrongTokenError`."""
         grant = self._by_token(token, address, program)
         end = int(time.time()) + LOGIN_SECONDS
         return grant, f"{grant.name}.{end}.{self._mac(grant.name, str(end), self._tokens[grant.name])}"
@@ -157,14 +158,14 @@ class Access:
 class _Attempts:
     """Requests of one address with one wrong token."""
 
-    count: int = 0  # those that were not refused with 429
-    until: float = 0.0  # before this time, further ones are
+    count: int = 0  # requests that were not refused with 429
+    until: float = 0.0  # further requests before this time are refused with 429
     last: float = 0.0
     logged: float = -math.inf
     unlogged: int = 0
 
     def pop_due(self, now: float) -> int:
-        """Return the number of requests for the log's next line, 0 if none is due."""
+        """Return the number of requests for the log's next line; 0 if no line is due."""
         if now - self.logged < LOG_SECONDS:
             return 0
         requests, self.unlogged, self.logged = self.unlogged, 0, now
@@ -174,17 +175,17 @@ class _Attempts:
 class WrongTokens:
     """Counts the wrong tokens of each address. Safe to use from any thread.
 
-    A valid token is never counted or delayed, as many clients may share an address (a proxy, a NAT, one machine), and
-    256 random bits cannot be guessed. The time that a wrong one has to wait only slows down its client's requests.
+    A valid token is never counted or delayed, because many clients may share an address (a proxy, a NAT, one machine),
+    and 256 random bits cannot be guessed. The waiting time of a wrong token only slows down its client's requests.
     """
 
     def __init__(self, log: ScarceLog, key: str) -> None:
         self._log, self._key = log, key
         self._lock = threading.Lock()
-        self._attempts: dict[tuple[str, str], _Attempts] = {}  # by address and hash, the last used one at the end
+        self._attempts: dict[tuple[str, str], _Attempts] = {}  # by address and hash, the most recent at the end
 
     def refuse(self, address: str, digest: str, program: str) -> int:
-        """Record a wrong token; return the seconds that the client has to wait, 0 for the token's first use."""
+        """Record a wrong token; return the seconds that the client has to wait; 0 for the token's first use."""
         now = time.monotonic()
         with self._lock:
             attempts, several = self._entry(address, digest, now)
@@ -202,7 +203,7 @@ class WrongTokens:
         return max(math.ceil(wait), 0)
 
     def _entry(self, address: str, digest: str, now: float) -> tuple[_Attempts, bool]:
-        """Return the attempts with a token, and whether they are counted with others of the address."""
+        """Return the attempts with a token, and whether other tokens of the address are counted with them."""
         attempts = self._attempts
         while attempts:
             oldest = next(iter(attempts))
@@ -218,7 +219,7 @@ class WrongTokens:
 
 
 def stored_secret(folder: Path) -> bytes:
-    """Return this console's secret; a new one if it is missing. Raises `RuntimeError` if it cannot be stored."""
+    """Return this console's secret, created if it is missing. Raises `RuntimeError` if it cannot be stored."""
     from bridge.hub.security.certificates import write_private
 
     file = folder / "web.secret"
@@ -234,7 +235,7 @@ def stored_secret(folder: Path) -> bytes:
 
 
 def _cookie(header: str, wanted: str) -> str:
-    """Return the value of a cookie, "" without it."""
+    """Return the value of a cookie; "" if it is missing."""
     for part in header.split(";"):
         name, _, value = part.strip().partition("=")
         if name == wanted:

@@ -1,7 +1,7 @@
 """Limits of the console's connections: their number, the number per address, a request's duration, unread data.
 
-uvicorn limits the size of a head and of a message. It waits for a head or a body without a time limit, and answers
-pings even if the replies are not read; therefore these limits.
+uvicorn itself limits only the size of a request's head and of a message. It waits for a head or a body without a time
+limit, and answers pings even if the replies are not read.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from bridge.web.serving.scarce_log import ScarceLog
 
 MOST_CONNECTIONS, MOST_OF_ADDRESS = 300, 100
 REQUEST_SECONDS = 20.0
-"""Time limit of a request's head, body and response together; then the connection is closed."""
+"""Time limit of a request's head, body and response together, after which the connection is closed."""
 HANDSHAKE_SECONDS = 5.0
 MOST_UNREAD = 2 << 20
 """Bytes that may be queued for a page that sends pings and reads nothing."""
 MOST_PARTS = 1000
-"""Largest number of frames of one message."""
+"""Maximum number of frames of one message."""
 
 _HIDDEN = (
     "Invalid UTF-8",
@@ -52,7 +52,7 @@ class BoundedListener(socket.socket):
 
     @override
     def accept(self) -> tuple[socket.socket, Any]:
-        """Return the next connection; raises `ConnectionAbortedError` if there are too many (asyncio continues)."""
+        """Return the next connection; raises `ConnectionAbortedError`, which asyncio handles, if there are too many."""
         sock, address = super().accept()
         host = str(address[0])
         with self._lock:
@@ -127,7 +127,7 @@ class TimedHttp(H11Protocol):
 
     @override
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """Stop the timer, since another protocol takes over the connection; see uvicorn."""
+        """Stop the timer, because another protocol takes over the connection; see uvicorn."""
         self._end_timer()
         super().handle_websocket_upgrade(event)
 

@@ -22,7 +22,7 @@ from bridge.web.serving.tls import ServerTls
 PROTOCOL = "midspan.console.1"
 MOST_PAGES, MOST_PAGES_OF_ADDRESS = 50, 25
 MOST_BYTES = 64 * 1024
-"""Of a page's message."""
+"""Maximum size of a page's message."""
 
 Serve = Callable[[WebSocket, Grant], Awaitable[None]]
 
@@ -43,9 +43,9 @@ class WebServer(HttpServer):
         tabs: the views of the page.
         pictures: the images of the map.
         access: authentication of clients.
-        tls: certificate and key, None without TLS.
+        tls: certificate and key; None without TLS.
         more: routes in addition to the page's.
-        names: further names by which browsers open it.
+        names: further names by which browsers open the console.
     """
 
     def __init__(

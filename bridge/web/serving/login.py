@@ -26,7 +26,7 @@ _WHO = "login required: open /login in a browser, send 'Authorization: Bearer TO
 
 
 class LoginGuard:
-    """Passes authenticated requests, with the grant in their state; others get only the login page and its files."""
+    """Passes authenticated requests, with the grant in their state; others may request only the paths in `OPEN`."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self._app, self._access = app, access
@@ -68,7 +68,7 @@ def who(grant: Grant, address: str) -> str:
 
 
 class Login:
-    """The routes by which a browser logs in and out."""
+    """The routes with which a browser logs in and out."""
 
     def __init__(self, access: Access) -> None:
         self._access = access

@@ -44,7 +44,7 @@ class Tab:
 
 
 class PageFiles:
-    """The page with the given views; it shows the first view if the address names none."""
+    """The page with the given views; the page shows the first view if the address names none."""
 
     def __init__(self, tabs: Sequence[Tab]) -> None:
         self._tabs = tabs

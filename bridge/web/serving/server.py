@@ -60,7 +60,7 @@ _DEFAULT_PORTS = {"http": ":80", "https": ":443"}
 
 
 class OwnOnly:
-    """Passes requests whose ``Host`` is this server, sockets only from this server's own page; see `refusal`."""
+    """Passes requests whose ``Host`` is this server, and sockets only from this server's own page; see `refusal`."""
 
     def __init__(self, app: ASGIApp, hosts: frozenset[str], names: frozenset[str]) -> None:
         self._app, self._hosts, self._names = app, hosts, names
@@ -83,7 +83,7 @@ class OwnOnly:
 
 
 class Prefixed:
-    """Serves an application below a path, too; a reverse proxy may forward that path or remove it."""
+    """Serves an application also below a path prefix, because a reverse proxy may forward the prefix or remove it."""
 
     def __init__(self, app: ASGIApp, prefix: str) -> None:
         self._app, self._prefix = app, prefix
@@ -101,12 +101,12 @@ class Prefixed:
 
 
 def refusal(scope: Scope, hosts: frozenset[str], names: frozenset[str] = frozenset()) -> str:
-    """Return why a request is refused, "" if it is not.
+    """Return why a request is refused; "" if it is not.
 
     Args:
         scope: the request.
         hosts: valid values of ``Host``.
-        names: names that are valid with any port: a proxy's or a tunnel's differs from this server's.
+        names: names that are valid with any port, because a proxy's or a tunnel's port differs from this server's.
     """
     headers: dict[str, list[str]] = {}
     for name, value in scope["headers"]:
@@ -132,7 +132,7 @@ def refusal(scope: Scope, hosts: frozenset[str], names: frozenset[str] = frozens
 
 
 def _schemes(scope: Scope, forwarded: Sequence[str] | None) -> Collection[str]:
-    """Return the schemes of a server's own pages; None for one without a proxy, which may add TLS."""
+    """Return the schemes of a server's own pages; ``forwarded`` is None without a proxy, which may add TLS."""
     if scope.get("scheme") in ("https", "wss"):
         return ("https",)
     if forwarded is None:
@@ -166,14 +166,14 @@ class HttpServer:
         listen: address and port.
         routes: its routes.
         access: authentication of clients.
-        tls: certificate and key, None without TLS.
+        tls: certificate and key; None without TLS.
         what: the server, for errors.
         key: the configuration's key of ``listen``, for errors.
-        names: further names by which browsers open it, at any port.
-        most_bytes: of a socket's message.
+        names: further names by which browsers open the server, at any port.
+        most_bytes: maximum size of a socket's message.
 
     Attributes:
-        port: on which it listens.
+        port: the port on which the server listens.
         address: its URL.
     """
 
@@ -216,7 +216,7 @@ class HttpServer:
 
     @property
     def trouble(self) -> str:
-        """Why it is not running, "" if it is."""
+        """Why the server is not running; "" if it is."""
         return self._trouble or ("" if self._thread.is_alive() else "the server has ended")
 
     def close(self) -> None:
@@ -244,5 +244,5 @@ def hosts(names: Sequence[str], port: int, *, tls: bool) -> frozenset[str]:
 
 
 def bracketed(name: str) -> str:
-    """Return a name or an address as in a URL."""
+    """Return a name or an address in the form for a URL."""
     return f"[{name}]" if ":" in name else name

@@ -26,7 +26,7 @@ _USER = re.compile(r"(//)[^/\s:@]+:[^/\s@]+(@)")
 _PEM = re.compile(r"-----BEGIN [^-]*-----.*?(?:-----END [^-]*-----|\Z)", re.DOTALL)
 _DAEMON_SECONDS = 5.0
 _SHORTEST = 8
-"""A shorter secret is hidden only at its own place; a longer one wherever it appears."""
+"""Minimum length of a secret that is hidden wherever it appears; a shorter one is hidden only at its own place."""
 
 
 class Secrets(NamedTuple):
@@ -84,7 +84,7 @@ def without_secrets(text: str, secrets: Secrets) -> str:
 
 
 def config_file(config: Config) -> Path | None:
-    """Return the file of the daemon's configuration, None if there is none."""
+    """Return the file of the daemon's configuration; None without a file."""
     daemon = ask_daemon(config, _DAEMON_SECONDS)
     return Path(daemon.config) if daemon is not None and daemon.config else find()
 

@@ -1,4 +1,4 @@
-"""Manual driving: a velocity while a page repeats it, then zero at once."""
+"""Manual driving: publishes a velocity while a page repeats it, then zero at once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bridge.modules.loop import Timer
 from bridge.modules.velocity import velocity_publisher
 
 HOLD_SECONDS = 0.3
-"""A page that has been silent for this long no longer holds."""
+"""A page's hold ends after this time without a message from the page."""
 
 _PERIOD = 0.05
 _ZERO = (0.0, 0.0, 0.0)
@@ -26,23 +26,23 @@ class HandDriver(Protocol):
     who: str
 
     def held(self, x: float, y: float, turn: float) -> None:
-        """Report the velocity that is commanded for it."""
+        """Report the velocity that is commanded for the page."""
 
     def refuse(self, why: str) -> None:
-        """Report why it may not drive."""
+        """Report why the page may not drive."""
 
 
 class HandDriving:
-    """Publishes what one page holds, 20 times a second, then zero once, then nothing. Used on the module's thread.
+    """Publishes the velocity that a page holds, 20 times a second, then zero once. Used on the module's thread.
 
     Args:
-        host: the console's.
+        host: the worker's node and thread.
         topic: topic of the base's velocities.
-        most: largest speed and angular velocity, m/s and rad/s.
-        driven: returns why manual driving is refused, "" if it is allowed.
+        most: maximum speed and angular velocity, m/s and rad/s.
+        driven: returns why manual driving is refused; "" if it is allowed.
         begins: called when a page starts to drive.
 
-    A planner that starts meanwhile ends the hold with its next status.
+    A planner that starts meanwhile ends the hold once the gateway's status shows it.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class HandDriving:
         self._out: VelocityPublisher | None = None
 
     def hold(self, page: HandDriver, x: float, y: float, turn: float, arrived: float) -> None:
-        """Drive at this velocity for a page; ``arrived``: when its message arrived (monotonic seconds)."""
+        """Drive at this velocity for a page; ``arrived``: when the page's message arrived (monotonic seconds)."""
         now = time.monotonic()
         if now - arrived > HOLD_SECONDS:
             return

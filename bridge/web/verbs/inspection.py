@@ -35,7 +35,7 @@ class Doctor:
 
     def _examine(self) -> list[dict[str, str]]:
         from bridge.doctor.check import (
-            as_json,  # imported here, since most consoles never run the doctor
+            as_json,  # imported here, because most consoles never run the doctor
             examine,
         )
         from bridge.doctor.checks import CHECKS

@@ -1,6 +1,6 @@
-"""Maps as files of a page: files are uploaded in parts and imported, maps are downloaded as zips; maps are renamed.
+"""The map files of pages: uploads in parts, imports, downloads as zips, and the renaming of maps.
 
-Files are sent as base64 in parts, by calls, so that exactly the clients that may call may send them.
+Files are sent by calls, as base64 in parts, so that exactly the clients that may call verbs may send files.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from yarp_compat.dev.mapfile import MapFileError
 from yarp_compat.file_names import forbidden
 
 MOST_BYTES = 64 << 20
-"""Limit of the files of an upload, also after decompression, and of a download."""
+"""Maximum size of an upload (compressed and decompressed) and of a download, bytes."""
 
 MOST_FILES, MOST_AT_ONCE = 40, 3
 MOST_PART = 48_000
-"""Largest number of characters of an uploaded part."""
+"""Maximum number of characters of an uploaded part."""
 
 PART = 384 * 1024
 """Bytes of a downloaded part."""
@@ -42,7 +42,7 @@ _NAME = re.compile(r"[\w\- ().]{1,200}")
 
 
 class Transfers:
-    """Files under unguessable keys; only a few at once, removed when idle. Safe to use from any thread."""
+    """Transfers of files by unguessable keys; only a few at once, removed when idle. Safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -79,7 +79,7 @@ class Transfers:
         with self._lock:
             content = files.get(file, bytearray())
             if at != len(content):
-                raise VerbError(f"{file}: the part at {at} does not follow on {len(content)} bytes")
+                raise VerbError(f"{file}: the part at {at} does not follow the {len(content)} bytes received")
             if len(files.keys() | {file}) > MOST_FILES or sum(map(len, files.values())) + len(data) > MOST_BYTES:
                 raise VerbError(f"the limits are {MOST_FILES} files and {MOST_BYTES >> 20} MB in total")
             content += data
@@ -140,7 +140,7 @@ def unpacked(files: dict[str, bytearray]) -> dict[str, bytes]:
 
 
 def root_files(names: Iterable[str]) -> list[str]:
-    """Return the files that refer to the others: YARP's maps and lists of them, else ROS maps."""
+    """Return the files that refer to the others: YARP's maps and lists of maps, or else ROS maps."""
     by_form: dict[str, list[str]] = {}
     for name in sorted(names):
         by_form.setdefault(Path(name).suffix.lower(), []).append(name)

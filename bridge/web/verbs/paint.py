@@ -1,8 +1,9 @@
-"""Flags painted by pages on a map of the store, with the undo of each change.
+"""Flags that pages paint on a map of the store, with an undo for each change.
 
 A run is ``[row, column, length, flag]`` or ``[row, column, length, flag, was]``: cells of one row of the map's image,
-first row on top; flags have YARP's numbers. Without a flag (null) cells get their flag from the occupancy. With ``was``
-only cells that have this flag now are changed, so that an undo preserves what others have painted since.
+with the first row at the top; flags have YARP's numbers. Without a flag (null), cells get their flags from the
+occupancy. With ``was``, only cells that have this flag now are changed, so that an undo preserves what others have
+painted since.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ class Run(NamedTuple):
     row: int
     column: int
     length: int
-    flag: int | None  #: None: from the occupancy
-    was: int | None  #: the flag that they must have now; None: any
+    flag: int | None  #: None: use the flag for the occupancy
+    was: int | None  #: the flag that the cells must have now; None: any
 
 
 def _whole(value: Any, most: int) -> int:
@@ -91,7 +92,7 @@ def paint(grid: MapGrid2D, runs: Iterable[Run]) -> list[Run]:
         if len(undo) > MOST_PIECES:
             raise VerbError(f"the change has more than {MOST_PIECES} pieces; paint less at once")
         cells[changes] = wanted[changes]
-    return undo[::-1]  # the newest first, since runs of one call may overlap
+    return undo[::-1]  # the newest first, because runs of one call may overlap
 
 
 def _equal_runs(marks: np.ndarray[Any, np.dtype[np.uint8]]) -> Iterator[tuple[int, int]]:

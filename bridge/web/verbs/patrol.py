@@ -1,8 +1,8 @@
 """A patrol: the robot drives to places in turn, repeatedly, until a client ends it. Used on the module's thread.
 
-It sends one goal at a time to the gateway's action, after the previous goal was reached. Without stops, one
-goal has the places of several rounds, and planners that can pass places drive through them. Anything else ends the
-patrol: a stop, a goal of another client, a place that cannot be reached. The page that started it may be closed.
+The patrol sends one goal at a time to the gateway's action, each after the previous goal was reached. Without stops,
+one goal has the places of several rounds, and planners that can pass places drive through them. A stop, another
+client's goal or an unreachable place ends the patrol. It continues if the page that started it is closed.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from navigation.messages import NAVIGATE, THROUGH
 
 MOST_PLACES = 50
 SHORTEST, USUAL, LONGEST = 1.0, 2.0, 3600.0
-"""Seconds of the stop between two goals: a pending stop command arrives before the next goal."""
+"""Seconds of the stop between two goals; the minimum lets a pending stop command arrive before the next goal."""
 
 MOST_PASSED = 20
-"""Places in a goal of several rounds: planners plan the path through all of them repeatedly."""
+"""Maximum number of places in a goal of several rounds, because planners repeatedly plan the path through them all."""
 
 ANSWER_SECONDS = 5.0
 _LOCATE = "/navigation/get_location"
@@ -46,7 +46,7 @@ _seconds_of = number_between(SHORTEST, LONGEST, " of seconds, 0 for no stop or")
 
 
 def wait_of(value: Any) -> float:
-    """Check the seconds at each place; 0 for none."""
+    """Check the seconds of the stop at each place; 0 means no stop."""
     return 0.0 if type(value) in (int, float) and value == 0 else _seconds_of(value)
 
 
@@ -55,11 +55,11 @@ class PatrolRoute:
     """The places of a patrol, and how far the robot is.
 
     Attributes:
-        wait: seconds at each place, 0 for no stop.
+        wait: seconds of the stop at each place; 0 for no stop.
         at: index of the place that the robot drives to or stands at.
         round: the current round, from 1.
-        last: index of the last place of the current goal; continues past the last place into the next round.
-        poses: of the next goal's places, as far as they are known.
+        last: index of the current goal's last place; it counts on past the last place of a round.
+        poses: the poses of the next goal's places that are known so far.
     """
 
     places: Sequence[str]
@@ -80,7 +80,7 @@ class PatrolRoute:
         return self.places[(self.at + len(self.poses)) % len(self.places)]
 
     def advance(self, index: int) -> bool:
-        """Go on to a place of the current goal, indexed like ``last``; return False if the robot is there already."""
+        """Advance to a place of the current goal, indexed like ``last``; return False if that is ``at`` already."""
         if index == self.at:
             return False
         rounds, self.at = divmod(index, len(self.places))
@@ -89,7 +89,7 @@ class PatrolRoute:
         return True
 
     def advance_one(self) -> None:
-        """Go on to the next place."""
+        """Advance to the next place."""
         self.at = (self.at + 1) % len(self.places)
         self.round += not self.at
 
@@ -99,18 +99,18 @@ class Gateway(Protocol):
 
     @property
     def state(self) -> str:
-        """Its state, "" if unknown."""
+        """The gateway's state; "" if unknown."""
 
     @property
     def goal_id(self) -> bytes:
-        """The id of its goal; zeros without one."""
+        """The id of the gateway's goal; zeros without one."""
 
     def on_change(self, action: Callable[[], None]) -> None:
-        """Register a callback for changes of its state."""
+        """Register a callback for changes of the gateway's state."""
 
 
 class Patrol:
-    """The patrol of a console; one at a time.
+    """The patrol of a console, which has at most one at a time.
 
     Args:
         gateway: shows whether a client stops the robot, or sends it elsewhere, during the stop at a place.
@@ -135,11 +135,11 @@ class Patrol:
 
     @property
     def busy(self) -> str:
-        """Why manual driving is refused, "" if it is allowed."""
+        """Why manual driving is refused; "" if it is allowed."""
         return "a patrol is active; pause or stop it first" if self._active and not self._held else ""
 
     def end(self, why: str) -> None:
-        """End the patrol, and its goal."""
+        """End the patrol, and cancel its goal."""
         if not self._active:
             return
         self._active = self._held = False
@@ -151,7 +151,7 @@ class Patrol:
         self._publish("ended", why)
 
     def pause_or_resume(self, verb: str) -> str:
-        """Pause or resume between two goals; return the reply, "" if it is up to the gateway, which then has a goal."""
+        """Pause or resume a patrol between two goals; return the reply, or "" if the gateway has to do it."""
         if not self._active or self._goal is not None:
             return ""
         if verb == "pause" and not self._held:
@@ -220,7 +220,7 @@ class Patrol:
                 self._send(THROUGH_POSES, THROUGH, {"poses": poses}, len(poses))
 
     def _send(self, action: str, kind: str, goal: dict[str, Any], count: int) -> None:
-        """Send a goal with a number of places, of which the next one is the first."""
+        """Send a goal with ``count`` places, of which the first is the next place."""
         step = self._next_step()
         if action not in self._goals:
             self._goals[action] = self._host.node.action_client(action, kind)

@@ -16,7 +16,7 @@ from yarp_compat.sig.vec2d import Vec2D
 
 MOST_CORNERS = 500
 _SMALLEST = 1e-4
-"""Smallest area in square meters; corners that enclose less count as on one line."""
+"""Minimum area in square meters; corners that enclose less are treated as being on one line."""
 
 _KINDS: dict[str, ValueKind[Any]] = {kind.name: kind for kind in (LOCATION, AREA, PATH)}
 _WORDS = {LOCATION.name: "place", AREA.name: "area", PATH.name: "path"}

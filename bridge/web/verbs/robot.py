@@ -40,7 +40,7 @@ class RobotVerbs:
 
     Args:
         on_planner: called with the chosen planner, on the module's thread.
-        pause_or_resume: pauses or resumes a patrol between two goals; returns its reply, "" if it is up to the gateway.
+        pause_or_resume: pauses or resumes a patrol between two goals; returns the reply, or "" if the gateway has to.
     """
 
     def __init__(

@@ -28,7 +28,7 @@ from bridge.web.sources.messages import cut
 from bridge.web.verbs.verbs import PageVerb, VerbError
 
 MOST_RATE = 5.0
-"""Largest number of messages per second from all pages together."""
+"""Maximum number of messages per second from all pages together."""
 
 MOST_TYPE = 255
 CALL_SECONDS = 15.0
@@ -41,7 +41,10 @@ _END_SECONDS = 0.5
 
 
 class Sending:
-    """Publishes messages and calls services. All methods except `close` block: not for the module's thread."""
+    """Publishes messages and calls services.
+
+    All methods except `close` block, so never call them on the module's thread.
+    """
 
     def __init__(self, host: Host, config: Config, client: Client, types: Types) -> None:
         self._host, self._client, self._types = host, client, types
@@ -74,7 +77,7 @@ class Sending:
         commands = self._rules.enter("zenoh", topic, type_name).priority == "command"
         if commands or type_name in VELOCITIES or topic in self._velocities:
             return (
-                "velocities cannot be sent from a form, since nothing would stop the base: drive manually"
+                "velocities cannot be sent from a form, because nothing would stop the base: drive manually"
                 " in the view Drive, which commands zero on release"
             )
         return ""
@@ -95,7 +98,7 @@ class Sending:
 
     def _tidy(self) -> None:
         if not self._lock.acquire(blocking=False):
-            return  # a publishing thread holds it, and schedules this again
+            return  # a publishing thread holds the lock, and schedules `_tidy` again
         try:
             late = time.monotonic() - KEEP_SECONDS
             for key in [key for key, (_, used) in self._publishers.items() if used < late]:
@@ -112,7 +115,7 @@ class Sending:
         return reply
 
     def close(self) -> None:
-        if self._lock.acquire(timeout=_END_SECONDS):  # else one is publishing, and ends with the session
+        if self._lock.acquire(timeout=_END_SECONDS):  # otherwise a thread is publishing, and ends with the session
             while self._publishers:
                 self._publishers.popitem()[1][0].close()
             self._lock.release()

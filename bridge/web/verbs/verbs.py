@@ -20,9 +20,9 @@ from bridge.stores.entry import StoreError
 _log = logging.getLogger("midspan.web")
 
 BEGIN_SECONDS = 3.0
-"""A call that had to wait this long for others is not executed."""
+"""A call that has waited for other calls this long is not executed."""
 THREADS = 4
-"""Concurrent calls, besides slow ones and stops."""
+"""Number of concurrent calls, without slow verbs and stops."""
 _STOP_THREADS = 2
 _SLOW_THREADS = 3
 
@@ -71,7 +71,7 @@ def name_of(value: Any) -> str:
 
 
 def truth_of(value: Any) -> bool:
-    """Check a truth value."""
+    """Check a bool."""
     if value is True or value is False:
         return bool(value)
     raise ValueError("must be true or false")
@@ -82,7 +82,7 @@ class Verbs:
 
     Args:
         post: queues a function for the module's thread.
-        before: called on the module's thread before the verb of that name starts.
+        before: by verb, a function that is called on the module's thread before the verb starts.
 
     Attributes:
         known: the verbs that pages may call, by name.
@@ -103,7 +103,7 @@ class Verbs:
         self._newest: dict[str, Future[Any]] = {}
 
     def is_stop(self, verb: str) -> bool:
-        """Return whether a verb stops robots; such a call is never refused because of the load."""
+        """Return whether a verb stops robots; its calls are never refused because of the load."""
         return verb in self.known and self.known[verb].stops
 
     def is_command(self, verb: str) -> bool:
@@ -127,7 +127,7 @@ class Verbs:
         return (self._slow if page_verb.slow else self._pool).submit(job)
 
     def _begin_stop(self, verb: str, job: Callable[[], Any]) -> Future[Any]:
-        """Run a stop, which waits for no other verb; while two of its kind run, further callers share the next one."""
+        """Run a stop without waiting for other verbs; while two of its kind run, further calls share the next one."""
         with self._lock:
             newest = self._newest.get(verb)
             if newest is None or newest.running() or newest.done():
