@@ -1,4 +1,4 @@
-"""The hub's topics as channels: announced with their definitions, subscribed on the hub only while a client watches."""
+"""The hub's topics as channels, announced with their definitions, and subscribed on the hub only while watched."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from bridge.hub.endpoints.subscription import HubSample
 from bridge.routing.counters import Counters
 
 MOST_CACHED = 64 << 20
-"""Most bytes of latched messages that are cached for one topic while it is watched."""
+"""Maximum bytes of latched messages that are cached for one topic while it is watched."""
 MOST_PUBLISHERS = 256
-"""Most latched publishers of one topic whose newest message is cached."""
+"""Maximum number of latched publishers of one topic whose newest message is cached."""
 MOST_EARLY = 4
-"""Most publishers of one topic that are not in the graph yet and whose newest message is cached."""
+"""Maximum number of publishers of one topic, not in the graph yet, whose newest message is cached."""
 
 
 class TopicChannel:
@@ -62,13 +62,13 @@ class TopicChannel:
         self.channel.log(data, at or None)
 
     def resend_latched(self) -> None:
-        """Send each latched publisher's newest message again for a late client. The SDK sends it to all watchers."""
-        with self._lock:  # so that a newer message, which is first cached, follows
+        """Send each latched publisher's newest message again for a late client; the SDK sends it to all watchers."""
+        with self._lock:  # so that a newer message, which is cached before it is sent, follows
             for data, at in self._cached.values():
                 self.channel.log(data, at or None)
 
     def clear(self) -> None:
-        """Clear the cache: no client watches."""
+        """Clear the cache, because no client watches."""
         with self._lock:
             self._cached.clear()
             self._early.clear()
@@ -81,7 +81,7 @@ class TopicChannel:
             self._size += len(data)
 
     def _cache_early(self, gid: bytes, data: bytes, at: int) -> None:
-        """Cache a message whose publisher the graph does not list yet: a latched publisher may send only one."""
+        """Cache a message whose publisher the graph does not list yet: a latched one may send only this message."""
         self._early.pop(gid, None)
         self._early[gid] = data, at
         if len(self._early) > MOST_EARLY:
@@ -92,7 +92,7 @@ class TopicChannel:
 
 
 class Channels:
-    """All channels. To be used on the worker's thread."""
+    """All channels. Used only on the worker's thread."""
 
     def __init__(self, server: FoxgloveServer, topics: HubTopics) -> None:
         self._server, self._topics = server, topics
@@ -140,7 +140,10 @@ class Channels:
         key = topic.key
         definition = self._topics.definitions.find(key.type_name, key.type_hash)
         if definition is None:
-            self._refused[key], self._undefined = "its definition is unknown; the workers have been asked for it", True
+            self._refused[key], self._undefined = (
+                "its definition is unknown, and has been requested from the workers",
+                True,
+            )
             return
         self._refused.pop(key, None)
         about = {"side": ", ".join(topic.sides), "latched": str(topic.latched).lower(), "hash": key.type_hash}

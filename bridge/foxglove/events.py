@@ -1,6 +1,6 @@
-"""The clients' requests, passed from the SDK's threads to the worker's, in state bounded by what clients have open.
+"""Passes clients' requests from the SDK's threads to the worker's; the state is bounded by what clients have open.
 
-The SDK calls its ``ServerListener`` on the threads that also send, so nothing here blocks.
+The SDK calls its ``ServerListener`` on the threads that also send, so these methods must not block.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from typing_extensions import override
 from bridge.foxglove.visitors import MARK, Visitors
 
 MOST_ADVERTISED = 100
-"""Largest number of channels of one client; further ones are ignored."""
+"""Maximum number of channels of one client; further ones are ignored."""
 MOST_WAITING = 256
 MOST_BYTES = 64 << 20
-"""Clients' messages that wait for the worker's thread, and their bytes; the oldest are dropped."""
+"""Limits of clients' messages that wait for the worker's thread, and of their bytes; the oldest are dropped."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +49,7 @@ class AnswersParameters(Protocol):
     """`bridge.foxglove.parameters.Parameters`; called on the SDK's threads."""
 
     def answer(self, names: Sequence[str]) -> list[Parameter]:
-        """Return the values of these parameters, or of all."""
+        """Return the values of these parameters, or of all if ``names`` is empty."""
 
     def change(self, client: int, wanted: Sequence[Parameter]) -> list[Parameter]:
         """Set parameters, and return their values afterwards."""
@@ -59,8 +59,8 @@ class Events(ServerListener):
     """Receives the SDK's events.
 
     Args:
-        visitors: registry of the clients, updated here.
-        changed: called on the SDK's threads after a change, then not again before the next `pop_watched`.
+        visitors: registry of the clients, which `Events` updates.
+        changed: called on the SDK's threads after a change, but not again before the next `pop_watched`.
     """
 
     def __init__(self, visitors: Visitors, changed: Callable[[], None]) -> None:
@@ -73,7 +73,7 @@ class Events(ServerListener):
         self._count = Counter[int]()
         self._messages: deque[ClientMessage] = deque()
         self._size = 0
-        self.dropped = 0  # messages of clients, because the queue was full
+        self.dropped = 0  # number of clients' messages that were dropped because the queue was full
         self.parameters: AnswersParameters | None = None
 
     # -- what clients watch --------------------------------------------------------------------------------------------
@@ -96,7 +96,7 @@ class Events(ServerListener):
             self._notify()
 
     def pop_watched(self) -> tuple[set[int], set[int]]:
-        """Return the watched channels, and those of them with a new watcher since the last call."""
+        """Return the watched channels, and those with a new watcher since the last call."""
         with self._lock:
             self._notified = False
             late, self._late = self._late, set()
@@ -128,7 +128,7 @@ class Events(ServerListener):
 
     @override
     def on_client_advertise(self, client: Client, channel: ClientChannel) -> None:
-        """Record that a client will publish; or identify it by the front's mark."""
+        """Record that a client will publish, or identify the client by the front's mark."""
         if channel.id == MARK:
             self._visitors.identify(client.id, channel.topic)
             return

@@ -2,9 +2,9 @@
 
 The SDK accepts every client: it checks neither tokens nor the ``Origin`` header, so that any page in this machine's
 browser could drive the robot (OWASP, "Cross-site WebSocket hijacking"). So the SDK listens on an unpublished loopback
-address, and this server forwards bytes once it has checked the request's head. It parses no messages.
+address, and this server forwards bytes after it has checked the request's head. It parses no messages.
 
-The output buffer of each client is bounded in bytes (`MOST_UNREAD`), which the SDK's queue is not; a client that reads
+The output buffer of each client is bounded in bytes (`MOST_UNREAD`), unlike the SDK's queue; a client that reads
 nothing for `STILL_SECONDS` is disconnected.
 """
 
@@ -37,7 +37,7 @@ _log = logging.getLogger("midspan.foxglove")
 PROTOCOL = "foxglove.sdk.v1"
 MOST_CLIENTS = 32
 MOST_CONNECTIONS = 4 * MOST_CLIENTS
-"""Including those that are not authenticated yet; further ones are closed."""
+"""Maximum number of connections, including those that are not authenticated yet; further ones are closed."""
 MOST_HEAD = 16 << 10
 HEAD_SECONDS = 5.0
 """Time limit of a request's head, and of the SDK's response."""
@@ -55,7 +55,7 @@ class TurnedAwayError(Exception):
 
     Attributes:
         headers: HTTP headers of the refusal.
-        logged: whether it is in the log already.
+        logged: whether the refusal is in the log already.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class RequestHead:
 
     Attributes:
         target: path and query.
-        headers: by their names in lower case; repeated ones are joined with a comma.
+        headers: values by lower-case name; those of repeated headers are joined with a comma.
     """
 
     target: str
@@ -117,14 +117,14 @@ class ConnectionGuard:
         self._access = Access(web, b"", key="foxglove.tokens", log=log) if section.tokens else None
 
     def grant(self, request: RequestHead, address: str) -> Grant:
-        """Return the client's name and role; raises `TurnedAwayError` if it may not connect."""
+        """Return the client's name and role; raises `TurnedAwayError` if the client may not connect."""
         protocols = request.headers.get("sec-websocket-protocol", "").replace(" ", "").split(",")
         if request.headers.get("upgrade", "").lower() != "websocket" or PROTOCOL not in protocols:
             raise TurnedAwayError(HTTPStatus.BAD_REQUEST, f"{_NOT_THE_APP}, with the subprotocol {PROTOCOL}")
         if self._access is None:
-            self._check_page(request.headers)  # not with tokens: a foreign page has none
+            self._check_page(request.headers)  # needless with tokens, which a foreign page lacks
             return Grant("", "drive" if self._section.drive else "watch")
-        hint = "give a token of foxglove.tokens: wss://robot:8765/?token=..."
+        hint = "use a token of foxglove.tokens: wss://robot:8765/?token=..."
         headers = {"authorization": f"Bearer {request.token}", "user-agent": request.headers.get("user-agent", "")}
         try:
             grant = self._access.grant(headers, "", address)
@@ -151,13 +151,13 @@ class Front:
         section: the configuration.
         inner: address of the SDK's server.
         visitors: registry of the clients.
-        announces: whether the SDK receives each client's mark; it accepts that only if clients may publish.
-        tls: certificate and key, None without TLS.
+        announces: whether to send the SDK each client's mark, which it accepts only if clients may publish.
+        tls: certificate and key; None without TLS.
 
     Attributes:
-        address: what to open in the app.
+        address: the URL to open in the app.
         inner: address of the SDK's server.
-        port: it listens on.
+        port: the port on which the server listens.
     """
 
     def __init__(
@@ -190,13 +190,13 @@ class Front:
 
     @property
     def trouble(self) -> str:
-        """Why it is not running, "" if it is."""
+        """Why the server is not running; "" if it is."""
         return "" if self._thread.is_alive() else "the server has ended"
 
     def close(self) -> None:
         """Close all connections, and end the thread. Safe to call twice."""
         if self._loop is not None and self._thread.is_alive():
-            with contextlib.suppress(RuntimeError):  # its loop has just ended
+            with contextlib.suppress(RuntimeError):  # the server's event loop has just ended
                 self._loop.call_soon_threadsafe(self._ended.set)
             self._thread.join(_STOP_SECONDS)
         self._socket.close()
@@ -229,7 +229,9 @@ class Front:
         address = str(writer.get_extra_info("peername")[0])
         try:
             async with asyncio.timeout(HEAD_SECONDS):
-                head = await reader.readuntil(b"\r\n\r\n")  # also before a refusal, or the response might be lost
+                head = await reader.readuntil(
+                    b"\r\n\r\n"
+                )  # also before a refusal, whose response might be lost otherwise
             request = RequestHead.read(head)
             visitor = Visitor(self._guard.grant(request, address), address)
             await self._join(request, visitor, reader, writer)
@@ -305,5 +307,5 @@ async def _refuse(writer: asyncio.StreamWriter, err: TurnedAwayError) -> None:
 
 
 def _masked(text: bytes) -> bytes:
-    """Return a client's text frame (RFC 6455, 5.2), with a mask of zeros."""
+    """Return the text frame of a WebSocket client (RFC 6455, 5.2), with a mask of zeros."""
     return bytes((0x81, 0x80 | 126)) + len(text).to_bytes(2, "big") + bytes(4) + text

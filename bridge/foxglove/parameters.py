@@ -1,9 +1,9 @@
-"""Parameters of the hub's ROS 2 nodes for the app, as ``/node.name``.
+"""Parameters of the hub's ROS 2 nodes for the app, named ``/node.name``.
 
-They are read only while clients ask. The SDK expects immediate answers, on the threads that send: so clients get the
-values read last, and values older than `FRESH_SECONDS` are read again for the next request. Changes made by others are
-not published: ``publish_parameter_values`` of the SDK 0.30 takes a lock while it holds Python's GIL, and the lock's
-holder waits for the GIL if a client subscribes at that moment: the process would deadlock.
+Parameters are read only while clients request them. The SDK expects immediate answers, on the threads that send, so
+clients get the values read last, and values older than `FRESH_SECONDS` are read again for the next request. Changes
+made by others are not published, because the process could deadlock: ``publish_parameter_values`` of the SDK 0.30 takes
+a lock while it holds Python's GIL, and the lock's holder waits for the GIL if a client subscribes at that moment.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _log = logging.getLogger("midspan.foxglove")
 
 FRESH_SECONDS = 1.0
 WAIT_SECONDS = 0.5
-"""Time that a request waits if nothing has been read yet, and a change until it is done; one at a time."""
+"""Maximum time that a first request waits for values, or a change for its completion; only one of them waits."""
 IDLE_SECONDS = 60.0
 """Values that no client has requested for this long are discarded."""
 MOST_NODES, MOST_PARAMETERS = 200, 5_000
@@ -48,7 +48,7 @@ Replied = Callable[[dict[str, Any] | CallError], None]
 
 
 class Parameters:
-    """The parameters of all nodes. `answer` and `change` are thread-safe, all else runs on the worker's thread."""
+    """The parameters of all nodes. `answer` and `change` are thread-safe; all else runs on the worker's thread."""
 
     def __init__(self, host: Host, server: FoxgloveServer, visitors: Visitors) -> None:
         self._host, self._server, self._visitors = host, server, visitors
@@ -61,7 +61,7 @@ class Parameters:
     # -- on the SDK's threads ------------------------------------------------------------------------------------------
 
     def answer(self, names: Sequence[str]) -> list[foxglove.Parameter]:
-        """Return the known values of these parameters, or of all."""
+        """Return the known values of these parameters, or of all if ``names`` is empty."""
         now = time.monotonic()
         cold, self._asked = now - self._read > IDLE_SECONDS, now
         if now - self._read > FRESH_SECONDS:
@@ -70,7 +70,7 @@ class Parameters:
         return [_foxglove_parameter(name, known[name]) for name in (names or sorted(known)) if name in known]
 
     def change(self, client: int, wanted: Sequence[foxglove.Parameter]) -> list[foxglove.Parameter]:
-        """Set parameters on their nodes; return their values as far as the nodes have answered by then."""
+        """Set parameters on their nodes; return the values that are known after at most `WAIT_SECONDS`."""
         visitor = self._visitors.visitor_of(client)
         if visitor is None or not visitor.grant.may_drive:
             self._warn("you may read parameters, but not set them (see foxglove.drive, or your token's role)")
@@ -177,12 +177,12 @@ class Parameters:
             done.set_result(None)
 
     def _find(self, full: str) -> tuple[str, str, ParameterValue]:
-        """Return node, name and value of a parameter; for an unknown one, warn and return the node ""."""
+        """Return the node, name and value of a parameter; for an unknown parameter, warn and return the node ""."""
         for node, values in self._values.items():
             name = full.removeprefix(f"{node}.")
             if name in values and name != full:
                 return node, name, values[name]
-        self._warn(f"{full[:200]}: no node of the hub has such a parameter")
+        self._warn(f"{full[:200]}: no node on the hub has this parameter")
         return "", full, NOT_SET
 
     def _set_node(self, node: str, wishes: dict[str, ParameterValue], over: Callable[[], None]) -> None:
@@ -214,7 +214,7 @@ class Parameters:
         if client is None:
             name = f"{node}/{_SERVICES[kind]}"
             client = self._clients[key] = self._host.node.client(name, f"rcl_interfaces/srv/{kind}")
-        if not client.ready and tries:  # it is new
+        if not client.ready and tries:  # the client is new
             self._host.loop.after(READY_SECONDS, lambda: self._call(node, kind, request, replied, tries - 1))
             return
         try:

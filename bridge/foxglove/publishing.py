@@ -1,8 +1,8 @@
-"""Clients' messages on the hub: each channel that a client advertises is a publisher while it is advertised.
+"""Publishes clients' messages on the hub: each channel that a client advertises is a publisher while it is advertised.
 
 Velocities use the console's manual driving (`bridge.web.verbs.hold`): only on the base's own topic, one client at a
-time, within its speed limits, for 0.3 s after each message, then zero once. So they also end when their client
-disconnects.
+time, within the console's speed limits, for 0.3 s after each message, then zero once. So they also end when their
+client disconnects.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class PublishedChannel(ABC):
     def __init__(self, channel: Advertised, visitor: Visitor | None) -> None:
         self.channel, self.visitor = channel, visitor
         self.counters = Counters()
-        self.reason = ""  # why nothing is published, "" if it is
+        self.reason = ""  # why nothing is published; "" if messages are
 
     @abstractmethod
     def send(self, message: ClientMessage) -> None:
@@ -93,7 +93,7 @@ class Coder:
         self._schema = registry.schema(self.type_name, self.type_hash)
 
     def _kind(self, host: Host, definitions: Definitions, channel: Advertised) -> tuple[str, str]:
-        """Return the type's name and hash: as used by others on the hub, else as installed here."""
+        """Return the type's name and hash: of the version that others on the hub use, else of the installed one."""
         try:
             name = ros2_name(self._registry, channel.type_name)
         except ClientError as err:
@@ -117,9 +117,9 @@ class Coder:
         try:
             value = json.loads(data)
         except (ValueError, RecursionError) as err:
-            raise ConversionError(f"it is not JSON: {err}") from None
+            raise ConversionError(f"the message is not JSON: {err}") from None
         if not isinstance(value, dict):
-            raise ConversionError("it is not a JSON object of fields")
+            raise ConversionError("the message is not a JSON object of fields")
         return from_json(self._registry, self.type_name, value, self.type_hash)
 
     def fields(self, cdr: bytes) -> dict[str, Any]:
@@ -183,20 +183,20 @@ class ClientVelocity(PublishedChannel):
         self.counters.crossed(len(message.data))
 
     def held(self, x: float, y: float, turn: float) -> None:
-        """Do nothing: the app has no display for it."""
+        """Do nothing: the app does not display the velocity."""
 
     def refuse(self, reason: str) -> None:
-        """Store why it may not drive."""
+        """Store why the client may not drive."""
         self._refusal = reason
 
     @override
     def close(self) -> None:
-        """Command zero velocity if it drives."""
+        """Command zero velocity if the client drives."""
         self._driving.release(self)
 
 
 class Publishing:
-    """All channels of all clients. To be used on the worker's thread."""
+    """All channels of all clients. Used only on the worker's thread."""
 
     def __init__(
         self, host: Host, server: FoxgloveServer, events: Events, visitors: Visitors, definitions: Definitions,
@@ -254,7 +254,9 @@ class Publishing:
             return ClientTopic(self._host, channel, visitor, coder)
         if channel.topic != self._velocity or coder.type_name != TWIST:
             allowed = f"{self._velocity} as {TWIST}" if self._velocity else "no topic (navigation.velocity)"
-            raise NotPublishedError(f"velocities are accepted on {allowed}: on others nothing would stop the base")
+            raise NotPublishedError(
+                f"velocities are accepted on {allowed}: on other topics nothing would stop the base"
+            )
         return ClientVelocity(self._driving, channel, visitor, coder)
 
     def _send(self, key: tuple[int, int], route: PublishedChannel, message: ClientMessage) -> None:
@@ -265,7 +267,7 @@ class Publishing:
             self._warn(key, f"{route.channel.topic}: {err}")
 
     def _warn(self, key: tuple[int, int], text: str) -> None:
-        """Warn all clients (the SDK cannot address one), and do not repeat the same text."""
+        """Warn all clients (the SDK cannot address a single one), unless the text is the same as before."""
         if self._warned.get(key) != text:
             self._warned[key] = text
             self._server.warn(text, f"publish-{key[0]}-{key[1]}")
@@ -276,7 +278,7 @@ class Publishing:
             self._server.clear_warning(f"publish-{key[0]}-{key[1]}")
 
     def tick(self) -> None:
-        """Update rates; retry channels that wait for a definition."""
+        """Update rates, and retry channels that wait for a definition."""
         for key, route in list(self._routes.items()):
             route.counters.tick()
             if isinstance(route, RefusedChannel) and route.waits:

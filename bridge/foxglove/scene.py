@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 SCENE, KEEP_OUT = "/midspan/scene", "/midspan/keep_out"
 GRID = "nav_msgs/msg/OccupancyGrid"
 MOST_ENTITIES = 2_000
-"""Largest number of places, areas and paths; further ones are omitted."""
+"""Maximum number of places, areas and paths; further ones are omitted."""
 
 _ROBOT, _PLACE, _AREA, _PATH = (
     Color(r=0.1, g=0.5, b=0.9, a=1.0), Color(r=0.9, g=0.5, b=0.1, a=1.0), Color(r=0.2, g=0.7, b=0.3, a=1.0),
@@ -57,7 +57,7 @@ class Scene(Feed):
     """The scene. Runs on the worker's thread, and follows the store like a feed of the console.
 
     Attributes:
-        error: why nothing of the store is shown, "" if it is.
+        error: why the content of the store is not shown; "" if it is.
     """
 
     def __init__(self, host: Host, config: Config, server: FoxgloveServer) -> None:
@@ -85,7 +85,7 @@ class Scene(Feed):
 
     @override
     def open(self) -> None:
-        from bridge.web.feeds.maps import StoreFollower  # it makes pictures, too: who needs no scene does without
+        from bridge.web.feeds.maps import StoreFollower  # imports image code, which is not needed without a scene
 
         self._store = self._store or StoreFollower(self._host, self._config)
         self._store.begin(self, self._on_view)
@@ -117,7 +117,7 @@ class Scene(Feed):
 
     def _update(self, now: int) -> SceneUpdate:
         """Return an update that replaces everything with the current content."""
-        from bridge.web.feeds.robot import disc  # it follows the gateway, too: who needs no scene does without
+        from bridge.web.feeds.robot import disc  # imports gateway code, which is not needed without a scene
 
         at = Timestamp(*divmod(now, 1_000_000_000))
         every = SceneEntityDeletion(timestamp=at, type=SceneEntityDeletionType.All)
@@ -155,7 +155,7 @@ class Scene(Feed):
         return entities
 
     def _mask(self, now: int) -> bytes | None:
-        """Return the keep-out zones by the flags of the current map, None without a map."""
+        """Return the keep-out zones by the flags of the current map; None without a map."""
         grid = None if self._view is None else self._view.grid
         if grid is None:
             return None
@@ -167,7 +167,7 @@ class Scene(Feed):
         return MessageWriter(self._grid).message(message)
 
     def end(self) -> None:
-        """Stop the thread."""
+        """Stop following the store, and end its thread."""
         self.close()
         if self._store is not None:
             self._store.close()

@@ -1,4 +1,4 @@
-"""The section ``foxglove``: a live server for the Foxglove app."""
+"""The ``foxglove`` section: a live server for the Foxglove app."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class FoxgloveSection(ServerSection):
 
     @property
     def guarded(self) -> bool:
-        """Whether it requires TLS and a token."""
+        """Whether the server requires TLS and a token."""
         return bool(self.tokens)
 
     @property
     def commanded(self) -> bool:
-        """Whether anybody may publish, call and set."""
+        """Whether any client may publish, call services and set parameters."""
         return self.drive or any(token.role == "drive" for token in self.tokens.values())
 
     @model_validator(mode="after")

@@ -2,7 +2,8 @@
 
 The protocol is ``foxglove.sdk.v1`` (https://github.com/foxglove/foxglove-sdk). Behavior of the SDK 0.30, from its
 sources and measurements: each client has a queue of `BACKLOG` messages, whose oldest are dropped if the client is slow,
-and a queue of as many announcements and replies, whose overflow disconnects it. So does a frame from it over 16 MiB.
+and an equally long queue of announcements and replies. A client whose second queue overflows, or that sends a frame
+larger than 16 MiB, is disconnected.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ from foxglove.channels import SceneUpdateChannel
 from foxglove.websocket import Capability, ServerListener, StatusLevel
 
 BACKLOG = 256
-"""Messages, or announcements, that are queued for a client."""
+"""Maximum number of messages, and of announcements, that are queued for a client."""
 
 
 class FoxgloveServer:
-    """Serves from its construction on, on an unpublished loopback address. Raises `RuntimeError` if it cannot listen.
+    """Serves on an unpublished loopback address, from its construction on. Raises `RuntimeError` if it cannot listen.
 
     Attributes:
-        inner: that address and port.
+        inner: this address, and the port.
     """
 
     def __init__(self, name: str, listener: ServerListener, capabilities: list[Capability]) -> None:
@@ -39,9 +40,9 @@ class FoxgloveServer:
         self.inner = host, self._server.port
 
     def channel(self, topic: str, type_name: str, definition: str, metadata: dict[str, str]) -> Any:
-        """Announce a topic of CDR; the channel has ``id()``, ``log(payload, time_ns)`` and ``close()``.
+        """Announce a topic of CDR messages; the channel has ``id()``, ``log(payload, time_ns)`` and ``close()``.
 
-        The SDK's class `foxglove.Channel` would keep every channel forever, also those of topics that no longer exist.
+        The SDK's class `foxglove.Channel` would keep every channel forever, even if its topic no longer exists.
         """
         schema = foxglove.Schema(name=type_name, encoding="ros2msg", data=definition.encode())
         return self._context._create_channel(topic, message_encoding="cdr", schema=schema, metadata=metadata)
@@ -72,7 +73,7 @@ class FoxgloveServer:
 
 
 def _hidden_address() -> str:
-    """Return a loopback address that a page scanning 127.0.0.1 does not find; only Linux has others."""
+    """Return a loopback address that a page scanning 127.0.0.1 does not find; only Linux has other addresses."""
     if sys.platform != "linux":
         return "127.0.0.1"
     return f"127.{secrets.randbelow(254) + 1}.{secrets.randbelow(254) + 1}.{secrets.randbelow(254) + 1}"

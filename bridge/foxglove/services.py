@@ -1,4 +1,4 @@
-"""The hub's services for the app: announced with their definitions, called with the app's CDR."""
+"""Offers the hub's services to the app: they are announced with their definitions, and called with the app's CDR."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _log = logging.getLogger("midspan.foxglove")
 
 CALL_SECONDS = 15.0
 MOST_CALLS = 16
-"""Concurrent calls of all clients; each blocks one of the SDK's threads."""
+"""Maximum number of concurrent calls of all clients; each blocks one of the SDK's threads."""
 
 REPEAT_SECONDS = 10.0
 _OF_NODES = ("rcl_interfaces/", "type_description_interfaces/")
@@ -51,7 +51,7 @@ class ServiceKey(NamedTuple):
 
 
 class _CdrCodec(ServiceCodec):
-    """The codec of the app's calls, which checks requests, and leaves replies as they are."""
+    """The codec of the app's calls, which checks requests and leaves replies unchanged."""
 
     @override
     def request(self, value: Any) -> bytes:
@@ -63,7 +63,7 @@ class _CdrCodec(ServiceCodec):
 
 
 class Services:
-    """All services except those of actions. Everything but the calls runs on the worker's thread."""
+    """All services except those of actions and nodes. Everything but the calls runs on the worker's thread."""
 
     def __init__(self, host: Host, server: FoxgloveServer, visitors: Visitors) -> None:
         self._host, self._server, self._visitors = host, server, visitors
@@ -110,7 +110,7 @@ class Services:
         return foxglove.Service(key.name, schema=kind, handler=partial(self._serve, key))
 
     def _request(self, key: ServiceKey) -> None:
-        """Request a definition that is not installed from the workers; `refresh` uses it once it has arrived."""
+        """Request a definition that is not installed from the workers; `refresh` runs again when it has arrived."""
         now = time.monotonic()
         if now - self._requested.get(key, -REPEAT_SECONDS) >= REPEAT_SECONDS:
             self._requested = {other: at for other, at in self._requested.items() if now - at < REPEAT_SECONDS}

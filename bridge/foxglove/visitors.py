@@ -1,7 +1,7 @@
-"""The identities of the SDK's clients, passed from the front by a secret that only this process knows.
+"""The identities of the SDK's clients, which the front passes on with a secret that only this process knows.
 
-The SDK numbers its clients, and does not authenticate them. So the front, which does, sends a first message on each
-connection: it advertises a channel whose topic is a secret generated for that client.
+The SDK numbers its clients, but does not authenticate them. So the front, which does, sends a first message on each
+connection, which advertises a channel whose topic is a secret generated for that client.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from threading import Lock
 from bridge.web.serving.access import Grant
 
 MARK = 0xFFFF_FFFF
-"""The number of the channel that the front advertises; a client that uses it itself becomes unknown."""
+"""The number of the channel that the front advertises; a client that uses this number itself becomes unknown."""
 
 
 @dataclass(eq=False)
 class Visitor:
-    """One connection. ``sent`` counts the bytes sent to it."""
+    """One connection; ``sent`` counts the bytes sent to the client."""
 
     grant: Grant
     address: str
@@ -43,7 +43,7 @@ class Visitors:
         self._clients: dict[int, Visitor] = {}
 
     def expect(self, visitor: Visitor) -> bytes:
-        """Register a connection; return the first text to send to the SDK's server on it."""
+        """Register a connection; return the first text to send on it to the SDK's server."""
         secret = secrets.token_hex(16)
         with self._lock:
             self._open[visitor] = secret
@@ -69,7 +69,7 @@ class Visitors:
             self._clients.pop(client, None)
 
     def visitor_of(self, client: int) -> Visitor | None:
-        """Return the visitor for a client of the SDK; None if it did not connect through the front."""
+        """Return the visitor for a client of the SDK; None if the client did not connect through the front."""
         return self._clients.get(client)
 
     def all(self) -> list[Visitor]:

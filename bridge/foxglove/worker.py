@@ -42,11 +42,11 @@ if TYPE_CHECKING:
 _log = logging.getLogger("midspan.foxglove")
 
 GATHER_SECONDS = 0.1
-"""Changes of the hub's graph are collected for this long: hundreds may arrive at once."""
+"""Changes of the hub's graph are collected for this long, because hundreds may arrive at once."""
 
 
 class FoxgloveWorker(Worker):
-    """Serves the hub to the Foxglove app; a node of the hub like any module."""
+    """Serves the hub to the Foxglove app, and is a node of the hub like any module."""
 
     def __init__(self) -> None:
         self._config: Config | None = None
@@ -59,11 +59,11 @@ class FoxgloveWorker(Worker):
         SdkLog.install()
         self._live = Live(config)
         self._live.start()
-        _log.info("the Foxglove app finds the hub at %s", self._live.front.address)
+        _log.info("the hub is served to the Foxglove app at %s", self._live.front.address)
 
     @override
     def reload(self, config: Config) -> bool:
-        """Request a restart after any change: the app reconnects by itself."""
+        """Return whether nothing changed; otherwise the worker restarts, and the app reconnects by itself."""
         return config == self._config
 
     @override
@@ -142,7 +142,7 @@ class Live:
             raise RuntimeError(self.front.trouble)
 
     def text(self) -> str:
-        """Return the address, and the numbers of clients and topics."""
+        """Return the address and the numbers of clients and topics, for people."""
         clients = len(self.visitors.all())
         shown = f"{self._channels.count} topics, {self._channels.watched} watched"
         return f"{self.front.address}, {clients} client{'' if clients == 1 else 's'}, {shown}"
@@ -182,7 +182,7 @@ class Live:
         ).document()
 
     def stop_publishing(self) -> None:
-        """Stop the robot if a client drives it, and stop publishing. To be called on the worker's thread."""
+        """Stop the robot if a client drives it, and stop publishing. Call it on the worker's thread."""
         self._publishing.close()
 
     def close(self) -> None:
@@ -211,7 +211,7 @@ def _tls(config: Config) -> ServerTls:
 
 
 def _capabilities(section: FoxgloveSection) -> list[Capability]:
-    """Return what the app may offer; a client that may only watch is refused when it tries more."""
+    """Return the capabilities that the app may offer; a client that may only watch is refused when it uses others."""
     commands = [Capability.ClientPublish, Capability.Services] if section.commanded else []
     return [Capability.Parameters, *commands]
 
@@ -229,7 +229,7 @@ class SdkLog(logging.Handler):
 
     @classmethod
     def install(cls) -> None:
-        """Receive everything that the SDK logs in this process."""
+        """Handle everything that the SDK logs in this process."""
         logger = logging.getLogger("foxglove")
         logger.handlers, logger.propagate = [cls()], False
 

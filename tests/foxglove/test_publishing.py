@@ -82,9 +82,9 @@ def test_invalid_channels_and_messages_are_reported(driven: Desk) -> None:
         number = app.advertise("/n", "std_msgs/msg/Int8", "json")
         until(lambda: driven.far.publishers("/n"), "it is published")
         for data, reason in (
-            (b"{", "it is not JSON"), (b"[" * 100_000, "it is not JSON"), (b"3", "not a JSON object"),
+            (b"{", "the message is not JSON"), (b"[" * 100_000, "the message is not JSON"), (b"3", "not a JSON object"),
             (b'{"data": 300}', "data must be int8, not 300"), (b'{"dat": 3}', "has no field 'dat'"),
-            (b"\xff", "it is not JSON"),
+            (b"\xff", "the message is not JSON"),
         ):  # fmt: skip
             app.publish(number, data)
             wait_for_status(app, reason)
