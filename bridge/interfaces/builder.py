@@ -1,10 +1,11 @@
 """Builds ROS 2 message packages from their definitions, without cmake, ament or colcon.
 
-It needs ROS 2's generators (part of the wheels and of /opt/ros/jazzy), gcc and g++. First it plans the packages, their
-order and their keys, from the definitions and the installed packages.
+The builder needs ROS 2's generators (part of the wheels and of /opt/ros/jazzy), gcc and g++. First it plans the
+packages, their order and their keys, from the definitions and the installed packages.
 
-A package that a process has imported cannot be loaded again with more types: Python's module and the shared libraries
-stay as they are. Build first, then import; otherwise the process has to be restarted (`activate` names such packages).
+A package that a process has imported cannot be loaded again with more types, because Python's module and the shared
+libraries stay loaded. Build first, then import; otherwise the process has to be restarted (`activate` returns such
+packages).
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ RECIPE = "1"  # increment it when the builder's output for the same definitions 
 
 @dataclass(frozen=True, slots=True)
 class BuildStep:
-    """One package to build, with the steps of all packages that it depends on, also indirectly."""
+    """One package to build, with the steps of all packages that it depends on, directly or indirectly."""
 
     package: str
     definitions: tuple[InterfaceFile, ...]
@@ -47,7 +48,7 @@ class BuildStep:
 
 
 class PackageResolver:
-    """Resolves packages: first the given ones, then the installed ones, then Midspan's own definitions."""
+    """Resolves packages: first to the installed ones, then to the given ones and Midspan's own definitions."""
 
     def __init__(self, given: Mapping[str, Mapping[str, str]], ros2: Ros2, cache: BuildCache) -> None:
         self._given = given
@@ -66,7 +67,9 @@ class PackageResolver:
         """Return the step that builds a package; None if the installed one is used."""
         if package in asking:
             circle = " -> ".join((*asking[asking.index(package) :], package))
-            raise BuildError(f"packages depend on each other: {circle}", cure="Move the shared types to a third")
+            raise BuildError(
+                f"packages depend on each other: {circle}", cure="Move the shared types to a third package"
+            )
         if package not in self._steps:
             self._steps[package] = None if self._is_installed(package) else self._new_step(package, asking)
         return self._steps[package]
@@ -135,13 +138,13 @@ def _unknown_package(name: str, definitions: tuple[InterfaceFile, ...]) -> Build
                 return BuildError(
                     f"package {name} is not known",
                     where=definition.where(reference.line),
-                    cure=f"Install it, or put {name}/msg/*.msg into a folder that `types.folders` names",
+                    cure=f"Install it, or put {name}/msg/*.msg into a folder listed in `types.folders`",
                 )
     return BuildError(f"ROS 2's package {name} is not installed", cure="Run `make` again")
 
 
 def _unknown_type(definition: InterfaceFile, reference: Reference) -> BuildError:
-    cure = "ROS 2 calls it std_msgs/Header" if reference.name == "Header" else "Check the name for a typing error"
+    cure = "ROS 2 calls it std_msgs/Header" if reference.name == "Header" else "Check the spelling of the name"
     return BuildError(
         f"unknown type {reference.package}/{reference.name}", where=definition.where(reference.line), cure=cure
     )
@@ -159,7 +162,7 @@ def build(
     Packages of the installed ROS 2, and packages in the cache (default $MIDSPAN_CACHE or ~/.cache/midspan/interfaces),
     are not built again. Dependencies are resolved among the given packages, the installed ones, and Midspan's own
     (`bundled_packages`). Definitions are texts by package and path: ``{"my_msgs": {"msg/Name.msg": "string data"}}``;
-    ``progress`` receives a line for each slow step. Raises `BuildError` with the place and the cure.
+    ``progress`` receives a line for each slow step. Raises `BuildError`, which names the place and the cure.
     """
     ros2 = Ros2.find()
     built = BuildCache(cache or default_cache())
@@ -171,7 +174,7 @@ def build(
 
 
 def build_bundled(cache: Path | None = None, progress: Progress | None = None) -> Path:
-    """Build those of Midspan's own packages that the installed ROS 2 lacks; return the prefix."""
+    """Build the bundled packages that the installed ROS 2 lacks; return the prefix."""
     installed = Ros2.find().packages
     wanted = {name: bundled_files(name) for name in bundled_packages() if name not in installed}
     return build(wanted, cache, progress)
@@ -240,7 +243,7 @@ def _generate(step: BuildStep, job: Job, prefix: Path, ros2: Ros2) -> None:
     }
     file = job.work / "request.json"
     file.write_text(json.dumps(request), encoding="utf-8")
-    # the order of the #include lines depends on Python's hash seed; fixed, so that equal input gives equal output
+    # the order of the #include lines depends on Python's hash seed, which is fixed so that output is reproducible
     environment = os.environ | {"PYTHONHASHSEED": "0"}
     command = [sys.executable, "-P", str(Path(__file__).with_name("generate.py")), str(file)]
     try:

@@ -3,7 +3,7 @@
 ::
 
     <cache>/packages/<package>-<key>/   one built package: a small prefix, never changed after its creation
-    <cache>/sets/<key>/                 a prefix of links to several of them, which programs use
+    <cache>/sets/<key>/                 a prefix of links to several packages, which programs use
     <cache>/locks/<name>
 
 A key covers everything that the content depends on, so entries are never invalidated; the whole cache may be deleted
@@ -32,7 +32,7 @@ _INDEX = "share/ament_index/resource_index"
 
 
 def default_cache() -> Path:
-    """Return $MIDSPAN_CACHE, else ``midspan/interfaces`` in $XDG_CACHE_HOME or ~/.cache."""
+    """Return $MIDSPAN_CACHE, or else ``midspan/interfaces`` in $XDG_CACHE_HOME or ~/.cache."""
     named = os.environ.get("MIDSPAN_CACHE")
     if named:
         return Path(named)
@@ -65,7 +65,7 @@ class BuildCache:
 
     @contextmanager
     def adding(self, final: Path) -> Iterator[Path | None]:
-        """Lock a prefix, and yield a folder to fill, which then becomes ``final`` atomically.
+        """Lock a prefix, and yield a folder to fill, which is then renamed to ``final`` atomically.
 
         Waits while another process builds the same prefix; yields None if the other process has built it.
         """
@@ -77,7 +77,8 @@ class BuildCache:
             lock = (self.folder / "locks" / final.name).open("w", encoding="utf-8")
         except OSError as err:
             raise BuildError(
-                f"the cache {self.folder} cannot be written: {err.strerror}", cure="Name another one in $MIDSPAN_CACHE"
+                f"the cache {self.folder} cannot be written: {err.strerror}",
+                cure="Set $MIDSPAN_CACHE to another folder",
             ) from None
         with lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
@@ -134,12 +135,12 @@ _PTH = "midspan_interfaces.pth"
 
 
 def activate(*prefixes: Path) -> tuple[str, ...]:
-    """Add the packages of these prefixes to this process, ahead of others with the same names.
+    """Make the packages of these prefixes importable in this process, ahead of others with the same names.
 
     A child process needs the variables of `environment`.
 
-    Returns the packages that this process has already imported from elsewhere: neither Python nor the dynamic loader
-    can load a package again, so the new ones need a new process. Raises `BuildError` if two prefixes have different
+    Returns the packages that this process has already imported from elsewhere. Neither Python nor the dynamic loader
+    can load a package again, so the new builds need a new process. Raises `BuildError` if two prefixes have different
     builds of one package.
     """
     packages = _merged(prefixes)

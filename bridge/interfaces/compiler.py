@@ -1,8 +1,8 @@
 """Compiles and links the generators' output, using only gcc and g++.
 
-All files of one generator and one folder become one translation unit, since they include the same headers, which take
-most of the time. On 2 cores nav2_msgs (51 definitions, 358 generated files) takes 11 s, against 23 s for separate
-files. Only the type descriptions are compiled separately, since their static names collide.
+All files of one generator and one folder become one translation unit, because they include the same headers, which take
+most of the time. On 2 cores nav2_msgs (51 definitions, 358 generated files) takes 11 s, compared to 23 s for separate
+files. Only the type descriptions are compiled separately, because their static names collide.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from bridge.interfaces.ros2 import GENERATORS, Ros2
 _CURE_COMPILER = "Install one: apt install g++"
 _FLAGS = ("-O0", "-fPIC", "-w")
 """Optimizing generated code gains little: rclpy takes 4 % less time for 2,000 nested parts, and no less for arrays of
-bytes. It costs much: with -O1 the bundled packages take 84 s of processor time instead of 53."""
+bytes. But it costs much: with -O1 the bundled packages take 84 s of processor time instead of 53 s."""
 _STANDARD = {".c": "-std=gnu11", ".cpp": "-std=gnu++17"}
-TIMEOUT = 900  # seconds for one call of a compiler or of the generators; the longest measured one took 10
+TIMEOUT = 900  # seconds for one call of a compiler or of the generators; the longest measured call took 10 s
 _RUNTIME = (
     "rosidl_typesupport_fastrtps_c",
     "rosidl_typesupport_fastrtps_cpp",
@@ -42,8 +42,8 @@ _RUNTIME = (
 class Dependency:
     """A message package to compile and link against.
 
-    ``runpath`` is the path to its libraries at run time (``$ORIGIN/...``), "" if the process knows the folder;
-    ``includes`` are its headers, unless they are the installation's.
+    ``runpath`` is the path to its libraries at run time (``$ORIGIN/...``), "" if the process finds them anyway;
+    ``includes`` are the folders of its headers, unless these belong to the installation.
     """
 
     name: str
@@ -61,7 +61,7 @@ class Compiler:
 
     @classmethod
     def find(cls) -> Compiler:
-        """Find the compilers of this machine; raises `BuildError` if one, or Python's headers, are missing."""
+        """Find the compilers of this machine; raises `BuildError` if one of them or Python's headers are missing."""
         paths: list[str] = []
         for variable, usual in (("CC", "gcc"), ("CXX", "g++")):
             name = os.environ.get(variable) or usual
@@ -71,13 +71,15 @@ class Compiler:
             paths.append(path)
         headers = Path(sysconfig.get_path("include"))
         if not (headers / "Python.h").is_file():
-            raise BuildError(f"no Python headers: no {headers}/Python.h", cure="Install them: apt install python3-dev")
+            raise BuildError(
+                f"no Python headers: {headers}/Python.h not found", cure="Install them: apt install python3-dev"
+            )
         return cls(paths[0], paths[1])
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One package to compile: output folder by generator, required packages, parallel compilers (``jobs``)."""
+    """One package to compile; ``roots`` are the output folders by generator, ``jobs`` limits the parallel compilers."""
 
     package: str
     roots: dict[str, Path]
@@ -122,7 +124,7 @@ def _numpy_headers() -> Path:
 
 @dataclass(frozen=True, slots=True)
 class _Unit:
-    """Files of one compiler call: one file that includes all, or several separate ones."""
+    """The files of one compiler call: included by one common file, or compiled separately if ``apart``."""
 
     folder: Path
     language: str
@@ -164,10 +166,10 @@ def _fresh(folder: Path) -> Path:
 
 
 class _Linker:
-    """Links a package's five libraries and its extension, named as ROS 2 names them.
+    """Links a package's five libraries and its extension, with the names that ROS 2 uses.
 
-    At run time `librosidl_typesupport_c` opens the two type supports by their bare names; the dynamic loader finds them
-    by their SONAME because the extension, which is loaded first, needs them. So no library path has to be set for them.
+    At run time `librosidl_typesupport_c` opens the two type supports by their bare names. The dynamic loader finds them
+    by their SONAME because the extension, which is loaded first, links to them, so they need no library path.
     """
 
     def __init__(self, job: Job, ros2: Ros2, command: str) -> None:

@@ -1,7 +1,7 @@
 """Interface definition texts (.msg, .srv, .action): the packages that they need, and whether ROS 2 accepts them.
 
 ROS 2's generators fail late and without a line number, and comments can break them. So each text is checked here first,
-and the generators get it without comments. The rules are those of ROS 2 Jazzy's interface language (docs.ros.org,
+and passed to the generators without comments. The rules are those of ROS 2 Jazzy's interface language (docs.ros.org,
 "Interfaces"); the patterns of names are those of `rosidl_adapter` 4.6.
 """
 
@@ -16,7 +16,7 @@ from bridge.interfaces.values import string_value
 
 
 class BuildError(Exception):
-    """A message package cannot be built; ``where`` is ``package/msg/Name.msg:line``, ``cure`` what to do about it."""
+    """A message package cannot be built; ``where`` is ``package/msg/Name.msg:line``, and ``cure`` says what to do."""
 
     def __init__(self, message: str, where: str = "", cure: str = "") -> None:
         text = f"{where}: {message}" if where else message
@@ -39,7 +39,7 @@ _FIELD_TYPE = re.compile(r"(?P<base>[A-Za-z0-9_/]+)(?P<bound><=[1-9]\d*)?(?P<arr
 
 
 MAX_TEXT = 1_000_000
-"""Largest number of characters in a package's definitions, which may come from the network and are compiled."""
+"""Maximum number of characters in a package's definitions, which may come from the network and are compiled."""
 
 
 class Form(Enum):
@@ -60,7 +60,7 @@ IMPLICIT = {
     Form.SRV: frozenset({"builtin_interfaces", "service_msgs"}),
     Form.ACTION: frozenset({"action_msgs", "builtin_interfaces", "service_msgs", "unique_identifier_msgs"}),
 }
-"""Packages of the fields that the generators add to services and actions."""
+"""Packages of the types of the fields that the generators add to services and actions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class InterfaceFile:
-    """One checked definition; ``bare`` is its text for the generators: without comments, with full names of types."""
+    """One checked definition; ``bare`` is its text for the generators, without comments and with full type names."""
 
     package: str
     path: str
@@ -97,7 +97,9 @@ class InterfaceFile:
 def read_package(package: str, files: Mapping[str, str]) -> tuple[InterfaceFile, ...]:
     """Check a package's definitions one by one, in the order of their paths; raises `BuildError`."""
     if not _PACKAGE.fullmatch(package):
-        raise BuildError(f"'{package}' is not a ROS 2 package name", cure="Use small letters, digits and underscores")
+        raise BuildError(
+            f"'{package}' is not a ROS 2 package name", cure="Use lower-case letters, digits and underscores"
+        )
     if not files:
         raise BuildError(f"package {package} has no definitions", cure="Give at least one msg/Name.msg")
     if sum(map(len, files.values())) > MAX_TEXT:
@@ -112,14 +114,14 @@ def _read(package: str, path: str, text: str) -> InterfaceFile:
     if folder != suffix or folder not in forms or not _TYPE.fullmatch(stem):
         raise BuildError(
             f"'{package}/{path}' is not the path of an interface definition",
-            cure="It must read msg/Name.msg, srv/Name.srv or action/Name.action, Name in CamelCase",
+            cure="It must be msg/Name.msg, srv/Name.srv or action/Name.action, with Name in CamelCase",
         )
     reader = _Reader(package, path)
     bare = [reader.line(number, line) for number, line in _lines(text)]
     form = forms[folder]
     if bare.count("---") != form.parts - 1:
         raise BuildError(
-            f"{bare.count('---')} lines '---', a .{suffix} has {form.parts - 1}", where=f"{package}/{path}"
+            f"{bare.count('---')} lines '---', but a .{suffix} has {form.parts - 1}", where=f"{package}/{path}"
         )
     # programs of ROS 2 that read the installed text, such as `ros2 interface show`, accept no other separator
     text = _SEPARATOR.sub("---", text)
@@ -148,7 +150,7 @@ class _Reader:
         self._part = 1
 
     def line(self, number: int, content: str) -> str:
-        """Check one line without comment; returns it as the generators need it."""
+        """Check one line without its comment; return it in the form that the generators need."""
         if content == "---":
             self._names.clear()
             self._part += 1
@@ -176,7 +178,7 @@ class _Reader:
             raise self._fault(number, f"'{name}' is not a constant's name", "Use capitals, digits and underscores")
         if not is_constant and not _PACKAGE.fullmatch(name):
             raise self._fault(
-                number, f"'{name}' is not a field's name in ROS 2", "Use small letters, digits and underscores"
+                number, f"'{name}' is not a field's name in ROS 2", "Use lower-case letters, digits and underscores"
             )
         if name in self._names:
             raise self._fault(number, f"the name '{name}' is used twice")
@@ -188,7 +190,7 @@ class _Reader:
             raise self._fault(number, f"'{field_type}' is not a type")
         base, bound, array = match["base"], match["bound"] or "", match["array"] or ""
         if bound and base not in ("string", "wstring"):
-            raise self._fault(number, f"'{field_type}': only strings and arrays have a bound")
+            raise self._fault(number, f"'{field_type}': only strings and arrays can have a bound")
         if is_constant and (base not in PRIMITIVES or bound or array):
             raise self._fault(number, f"a constant cannot be of type '{field_type}'", "Use one of the plain types")
         if base not in PRIMITIVES:

@@ -1,4 +1,4 @@
-"""Folders of message packages: a user's own, and those that come with Midspan (bundled packages)."""
+"""Folders of message packages: the user's, and those that come with Midspan (bundled packages)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bridge.messages.definitions.names import package_name
 
 
 def read_package_folder(folder: Path) -> dict[str, str]:
-    """Return a package's definitions, text by path (``msg/Name.msg``); its folder may contain ``.msg`` files itself."""
+    """Return a package's definitions, texts by path (``msg/Name.msg``); ``.msg`` files may be in the folder itself."""
     files = {f"{form.value}/{file.name}": file for form in Form for file in folder.glob(f"{form.value}/*.{form.value}")}
     files |= {f"msg/{file.name}": file for file in folder.glob("*.msg")}
     return {path: _text(file) for path, file in sorted(files.items())}
@@ -20,7 +20,7 @@ def read_package_folder(folder: Path) -> dict[str, str]:
 def read_folders(folders: Iterable[Path]) -> dict[str, dict[str, str]]:
     """Return definitions by package and path; each folder is a package, its ``msg`` folder, or contains packages.
 
-    Raises `BuildError` for a folder without definitions, and for two packages of one name.
+    Raises `BuildError` for a folder without definitions, and for two packages with the same name.
     """
     found: dict[str, dict[str, str]] = {}
     for folder in folders:
@@ -31,7 +31,7 @@ def read_folders(folders: Iterable[Path]) -> dict[str, dict[str, str]]:
         if not packages:
             raise BuildError(
                 f"no .msg, .srv or .action files in {folder}",
-                cure="Name a package's folder (my_msgs with my_msgs/msg/Name.msg), or one that holds such folders",
+                cure="Name a package's folder (my_msgs with my_msgs/msg/Name.msg), or a folder of such folders",
             )
         for package, files in packages.items():
             if package in found:
@@ -41,7 +41,7 @@ def read_folders(folders: Iterable[Path]) -> dict[str, dict[str, str]]:
 
 
 def _package_folders(folder: Path) -> list[Path]:
-    """Return the folders that may be packages: one whole package, or a folder and those in it."""
+    """Return the folders that may be packages: one package's folder, or a folder and its subfolders."""
     if not folder.is_dir():
         return []
     kinds = {form.value for form in Form}
@@ -72,5 +72,5 @@ def bundled_packages() -> tuple[str, ...]:
 
 
 def bundled_files(package: str) -> dict[str, str]:
-    """Return a bundled package's definitions by path, for `bridge.interfaces.builder.build`; {} for any other."""
+    """Return a bundled package's definitions by path, for `bridge.interfaces.builder.build`; {} for other packages."""
     return read_package_folder(DEFINITIONS / package) if package in bundled_packages() else {}

@@ -1,8 +1,8 @@
-"""Runs ROS 2's own generators for one package: a program that `bridge.interfaces.builder` runs in a separate process.
+"""Runs ROS 2's own generators for one package, as a program that `bridge.interfaces.builder` starts.
 
-The generators write to standard output, replace it, and read the environment, which must not happen in a worker.
-Usage: ``python generate.py REQUEST.json``, where the request is a `Request` as JSON. The rosidl functions called are
-those of Jazzy (rosidl 4.6), as the command-line tools of the same packages call them.
+The generators write to standard output, replace it, and read the environment, so they must not run in a worker.
+Usage: ``python generate.py REQUEST.json``, where the request is a `Request` as JSON. It calls the rosidl
+functions of Jazzy (rosidl 4.6) in the same way as the command-line tools of those packages.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ class Request(TypedDict):
     """What to generate."""
 
     package: str
-    files: list[str]  #: its definitions, as ``msg/Name.msg``
-    source: str  #: folder that holds them
+    files: list[str]  #: the package's definitions, as ``msg/Name.msg``
+    source: str  #: folder of the definitions
     share: str  #: folder for the ``.idl`` and ``.json`` files
     roots: dict[str, str]  #: output folder of each generator, by its name
     resources: dict[str, str]  #: folder of each generator's templates, by its name
     known: dict[str, str]  #: ``share`` folder of each package that may be referred to, by its name
-    jobs: int  #: how many processes to use
+    jobs: int  #: number of processes to use
 
 
 TYPESUPPORTS = ["rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"]
 
 
 def main() -> None:
-    """Translate, hash, and run each generator."""
+    """Translate the definitions to IDL, hash them, and run each generator."""
     request: Request = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
     _parse_each_file_once()
     _translate(request)

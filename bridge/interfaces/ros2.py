@@ -17,7 +17,7 @@ from pathlib import Path
 
 from bridge.interfaces.definition import BuildError
 
-MARK = "share/midspan/interfaces"  # a prefix that has this file is one of our own, not an installation
+MARK = "share/midspan/interfaces"  # a prefix with this file was built by Midspan, and is not an installation
 GENERATORS = (
     "rosidl_generator_c",
     "rosidl_generator_py",
@@ -44,11 +44,11 @@ class InstalledPackage:
 
     @property
     def version(self) -> str:
-        """The version in its ``package.xml``, "" without one."""
+        """The version in the package's ``package.xml``; "" without one."""
         return _version(self.share / "package.xml")
 
     def has(self, path: str) -> bool:
-        """Return whether it has a definition, given as ``msg/Name.msg``."""
+        """Return whether the package has a definition, given as ``msg/Name.msg``."""
         return (self.share / path).is_file() or (self.share / path).with_suffix(".idl").is_file()
 
 
@@ -81,13 +81,13 @@ class Ros2:
 
     @cached_property
     def libraries(self) -> tuple[Path, ...]:
-        """Folders with its shared libraries."""
+        """Folders with the shared libraries."""
         wheels = [folder for prefix in self.prefixes for folder in prefix.glob("lib/python3*/site-packages/ros_*.libs")]
         return tuple(folder for folder in (*(prefix / "lib" for prefix in self.prefixes), *wheels) if folder.is_dir())
 
     @cached_property
     def includes(self) -> tuple[Path, ...]:
-        """Folders with its headers: one for each package, and the common one."""
+        """Folders with the headers: one for each package, and the common one."""
         roots = [prefix / "include" for prefix in self.prefixes if (prefix / "include").is_dir()]
         return tuple(folder for root in roots for folder in (root, *sorted(p for p in root.iterdir() if p.is_dir())))
 

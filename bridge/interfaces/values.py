@@ -1,9 +1,9 @@
-"""Texts in definitions, as default values and constants, in a spelling that ROS 2's generators understand.
+"""String constants and default values in definitions, in a form that ROS 2's generators read correctly.
 
-Three readers process a text before it is in C and Python: rosidl_adapter removes quotes and resolves Python's escapes,
+Several steps process a text on its path to C and Python: rosidl_adapter removes quotes, resolves Python's escapes and
 writes IDL in Latin-1, and rosidl_parser resolves IDL's escapes and reads UTF-8 (rosidl 4.6). So escaped quotes and
-characters beyond ASCII arrive as they are, but some backslashes do not. The elements of arrays pass only Python's
-escapes; a non-ASCII character, or several escaped quotes, stop the generators there.
+characters beyond ASCII arrive unchanged, but some backslashes do not. In the elements of arrays, only Python's escapes
+are resolved; there, a non-ASCII character or several escaped quotes make the generators fail.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _IDL_ESCAPE = re.compile(r"""\\(?:[ntvbrfa\\?'"0-7x]|$)""")
 def string_value(text: str, *, is_array: bool) -> str:
     """Return the default value or constant of a string, or the default of an array of strings, for the generators.
 
-    Raises `ValueError` with the reason if they would fail or change the text.
+    Raises `ValueError` with the reason if the generators would fail or change the text.
     """
     if not is_array:
         _check_scalar(text)
@@ -41,7 +41,7 @@ def _check_scalar(text: str) -> None:
         text = text.replace(f"\\{quote}", quote)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of escapes that Python does not know, which stay as they are
+            warnings.simplefilter("ignore")  # about escapes that Python does not know, which stay unchanged
             read = text.encode().decode("unicode_escape").encode("iso-8859-1").decode()
     except UnicodeError:
         raise ValueError("ROS 2 misreads the escapes of its characters; write them as they are") from None
@@ -51,7 +51,7 @@ def _check_scalar(text: str) -> None:
 
 
 def _element(text: str) -> str:
-    """Return an element of an array of strings, with all characters escaped that the generators cannot read."""
+    """Return an element of an array of strings, with the characters escaped that the generators cannot read."""
     _check_printable(text)
     return '"' + "".join(char if _PLAIN.fullmatch(char) else _escape(ord(char)) for char in text) + '"'
 
@@ -62,4 +62,4 @@ def _escape(code: int) -> str:
 
 def _check_printable(text: str) -> None:
     if any((ord(char) < 32 and char != "\t") or ord(char) == 127 for char in text):
-        raise ValueError("it has a control character, also one that an escape such as \\n makes")
+        raise ValueError("it has a control character, which may come from an escape such as \\n")
