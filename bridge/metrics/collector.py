@@ -33,7 +33,7 @@ from bridge.status import (
 )
 
 MOST_CUSTOM = 50
-"""Largest number of its own metrics that a worker may add."""
+"""Maximum number of custom metrics that a worker may add."""
 
 _CUSTOM_NAME = re.compile(r"[a-z][a-z0-9_]{0,60}")
 _PHASES = tuple(phase.value for phase in Phase if phase.value not in AT_REST)
@@ -43,7 +43,7 @@ _MODULE_STATES = ("running", "waiting", "standby", "stopped")
 
 
 class StoreContent(Part):
-    """The store's values by kind, and its sharing; ``limits`` are on ``keys`` and ``bytes``."""
+    """The number of the store's values by kind, and its sharing; ``limits`` apply to ``keys`` and ``bytes``."""
 
     keys: dict[Text, Int] = Field(default={})
     bytes: Int | None = None
@@ -56,7 +56,7 @@ class StoreContent(Part):
 
 
 class StoreKeys(Part):
-    """The store's own keys, with `Part.other`."""
+    """The store's own keys in its status document, read with `Part.other`."""
 
     store: StoreContent = StoreContent()
 
@@ -66,7 +66,7 @@ class MidspanCollector(Collector):
 
     Args:
         source: provides the status documents.
-        most_routes: largest number of routes that are reported for each side.
+        most_routes: maximum number of routes that are reported for each side.
     """
 
     def __init__(self, source: Source, most_routes: int) -> None:
@@ -74,7 +74,7 @@ class MidspanCollector(Collector):
         self._routes = RouteMetrics(most_routes)
 
     def describe(self) -> Iterable[Metric]:
-        """Return nothing: to get the names, the library would query all workers."""
+        """Return nothing, because the library would query all workers only to get the names."""
         return ()
 
     @override

@@ -1,8 +1,8 @@
 """Publishes the state of each part of this daemon on the hub's ``/diagnostics`` while the topic has subscribers.
 
-It has subscribers if a native program of the hub subscribes, or if a side's worker reports a subscriber on its side
-(`bridge.hub.diagnostics.HEARD`). Otherwise nothing is queried or published. One process of the daemon publishes
-(`publishing_worker`); if it ends, the next one takes over.
+The topic has subscribers if a native program of the hub subscribes, or if a side's worker reports a subscriber on its
+side (`bridge.hub.diagnostics.HEARD`). Otherwise nothing is queried or published. Only one process of the daemon
+publishes (`publishing_worker`); if it ends, the next one takes over.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _log = logging.getLogger("midspan.metrics")
 
 PERIOD = 1.0
 POLL_SECONDS = 0.2
-"""Interval at which the daemon is asked which worker publishes, and whether a worker's level has changed."""
+"""Interval at which the daemon is queried for the worker that publishes, and for changed levels of workers."""
 
 _DAEMON_SECONDS = 0.5
 _RETRY_SECONDS = 60.0
@@ -40,9 +40,9 @@ _RETRY_SECONDS = 60.0
 
 
 def publishing_worker(daemon: DaemonStatus | None) -> str:
-    """Return the worker that publishes: the first one of a fixed order that is up; "" if the daemon lists none.
+    """Return the worker that publishes: the first worker in a fixed order that is up; "" if there is none.
 
-    Workers that carry no messages come first, then the sides.
+    Workers that bridge no messages come first, then the sides.
     """
     up = {report.worker for report in enabled_workers(daemon) if report.phase == Phase.UP.value}
     order = ("metrics", "web", "foxglove", *(side.name for side in all_sides()), "modules")
@@ -54,7 +54,7 @@ class DiagnosticsPublisher:
 
     Args:
         hub: a node without a side, so that all sides receive its messages.
-            source: provides the status documents.
+        source: provides the status documents.
     """
 
     def __init__(self, config: Config, hub: Hub, source: Source) -> None:
@@ -89,8 +89,8 @@ class DiagnosticsPublisher:
 def publish_while(wanted: Callable[[], bool], closing: threading.Event, config: Config, worker: str) -> None:
     """Publish while there are subscribers and it is this worker's turn, on a session that exists only for that time.
 
-    The worker's own session cannot be used: messages on a side's session count as coming from that side, so they
-    are not sent back to it, and a node does not receive its own messages, which the console has to.
+    The worker's own session cannot be used. Messages on a side's session count as coming from that side, so they would
+    not be sent to it; and a node does not receive its own messages, which the console needs.
     """
     link, publisher = HubLink(config, f"{worker}_diagnostics"), None
     try:

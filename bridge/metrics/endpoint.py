@@ -22,7 +22,7 @@ class MetricsRoutes:
         source: provides the status documents of this daemon's workers.
 
     Attributes:
-        routes: to pass to a server.
+        routes: the routes for an HTTP server.
     """
 
     def __init__(self, config: Config, source: Source) -> None:

@@ -1,4 +1,4 @@
-"""Every metric family that Midspan has: its name, kind, labels and help.
+"""All metric families of Midspan: their names, kinds, labels and help texts.
 
 Names follow https://prometheus.io/docs/practices/naming/: a prefix, base units, ``_total`` for counters.
 A counter starts at 0 with its process, so the restart of a worker is a counter reset, as in any program.
@@ -14,7 +14,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Histo
 Kind = Literal["gauge", "counter", "histogram"]
 
 _MOST_LABEL = 200
-"""Longest label value, in characters: the length of topic names is not limited."""
+"""Maximum length of a label value, in characters, because the length of topic names is not limited."""
 
 
 class Family(NamedTuple):
@@ -103,7 +103,7 @@ class Families:
     def add_histogram(
         self, name: str, bounds: Sequence[float], counts: Sequence[int], total: float, *labels: object
     ) -> None:
-        """Add a histogram: upper bounds of all buckets but the last (unbounded), and the count of each bucket."""
+        """Add a histogram: the upper bounds of all buckets but the last (unbounded), and each bucket's own count."""
         buckets, below = [], 0
         for bound, count in zip((*(f"{bound:g}" for bound in bounds), "+Inf"), counts, strict=True):
             below += count
@@ -111,7 +111,7 @@ class Families:
         self._metric(name).add_metric([label(text) for text in labels], buckets, total)  # type: ignore[attr-defined]
 
     def add_custom(self, family: Family, value: float) -> None:
-        """Add a family that is not in `FAMILIES`, with its only sample; skip it if the name is in use."""
+        """Add a family that is not in `FAMILIES`, with its only sample; do nothing if the name is in use."""
         if family.name not in self._known and family.name not in self._metrics:
             metric = self._metrics[family.name] = family.metric()
             metric.add_metric([], value)  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""The connection to the hub of the processes that publish metrics and diagnostics: a client of its router."""
+"""The connection of processes that publish metrics and diagnostics to the hub: a client of the hub's router."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _CONNECT_SECONDS = 0.5
 class HubLink:
     """A node that joins the hub once the router is reachable; zenoh reconnects it afterwards.
 
-    It has no links to the workers and no local transport: queries to them go through the router.
+    The node has no links to the workers and no local transport, so queries to workers go through the router.
 
     Args:
-        worker: the name under which it responds to queries.
-            status: returns its status document; None to respond to none.
+        worker: the name under which the node responds to queries.
+        status: returns the node's status document; None to respond to no queries.
     """
 
     def __init__(self, config: Config, worker: str, status: Callable[[], dict[str, Any]] | None = None) -> None:
@@ -39,11 +39,11 @@ class HubLink:
 
     @property
     def trouble(self) -> str:
-        """Why the node is missing, "" if it exists."""
+        """Why the node is missing; "" if it exists."""
         return self._error
 
     def join(self) -> Hub | None:
-        """Return the node, created if necessary; None if that fails. Called repeatedly, by one thread."""
+        """Return the node, created if necessary; None if that fails. Call it repeatedly, on one thread."""
         if self._hub is not None:
             return self._hub
         hub = self._config.hub

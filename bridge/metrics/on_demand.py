@@ -1,6 +1,6 @@
-"""Lets a worker that carries messages publish on ``/diagnostics`` if no other process of the daemon does.
+"""Lets a worker that bridges messages publish on ``/diagnostics`` if no other process of the daemon does.
 
-Without subscribers it has neither thread, session nor topic, and does not import the publishing code.
+Without subscribers the worker has no thread, session or topic for this, and does not import the publishing code.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class DiagnosticsOnDemand:
             self._thread.start()
 
     def close(self) -> None:
-        """Stop publishing until the next `look`."""
+        """Stop publishing until the next `on_heartbeat`."""
         thread, self._thread = self._thread, None
         if thread is not None:
             self._closing.set()

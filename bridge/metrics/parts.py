@@ -1,4 +1,4 @@
-"""The state of each part of a daemon, as a `diagnostic_msgs/DiagnosticStatus`."""
+"""Reports the state of each part of a daemon as a `diagnostic_msgs/DiagnosticStatus`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class PartStatus(NamedTuple):
     values: dict[str, Any]
 
     def message_of(self, daemon: str) -> dict[str, Any]:
-        """Return the message's fields; the name starts with the daemon's, by which aggregators group."""
+        """Return the message's fields; the name starts with the daemon's name, so that aggregators can group by it."""
         return {
             "level": int(self.level),
             "name": f"midspan {daemon}: {self.part}",
@@ -57,7 +57,7 @@ class BoardStatus(Part):
 
 
 class BoardKeys(Part):
-    """The own keys of the module of control boards, with `Part.other`."""
+    """The keys of the control boards' module in its status document, read with `Part.other`."""
 
     boards: list[BoardStatus] = Field(default=[])
 

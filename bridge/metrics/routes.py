@@ -1,4 +1,4 @@
-"""Metrics of the routes: of a bounded number for each side."""
+"""Metrics of the routes, for a bounded number of routes of each side."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from bridge.metrics.families import Families
 from bridge.routing.counters import CARRY_BOUNDS, DROPS, LATENCY_BOUNDS
 from bridge.status import RouteStatus, StatusDocument
 
-# The source time of a side's messages is unknown, so only the bridge's own time is reported for them.
+# the source time of messages from a side is unknown, so only the bridge's own time is reported for them
 _LATENCY = "midspan_route_latency_seconds", tuple(bound / 1e9 for bound in LATENCY_BOUNDS)
 _CARRY = "midspan_route_carry_seconds", CARRY_BOUNDS
 Key = tuple[str, ...]

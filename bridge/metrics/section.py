@@ -1,4 +1,4 @@
-"""The section ``metrics``: figures for Prometheus, at a separate address."""
+"""The ``metrics`` section: a separate address for Prometheus."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The data that metrics are made of: the status documents of this daemon's workers, and the daemon's own.
+"""The source of the metrics: the status documents of this daemon's workers, and the daemon's own.
 
-Each daemon reports only its own parts, so that scraping several joined daemons yields nothing twice.
+Each daemon reports only its own parts, so scraping several joined daemons yields nothing twice.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from bridge.status import INVALID, DaemonStatus, StatusDocument, WorkerReport, r
 _log = logging.getLogger("midspan.metrics")
 
 ASK_SECONDS = 1.0
-"""A worker that has not answered by then is reported as not answering."""
+"""A worker that has not answered within this time is reported as not answering."""
 
 FRESH_SECONDS = 1.0
-"""Snapshots are cached this long: each worker is queried at most once a second, however many clients scrape."""
+"""Snapshots are cached this long, so each worker is queried at most once a second, however many clients scrape."""
 
 AT_REST = frozenset({Phase.OFF.value, Phase.UNAVAILABLE.value})
 """Phases of a worker that is not supposed to run here."""
@@ -31,7 +31,7 @@ AT_REST = frozenset({Phase.OFF.value, Phase.UNAVAILABLE.value})
 _DAEMON_SECONDS = 0.5
 
 READY_SECONDS = 0.5
-"""How long readiness is cached; it needs only the daemon's answer."""
+"""How long readiness is cached; only the daemon is queried for it."""
 
 Ask = Callable[[], list[WorkerAnswer]]
 """Queries all workers of this daemon for their status documents, for `ASK_SECONDS`; raises `HubError` without a hub."""
@@ -43,7 +43,7 @@ class Snapshot:
 
     Attributes:
         name: the daemon's name.
-        documents: of the workers and modules that answered.
+        documents: the status documents of the workers and modules that answered.
         daemon: the daemon's own document; None if it does not answer.
         hub: whether the hub could be queried.
         seconds: duration of the query.
@@ -62,7 +62,7 @@ class Snapshot:
 
 
 def enabled_workers(daemon: DaemonStatus | None) -> list[WorkerReport]:
-    """Return the daemon's reports of the workers that are supposed to run; empty if it does not answer."""
+    """Return the daemon's reports of the workers that are supposed to run; empty if the daemon does not answer."""
     return [] if daemon is None else [worker for worker in daemon.workers if worker.phase not in AT_REST]
 
 
@@ -99,7 +99,7 @@ class Source:
         return Snapshot(self._config.name, documents, daemon, hub, time.monotonic() - began)
 
     def _log_errors(self, documents: Sequence[StatusDocument]) -> None:
-        """Log which values are missing from the metrics, once."""
+        """Log once which values are missing from the metrics."""
         errors = {document.worker: document.error for document in documents if INVALID in document.error}
         for worker, error in errors.items():
             if self._errors.get(worker) != error:
@@ -117,7 +117,7 @@ class Readiness:
         self._until = 0.0
 
     def reasons(self) -> list[str]:
-        """Return why it is not ready, one reason for each worker; empty if it is ready."""
+        """Return why the daemon is not ready, one reason for each worker; empty if it is ready."""
         with self._lock:
             if time.monotonic() >= self._until:
                 self._reasons = _reasons(ask_daemon(self._config, _DAEMON_SECONDS), self._config.name)
