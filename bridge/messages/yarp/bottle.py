@@ -82,7 +82,6 @@ class BottleCodec(RosBottle):
         stamped = has_header(registry.schema(type_name, type_hash))
         schema = ros1_schema(out.target.name, out.target.definition)
         super().__init__(schema, out.convert, back.convert, profile, stamped=stamped)
-        self.ros1 = out.target
 
 
 def ros1_schema(name: str, definition: str) -> Schema:
@@ -102,7 +101,7 @@ def decode_arrays(data: Buffer, profile: Profile | None) -> Any:
         raise ConversionError(f"not a Bottle: {err}") from None
 
 
-_SIGNED = {"byte": "b", "char": "B"}  # ROS 1's ``byte`` is signed, unlike ROS 2's
+_SIGNED = {"byte": "b"}  # ROS 1's ``byte`` is signed, unlike ROS 2's
 
 
 def to_ros1(schema: Schema, values: Sequence[Any]) -> bytes:
