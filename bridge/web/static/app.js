@@ -9,7 +9,7 @@ import { VIEWS } from "./views.js";
 const byId = (id) => document.getElementById(id);
 
 const socket = new Socket(new URL("socket", location.href).href.replace(/^http/, "ws"));
-const views = {}; // name -> {show(), hide(), navigate(rest of the hash)}, made when first shown
+const views = {}; // name -> {show(), hide(), navigate(rest of the hash)}, created when first shown
 let shown = null;
 
 // -- views
@@ -86,7 +86,7 @@ function showDriving(driving, why) {
 
 // -- STOP
 
-let stopped = 0; // when STOP was pressed last
+let stopped = 0; // when STOP was last pressed
 
 function stop() {
   const now = performance.now();
@@ -104,7 +104,7 @@ addEventListener(
   "keydown",
   (event) => {
     if (event.key !== " " || types(event.target)) return;
-    event.preventDefault(); // and do not press the focused button
+    event.preventDefault(); // also keeps the key from pressing the focused button
     event.stopPropagation();
     if (!event.repeat) stop();
   },

@@ -1,4 +1,4 @@
-// The login page: asks for a token, and logs out. It sets a cookie that scripts cannot read, and opens the console.
+// The login page: asks for a token, or logs out. A login sets a cookie that scripts cannot read, and opens the console.
 
 const byId = (id) => document.getElementById(id);
 

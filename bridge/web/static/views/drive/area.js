@@ -1,11 +1,11 @@
-// Drawing an area: a corner at each tap, or a rectangle by one drag.
+// Drawing an area: each tap adds a corner, or one drag draws a rectangle.
 
 import { button, write } from "../../lib/dom.js";
 import { keep, LONGEST_NAME } from "../../lib/names.js";
 import { question, say } from "../../lib/say.js";
 
 const NEAR = 18; // px to the first corner: a tap there closes the area
-const MOST = 500; // corners, the console's limit
+const MOST = 500; // maximum number of corners, the console's limit
 
 /** The editor of areas on a map; see `MapBlock.edit`. */
 export class AreaEditor {
@@ -99,7 +99,7 @@ export class AreaEditor {
     const answer = await question("Save this area", { name: { label: "Name", value: "", maxlength: LONGEST_NAME } }, "Save");
     const kept = answer && await keep(this.socket, this.map.values.places, "area", "keep_area", { name: answer.name, points }, `Saved the area ${answer.name}.`);
     this.asks = false;
-    if (kept || (this.dragged && !answer)) this.corners = []; // a rejected rectangle is drawn again
+    if (kept || (this.dragged && !answer)) this.corners = []; // a rectangle is discarded if the question is canceled
     this.dragged = false;
     this.changed();
   }

@@ -1,4 +1,4 @@
-// Editing the map: the tool row is replaced by tools that draw areas and paint flags.
+// Editing the map: tools that draw areas and paint flags replace the tool row.
 
 import { AreaEditor } from "./area.js";
 import { button, el, icon } from "../../lib/dom.js";
@@ -9,9 +9,9 @@ const EDITORS = {
   paint: { label: "Paint", icon: "M14 4l6 6-8 8-6-6zM6 12c-3 1-1 6-4 7 3 2 8 1 10-1", make: (map, socket) => new PaintEditor(map, socket) },
 };
 
-/** The row; returns {element, open(), close()}. `left` is called when editing ends. */
+/** The row of editing tools: {element, open(), close()}. `left` is called when editing ends. */
 export function editBar(map, socket, left) {
-  const made = {}; // the editors used so far: drawings stay while another one is active
+  const made = {}; // the editors used so far, whose drawings stay while another editor is active
   const choices = Object.fromEntries(Object.entries(EDITORS).map(([name, { label, icon: path }]) => [name,
     el("button", { type: "button", "aria-pressed": "false", title: label, on: { click: () => choose(name) } }, icon(path), el("span", { text: label }))]));
   const controls = el("div", { class: "controls", role: "group", "aria-label": "Editing" });

@@ -1,7 +1,7 @@
 // Translates touch, mouse and wheel on a canvas into gestures on the map.
 
-const STILL = 6; // px that a tap may move
-const LINE = 33; // px of a wheel's line
+const STILL = 6; // px that a pointer may move during a tap
+const LINE = 33; // px per line of a mouse wheel
 
 /**
  * Call `target`'s methods for gestures, in CSS pixels of the canvas: `pan(dx, dy)`, `zoom(factor, x, y)`, `tap(x, y)`.
@@ -10,7 +10,7 @@ const LINE = 33; // px of a wheel's line
  */
 export function gestures(canvas, target) {
   const down = new Map(); // pointer -> its last place
-  let start = null; // of the only pointer
+  let start = null; // where the only pointer went down
   let aiming = false;
   let moved = false;
 

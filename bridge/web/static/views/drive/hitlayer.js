@@ -4,7 +4,7 @@ import { meters } from "../../lib/format.js";
 import { toCells } from "./viewport.js";
 
 const TINT = 0.45;
-const SHIFT = 0x100000; // more columns than a layer has
+const SHIFT = 0x100000; // more than the number of columns of a layer
 
 /** The obstacle at a cell as text; "" without a cell. */
 export function heightWords(cell) {
@@ -47,7 +47,7 @@ export class HitLayer {
     return height === undefined ? null : { row, column, height };
   }
 
-  /** Tint the cells; leaves the context with their transform. */
+  /** Tint the cells; this leaves the context with the transform of the cells. */
   draw(context, view, ratio, color) {
     if (!this.heights.size) return;
     const { low, left } = this.box;
@@ -70,7 +70,7 @@ export class HitLayer {
     this.image = { canvas, color };
   }
 
-  /** A frame round one cell. */
+  /** A frame around one cell. */
   mark(context, view, { row, column }, color) {
     const corners = [[0, 0], [0, 1], [1, 1], [1, 0]].map(([up, along]) => {
       const { x, y } = this.corner(row + up, column + along);

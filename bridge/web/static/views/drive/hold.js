@@ -21,7 +21,7 @@ export class Hold {
     return this.socket.mayDrive && document.visibilityState === "visible" && document.hasFocus();
   }
 
-  /** Start to drive, or change the velocity; returns whether driving is allowed. */
+  /** Start driving, or change the velocity; returns whether driving is allowed. */
   drive(x, y, turn) {
     if (!this.allowed()) {
       this.end();

@@ -1,12 +1,12 @@
 // Names on the map without overlaps: earlier names take precedence.
 
 const FONT = "13px system-ui, sans-serif";
-const HIGH = 16; // px of a line
-const LONGEST = 24; // letters of a name
+const HIGH = 16; // px, the height of a line
+const LONGEST = 24; // maximum letters of a name
 
-/** The names in one drawing. */
+/** The names in one drawing of the map. */
 export class Labels {
-  /** `width`: of the window in pixels; names stay within it. */
+  /** `width`: the window's width in pixels; names stay within it. */
   constructor(context, width, color) {
     this.context = context;
     this.width = width;
@@ -14,7 +14,7 @@ export class Labels {
     this.taken = []; // boxes [left, top, right, bottom]
   }
 
-  /** Write a name at the first free one of `spots` ([x, y, align]), or not at all. */
+  /** Write a name at the first of `spots` ([x, y, align]) that is free, or not at all. */
   put(name, spots, ink, most = Infinity) {
     const { context, color } = this;
     const text = name.length > LONGEST ? `${name.slice(0, LONGEST)}…` : name;

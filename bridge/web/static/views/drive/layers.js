@@ -1,4 +1,4 @@
-// Which layers of the map are drawn; remembered by the browser.
+// Which layers of the map are drawn; the browser stores the choice.
 
 import { button, el, icon } from "../../lib/dom.js";
 
@@ -54,6 +54,6 @@ function remember(off) {
   try {
     localStorage.setItem(KEY, JSON.stringify([...off]));
   } catch {
-    return; // then the choice lasts as long as the page
+    return; // the choice then lasts only as long as the page
   }
 }

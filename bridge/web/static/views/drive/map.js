@@ -13,8 +13,8 @@ import { Trail } from "./trail.js";
 import { Viewport } from "./viewport.js";
 
 const NEAR = 18; // px from a tap to a place that it selects
-const NARROW = 560; // px: below it the tools span the width, as in view.css
-const ROOM = { top: 12, right: 68, bottom: 68, left: 12 }; // what the controls cover
+const NARROW = 560; // px of width: below it the tools span the width, as in view.css
+const ROOM = { top: 12, right: 68, bottom: 68, left: 12 }; // px at each edge that the controls cover
 const NARROW_ROOM = { top: 64, right: 6, bottom: 108, left: 6 };
 const LOW = 360; // px of height: below it the map extends below the controls
 const LOW_ROOM = { top: 6, right: 6, bottom: 6, left: 6 };
@@ -23,10 +23,10 @@ const AIMED = 14; // px that a finger must move to set a heading
 /**
  * The map in a block of the page.
  *
- * `tools`: {name: {label, hint, icon, done(pose)}}; a tool takes one press on the map, whose drag sets the heading
- * (`theta` is missing without a drag). A tool with `open()` does that
- * instead. `menu(at, place, pixel, shape)`: the operator touched the map at `at` ({x, y}), perhaps the named place, or
- * within a shape ({kind, name}). Feeds are followed between `show` and `hide`.
+ * `tools`: {name: {label, hint, icon, done(pose)}}; a tool handles one press on the map, whose drag sets the heading
+ * (`theta` is missing without a drag). A tool with `open()` calls that instead. `menu(at, place, pixel, shape)` is
+ * called when the operator touches the map at `at` ({x, y}); `place` is the name of the touched place, `shape`
+ * ({kind, name}) the area or path there, if any. Feeds are followed between `show` and `hide`.
  */
 export class MapBlock {
   constructor(socket, tools, menu) {
@@ -35,18 +35,18 @@ export class MapBlock {
     this.menu = menu;
     this.view = new Viewport();
     this.values = {}; // newest value of each feed
-    this.watches = {}; // feed -> function that ends it
+    this.watches = {}; // feed -> function that stops watching it
     this.follows = false;
-    this.placed = false; // whether the window was fitted to a map or a robot
+    this.placed = false; // whether the visible part has been fitted to a map or a robot
     this.tool = null;
-    this.aim = null; // {x, y, theta}: the current press
-    this.editor = null; // receives the gestures instead: see `edit`
+    this.aim = null; // {x, y, theta} of the current press
+    this.editor = null; // the editor that receives the gestures, see `edit`
     this.measured = [];
     this.point = null; // the point of the open menu
     this.dirty = false;
     this.frame = 0;
     this.shown = false;
-    this.pointer = null; // the pixel that a pointer is over
+    this.pointer = null; // the pixel under the pointer
     this.hits = new HitLayer();
     this.trail = new Trail();
     this.images = new MapImages(() => this.redraw());
@@ -217,7 +217,7 @@ export class MapBlock {
     this.redraw();
   }
 
-  /** Set the pointer's pixel, or null: the obstacle's height is shown next to it. */
+  /** Set the pointer's pixel, or null; the height of an obstacle is shown next to it. */
   pointed(pixel) {
     this.pointer = pixel;
     if (this.values.layer) this.redraw();
@@ -259,7 +259,7 @@ export class MapBlock {
 
   /**
    * Pass gestures to an editor: {press(px, py), move(px, py), let(px, py, far), forget(), key(event) -> whether it
-   * was handled, draw(context, view, color), hint}; null: stop.
+   * was handled, draw(context, view, color), hint}; null ends editing.
    */
   edit(editor) {
     this.choose(null);
@@ -358,7 +358,7 @@ export class MapBlock {
     this.dirty = true;
     this.frame ||= requestAnimationFrame(() => {
       this.frame = 0;
-      if (this.dirty) this.draw(); // unless it was already drawn with new values
+      if (this.dirty) this.draw(); // unless new values have already been drawn
     });
   }
 

@@ -2,19 +2,19 @@
 
 const SMALLEST = 512; // an image is halved until no side is longer
 
-/** An image of a map, put together from tiles; `dark`: light walls on a dark floor. */
+/** An image of a map, composed of tiles; `dark`: light walls on a dark floor. */
 export class MapImage {
   constructor({ name, width, height }, dark) {
     Object.assign(this, { name, width, height, dark });
-    this.levels = [canvas(width, height)]; // each half the one before
+    this.levels = [canvas(width, height)]; // each half the size of the previous one
     for (let [w, h] = [width, height]; Math.max(w, h) > SMALLEST;) {
       [w, h] = [w, h].map((side) => Math.max(1, side >> 1));
       this.levels.push(canvas(w, h));
     }
-    this.tiles = new Map(); // where -> the address of what is drawn there, or on its way; null: nothing
+    this.tiles = new Map(); // position -> the address of the tile that is drawn or being fetched; null: no tile
   }
 
-  /** Whether it is the image of this map in these colors. */
+  /** Whether this is the image of a map in these colors. */
   fits({ name, width, height }, dark) {
     return this.name === name && this.width === width && this.height === height && this.dark === dark;
   }
@@ -34,7 +34,7 @@ export class MapImage {
       try {
         image = await fetched(this.dark ? `${address}&dark` : address);
       } catch (error) {
-        if (this.tiles.get(where) === address) this.tiles.set(where, ""); // the map's next value tries again
+        if (this.tiles.get(where) === address) this.tiles.set(where, ""); // the feed's next value tries again
         throw error;
       }
     }
@@ -60,7 +60,7 @@ export class MapImage {
     }
   }
 
-  /** Release its memory. */
+  /** Release the image's memory. */
   close() {
     for (const level of this.levels) level.width = level.height = 0;
     this.levels = [];
@@ -68,7 +68,7 @@ export class MapImage {
 
   /**
    * Draw the part that the window shows. The context's transform is that of the image: one unit is one cell, the
-   * first row on top; `scale`: device pixels a cell; `part`: the cells in sight, {left, top, right, bottom}.
+   * first row is at the top. `scale`: device pixels per cell; `part`: the visible cells, {left, top, right, bottom}.
    */
   draw(context, scale, part) {
     if (!this.levels.length) return;

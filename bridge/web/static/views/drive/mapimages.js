@@ -4,7 +4,7 @@ import { MapImage } from "./mapimage.js";
 import { say } from "../../lib/say.js";
 import { toCells } from "./viewport.js";
 
-/** Loads changed tiles; a map's image stays visible until another map's is loaded. `loaded`: draw now. */
+/** Loads changed tiles; a map's image stays visible until that of another map is loaded. `loaded()` draws. */
 export class MapImages {
   constructor(loaded) {
     this.loaded = loaded;
@@ -12,7 +12,7 @@ export class MapImages {
     this.shown = {}; // layer -> the image that is drawn
   }
 
-  /** Show a map (or none), with its flags or without, in the dark theme or the light one. */
+  /** Show a map (or none), with or without its flags, in the dark or the light theme. */
   show(map, flags, dark) {
     this.want("image", map, map?.image, dark);
     this.want("flags", map, flags ? map?.flags : null, false);
@@ -41,7 +41,7 @@ export class MapImages {
     this.loaded();
   }
 
-  /** Draw them; `ratio`: device pixels a CSS pixel. */
+  /** Draw the images; `ratio`: device pixels per CSS pixel. */
   draw(context, view, map, ratio) {
     for (const image of [this.shown.image, this.shown.flags]) {
       if (image === undefined) continue;

@@ -8,8 +8,8 @@ const FLAGS = [["Keep out", 1], ["Temporary obstacle", 2], ["Enlarged obstacle",
 const BRUSHES = [["One cell", 0], ["10 cm", 0.1], ["25 cm", 0.25], ["50 cm", 0.5], ["1 m", 1], ["2 m", 2]];
 const MOST_RUNS = 2000; // per call, the console's limit
 const MOST_CELLS = 200000;
-const MOST_STEPS = 100; // that can be undone
-const MOST_WAITING = 20; // strokes that the console has not confirmed
+const MOST_STEPS = 100; // maximum number of changes that can be undone
+const MOST_WAITING = 20; // maximum number of strokes that the console has not confirmed
 const SHOWN = 3000; // ms that a stroke stays drawn after the console's reply, until the new map arrives
 
 /** The editor of flags on a map; see `MapBlock.edit`. */
@@ -42,7 +42,7 @@ export class PaintEditor {
     this.eraser.setAttribute("aria-pressed", String(on));
   }
 
-  /** The flag to paint; null: from the occupancy. */
+  /** The flag to paint; null: the flag for the occupancy. */
   get flag() {
     return this.eraser.getAttribute("aria-pressed") === "true" ? null : Number(this.flags.value);
   }
@@ -111,7 +111,7 @@ export class PaintEditor {
     });
   }
 
-  /** Undo the newest of `from`, and add its inverse to `to`. */
+  /** Undo the newest change in `from`, and add its inverse to `to`. */
   step(from, to, word) {
     const newest = from.pop();
     if (!newest) return;
@@ -129,7 +129,7 @@ export class PaintEditor {
     if (steps.length > MOST_STEPS) steps.shift();
   }
 
-  /** Paint runs after all pending changes; resolves to their undo, null on failure. */
+  /** Paint runs after all pending changes; resolves to the runs that undo them, or null on failure. */
   change(map, runs, word) {
     if (this.waiting >= MOST_WAITING) {
       say("The store is slow: wait until your strokes are saved.", { bad: true });

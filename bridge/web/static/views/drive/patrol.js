@@ -3,7 +3,7 @@
 import { button, el, mark, rows, write } from "../../lib/dom.js";
 import { ask } from "../../lib/say.js";
 
-const MOST = 50; // places, the console's limit
+const MOST = 50; // maximum number of places, the console's limit
 const WAITS = [["no stop", 0], ["1 s", 1], ["2 s", 2], ["10 s", 10], ["1 min", 60], ["10 min", 600]];
 
 /** The patrol in "Send to"; `changed()` is called when picking starts or ends. */
@@ -67,7 +67,7 @@ export function patrolBlock(socket, changed) {
   };
 }
 
-/** A patrol as text. */
+/** The state of a patrol as text. */
 export function words({ state, places, at, round, why }) {
   const turn = `${places[at]} (${at + 1} of ${places.length}, round ${round})`;
   return {

@@ -11,7 +11,7 @@ export class PointMenu {
     addEventListener("pointerdown", (event) => this.element?.contains(event.target) || this.close());
   }
 
-  /** Open it at a pixel; `choices`: [[text, action, attributes], ...]. */
+  /** Open the menu at a pixel; `choices`: [[text, action, attributes], ...]. */
   open(title, [x, y], choices) {
     this.close(false);
     const items = choices.map(([words, action, attributes]) =>

@@ -1,4 +1,4 @@
-// Draws the objects on the map. `view.to(x, y)` is the pixel of a place, `view.scale` the pixels per meter.
+// Draws the objects on the map. `view.to(x, y)` is the pixel of a place, `view.scale` the number of pixels per meter.
 
 /** The colors of the page's theme, by the names of style.css. */
 export function colors() {
@@ -8,7 +8,7 @@ export function colors() {
   return Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }
 
-/** A grid of meters, without a map. */
+/** A grid in meters, drawn if there is no map. */
 export function drawGrid(context, view, color) {
   const step = niceStep(60 / view.scale);
   const [left, top] = view.toMap(0, 0);
@@ -35,7 +35,7 @@ export function niceStep(most) {
   return [5, 2, 1].find((each) => each * power <= most) * power;
 }
 
-/** A length as a bar in the corner, `above` pixels above the edge. */
+/** A scale bar in the corner, `above` pixels above the edge. */
 export function drawScale(context, view, color, above) {
   const meters = niceStep(110 / view.scale);
   const wide = meters * view.scale;
@@ -58,7 +58,7 @@ export function drawScale(context, view, color, above) {
   label(context, text, x + wide / 2, y - 8, color);
 }
 
-/** A text centered at x, with a halo to be readable on any map. */
+/** A text centered at x, with a halo so that it is readable on any map. */
 function label(context, text, x, y, color, bold = false) {
   context.font = `${bold ? "600 " : ""}13px system-ui, sans-serif`;
   context.textAlign = "center";
@@ -105,7 +105,7 @@ function line(context, pixels, width, ink, opacity = 1) {
   context.globalAlpha = 1;
 }
 
-/** The point of a path nearest to a place: [the number of the point before it, x, y]. */
+/** The point of a path that is nearest to a place: [index of the path's point before it, x, y]. */
 export function nearest(points, { x, y }) {
   let [least, found] = [Infinity, [0, points[0], points[1]]];
   for (let i = 0; i + 3 < points.length; i += 2) {
@@ -138,7 +138,7 @@ export function drawLaser(context, view, points, color) {
   }
 }
 
-/** The robot: footprint and heading. `old`: the connection is lost, so it may be elsewhere. */
+/** The robot: footprint and heading. `old`: the connection is lost, so the robot may be elsewhere. */
 export function drawRobot(context, view, { pose, footprint }, color, old) {
   const [cos, sin] = [Math.cos(pose.theta), Math.sin(pose.theta)];
   const at = (x, y) => view.to(pose.x + cos * x - sin * y, pose.y + sin * x + cos * y);
@@ -294,14 +294,14 @@ export function inside(points, x, y) {
   return odd;
 }
 
-/** The place on the line from a to b nearest to x, y. */
+/** The place on the line from a to b that is nearest to x, y. */
 function onLine(ax, ay, bx, by, x, y) {
   const [dx, dy] = [bx - ax, by - ay];
   const share = Math.min(1, Math.max(0, ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1)));
   return [ax + share * dx, ay + share * dy];
 }
 
-/** The distance of a place from a line of points. */
+/** The distance of a place from a line through points. */
 export function distanceFrom(points, x, y) {
   let least = Infinity;
   points.forEach(([bx, by], i) => {

@@ -10,7 +10,7 @@ export function cellOf(map, x, y) {
 
 /**
  * The cells that a round brush covers on its way along `points` ([[x, y], ...], meters), as runs [row, column, length]
- * without gaps or overlaps. `radius` in meters; 0: the cells that the middle goes through.
+ * without gaps or overlaps. `radius` in meters; 0: only the cells that the brush's center passes.
  */
 export function runsOf(map, points, radius) {
   const rows = new Map(); // row -> [[first, last], ...]
@@ -30,7 +30,7 @@ export function runsOf(map, points, radius) {
   return [...rows].flatMap(([row, spans]) => joined(spans).map(([first, last]) => [row, first, last - first + 1]));
 }
 
-/** Add the cells whose middles are within `reach` of a place, and the one that has it. */
+/** Add the cells whose centers are within `reach` of a place, and the cell that contains the place. */
 function dab(map, rows, column, row, reach) {
   span(map, rows, Math.floor(row), Math.floor(column), Math.floor(column));
   for (let each = Math.ceil(row - reach - 0.5); each + 0.5 <= row + reach; each++) {

@@ -4,7 +4,7 @@ import { el, icon, write } from "../../lib/dom.js";
 import { degrees } from "../../lib/format.js";
 import { Hold } from "./hold.js";
 
-const DEAD = 0.08; // share of the joystick's range: a resting finger
+const DEAD = 0.08; // share of the joystick's range in which a finger is treated as resting
 const ARROWS = { ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 1], ArrowRight: [0, -1] };
 
 // label, velocity as shares of the limit (forward, left, rotation), icon
@@ -17,7 +17,7 @@ const BUTTONS = [
   ["Sideways right", [0, -1, 0], "M4 12h16M13 5l7 7-7 7"],
 ];
 
-/** The block "Manual driving"; returns {element, end()}. */
+/** The block "Manual driving": {element, end()}. */
 export function teleop(socket) {
   const knob = el("span", { class: "knob" });
   const stick = el("div", {

@@ -1,7 +1,7 @@
-// The robot's trail since the start of its drive, as seen by this page.
+// The robot's trail since the start of its current drive, as far as this page has received it.
 
 const STEP = 0.1; // meters between two points
-const MOST = 1000; // points; of a longer trail every second one is kept
+const MOST = 1000; // maximum number of points; of a longer trail only every second point is kept
 
 /** Receives the feeds' values; `points` is x, y, x, y ... */
 export class Trail {

@@ -3,7 +3,7 @@
 const NEAREST = 400;
 const FARTHEST = 0.5;
 
-/** Turns places on the map into pixels and back; y of the map points up. */
+/** Converts places on the map to pixels and back; y of the map points up. */
 export class Viewport {
   constructor() {
     this.x = 0;
@@ -61,8 +61,8 @@ function mapCorners({ width, height, resolution, origin }) {
 }
 
 /**
- * Set a context to the cells of a map's image (one unit is one cell, first row on top); returns
- * {scale: device pixels a cell, part: the cells in sight}. `ratio`: device pixels a CSS pixel.
+ * Set a context's transform to the cells of a map's image (one unit is one cell, the first row is at the top); returns
+ * {scale: device pixels per cell, part: the visible cells}. `ratio`: device pixels per CSS pixel.
  */
 export function toCells(context, view, map, ratio) {
   const { resolution, height, origin } = map;

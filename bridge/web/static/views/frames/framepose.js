@@ -4,9 +4,9 @@ import { button, el, mark, write } from "../../lib/dom.js";
 import { meters, seconds } from "../../lib/format.js";
 
 const FIGURES = ["x", "y", "z", "roll", "pitch", "yaw"];
-const FIRST = [["map", "odom"], ["base_link", "base_footprint"]]; // chosen initially, if they exist
+const FIRST = [["map", "odom"], ["base_link", "base_footprint"]]; // frames chosen initially, if they exist
 
-/** {element, show(), hide(), offer(names)}: two frames are chosen, their pose follows. */
+/** {element, show(), hide(), offer(names)}: shows the pose of one chosen frame in another. */
 export function framePose(socket) {
   const frame = el("select", { on: { change: follow } });
   const reference = el("select", { on: { change: follow } });
@@ -24,7 +24,7 @@ export function framePose(socket) {
       }, { "aria-label": "Swap the two frames" }), age),
     list, why);
   let [names, watched, end, shown] = ["", "", () => {}, false];
-  const picked = new Set(); // selects that the operator has changed; the others may still switch to better frames
+  const picked = new Set(); // selects that the operator has changed; other selects may still switch to better frames
   for (const select of [frame, reference]) select.addEventListener("change", () => picked.add(select));
 
   function follow() {

@@ -50,7 +50,7 @@ export default function framesView(root, socket) {
   };
 }
 
-/** The frames, each below its parent: [{frame, depth}]. Loops, which are invalid, come last as roots. */
+/** The frames, each below its parent: [{frame, depth}]. Frames in loops, which are invalid, come last, as roots. */
 export function ordered(frames) {
   const children = new Map();
   const names = new Set(frames.map(({ name }) => name));

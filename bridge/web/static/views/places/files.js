@@ -1,6 +1,6 @@
 // Transfers files between this page and the console in parts, by calls over the socket.
 
-const PART = 36000 - 36000 % 3; // bytes, as base64 the console's limit
+const PART = 36000 - 36000 % 3; // bytes; as base64 this is the console's limit
 const MOST = 64 << 20; // bytes in total, the console's limit
 
 /** Upload files; resolves to the console's key for them. `told(share)` reports progress. */
@@ -21,7 +21,7 @@ export async function upload(socket, files, told) {
   return key;
 }
 
-/** Download a file and let the browser save it; `found`: {key, file, size} of the console. */
+/** Download a file and let the browser save it; `found`: the console's {key, file, size}. */
 export async function download(socket, { key, file, size }) {
   const parts = [];
   for (let at = 0; at < size;) {

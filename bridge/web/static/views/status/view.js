@@ -118,7 +118,7 @@ const TRANSPORTS = { lane: "lane", zenoh: "zenoh", both: "lane, zenoh" };
 
 const reasons = ({ drops }) => Object.entries(drops ?? {}).filter(([, number]) => number).map(([name, number]) => `${name} ${number}`).join(", ");
 
-/** The name of a route's topic, with a link to it, and its type. */
+/** The name of a route's topic, with a link to the topic, and its type. */
 function topicLines() {
   const [link, type] = [el("a", { class: "first" }), el("span", { class: "second" })];
   return {
@@ -133,7 +133,7 @@ function topicLines() {
   };
 }
 
-/** Refused topics with reason and cure; explains the decision on any name. */
+/** Refused topics with reason and cure, and a form that explains the decision on any name. */
 function refusedList(socket) {
   const list = el("ul", { class: "refusals" });
   const number = el("span", { class: "count" });

@@ -47,7 +47,7 @@ export function configPart(socket) {
     return el("li", {}, place, el("span", {}, key ? el("strong", { text: `${key}: ` }) : null, words));
   }
 
-  const joined = () => socket.open && read(); // also after a restart of the daemon, maybe with another file
+  const joined = () => socket.open && read(); // also after a restart of the daemon, which may use another file
   return {
     element,
     show() {

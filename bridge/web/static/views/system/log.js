@@ -1,10 +1,10 @@
-// The live log of the daemon and its workers, filtered by the console, so that no matching line is missed.
+// The live log of the daemon and its workers. The console filters it, so that no matching line is missed.
 
 import { button, el, mark, write } from "../../lib/dom.js";
 import { clock } from "../../lib/format.js";
 import { searchField } from "../../lib/table.js";
 
-const MOST = 1000; // lines that stay
+const MOST = 1000; // maximum number of lines that are shown
 const PATIENCE = 250; // ms without a key press until the search starts
 const LEVELS = [["debug", "All levels"], ["info", "Info and above"], ["warning", "Warnings and errors"], ["error", "Errors"]];
 

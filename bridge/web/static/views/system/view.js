@@ -21,7 +21,7 @@ export default function systemView(root, socket) {
   }
 
   return {
-    show() {}, // `navigate` follows
+    show() {}, // `navigate` is called next
     navigate(rest) {
       const wanted = Object.hasOwn(PARTS, rest) ? rest : "log";
       if (wanted === shown) return;

@@ -1,16 +1,16 @@
-// A form made from a message definition: typed fields, nested ones, arrays, constants to choose from.
+// A form made from a message definition: typed and nested fields, arrays, and constants to choose from.
 
 import { button, el, icon, mark, write } from "../../lib/dom.js";
 
-const MOST_FIXED = 36; // elements of a fixed array of structures that are shown
-const FEW = 8; // fields of a nested message that is open at first
+const MOST_FIXED = 36; // maximum elements of a fixed array of structures that is shown
+const FEW = 8; // maximum fields of a nested message that is open at first
 const NOT_NUMBERS = { nan: "NaN", inf: "Infinity", infinity: "Infinity", "-inf": "-Infinity", "-infinity": "-Infinity" };
 const WHOLE = { byte: [0, 255], char: [0, 255] };
 for (const bits of [8, 16, 32, 64]) {
   WHOLE[`int${bits}`] = [-(2 ** (bits - 1)), 2 ** (bits - 1) - 1];
   WHOLE[`uint${bits}`] = [0, 2 ** bits - 1];
 }
-let lists = 0; // of constants, for their ids
+let lists = 0; // number of lists of constants, for their ids
 
 /** An invalid field; `input` is its element. */
 class FieldError extends Error {
@@ -86,7 +86,7 @@ function one(field, constants, path) {
   return { element, read: () => parsed(field, input.value, input, path) };
 }
 
-/** The constants for a field: those whose names contain its name, else all of its type. */
+/** The constants for a field: those whose names contain the field's name, else all of its type. */
 function constantList(field, constants) {
   const same = constants.filter(({ base }) => base === field.base);
   const named = same.filter(({ name }) => name.toLowerCase().includes(field.name.toLowerCase()));
@@ -94,7 +94,7 @@ function constantList(field, constants) {
   return shown.length ? el("datalist", { id: `constants-${++lists}` }, ...shown.map(({ name, value }) => el("option", { value, label: name, text: `${value} ${name}` }))) : null;
 }
 
-/** An array of plain values, as one line. */
+/** An array of plain values, in one line. */
 function values(field, path) {
   const text = field.base.includes("string");
   const begin = field.default ?? (field.shape === "array" ? Array(field.length).fill(text ? "" : field.base === "bool" ? false : 0) : []);
@@ -112,7 +112,7 @@ function values(field, path) {
   };
 }
 
-/** An array of structures, which can be added and removed. */
+/** An array of structures, whose elements can be added and removed. */
 function several(definition, field, path) {
   const fixed = field.shape === "array";
   const items = [];

@@ -26,7 +26,7 @@ export function serviceBlock(socket) {
     el("div", { class: "heading" }, el("a", { href: "#topics/services", class: "back", text: "All services" }), title, form.element),
     type, block.element, reply);
 
-  /** A service is chosen to be called: its form opens once there is a connection. */
+  /** Choose a service to call; its form opens once there is a connection. */
   function begin() {
     if (socket.open) form.element.click();
     else socket.addEventListener("state", () => name && form.element.getAttribute("aria-expanded") === "false" && begin(), { once: true });

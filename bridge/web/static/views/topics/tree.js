@@ -1,12 +1,12 @@
-// A message as a tree: branches stay open while values change, numbers can be drawn as curves.
+// A message as a tree: branches stay open while values change, and numbers can be drawn as curves.
 
 import { button, el, icon, mark, rows, write } from "../../lib/dom.js";
 import { number } from "../../lib/format.js";
 
 const CUT = "..."; // {"...": 360} stands for the omitted elements of a long array
-const JOIN = "\n"; // between the keys of a path: no key of a message has it
-const DEEP = 3; // levels that are open at first
-const FEW = 12; // and only branches with so few children
+const JOIN = "\n"; // between the keys of a path, because no key of a message contains it
+const DEEP = 3; // number of levels that are open at first
+const FEW = 12; // maximum number of children of a branch that is open at first
 
 const isBranch = (value) => value !== null && typeof value === "object";
 const isCut = (value) => isBranch(value) && !Array.isArray(value) && Object.keys(value).length === 1 && CUT in value;
@@ -99,5 +99,5 @@ export function at(message, path) {
   return value;
 }
 
-/** A path in the usual notation. */
+/** A path in dot notation. */
 export const pathWords = (path) => path.split(JOIN).slice(1).join(".");

@@ -50,8 +50,8 @@ export default function topicsView(root, socket) {
 }
 
 /**
- * The list of topics or of services: {element, show(), hide(), choose(name), typesOf(name)}. `always`: a link names the
- * type, which it does else only where a name has several.
+ * The list of topics or of services: {element, show(), hide(), choose(name), typesOf(name)}. `always`: links
+ * always contain the type; otherwise they do only if the name has several types.
  */
 function namesList(socket, feed, title, nameOf, href, about, always = false) {
   const list = el("ul", { class: "topic-list" });
@@ -61,7 +61,7 @@ function namesList(socket, feed, title, nameOf, href, about, always = false) {
   const fill = (why) => {
     const words = search.toLowerCase().split(/\s+/).filter(Boolean);
     const found = (items ?? []).filter((each) => words.every((word) => `${nameOf(each)} ${each.type}`.toLowerCase().includes(word)));
-    const often = new Map(); // how many types a name has
+    const often = new Map(); // name -> its number of types
     for (const each of items ?? []) often.set(nameOf(each), (often.get(nameOf(each)) ?? 0) + 1);
     rows(list, found.slice(0, MOST_TOPICS), (each) => `${nameOf(each)} ${each.type}`, (each) => nameRow(nameOf(each)), ({ parts }, each) => {
       const full = always || often.get(nameOf(each)) > 1 ? `${nameOf(each)}@${each.type}` : nameOf(each);
