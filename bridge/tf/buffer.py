@@ -28,14 +28,14 @@ _SECOND = 1_000_000_000
 
 
 class TransformBuffer:
-    """Histories of frames, and transforms between any two of them at any time, as in tf2's buffer.
+    """Stores the histories of frames, and returns transforms between any two frames at any time, as tf2's buffer does.
 
     Safe to use from any thread. Stamps are in ns. Leading slashes of names are ignored.
 
     Args:
         cache_time: seconds of history before each frame's newest transform.
         max_future: seconds that a stamp may be ahead of the clock (amcl and gmapping stamp ahead).
-        now: the clock's time in ns; without it stamps are not compared with a clock.
+        now: returns the clock's time in ns; if it is None, stamps are not compared with a clock.
     """
 
     def __init__(
@@ -66,10 +66,10 @@ class TransformBuffer:
         """Insert the pose of a child frame in its parent.
 
         Returns:
-            None, or the reason why it was refused, which is also counted.
+            None, or the reason why the transform was refused; refusals are also counted.
 
         Raises:
-            TypeError, ValueError: the arguments are not numbers, or not the right number of them.
+            TypeError, ValueError: stamp, translation or rotation are not numbers, or have the wrong length.
         """
         with self._lock:
             refusal = self._intake.set(frame_id, child_frame_id, stamp, translation, rotation, authority, static)
@@ -82,8 +82,8 @@ class TransformBuffer:
     ) -> list[FrameRefusal | None]:
         """Insert many transforms at once, each as (parent, child, stamp, translation, rotation).
 
-        Lookups see all of them or none. Each is handled and raises as in `set_transform`; those before one that raises
-        are inserted.
+        Lookups see all of them or none. Each is handled as in `set_transform`. If one raises, the transforms before it
+        are still inserted.
         """
         with self._lock:
             try:
@@ -108,7 +108,7 @@ class TransformBuffer:
             For each transform None, or the reason why it was refused.
 
         Raises:
-            ValueError: the bytes are not such a message.
+            ValueError: the bytes are not a TFMessage.
         """
         with self._lock:
             refusals = self._intake.set_message(cdr, authority, static)
@@ -150,11 +150,11 @@ class TransformBuffer:
         target_frame: str,  # frame to transform data to
         target_stamp: int,  # its time in ns, or `LATEST`
         source_frame: str,  # frame that the data are in
-        source_stamp: int,  # its time
+        source_stamp: int,  # its time in ns, or `LATEST`
         fixed_frame: str,  # the frame that does not move between the two times
         *,
-        timeout: float = 0.0,  # as in `lookup_transform`, which lists the exceptions too
-        extrapolate: float = 0.0,  # as there
+        timeout: float = 0.0,  # as in `lookup_transform`, which also lists the exceptions
+        extrapolate: float = 0.0,  # as in `lookup_transform`
     ) -> Transform:
         """Return the pose of the source frame at one time in the target frame at another time."""
         horizon = round(extrapolate * _SECOND)
@@ -177,7 +177,8 @@ class TransformBuffer:
         source_frame: str,  # frame that the data are in
         stamps: ArrayLike,  # (N), ns
         *,
-        # if given, the target frame is where it was in this frame at ``target_stamp``; else it moves with the stamps
+        # if given, the target frame stays where it was in this frame at ``target_stamp``; else its pose is that of
+        # each stamp
         fixed_frame: str = "",
         target_stamp: int = LATEST,  # ns, or `LATEST`
         extrapolate: float = 0.0,  # as in `lookup_transform`
@@ -185,7 +186,7 @@ class TransformBuffer:
         """Return the poses of the source frame at many times, to correct a scan that was measured in motion.
 
         Returns:
-            The poses; a stamp without one does not affect the others.
+            The poses; a stamp without a known pose does not affect the others.
 
         Raises:
             LookupError_: a frame is unknown.
@@ -218,7 +219,7 @@ class TransformBuffer:
         return True, ""
 
     def clear(self) -> None:
-        """Remove all but static frames, for a clock that was set back."""
+        """Remove the transforms of all frames except static ones, because the clock was set back."""
         with self._lock:
             self._history.clear()
             for frame in self._frames:
@@ -244,7 +245,7 @@ class TransformBuffer:
             return self._frames.infos(self._history)
 
     def conflicts(self) -> list[FrameInfo]:
-        """Return the frames that had more than one parent within the history; their sources show the publishers."""
+        """Return the frames with more than one parent within the history; ``sources`` names the publishers."""
         return [info for info in self.frames() if len(info.parents) > 1]
 
     def tree(self) -> str:
@@ -252,7 +253,7 @@ class TransformBuffer:
         return tree.as_text(self.frames())
 
     def dot(self) -> str:
-        """Return the tree for Graphviz."""
+        """Return the tree as a Graphviz graph."""
         return tree.as_dot(self.frames())
 
     def yaml(self) -> str:
@@ -288,7 +289,7 @@ class TransformBuffer:
         return number
 
     def _error(self, target: str, source: str) -> TransformError:
-        """Return the error of a failed lookup, with tf2's text, which people search for."""
+        """Return the exception for a failed lookup; it has tf2's text, for which people search."""
         answer, stamp, bound, trouble = self._history.failure()
         if answer == LOOP:
             self.loops += 1
@@ -306,7 +307,7 @@ class TransformBuffer:
         return self._history.lookup_many(target_number, source_number, times, horizon)
 
     def _wait(self, timeout: float, ask: Callable[[], Transform]) -> Transform:
-        """Retry whenever a transform arrives, until the deadline."""
+        """Call ``ask``, and again whenever a transform arrives, until it succeeds or the timeout expires."""
         end = time.monotonic() + timeout
         while True:
             try:

@@ -1,6 +1,6 @@
-"""Reasons why a transform is unavailable or was refused: errors named as in tf2, with their texts.
+"""Reasons why a transform is unavailable or was refused: exceptions and codes named as in tf2, and their texts.
 
-The texts of lookups are those of tf2 0.7.6 (buffer_core.cpp, cache.cpp), which people search for.
+The texts of failed lookups are those of tf2 0.7.6 (buffer_core.cpp, cache.cpp), for which people search.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ class LookupError_(TransformError, LookupError):  # noqa: N801, N818  # Python h
 
 
 class ConnectivityError(TransformError):
-    """The frames are in different trees."""
+    """The frames are in separate trees."""
 
 
 class ExtrapolationError(TransformError):
-    """The time is outside the history."""
+    """The requested time is outside the history."""
 
 
 class InvalidArgumentError(TransformError, ValueError):
@@ -31,7 +31,7 @@ class InvalidArgumentError(TransformError, ValueError):
 
 
 class FrameRefusal(StrEnum):
-    """Why a transform was refused. Reasons that begin with TF are tf2's, as named in its log."""
+    """Why a transform was refused. Reasons that begin with TF are those of tf2, as in its log."""
 
     SELF_TRANSFORM = "TF_SELF_TRANSFORM"
     NO_CHILD_FRAME_ID = "TF_NO_CHILD_FRAME_ID"
@@ -55,14 +55,14 @@ CURES = {
     FrameRefusal.NO_FRAME_ID: "frame_id is not set",
     FrameRefusal.NAN_INPUT: "a value is not a number: find out where its publisher divides by zero",
     FrameRefusal.DENORMALIZED_QUATERNION: "the rotation's length is not 1: normalize it (0, 0, 0, 1 is no rotation)",
-    FrameRefusal.OLD_DATA: "it is older than the history before the newest transform: its clock is behind, or was set"
-    " back, or a second publisher runs on another clock",
-    FrameRefusal.REPEATED_DATA: "there is one with this stamp: it was sent twice, or arrives by two paths",
+    FrameRefusal.OLD_DATA: "it is older than the history: its publisher's clock is behind or was set back, or a second"
+    " publisher uses another clock",
+    FrameRefusal.REPEATED_DATA: "the buffer has one with this stamp: it was sent twice, or arrives by two paths",
     FrameRefusal.INVALID_STAMP: "its stamp is not a valid time",
     FrameRefusal.FUTURE: "its stamp is further ahead of the clock than max_future: synchronize the machines' clocks",
-    FrameRefusal.TIME_SCALE: "its stamp is of another time scale: its publisher uses the system clock, and this daemon"
+    FrameRefusal.TIME_SCALE: "its stamp is on another time scale: its publisher uses the system clock, and this daemon"
     " the simulation's, or vice versa (use_sim_time)",
-    FrameRefusal.TOO_MANY_FRAMES: "there are too many frames: a publisher generates names",
+    FrameRefusal.TOO_MANY_FRAMES: "there are too many frames: a publisher generates frame names",
 }
 """What is wrong, and how to fix it."""
 

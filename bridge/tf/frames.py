@@ -9,14 +9,14 @@ from bridge.tf.layout import NONE, STATIC
 from bridge.tf.transform import FrameInfo, TransformSource
 
 MAX_FRAMES = 10_000
-"""Largest number of frames, so that a publisher that generates names does not fill the memory."""
+"""Maximum number of frames, so that a publisher that generates names cannot exhaust the memory."""
 
 MAX_SOURCES = 16
-"""Largest number of sources that are stored for a frame."""
+"""Maximum number of sources that are stored for a frame."""
 
 
 class Frame:
-    """One frame, with its number in the arrays."""
+    """A frame, its number in the history's arrays, and the sources of its transforms."""
 
     __slots__ = ("_earlier", "authority", "kind", "name", "number", "parent", "stamp")
 
@@ -30,7 +30,7 @@ class Frame:
         self._earlier: dict[tuple[int, str], int] = {}
 
     def switch(self, parent: int, authority: str) -> None:
-        """Store that the newest transform has another parent or authority than the previous one."""
+        """Store the source of the newest transform, whose parent or authority differs from the previous one's."""
         if self.parent:
             self._earlier.pop((self.parent, self.authority), None)
             self._earlier[self.parent, self.authority] = self.stamp
@@ -39,7 +39,7 @@ class Frame:
         self.parent, self.authority = parent, authority
 
     def sources(self, since: int) -> dict[tuple[int, str], int]:
-        """Return parents and authorities, each with the stamp of its last transform; the newest first."""
+        """Return the current (parent, authority) and earlier ones since a stamp in ns, each with its last stamp."""
         stamps = {(self.parent, self.authority): self.stamp}
         for source, stamp in reversed(self._earlier.items()):
             if stamp >= since:
@@ -57,7 +57,7 @@ class FrameTable:
 
     def __init__(self) -> None:
         self.numbers: dict[str, int] = {}
-        self.known: dict[str, Frame] = {}  # frames that have transforms, or had some before they were cleared
+        self.known: dict[str, Frame] = {}  # frames that have transforms, or had some before a `clear`
         self._frames: list[Frame] = [Frame("", 0)]
 
     @property

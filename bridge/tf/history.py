@@ -5,7 +5,7 @@ The rules are those of tf2 0.7.6 (github.com/ros/geometry2: buffer_core.cpp walk
 cache.cpp findClosest and interpolate), so that results and errors are the same. Rotations are not normalized before
 use, as in tf2.
 
-A frame's samples are a ring in the arrays of all samples, starting with its oldest. The compiled code checks no index:
+The samples of each frame are a ring within the arrays of all samples. The compiled code does not check indices, because
 only the history can access the arrays, each ring lies within them, each sample's parent is a frame with a row, and
 frame numbers from callers are checked on entry.
 """
@@ -30,7 +30,7 @@ if cython.compiled:
 SMALLEST = 64
 GROWTH = 4
 LARGEST = 1 << 14
-"""Largest number of a frame's samples: 10 s at 1.6 kHz. Beyond it the oldest are dropped."""
+"""Maximum number of samples of a frame: 10 s at 1.6 kHz. Beyond this, the oldest are dropped."""
 
 Found = tuple[Translation, Rotation, int]
 """A pose, and its stamp in ns."""
@@ -44,7 +44,7 @@ Sample: TypeAlias = cython.struct(parent=Int, pose=Pose)
 Newest: TypeAlias = cython.struct(parent=Int, stamp=Int)
 """A frame's newest parent, 0 for none, and its stamp, 0 if it is valid at all times."""
 Way: TypeAlias = cython.struct(end=Int, frame=Int, pose=Pose)
-"""How a walk up the tree ended, at which frame, and the pose of its first frame in that."""
+"""How a walk up the tree ended, the frame where it ended, and the pose of the walk's first frame in that frame."""
 
 # C variables, read without the GIL
 _NONE = cython.declare(Int, layout.NONE)
@@ -67,7 +67,7 @@ _MAX_DEPTH = cython.declare(Int, layout.MAX_DEPTH)
 _TOLERANCE = cython.declare(cython.double, layout.TOLERANCE)
 _LAST_STAMP = cython.declare(Int, layout.LAST_STAMP)
 _NEVER = cython.declare(Int, 1 << 62)
-# ends of a walk up
+# how a walk up the tree can end
 _THERE = cython.declare(Int, 0)
 _ROOT = cython.declare(Int, 1)
 _GAP = cython.declare(Int, 2)
@@ -79,7 +79,7 @@ _ENDLESS = cython.declare(Int, 3)
 @cython.nogil
 @cython.exceptval(check=False)
 def _product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Return the product: first ``b``, then ``a``."""
+    """Return the product, which rotates by ``b`` first, then by ``a``."""
     return Quaternion(
         a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
         a.w * b.y + a.y * b.w + a.z * b.x - a.x * b.z,
@@ -100,7 +100,7 @@ def _inverse(q: Quaternion) -> Quaternion:
 @cython.nogil
 @cython.exceptval(check=False)
 def _rotate(q: Quaternion, v: Vector) -> Vector:
-    """Rotate a vector; the result is scaled by the square of the rotation's length."""
+    """Rotate a vector; the result is scaled by the square of the quaternion's length."""
     turned: Quaternion = _product(_product(q, Quaternion(v.x, v.y, v.z, 0.0)), _inverse(q))
     return Vector(turned.x, turned.y, turned.z)
 
@@ -110,7 +110,7 @@ def _rotate(q: Quaternion, v: Vector) -> Vector:
 @cython.nogil
 @cython.exceptval(check=False)
 def _behind(a: Pose, b: Pose) -> Pose:
-    """Transform a pose given in ``b`` to the frame that ``b`` is given in."""
+    """Transform pose ``a``, which is given in ``b``, to the frame in which ``b`` is given."""
     turned: Vector = _rotate(b.q, a.v)
     return Pose(Vector(turned.x + b.v.x, turned.y + b.v.y, turned.z + b.v.z), _product(b.q, a.q))
 
@@ -170,7 +170,7 @@ def _normalized(q: Quaternion) -> Quaternion:
 @cython.nogil
 @cython.exceptval(check=False)
 def _of_matrix(q: Quaternion) -> Quaternion:
-    """Return the rotation's quaternion that tf2 gets from a matrix: w, else the largest component, is positive."""
+    """Return ``q`` or ``-q``: as in tf2 for a matrix, w or (if abs(w) <= 0.5) the largest of x, y, z is positive."""
     x: cython.double = abs(q.x)
     y: cython.double = abs(q.y)
     z: cython.double = abs(q.z)
@@ -190,7 +190,7 @@ def _of_matrix(q: Quaternion) -> Quaternion:
 @cython.nogil
 @cython.exceptval(check=False)
 def _composed(a: Pose, b: Pose) -> Pose:
-    """`_behind`, as tf2 does it with a fixed frame: normalized, like matrices."""
+    """Apply `_behind` as tf2 does for a fixed frame, by matrices: all rotations are normalized."""
     pose: Pose = _behind(Pose(a.v, _normalized(a.q)), Pose(b.v, _normalized(b.q)))
     return Pose(pose.v, _of_matrix(_normalized(pose.q)))
 
@@ -222,7 +222,7 @@ def _known(common: Int) -> Int:
 
 
 def _view(array: Any) -> Any:
-    return memoryview(array)  # if not compiled, it returns Python's numbers
+    return memoryview(array)  # in uncompiled code, its elements are Python's numbers
 
 
 def _zeros(*shape: int, kind: Any = np.int64) -> Any:
@@ -255,7 +255,7 @@ def compose(
     then: tuple[float, ...],
     then_rotation: tuple[float, ...],
 ) -> tuple[Translation, Rotation]:
-    """Compose two poses as tf2 does it with a fixed frame."""
+    """Compose two poses as tf2 does in a lookup with a fixed frame."""
     p: Pose = _composed(_pose(first, first_rotation), _pose(then, then_rotation))
     return (p.v.x, p.v.y, p.v.z), (p.q.x, p.q.y, p.q.z, p.q.w)
 
@@ -266,7 +266,7 @@ def compose_many(poses: cython.double[:, ::1], then: tuple[float, ...], then_rot
     p: Pose
     n: cython.Py_ssize_t
     if poses.shape[1] != 7:
-        raise ValueError(f"poses of {poses.shape[1]} numbers: each has 7, x, y, z and the rotation's x, y, z, w")
+        raise ValueError(f"poses of {poses.shape[1]} numbers: each must have 7 (x, y, z and the rotation's x, y, z, w)")
     for n in range(poses.shape[0]):
         p = Pose(
             Vector(poses[n, 0], poses[n, 1], poses[n, 2]),
@@ -280,7 +280,7 @@ def compose_many(poses: cython.double[:, ::1], then: tuple[float, ...], then_rot
 @cython.final
 @cython.cclass
 class TransformHistory:
-    """Samples of frames, which are numbered from 1. The caller must hold its lock during every call.
+    """Samples of all frames, which are numbered from 1. Not thread-safe: the caller must hold a lock during every call.
 
     Args:
         span: ns of history before each frame's newest sample.
@@ -289,18 +289,18 @@ class TransformHistory:
     span = cython.declare(Int, visibility="readonly")
     _rows: Int
     _used: Int
-    # of each frame: the first index of its ring, the ring's size (a power of two), the oldest sample's place in it,
-    # the number of samples, and the frame's kind
+    # for each frame: the first index of its ring, the ring's size (a power of two), the oldest sample's position in
+    # the ring, the number of samples, and the frame's kind
     _start: cython.longlong[::1]
     _capacity: cython.longlong[::1]
     _first: cython.longlong[::1]
     _count: cython.longlong[::1]
     _kind: cython.longlong[::1]
-    # of each sample: ns, the number of its parent, (x, y, z, qx, qy, qz, qw)
+    # for each sample: its stamp in ns, the number of the parent, (x, y, z, qx, qy, qz, qw)
     _stamps: cython.longlong[::1]
     _parents: cython.longlong[::1]
     _poses: cython.double[:, ::1]
-    # of the last lookup
+    # results of the last lookup
     _pose: Pose
     _answer: Int
     _stamp: Int
@@ -309,7 +309,7 @@ class TransformHistory:
 
     def __init__(self, span: int) -> None:
         if not 0 <= span <= layout.LAST_STAMP:
-            raise ValueError(f"a history of {span / 1e9:g} s cannot be kept: give 0 s or more, and less than 146 years")
+            raise ValueError(f"a history of {span / 1e9:g} s is not possible: give from 0 s to less than 146 years")
         self.span = span
         self._used = 0
         self._start, self._capacity, self._first = _zeros(64), _zeros(64), _zeros(64)
@@ -341,10 +341,10 @@ class TransformHistory:
         self._count[frame] = 0
 
     def insert(self, frame: Int, parent: Int, stamp: Int, pose: tuple[float, ...]) -> int:
-        """Insert a sample by time; a full ring grows.
+        """Insert a sample in the order of stamps; a full ring grows.
 
         Args:
-            frame: a frame that has begun.
+            frame: a frame for which `begin` was called.
             parent: a frame that has a row.
             stamp: ns.
             pose: x, y, z in m, and the rotation's x, y, z, w.
@@ -369,11 +369,11 @@ class TransformHistory:
         return self._insert(frame, parent, stamp, pose)
 
     def lookup(self, target: Int, source: Int, stamp: Int, horizon: Int) -> Found | None:
-        """Return the pose of ``source`` in ``target``, two different frames; None if there is none: see `failure`.
+        """Return the pose of ``source`` in ``target``, and its stamp; None if it is unknown, as `failure` explains.
 
         Args:
-            target: its frame number.
-            source: its frame number.
+            target: number of a frame.
+            source: number of another frame.
             stamp: ns, 0 for the newest time at which both are known.
             horizon: ns that may be extrapolated.
         """
@@ -385,10 +385,10 @@ class TransformHistory:
         return (p.v.x, p.v.y, p.v.z), (p.q.x, p.q.y, p.q.z, p.q.w), self._stamp
 
     def failure(self) -> tuple[int, int, int, int]:
-        """Return the result of a failed lookup, its time, and the bound and the cause within the history.
+        """Return a failed lookup's result code, its stamp in ns, and the bound and the cause of an extrapolation.
 
-        The bound is the known time nearest to the requested one, the cause is one of `EMPTY` to `PAST`; both are valid
-        only for an extrapolation.
+        The bound is the known time nearest to the requested one, and the cause is one of `EMPTY` to `PAST`. Both are
+        valid only if the result is `EXTRAPOLATION`.
         """
         return self._answer, self._stamp, self._bound, self._trouble
 
@@ -453,7 +453,7 @@ class TransformHistory:
     @cython.cfunc
     def _check(self, frame: Int) -> cython.int:
         if not 0 < frame < self._rows:
-            raise IndexError(f"frame {frame} has no row: make_room() makes one")
+            raise IndexError(f"frame {frame} has no row: call make_room() first")
         return 0
 
     @cython.cfunc
@@ -468,9 +468,9 @@ class TransformHistory:
         self._check(frame)
         self._check(parent)
         if self._kind[frame] == _NONE:
-            raise ValueError(f"frame {frame} has no ring: begin() gives it one")
+            raise ValueError(f"frame {frame} has no ring: call begin() first")
         if not 0 <= stamp < _LAST_STAMP and self._kind[frame] == _TIMED:
-            raise ValueError(f"a stamp of {stamp} ns: give one from 0 to 146 years")
+            raise ValueError(f"a stamp of {stamp} ns is out of range: give one from 0 to 146 years")
         answer: Int = self._store(frame, parent, stamp, pose, False)
         if answer == _FULL:
             if self._capacity[frame] < LARGEST:
@@ -480,7 +480,7 @@ class TransformHistory:
 
     @cython.cfunc
     def _give(self, frame: Int, capacity: Int) -> cython.int:
-        """Move a frame's samples to a larger ring, after all rings; the previous ring stays unused."""
+        """Move a frame's samples to a larger ring at the end of all rings; the previous ring remains unused."""
         start: Int = self._used
         n: Int
         if start + capacity > len(self._stamps):
@@ -524,7 +524,7 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _store(self, frame: Int, parent: Int, stamp: Int, pose: Pose, force: cython.bint) -> Int:
-        """Store a sample by time; with ``force``, a full ring drops its oldest sample."""
+        """Store a sample in the order of stamps; with ``force``, a full ring drops its oldest sample."""
         flaw: Int = _flaw(pose)
         if flaw != _DONE:
             return flaw
@@ -566,7 +566,7 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _between(self, first: Int, second: Int, time: Int) -> Pose:
-        """Return the pose at a time, on the line through two samples; before, between or after them."""
+        """Interpolate the pose at a time between two samples, or extrapolate it if the time is outside them."""
         ratio: cython.double = float(time - self._stamps[first]) / float(self._stamps[second] - self._stamps[first])
         complement: cython.double = 1.0 - ratio
         a: Pose = self._read(first)
@@ -584,7 +584,7 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _beyond(self, frame: Int, time: Int, ahead: Int) -> Sample:
-        """Extrapolate to ``ahead`` ns outside the history, from an equally long time, which bounds the error."""
+        """Extrapolate ``ahead`` ns beyond the history from a part of it that lasts as long, which bounds the error."""
         count: Int = self._count[frame]
         step: Int = 1 if ahead < 0 else -1
         edge: Int = 0 if ahead < 0 else count - 1
@@ -605,7 +605,7 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _last_before(self, frame: Int, time: Int) -> Int:
-        """Return the last sample at or before a time in the history; the search starts where an even rate has it."""
+        """Return the last sample at or before a time in the history; the search first assumes evenly spaced samples."""
         low: Int = 0
         high: Int = self._count[frame] - 1
         oldest: Int = self._stamps[self._place(frame, low)]
@@ -629,7 +629,7 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _sample_at(self, frame: Int, time: Int, horizon: Int) -> Sample:
-        """Return a frame's sample at a time; 0 is the newest. The bound and trouble tell why there is none."""
+        """Return a frame's sample at a time (0: the newest); if there is none, store the bound and the cause."""
         count: Int = self._count[frame]
         nothing: Sample = Sample(0, _unit())
         if count == 0:
@@ -670,7 +670,7 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _meets(self, source: Int, last: Int, parent: Int) -> Int:
-        """Return until when ``parent`` is known on a frame's path up of ``last`` frames; -1 if it is not on it."""
+        """Return until when ``parent`` is known among the first ``last`` ancestors of a frame; -1 if it is not."""
         common: Int = _NEVER
         frame: Int = source
         above: Newest
@@ -722,7 +722,7 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _climb(self, frame: Int, end: Int, other: Int, time: Int, horizon: Int) -> Way:
-        """Walk up the tree from a frame to one of two."""
+        """Walk up the tree from a frame to ``end`` or ``other``, whichever comes first."""
         depth: Int = 0
         pose: Pose = _unit()
         above: Sample
@@ -750,7 +750,7 @@ class TransformHistory:
             if self._answer != _DONE:
                 return self._answer
             time = self._stamp
-        time = min(max(time, -_LAST_STAMP), _LAST_STAMP)  # no stamp is beyond it, and differences fit 64 bits
+        time = min(max(time, -_LAST_STAMP), _LAST_STAMP)  # no stamp is outside, and differences fit 64 bits
         up: Way = self._climb(source, target, target, time, horizon)
         bound: Int = self._bound
         trouble: Int = self._trouble

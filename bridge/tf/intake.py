@@ -28,15 +28,15 @@ Sample = tuple[str, str, int, Sequence[float], Sequence[float]]
 """Parent, child, stamp in ns, translation in m, rotation (x, y, z, w)."""
 
 OTHER_SCALE = 86_400 * _SECOND
-"""A stamp that differs by a day from the clock is on another time scale, e.g. simulated instead of system time."""
+"""A stamp that differs from the clock by a day (in ns) is on another time scale, e.g. simulated, not system time."""
 
 
 class Intake:
-    """Inserts transforms. The caller must hold its lock during every call.
+    """Inserts transforms. Not thread-safe: the caller must hold a lock during every call.
 
     Args:
         max_future: ns that a stamp may be ahead of the clock.
-        now: the clock's time in ns, None without a clock.
+        now: returns the clock's time in ns; None without a clock.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Intake:
         authority: str,
         static: bool,
     ) -> FrameRefusal | None:
-        """`bridge.tf.buffer.TransformBuffer.set_transform`."""
+        """Implement `bridge.tf.buffer.TransformBuffer.set_transform`."""
         x, y, z = translation
         qx, qy, qz, qw = rotation
         if type(stamp) is not int:
@@ -80,11 +80,11 @@ class Intake:
         return None if refusal is None else self._refuse(refusal, parent_name, child_name, stamp, authority)
 
     def set_all(self, samples: Iterable[Sample], authority: str, static: bool) -> list[FrameRefusal | None]:
-        """`bridge.tf.buffer.TransformBuffer.set_transforms`."""
+        """Implement `bridge.tf.buffer.TransformBuffer.set_transforms`."""
         return [self.set(*sample, authority, static) for sample in samples]
 
     def set_message(self, cdr: bytes, authority: str, static: bool) -> list[FrameRefusal | None]:
-        """`bridge.tf.buffer.TransformBuffer.set_message`."""
+        """Implement `bridge.tf.buffer.TransformBuffer.set_message`."""
         answers: list[FrameRefusal | None] = []
         links = self._links
         for stamp, names, at in message.read(cdr):
@@ -106,7 +106,7 @@ class Intake:
         return answers
 
     def _link(self, names: bytes, parent_name: str, child_name: str) -> None:
-        """Store the frames that these bytes name, if they are known by now."""
+        """Store the two frames under the bytes of their names, if both are known by now."""
         parent = self._numbers.get(parent_name.lstrip("/"))
         frame = self._known.get(child_name.lstrip("/"))
         if frame is not None and parent is not None and parent != frame.number:
@@ -117,7 +117,7 @@ class Intake:
     def _begin(
         self, parent: str, child: str, stamp: int, pose: tuple[float, ...], static: bool
     ) -> tuple[Frame, int] | FrameRefusal:
-        """Return the frames of a transform that may be new, or whose names were not normalized."""
+        """Return child and parent of a transform whose frames may be new, or whose names had leading slashes."""
         if flaw := self._names_flaw(parent, child, pose):
             return flaw
         frame = self._known.get(child)
@@ -146,7 +146,7 @@ class Intake:
         return _REFUSALS.get(pose_flaw(*pose))
 
     def _stamp_flaw(self, frame: Frame, stamp: int, static: bool) -> FrameRefusal | None:
-        """Check the stamp of a known frame's transform; stamps of static ones are not checked."""
+        """Check the stamp of a known frame's transform; the stamps of static transforms are not checked."""
         if self._now is None and 0 <= stamp < LAST_STAMP:
             return None
         return None if static and frame.kind != TIMED else self._clock_flaw(stamp)
@@ -174,6 +174,6 @@ class Intake:
         self.refused[reason] += 1
         message_ = errors.refusal(reason, parent, child, stamp, authority)
         self.last_refused[reason] = message_
-        if self.refused[reason] == 1:  # further ones are only counted: a publisher may send hundreds a second
+        if self.refused[reason] == 1:  # the rest are only counted: a publisher may send hundreds a second
             _log.warning("%s (more of these are only counted)", message_)
         return reason

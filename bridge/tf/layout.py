@@ -7,7 +7,7 @@ from typing import Final
 NONE: Final = 0
 TIMED: Final = 1
 STATIC: Final = 2
-"""Kinds of frames: without a transform, timed, static."""
+"""Kinds of frames: without transforms, with timed ones, with static ones."""
 
 DONE: Final = 0
 LOOP: Final = 1
@@ -19,14 +19,14 @@ EMPTY: Final = 0
 SINGLE: Final = 1
 FUTURE: Final = 2
 PAST: Final = 3
-"""Why there is no sample at a time: no sample, a single one at another time, all are older, all are newer."""
+"""Why there is no sample at a time: the frame has none, has only one at another time, only older ones, only newer."""
 
 NAN: Final = 1
 DENORMALIZED: Final = 2
 OLD: Final = 3
 REPEATED: Final = 4
 FULL: Final = 5
-"""Results of an insertion, besides `DONE`; `FULL`: nothing was inserted, the ring has to grow."""
+"""Results of an insertion, apart from `DONE`; `FULL`: nothing was inserted, because the ring has to grow first."""
 
 MAX_DEPTH: Final = 1000
 """Largest number of frames in a chain; longer ones count as loops (tf2, buffer_core.h: MAX_GRAPH_DEPTH)."""

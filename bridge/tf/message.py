@@ -1,8 +1,8 @@
 # cython: cdivision=True
-"""Transforms directly from the bytes of a ``tf2_msgs/msg/TFMessage``, without a Python object for each part.
+"""Reads transforms directly from the bytes of a ``tf2_msgs/msg/TFMessage``, without a Python object for each part.
 
-A kernel, compiled by Cython (`bridge.kernels`). Compiled, ``source`` is a pointer; uncompiled, it is the bytes object.
-Every read is checked against the message's end in advance.
+This is a kernel, compiled by Cython (`bridge.kernels`). In compiled code ``source`` is a pointer, otherwise the bytes
+object. Every read is checked against the end of the message in advance.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def _load32(source: cython.p_const_uchar, at: cython.Py_ssize_t) -> cython.longl
 @cython.nogil
 @cython.exceptval(check=False)
 def _behind_string(source: cython.p_const_uchar, at: cython.Py_ssize_t, size: cython.Py_ssize_t) -> cython.Py_ssize_t:
-    """Return where the string ends, with its NUL, whose length is at ``at``; -1 if the message ends before."""
+    """Return the end of the string whose length is at ``at``, after its NUL; -1 if it is not within the message."""
     if at + 4 > size:
         return -1
     length: cython.Py_ssize_t = _load32(source, at)
@@ -77,7 +77,7 @@ def read(cdr: bytes) -> list[Span]:
 
 
 def split_names(names: bytes) -> tuple[str, str]:
-    """Return parent and child from a span's names."""
+    """Decode the names of parent and child from those of a `Span`."""
     length = int.from_bytes(names[:4], "little")
     child = 8 + ((length + 3) & ~3)
     return str(names[4 : 4 + max(length - 1, 0)], "utf-8", "replace"), str(names[child:], "utf-8", "replace")

@@ -1,4 +1,4 @@
-"""The transforms of tf2_msgs/msg/TFMessage, and direct reading and writing of that message in CDR.
+"""The transforms of tf2_msgs/msg/TFMessage, which is read and written directly in CDR.
 
 A robot publishes hundreds of transforms a hundred times a second. Each consists of its stamp (two 32-bit integers), the
 names of parent and child (a length that includes the trailing zero, and the text), then seven doubles, aligned to 8
@@ -26,7 +26,7 @@ _POSE = struct.Struct("<7d")
 
 
 class Stamped(NamedTuple):
-    """A transform of a message: the pose of the child frame in its parent."""
+    """A transform in a message: the pose of the child frame in its parent."""
 
     frame_id: str
     child_frame_id: str
@@ -45,7 +45,7 @@ def read(cdr: bytes) -> list[Stamped]:
 
 
 def write(transforms: Iterable[Stamped]) -> bytes:
-    """Return a message of transforms; raises `ValueError` for a name that is not UTF-8 or a stamp out of range."""
+    """Return transforms as a message; raises `ValueError` for a name that is not UTF-8 or a stamp out of range."""
     data = bytearray(_START + _COUNT.size)
     count = 0
     for parent, child, stamp, moved, turned in transforms:

@@ -1,4 +1,4 @@
-"""The buffer's results: a transform, many of them, and information on a frame."""
+"""The buffer's results: a transform, transforms at many times, and information on a frame."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 LATEST = 0
-"""The stamp that requests the newest time at which all frames on the path are known."""
+"""A stamp that requests the newest time at which all frames on the path are known."""
 
 
 class Transform(NamedTuple):
-    """The pose of ``child_frame_id`` in ``frame_id``: it transforms coordinates in the child to the parent."""
+    """The pose of ``child_frame_id`` in ``frame_id``, which transforms coordinates from the child to the parent."""
 
     frame_id: str
     child_frame_id: str
@@ -33,7 +33,7 @@ class TransformsInTime:
     stamps: NDArray[np.int64]  #: (N), ns
     translations: NDArray[np.float64]  #: (N, 3) in m; NaN if unknown
     rotations: NDArray[np.float64]  #: (N, 4), x, y, z, w; NaN if unknown
-    known: NDArray[np.bool_]  #: (N), whether there is a transform
+    known: NDArray[np.bool_]  #: (N), whether the transform is known
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class FrameInfo:
 
     @property
     def rate(self) -> float:
-        """Transforms per second; 0 if static or too few."""
+        """Transforms per second; 0 if the frame is static or has fewer than two."""
         seconds = (self.newest - self.oldest) / 1e9
         return (self.samples - 1) / seconds if seconds > 0 else 0.0
 
@@ -73,7 +73,7 @@ class FrameInfo:
 def angles_of(rotation: Quaternion) -> tuple[float, float, float]:
     """Return roll, pitch and yaw in radians: rotations about the fixed axes x, then y, then z (REP 103).
 
-    All are 0 for a quaternion of zeros, as some programs send.
+    All are 0 for a quaternion of zeros, which some programs send.
     """
     x, y, z, w = rotation
     pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))

@@ -1,4 +1,4 @@
-"""The tree of frames, as text and for Graphviz."""
+"""The tree of frames as text, as a Graphviz graph and as YAML."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bridge.tf.transform import FrameInfo
 
 
 def as_text(frames: Iterable[FrameInfo]) -> str:
-    """Return a line for each frame, indented below its parent; frames of a loop come last, once each."""
+    """Return a line for each frame, indented below its parent; frames in loops come last, each once."""
     below, infos = _below(frames)
     lines: list[str] = []
     shown = set[str]()
@@ -35,7 +35,7 @@ def as_text(frames: Iterable[FrameInfo]) -> str:
 
 
 def as_dot(frames: Iterable[FrameInfo]) -> str:
-    """Return a graph for Graphviz, as view_frames draws it: an arrow from each parent to its child."""
+    """Return a Graphviz graph like that of view_frames, with an arrow from each parent to its child."""
     return "\n".join(["digraph G {", *_edges(frames), "}"])
 
 

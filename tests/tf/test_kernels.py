@@ -142,7 +142,7 @@ def test_writes_outside_the_rings_are_refused(history: ModuleType) -> None:
     assert rings.insert_at(1, 2, START, cdr, 4) == DONE
     assert rings.lookup(2, 1, START, 0) == (POSE[:3], POSE[3:], START)
     for poses in (np.zeros((3, 6)), np.zeros((3, 8))):
-        with pytest.raises(ValueError, match="each has 7"):
+        with pytest.raises(ValueError, match="each must have 7"):
             history.compose_many(poses, POSE[:3], POSE[3:])
     history.TransformHistory.__new__(history.TransformHistory)  # its memory is freed, although it has none
 
