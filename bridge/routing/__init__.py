@@ -1,1 +1,1 @@
-"""Routing between one side and the hub: rules, routes, loop guard, queues and counters, written once for all sides."""
+"""Routing between one side and the hub: rules, routes, loop guard, queues and counters, shared by all sides."""

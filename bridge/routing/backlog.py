@@ -23,10 +23,10 @@ class Waiting(Generic[Message]):
 
 
 class Backlog(Generic[Message]):
-    """A bounded queue of held messages, in order of arrival; it drops the oldest ones. Thread-safe.
+    """A bounded queue of held messages in order of arrival, which drops the oldest. Thread-safe.
 
-    It holds at most ``most`` messages, and ``room`` bytes (without the newest message); ``dropped`` is called for each
-    dropped message.
+    It holds at most ``most`` messages and ``room`` bytes (not counting the newest message), and calls ``dropped`` for
+    each message that it drops.
     """
 
     def __init__(self, most: int, room: int, dropped: Callable[[], None]) -> None:
@@ -60,7 +60,7 @@ class Backlog(Generic[Message]):
                 self._dropped()
 
     def keep(self, source: Hashable, message: Message, size: int, depth: int) -> int:
-        """Append; hold only the newest ``depth`` messages of the publisher, and return how many were dropped."""
+        """Append a message, hold only the publisher's newest ``depth`` messages, and return how many were dropped."""
         with self._lock:
             older = [waiting for waiting in self._line if waiting.source == source]
             over = older[: max(len(older) - depth + 1, 0)]
@@ -71,16 +71,16 @@ class Backlog(Generic[Message]):
         return len(over)
 
     def overdue(self, seconds: float) -> float:
-        """Return the latest arrival of messages that were held for ``seconds``, and already at the last call.
+        """Return the latest arrival time of messages that were held for ``seconds``, and already at the last call.
 
-        So a process that was suspended drops no message before it has checked its publisher.
+        So a process that was suspended checks for a message's publisher once more before it drops the message.
         """
         now = time.monotonic()
         before, self._judged = min(now - seconds, self._judged), now
         return before
 
     def pop_matching(self, wanted: Callable[[Waiting[Message]], bool]) -> list[Waiting[Message]]:
-        """Remove and return the wanted messages, in their order."""
+        """Remove and return the messages for which ``wanted`` returns True, in their order."""
         if not self._line:
             return []
         with self._lock:

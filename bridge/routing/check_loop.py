@@ -1,4 +1,4 @@
-"""The thread that checks both graphs of an engine when they change, and from time to time."""
+"""The thread that checks both graphs of an engine when they change, and also periodically."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ TICK = 1.0
 """Seconds between two ticks."""
 
 POLL = 10.0
-"""Seconds until a check without a wake-up, in case a notification is missed."""
+"""Minimum seconds until a check without a wake-up, in case a notification is missed."""
 
 _SHARE, _LONGEST = 1000, 60.0
-"""The pause is at least 1000 times the last cost (0.1 % of a core), for at most a minute."""
+"""The pause is also at least 1000 times the last check's CPU time (0.1 % of a core), but at most 60 s."""
 
 _RETRY = 2.0
 _SETTLE = 0.02
 _STEP_SECONDS = 3.0
-"""Seconds without progress after which a check hangs."""
+"""Seconds without progress after which a check counts as hanging."""
 
 
 class CheckLoop:
-    """Runs ``check`` when woken and at least every minute, and ``tick`` each second, on its own thread.
+    """Runs ``check`` when woken and at least every minute, and ``tick`` each second, on a separate thread.
 
-    ``check`` returns whether to repeat it soon: refused routes may work by then. If it fails, the thread ends after a
-    call of ``failed``. Any thread may call `wake`.
+    ``check`` returns whether to repeat it soon, because refused routes may work by then. If it fails, the thread calls
+    ``failed`` and ends. Any thread may call `wake`.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class CheckLoop:
             self._thread.join(3.0)
 
     def alive(self) -> str:
-        """Return a text about a long check, or ""; raises `TimeoutError` if it hangs."""
+        """Return a text about a long check, or ""; raises `TimeoutError` if the check hangs."""
         return self._step.judge(f"the {self._side} engine's loop", self._beat)
 
     def _run(self) -> None:

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from typing import Any
 
 DROPS = ("queue", "rate", "stale", "bad", "large", "lost", "slow", "unknown", "standby", "held")
-"""Reasons of a drop: queue full, rate limit, command too old, message refused, message larger than the limit, lost
-inside zenoh or DDS, missed by a slow subscriber of the side, source unknown, this worker not (or no longer) the active
-one of its network, a velocity of a planner that was stopped (`bridge.routing.hold`)."""
+"""Reasons for drops, in this order: queue full, rate limit, command too old, message refused, message larger than the
+limit, lost inside zenoh or DDS, missed by a slow subscriber on the side, source unknown, this worker not (or no longer)
+active on its network, velocity of a stopped planner (`bridge.routing.hold`)."""
 
 _LATENCIES = 512
 _NUMBER = re.compile(r"\d+")
@@ -22,14 +22,14 @@ _PAUSE = 60.0
 LATENCY_BOUNDS = tuple(
     int(seconds * 1e9) for seconds in (0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5)
 )
-"""Upper bounds in ns of the histogram's buckets; the last bucket has none."""
+"""Upper bounds in ns of the histogram's buckets; the last bucket has no bound."""
 
 CARRY_BOUNDS = (2e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 2.5e-2, 5e-2, 0.1, 0.25, 1.0)
-"""The same for the time within the bridge, in seconds."""
+"""The same in seconds for the time that a message spends in the bridge."""
 
 
 class Counters:
-    """One route's counters. The route's threads write them, any thread reads them; reads may be a moment apart."""
+    """One route's counters. The route's threads write them, and any thread reads them, one value after the other."""
 
     __slots__ = (
         "_buckets", "_carried", "_carrying", "_failed_at", "_latencies", "_logged", "_mark", "_rate", "_waited",
@@ -62,7 +62,7 @@ class Counters:
     def carried(self, size: int, since: float) -> None:
         """Count one message of ``size`` bytes to the hub, which arrived at ``since`` on the monotonic clock.
 
-        Takes 0.12 us longer than `crossed`, on top of 0.12.
+        This takes 0.24 us, twice as long as `crossed`.
         """
         self.messages += 1
         self.bytes += size
@@ -72,27 +72,27 @@ class Counters:
         self._carried[bisect_left(CARRY_BOUNDS, took)] += 1
 
     def latency(self, nanoseconds: int) -> None:
-        """Add the time from one message's source time stamp until now."""
+        """Add the time from a message's source timestamp until now."""
         self._latencies.append(nanoseconds)
         self._buckets[bisect_left(LATENCY_BOUNDS, nanoseconds)] += 1
         if nanoseconds > 0:  # the clocks of two machines differ
             self._waited += nanoseconds
 
     def dropped(self, reason: str, count: int = 1) -> None:
-        """Count dropped messages, for one of `DROPS`."""
+        """Count dropped messages; ``reason`` is one of `DROPS`."""
         self.drops[reason] += count
 
     def missed(self, lost: int, where: Callable[[], str]) -> None:
-        """Set the total number of lost messages; ``where`` returns the place of the loss."""
+        """Set the total number of lost messages; ``where`` returns a text about where they were lost."""
         if lost != self.drops["lost"]:
             self.drops["lost"] = lost
             if lost:
                 self.failed(where())
 
     def failed(self, error: str) -> bool:
-        """Store an error; return whether to log it now: a new one, or the same after a minute without it.
+        """Store an error; return whether to log it now, because it is new or did not occur for a minute.
 
-        Errors that differ only in numbers are the same. Different errors are logged at most once per second.
+        Errors that differ only in numbers count as the same. At most one error per second is logged.
         """
         now, text = time.monotonic(), _NUMBER.sub("0", error)
         new = text != self._logged or now - self._failed_at > _PAUSE
@@ -103,11 +103,11 @@ class Counters:
         return log
 
     def recovered(self) -> None:
-        """Note that it works again: the next error is a new one."""
+        """Note that the route works again, so that the next error counts as new."""
         self._logged = ""
 
     def tick(self) -> float:
-        """Update and return the messages a second since the last tick; called about once a second."""
+        """Update and return the messages per second since the last tick; called about once a second."""
         now = time.monotonic()
         then, messages = self._mark
         if now - then >= 0.5:
@@ -118,8 +118,9 @@ class Counters:
     def as_dict(self) -> dict[str, Any]:
         """Return the counters for the status document.
 
-        ``latency_ms`` covers the last messages; ``latency`` all of them: the count in each bucket of `LATENCY_BOUNDS`
-        and the sum. ``carry`` is the same for the time within the bridge to the hub, in buckets of `CARRY_BOUNDS`.
+        ``latency_ms`` covers the last 512 messages. ``latency`` covers all of them: the count in each bucket of
+        `LATENCY_BOUNDS`, and the sum. ``carry`` is the same for the time that messages to the hub spend in the bridge,
+        in buckets of `CARRY_BOUNDS`.
         """
         late = sorted(self._latencies.copy())
         quantiles = {}

@@ -1,4 +1,4 @@
-"""The decision on each topic and service in each direction, with its reason, as ``midspan explain`` shows it."""
+"""The decisions on topics and services in each direction, with their reasons, which ``midspan explain`` shows."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OWN_NETWORK = "it comes from this network"
 
 
 class RouteKey(NamedTuple):
-    """The identity of a route in its direction."""
+    """Identifies a route among those of its direction."""
 
     topic: str
     type_name: str
@@ -32,7 +32,7 @@ class RouteKey(NamedTuple):
 class RouteDecision:
     """The decision on one topic or service (``of``).
 
-    ``refused``: rules allow it, but it cannot cross. ``note``: what its messages lose.
+    ``refused``: the rules allow it, but it cannot be bridged. ``note``: what its messages lose.
     """
 
     direction: str
@@ -51,7 +51,7 @@ class RouteDecision:
 
     @classmethod
     def not_native(cls, endpoint: Endpoint) -> Self:
-        """Decide on a side's endpoint that a Midspan created, or whose origin is not known yet."""
+        """Decide on an endpoint of the side that a Midspan worker created, or whose origin is not known yet."""
         if endpoint.made_by is MadeBy.MIDSPAN:
             reason = f"{endpoint.node or endpoint.id} was created by a Midspan and is never routed again"
         else:
@@ -63,25 +63,25 @@ class RouteDecision:
     def unrouted(
         cls, direction: str, topic: str, type_name: str, why: str, of: str = "topic", hub_topic: str = ""
     ) -> Self:
-        """Decide on a topic or service without a route: it comes from this network, or the side cannot have it."""
+        """Decide on a topic or service that comes from this network, or that the side cannot have."""
         policy = RoutePolicy(allowed=False, why=why, name=topic)
         return cls(direction, topic, hub_topic or topic, type_name, policy, own=why, of=of)
 
     @classmethod
     def resting(cls, direction: str, topic: str, type_name: str, why: str, of: str = "topic") -> Self:
-        """Decide on a topic or service that another daemon carries, or whose carrier is not elected yet."""
+        """Decide on a topic or service that another daemon forwards, or whose forwarder is not elected yet."""
         policy = RoutePolicy(allowed=False, why=why, name=topic)
         return cls(direction, topic, topic, type_name, policy, rests=True, of=of)
 
     @classmethod
     def carried_by(cls, daemon: str, topic: str, type_name: str, of: str = "topic") -> Self:
-        """Decide on a hub topic or service that ``daemon`` carries to the side's network, "" before the election."""
+        """Decide on a hub topic or service that ``daemon`` ("" before the election) forwards to the side's network."""
         reason = f"on standby: {daemon} carries it to this network" if daemon else "the carrier is not elected yet"
         return cls.resting("out", topic, type_name, reason, of)
 
     @classmethod
     def one_ended(cls, topic: str, type_name: str, why: str, of: str = "topic") -> Self:
-        """Decide on a name without a source: it has only subscriptions, or only clients."""
+        """Decide on a name that has only subscriptions, or only clients."""
         return cls("out", topic, topic, type_name, RoutePolicy(allowed=True, why=why, name=topic), own=why, of=of)
 
     def refuse(self, reason: str, cure: str) -> None:
@@ -93,7 +93,7 @@ class RouteDecision:
         self.barred, self.reason, self.cure = True, obstacle.reason, obstacle.cure
 
     def convert(self, make: Callable[[], Converts]) -> Converts | None:
-        """Create the route's conversion; if its type cannot cross, refuse the route and return None."""
+        """Create the route's conversion; if its type cannot be converted, refuse the route and return None."""
         try:
             return make()
         except MessageTypeError as err:
@@ -134,7 +134,7 @@ class RouteDecision:
 def native_groups(
     endpoints: Sequence[Endpoint], kind: Kind, decisions: list[RouteDecision]
 ) -> dict[RouteKey, list[Endpoint]]:
-    """Group a side's native endpoints of one kind by the route that they need; append decisions on the others."""
+    """Group a side's native endpoints of one kind by their routes; append decisions on those that are not native."""
     groups: dict[RouteKey, list[Endpoint]] = defaultdict(list)
     for endpoint in endpoints:
         if endpoint.kind is kind and endpoint.made_by is MadeBy.NATIVE:
@@ -145,12 +145,12 @@ def native_groups(
 
 
 def hub_key(endpoint: HubEndpoint, versions: TypeVersions) -> RouteKey:
-    """Return the route of a hub endpoint: of a known version of a type, that of this machine's version."""
+    """Return the route of a hub endpoint; all known versions of a type share the route of this machine's version."""
     return RouteKey(endpoint.topic, endpoint.type_name, versions.here(endpoint.type_name, endpoint.type_hash))
 
 
 def hub_groups(endpoints: Sequence[HubEndpoint], versions: TypeVersions) -> dict[RouteKey, list[HubEndpoint]]:
-    """Group the hub endpoints of other sessions by the route that they need."""
+    """Group the hub endpoints of other sessions by their routes."""
     groups: dict[RouteKey, list[HubEndpoint]] = defaultdict(list)
     for endpoint in endpoints:
         if not endpoint.own:

@@ -1,6 +1,7 @@
-"""The routes' counters as ``/diagnostics`` on the side, for the usual tools (rqt_robot_monitor).
+"""Publishes the routes' counters as ``/diagnostics`` on the side, for tools such as rqt_robot_monitor.
 
-One process of the daemon publishes the state of its parts on the hub (`bridge.metrics.diagnostics`), which crosses.
+The state of the daemon's parts is published on the hub by one of its processes (`bridge.metrics.diagnostics`), and
+bridged to the side.
 """
 
 from __future__ import annotations
@@ -28,11 +29,12 @@ _HEADER = struct.Struct("<III")  # sequence number, seconds, nanoseconds
 _COUNT, _LEVEL = struct.Struct("<I"), struct.Struct("<B")
 _OF_CALLS = ("type", "calls", "replies", "errors", "abandoned", "pending")
 ROUTES_AT_ONCE = 100
-"""Routes in one message. With more routes, messages alternate, so that a thousand routes do not delay traffic."""
+"""Maximum number of routes in one message. If there are more, successive messages contain different routes, so that a
+thousand routes do not delay traffic."""
 
 
 class Diagnostics:
-    """Publishes the status of the worker and its routes while subscribed to, `ROUTES_AT_ONCE` routes per second.
+    """Publishes the status of the worker and its routes, `ROUTES_AT_ONCE` per second, while the side has subscribers.
 
     Without ``counters`` it only requests the status of the daemon's parts while the side has subscribers.
     """
@@ -52,7 +54,7 @@ class Diagnostics:
         self._to_hub = to_hub
 
     def publish(self) -> None:
-        """Publish if it is due and the side is available."""
+        """Publish if a message is due and the side is available."""
         now = time.monotonic()
         if now < self._due or self._edge.network() is None:
             return
@@ -85,7 +87,7 @@ class Diagnostics:
             self._asked = None
 
     def _array(self) -> bytes:
-        """Encode the message in ROS 1's format, which has no padding, so that its parts can be concatenated.
+        """Encode the message in the ROS 1 serialization, which has no padding, so that its parts can be concatenated.
 
         `bridge.messages.json` would take five times as long, 0.3 % of a core for 100 routes.
         """

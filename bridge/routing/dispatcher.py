@@ -1,8 +1,9 @@
-"""The queues of routes to a side, and the threads that empty them, the most urgent class first.
+"""The queues of routes to a side, and the threads that empty them, most urgent class first.
 
-zenoh's receiving thread queues large messages, and messages that arrive while their route is publishing, and wakes a
-dispatcher: publishing an image may take milliseconds. It publishes small messages itself: no edge waits for a peer, and
-the hand-over to a sleeping thread would cost 40 us of a total latency of 230 us (benchmarks/topic_latency.py).
+zenoh's receiving thread publishes small messages itself, because no edge waits for a peer, and the hand-over to a
+sleeping thread would cost 40 us of a total latency of 230 us (benchmarks/topic_latency.py). It queues messages that are
+large, because publishing an image may take milliseconds, or that arrive while their route is publishing, and wakes a
+dispatcher.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ from bridge.routing.limits import BULK, QUEUE_BYTES, Priority
 _log = logging.getLogger(__name__)
 _ORDER = (Priority.COMMAND, Priority.STATE, Priority.STREAM)
 _STUCK_SECONDS = 4.0
-"""A call without progress for longer hangs."""
+"""Seconds without progress after which a call counts as hanging."""
 
 
 class Dispatcher:
-    """One thread with a queue of calls for each class; each call handles one message of a route."""
+    """A thread with a queue of calls for each priority class; each call handles one message of a route."""
 
     def __init__(self, name: str) -> None:
         self._classes: dict[Priority, deque[Callable[[], None]]] = {p: deque() for p in _ORDER}
@@ -39,12 +40,12 @@ class Dispatcher:
         self._thread.start()
 
     def submit(self, priority: Priority, work: Callable[[], None]) -> None:
-        """Queue a call in its class. The queues are bounded by the queues of their routes."""
+        """Queue a call in its class. The length of these queues is limited by the queues of the routes."""
         self._classes[priority].append(work)
         self._wake.put(True)
 
     def here(self, work: Callable[..., None], *about: Any) -> None:
-        """Make a call at once, on the calling thread, with the arguments ``about``."""
+        """Call ``work`` at once, on the calling thread, with the arguments ``about``."""
         me = threading.get_ident()
         self._busy[me] = time.monotonic()
         try:
@@ -55,7 +56,7 @@ class Dispatcher:
             del self._busy[me]
 
     def alive(self, name: str) -> str:
-        """Return a text if a call on the dispatcher's thread computes for a long time, else "". Not thread-safe.
+        """Return a text if a call on the dispatcher's thread has been computing for long, else "". Not thread-safe.
 
         Raises `TimeoutError` if a call hangs, or takes too long on another thread.
         """
@@ -86,18 +87,18 @@ class Dispatcher:
 
 
 class RouteQueue:
-    """The queue of one route to the side, whose messages are published in order and one at a time.
+    """The queue of one route to the side; messages are published in order and one at a time.
 
-    `receive` publishes a small message at once, unless an earlier one is queued or being published elsewhere. Other
-    messages are queued for a dispatcher; from the first large one on, for ``bulk``. A full queue drops its oldest
+    `receive` publishes a small message at once, unless an earlier message is queued or being published. Other messages
+    are queued for the dispatcher ``small``, from the first large message on for ``bulk``. A full queue drops its oldest
     messages.
 
-    Locks: ``publishing`` is held while a message is published, by this queue and by the route's own calls. ``_lock``
-    guards the queue and the state behind ``admits``. A thread that holds ``_lock`` never waits for ``publishing``, so
-    one that holds ``publishing`` may wait for ``_lock``.
+    Locks: this queue and the route hold ``publishing`` while they publish a message. ``_lock`` guards the queue and the
+    state that ``admits`` uses. A thread that holds ``_lock`` never waits for ``publishing``, so a thread that holds
+    ``publishing`` may wait for ``_lock``.
 
     Attributes:
-        priority, depth: class and maximum number of the queued messages; the engine's loop sets them.
+        priority, depth: class and maximum number of queued messages; the engine's loop sets them.
     """
 
     def __init__(
@@ -149,7 +150,7 @@ class RouteQueue:
             self._publish(sample)
 
     def remove(self, sources: Collection[bytes]) -> None:
-        """Remove the queued messages of some publishers; they do not count as dropped."""
+        """Remove the queued messages of publishers, given by GID, without counting them as dropped."""
         with self._lock:
             self._messages = deque(sample for sample in self._messages if sample.gid not in sources)
             self._bytes = sum(len(sample.payload) for sample in self._messages)

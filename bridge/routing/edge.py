@@ -1,7 +1,7 @@
-"""The interface of every side's edge to the engine, which routes between the edge and the hub.
+"""The interface through which the engine, which routes between a side and the hub, uses the side's edge.
 
-An edge is small: it lists its side's graph, opens and closes endpoints there, and passes bytes on.
-Rules, conversion, queues, latching, origins and counters are implemented once, in the engine (``bridge.routing``).
+An edge only lists its side's graph, opens and closes endpoints there, and passes bytes on.
+Rules, conversion, queues, latching, origins and counters are implemented only once, in the engine (``bridge.routing``).
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 _NO_SERVICES = "{name}: services do not cross to {side}"
 
 Deliver = Callable[[bytes, str, int | None], None]
-"""``deliver(payload, source, time_ns)``: one message in the side's wire bytes; ``source`` is the id of the endpoint
-that published it, ``time_ns`` the source's time stamp on the system clock if the middleware carries one."""
+"""``deliver(payload, source, time_ns)`` handles one message, serialized as on the side; ``source`` is the id of the
+endpoint that published it, ``time_ns`` its source timestamp on the system clock, or None if the middleware has none."""
 
 
 class Kind(Enum):
@@ -41,7 +41,7 @@ class Kind(Enum):
 
 
 class MadeBy(Enum):
-    """Who created an endpoint on the side's network. Only NATIVE endpoints cross to the hub."""
+    """Who created an endpoint on the side's network. Only NATIVE endpoints are bridged to the hub."""
 
     NATIVE = "native"
     MIDSPAN = "midspan"
@@ -49,7 +49,7 @@ class MadeBy(Enum):
 
 
 class Obstacle(NamedTuple):
-    """Why calls to a server, or requests of a client, do not cross; and the cure."""
+    """Why calls to a server or requests from a client are not bridged, and how to fix that."""
 
     reason: str
     cure: str
@@ -57,21 +57,21 @@ class Obstacle(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """One publisher, subscription, server or client on a side's graph.
+    """One publisher, subscription, server or client in a side's graph.
 
-    Every edge represents an action as ROS 2 does: the servers ``<action>/_action/send_goal``, ``cancel_goal`` and
-    ``get_result`` and the publishers ``<action>/_action/feedback`` and ``status``.
+    Every edge represents an action as ROS 2 does: as the servers ``<action>/_action/send_goal``, ``cancel_goal`` and
+    ``get_result``, and the publishers ``<action>/_action/feedback`` and ``status``.
 
     Attributes:
-        id: unique on the side while the endpoint lives (ROS 2: GID in hex; ROS 1: node name and topic). A publisher
-            that returns, or changes its QoS, needs another one: the engine may still follow the previous endpoint.
+        id: unique on the side while the endpoint exists (ROS 2: GID in hex; ROS 1: node name and topic). A publisher
+            that returns, or changes its QoS, needs a new id, because the engine may still follow the former endpoint.
         topic: absolute name of the topic or service as the side spells it.
         type: the type's name as the side spells it (ROS 1 ``std_msgs/String``, ROS 2 ``std_msgs/msg/String``; services
             ``std_srvs/SetBool``, ``std_srvs/srv/SetBool``; an action's ``nav2_msgs/action/NavigateToPose_SendGoal``).
-        type_id: the hash of its type that the endpoint announced (md5 or RIHS01), "" if unknown.
+        type_id: the type hash that the endpoint announced (md5 or RIHS01), "" if unknown.
         definition: full definition text if the middleware carries one (ROS 1 connection header), else "".
         node: fully qualified node name, for people.
-        obstacle: why the calls of a server or client do not cross, None if they do.
+        obstacle: why the calls of a server or client are not bridged, None if they are.
     """
 
     id: str
@@ -88,10 +88,11 @@ class Endpoint:
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """Another Midspan worker that is on this side's network now.
+    """Another Midspan worker that is now on this side's network.
 
-    ``id`` identifies it, in a form that the edge chooses; ``record`` is its last announcement (`Edge.announce`),
-    None before the first; `received` is ``time.monotonic()`` when that arrived, or the worker was first seen.
+    ``id`` identifies the worker, in a form that the edge chooses. ``record`` is its last announcement
+    (`Edge.announce`), None before the first. ``received`` is ``time.monotonic()`` when the announcement arrived, or
+    when the worker was first seen.
     """
 
     id: str
@@ -103,13 +104,13 @@ class EdgeListener(Protocol):
     """An edge's notifications to the engine; each call only sets a flag and wakes a thread."""
 
     def graph_changed(self) -> None:
-        """The endpoints, their qualities or the network's identity may have changed."""
+        """The endpoints, their properties or the network's identity may have changed."""
 
     def presence_changed(self) -> None:
         """Another Midspan worker joined this side's network, left it, or announced something."""
 
     def message_refused(self, topic: str, reason: str, why: str) -> None:
-        """A message of this topic of the side was not delivered; ``reason`` is ``bad`` or ``large``."""
+        """A message on this topic of the side was not delivered; ``reason`` is ``bad`` or ``large``."""
 
     def edge_failed(self, reason: str) -> None:
         """The edge cannot continue; the worker's process exits and is restarted."""
@@ -120,7 +121,7 @@ class EdgeSubscription(Protocol):
 
     @property
     def lost(self) -> int:
-        """Messages lost by the side so far; 0 if it does not report them."""
+        """Number of messages that the side has lost so far; 0 if it does not report them."""
 
     def close(self) -> None:
         """Stop delivering and close the endpoint. Safe to call twice."""
@@ -141,7 +142,7 @@ class EdgePublisher(Protocol):
         """
 
     def send(self, payload: bytes, source: str) -> None:
-        """Publish bytes from the hub publisher ``source``; with a latched QoS they are retained for each source."""
+        """Publish bytes from the hub publisher ``source``; with a latched QoS, retain them for each source."""
 
     def drop_source(self, source: str) -> None:
         """Drop the messages retained for the hub publisher ``source``, which has left."""
@@ -154,7 +155,7 @@ class EdgeCaller(Protocol):
     """A service client that the bridge holds on the side."""
 
     def call(self, request: bytes, done: Done) -> Abandon:
-        """Begin a call with the side's request bytes; see `bridge.hub.endpoints.calls.Call`. Never blocks."""
+        """Begin a call with a request in the side's encoding; see `bridge.hub.endpoints.calls.Call`. Never blocks."""
 
     def close(self) -> None:
         """End every pending call with an error, and close the endpoint. Safe to call twice."""
@@ -168,14 +169,14 @@ class EdgeServer(Protocol):
 
 
 class Edge(ABC):
-    """One side's edge. Methods may be called from any thread after `start`; none of them blocks on a peer."""
+    """The edge of one side. After `start`, any thread may call its methods, none of which blocks on a peer."""
 
     side: ClassVar[str]
     services: ClassVar[bool] = False
-    """Whether services and actions cross; otherwise they are not reported."""
+    """Whether services and actions are bridged; otherwise they are not reported."""
 
     outlives_network: ClassVar[bool] = False
-    """Whether endpoints keep their ids if the network's identity changes, as connections that need no master."""
+    """Whether endpoints keep their ids if the network's identity changes, like connections that need no master."""
 
     awaited: ClassVar[str] = "its network"
     """What the edge waits for while the network is unavailable; shown to people."""
@@ -184,11 +185,11 @@ class Edge(ABC):
     """Why the network is unavailable, if the edge knows a reason; shown to people."""
 
     clock: RunClock = SYSTEM
-    """The clock of stamps; the worker sets it before `start`."""
+    """The clock for stamps; the worker sets it before `start`."""
 
     @abstractmethod
     def start(self, listener: EdgeListener) -> None:
-        """Begin to join the network; returns at once, also if the network is unavailable (it is then joined later)."""
+        """Start joining the network, and return at once; if the network is unavailable, it is joined later."""
 
     @abstractmethod
     def stop(self) -> None:
@@ -200,11 +201,11 @@ class Edge(ABC):
 
     @abstractmethod
     def is_own_network(self, origin: Origin) -> bool:
-        """Return whether a hub session's origin is the network of this edge."""
+        """Return whether an origin on the hub is the network of this edge."""
 
     @abstractmethod
     def endpoints(self) -> Sequence[Endpoint]:
-        """Return the side's graph as last seen, without the endpoints of this edge."""
+        """Return the side's graph as last seen, without this edge's own endpoints."""
 
     @abstractmethod
     def to_hub(self, endpoint: Endpoint) -> Conversion:
@@ -216,11 +217,11 @@ class Edge(ABC):
 
     @abstractmethod
     def learn(self, type_name: str, definition: str) -> None:
-        """Store the definition of a ROS 2 type from another worker on the hub, for a later `from_hub`."""
+        """Store the definition of a ROS 2 type, received from another worker on the hub, for a later `from_hub`."""
 
     @abstractmethod
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
-        """Subscribe on the side; ``deliver`` is called on a thread of the edge, one call at a time per source."""
+        """Subscribe on the side; the edge calls ``deliver`` on its threads, one call at a time per source."""
 
     @abstractmethod
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
@@ -241,10 +242,11 @@ class Edge(ABC):
         raise MessageTypeError(_NO_SERVICES.format(side=self.side, name=name))
 
     def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
-        """Serve ``name`` on the side; ``call`` receives request bytes and replies with reply bytes of the side.
+        """Serve ``name`` on the side; ``call`` receives requests and replies with responses, serialized as on the side.
 
-        ``call`` runs on a thread of the edge and returns at once. A `bridge.hub.endpoints.calls.CallError` reaches the
-        client as the side's form of an error. Raises `bridge.messages.errors.MessageTypeError`.
+        The edge runs ``call`` on one of its threads, and it returns at once. The client receives a
+        `bridge.hub.endpoints.calls.CallError` as an error in the side's form. Raises
+        `bridge.messages.errors.MessageTypeError`.
         """
         del side_type, call
         raise MessageTypeError(_NO_SERVICES.format(side=self.side, name=name))
@@ -252,42 +254,43 @@ class Edge(ABC):
     def carry_parameters(
         self, rules: Sequence[ParameterRule], hub: Hub, active: Callable[[], bool]
     ) -> Callable[[], None]:
-        """Share the parameters that the rules name, until the returned function is called; most sides have none.
+        """Share the parameters of the nodes in the rules, until the returned function is called.
 
-        Called after `start`; ``active`` returns whether this worker is the one that joins the network to the hub.
+        It is called after `start`, and most sides have no parameters. ``active`` returns whether this worker is the one
+        that bridges the network to the hub.
         """
         del rules, hub, active
         return lambda: None
 
     def announce(self, record: bytes) -> None:  # noqa: B027 - a side without other Midspan workers has nothing to do
-        """Send a record to all Midspan workers on this side's network, also later ones; it replaces the last record.
+        """Send a record to all present and future Midspan workers on this side's network; it replaces the last record.
 
-        Called about five times a second by one thread, with up to some kilobytes. It is also a heartbeat, so every
-        record is sent, even one that equals the last; records are not queued.
+        One thread calls this about five times a second, with up to a few kilobytes. The record is also a heartbeat, so
+        every one is sent, even if it equals the last; records are not queued.
         """
 
     def sightings(self) -> Sequence[Sighting]:
         """Return the other Midspan workers on this network, of any daemon, node or hub.
 
-        A worker that left cleanly, or whose death the side reports, disappears at once; one that may be suspended
-        stays, with an old `received`. Dead predecessors of this daemon are omitted.
+        A worker that left cleanly, or whose death the side reports, disappears at once. One that may be suspended
+        stays, with an old ``received``. Dead predecessors of this daemon are omitted.
         """
         return ()
 
     def settled(self, since: float) -> bool:  # noqa: ARG002 - there are no other workers
-        """Return whether all workers present at ``since`` (monotonic) are known; until then nothing crosses."""
+        """Return whether all workers present at ``since`` (monotonic) are known; until then nothing is bridged."""
         return True
 
     def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002 - most sides accept every topic
-        """Return why the side cannot have a hub topic (by its name there), else ""; it is then omitted silently."""
+        """Return why the side cannot have a topic of this name on the side, else ""; such a topic is not reported."""
         return ""
 
     def side_name(self, hub_name: str) -> str:
-        """Return the side's name of a hub topic."""
+        """Return the name on the side of a hub topic."""
         return hub_name
 
     def hub_name(self, side_name: str) -> str:
-        """Return the valid hub name of a topic of the side."""
+        """Return the name on the hub of a topic of the side; it is valid there."""
         return side_name
 
     def has_subscribers(self, topic: str) -> bool:
@@ -295,30 +298,30 @@ class Edge(ABC):
         return any(e.topic == topic and e.kind is Kind.SUBSCRIPTION for e in self.endpoints())
 
     def resumed(self, seconds: float) -> None:  # noqa: B027  most have nothing to do
-        """Handle a resumed process that was suspended for ``seconds``: the network may consider it dead."""
+        """Recover after this process was suspended for ``seconds``, because the network may consider it dead."""
 
     def details(self) -> dict[str, Any]:
-        """Return further entries of the side's status document."""
+        """Return additional entries for the side's status document."""
         return {}
 
     def version_notes(self) -> Mapping[tuple[str, str, str], Sequence[str]]:
-        """Return what the messages of nodes with other versions of types lose.
+        """Return what the messages of nodes lose that use other versions of types.
 
         The keys are ``topic`` or ``service``, the direction as in decisions, and the name on the side.
         """
         return {}
 
     def programs(self) -> Mapping[str, str]:
-        """Return the middleware and the release of native endpoints' programs in words, by the endpoints' ids.
+        """Return descriptions of the middleware and release of native endpoints' programs, by the endpoints' ids.
 
-        Empty if all programs on the side have the same.
+        The result is empty if all programs on the side use the same.
         """
         return {}
 
     def connections(self) -> list[ConnectionStatus]:
-        """Return the side's connections to other nodes, if it makes them itself."""
+        """Return the side's connections to other nodes, if the edge opens them itself."""
         return []
 
     def warnings(self) -> list[str]:
-        """Return problems of the side beyond single routes, for people; for example incompatible QoS."""
+        """Return problems of the side that do not belong to one route, for people; for example incompatible QoS."""
         return []

@@ -1,18 +1,18 @@
-"""Elects which of several Midspan workers on one network carries which messages, so that none crosses twice.
+"""Elects which of several Midspan workers on one network forwards which messages, so that none is forwarded twice.
 
-Each worker announces its claims to the others on their common foreign network, since their hubs may not be joined. A
-claim is first requested, then held. Two claims conflict if together they would deliver a message twice:
+Each worker announces its claims to the others over their common foreign network, because their hubs may not be joined.
+A claim is first requested, then held. Two claims conflict if they would together deliver a message twice:
 
-- Of the workers whose hubs are joined, one holds the role of the hub on this network: it forwards messages of this
-  network's programs to the hub, and messages of the hub's own programs to this network.
-- Of all workers here whose hub has another network X, one forwards messages from X to this network. Workers of hubs
-  that are not joined share this network without conflict, except for networks X that both hubs have.
+- Of the workers whose hubs are joined, one holds the role of the hub on this network: it forwards messages from this
+  network's programs to the hub, and messages from the hub's own programs to this network.
+- Of all workers on this network whose hub has another network X, one forwards messages from X to this network. Workers
+  whose hubs are not joined share this network without conflict, except for networks X that both hubs have.
 
-A worker holds a claim once every other living worker has acknowledged a record with the claim, none of them holds a
-conflicting one, and none requests an older one. A held claim stays held, even if an older worker returns. While
-another worker is known but has not announced its claims, no claim becomes held.
+A worker holds a claim as soon as every other living worker has acknowledged a record with the claim, none of them holds
+a conflicting claim, and none requests an older conflicting one. A held claim stays held, even if an older worker
+returns. While another worker is known but has not announced its claims, no claim becomes held.
 
-This module is only the policy, without clock, thread or network; `bridge.routing.peer_watch` drives it.
+This module contains only the policy, without a clock, threads or a network; `bridge.routing.peer_watch` drives it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SILENCE = 1.0
 """Seconds without a record after which a worker counts as dead."""
 
 UNKNOWN = 5.0
-"""Longest time in seconds to wait for the first record of a worker."""
+"""Maximum time in seconds to wait for the first record of a worker."""
 
 CUT = 1.0
 """Seconds after which a worker on this network that left our hub counts as a worker of another hub."""
@@ -46,10 +46,11 @@ _MAX_NAMES = 10_000
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A claim of a worker to carry something.
+    """A worker's claim to a role or to the messages of a network.
 
-    ``since`` is the time of its first request (wall clock, ns): the oldest of conflicting claims wins, even if the
-    clocks differ. ``held``: the worker carries it. ``first`` is the number of the first record with the claim.
+    ``since`` is the time of the first request (wall clock, ns): the oldest of conflicting claims wins, even if the
+    clocks differ. ``held``: the worker forwards the messages. ``first`` is the number of the first record with this
+    request.
     """
 
     since: int
@@ -62,12 +63,12 @@ class Record:
     """The record that a worker sends to the others on its network.
 
     Attributes:
-        id: id of its hub session.
+        id: id of the worker's hub session.
         acks: number of the newest record received from each other worker.
-        sessions: ids of the Midspan sessions on its hub.
-        process: name of its process; see `bridge.routing.processes`.
-        role: its claim to its hub's role here, None if it is leaving.
-        carries: its claims to other networks; each network is identified by the ids of its workers.
+        sessions: ids of the Midspan sessions on the worker's hub.
+        process: name of the worker's process; see `bridge.routing.processes`.
+        role: the claim to the hub's role on this network, None if the worker is leaving.
+        carries: the claims to other networks; each network is identified by the ids of its workers.
     """
 
     id: str
@@ -89,7 +90,7 @@ class Record:
 
     @classmethod
     def decode(cls, data: bytes) -> Record | None:
-        """Decode a record; return None for invalid bytes."""
+        """Decode a record; return None if the bytes are invalid or the version is incompatible."""
         try:
             tree = None if cls.foreign(data) or len(data) > MAX_RECORD else json.loads(data)
             match tree:
@@ -107,7 +108,7 @@ class Record:
 
     @staticmethod
     def foreign(data: bytes) -> str:
-        """Return why a record has an incompatible version, "" if its version is compatible."""
+        """Return why the version of a record is incompatible, "" if it is compatible."""
         try:
             tree = json.loads(data) if len(data) <= MAX_RECORD else None
         except (ValueError, RecursionError):
@@ -116,7 +117,7 @@ class Record:
 
     @property
     def first(self) -> int:
-        """Number of the first record with all of its claims."""
+        """Number of the first record that has all claims of this one."""
         claims = [*self.carries.values(), *([self.role] if self.role else [])]
         return max((c.first for c in claims), default=0)
 
@@ -127,10 +128,10 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class HubView:
-    """The hub's state, as far as the election needs it.
+    """The part of the hub's state that the election needs.
 
-    ``sessions`` are the ids of its Midspan sessions, ours included; ``networks`` its foreign networks, each given by
-    the ids of its workers (`join`); ``settled``: all sessions on the hub are known.
+    ``sessions`` are the ids of the hub's Midspan sessions, including ours. ``networks`` are its foreign networks, each
+    given by the ids of its workers (`join`). ``settled``: all sessions on the hub are known.
     """
 
     sessions: frozenset[str] = frozenset()
@@ -143,13 +144,13 @@ class Outcome:
     """The state of the election for this worker.
 
     Attributes:
-        term: a number that changes when held claims were lost; routes are then created again.
-        active: whether it holds its hub's role on this network.
-        carried: ids of the hub sessions whose messages it forwards to this network.
-        carriers: by session, the daemon that forwards its messages here instead.
+        term: a number that changes when held claims were lost; the routes are then created again.
+        active: whether this worker holds its hub's role on this network.
+        carried: ids of the hub sessions whose messages this worker forwards to this network.
+        carriers: for each other hub session, the daemon that forwards its messages to this network instead.
         holder: the daemon that holds the role instead, "" if none does.
-        waiting: why no worker is known to hold it yet.
-        members: ids of all living workers on this network, this one among them.
+        waiting: why no worker is known to hold the role yet.
+        members: ids of all living workers on this network, including this one.
     """
 
     term: int = 0
@@ -162,7 +163,7 @@ class Outcome:
 
     @property
     def standing_by(self) -> str:
-        """The daemons that are active on this network instead, "" if this worker carries anything."""
+        """The daemons that are active on this network instead, "" if this worker forwards anything."""
         if not self.active:
             return self.holder
         return "" if self.carried else ", ".join(sorted(set(self.carriers.values())))
@@ -187,7 +188,7 @@ class Election:
     def lapse(self, now: float, *, same_term: bool = False) -> None:
         """Request all claims again, with their dates: this worker was suspended, and others may hold them now.
 
-        ``same_term``: keep the term, unless another worker appears before the role is held again.
+        With ``same_term``, keep the term, unless another worker appears before the role is held again.
         """
         self._lapsed = now
         if self._role is not None and self._role.held:
@@ -203,7 +204,7 @@ class Election:
     def turn(
         self, now: float, wall_ns: int, sightings: Sequence[Sighting], hub: HubView, *, settled: bool
     ) -> tuple[Record, bool]:
-        """Decide by the current sightings; return the record to send, and whether it is urgent.
+        """Decide according to the current sightings; return the record to send, and whether it is urgent.
 
         ``now`` is on the sightings' monotonic clock, ``wall_ns`` on the wall clock; ``settled``: all workers on the
         network are known.
@@ -224,7 +225,7 @@ class Election:
         return record, urgent
 
     def sent(self, record: Record) -> None:
-        """Store the record as sent."""
+        """Note that the record was sent."""
         self._last_sent = record
 
     def leave(self) -> Record:
@@ -236,7 +237,7 @@ class Election:
     # -- other workers -------------------------------------------------------------------------------------------------
 
     def _living(self, now: float, sightings: Sequence[Sighting]) -> tuple[list[Record], str]:
-        """Return the other living workers, and why their claims are not known yet."""
+        """Return the records of the other living workers, and why some claims are not known yet, "" if all are."""
         waiting = ""
         decoded: dict[str, tuple[bytes, Record | None]] = {}
         living: dict[str, Record] = {}
@@ -284,7 +285,7 @@ class Election:
     def _elect_networks(
         self, networks: Sequence[frozenset[str]], members: frozenset[str], others: Sequence[Record], wall_ns: int
     ) -> dict[str, str]:
-        """Elect for each of the hub's networks; return the worker that carries its sessions' messages instead of us."""
+        """Elect for each of the hub's networks; return by session the daemon that forwards its messages instead."""
         before, self._carries = self._carries, {}
         carriers: dict[str, str] = {}
         if self._role is None or not self._role.held:
@@ -307,7 +308,7 @@ class Election:
     ) -> Claim:
         better = [c for id_, c in rivals if (c.since, id_) < (claim.since, self._me)]
         if claim.held:
-            # Two workers can hold one claim after separate networks or hubs were joined.
+            # Two workers can hold the same claim after separate networks or hubs were joined.
             lost = any(c.held for c in better)
             return Claim(wall_ns, held=False, first=self._seq + 1) if lost else claim
         if not ready or better or any(c.held for _, c in rivals):
@@ -344,9 +345,9 @@ class Election:
 
 
 def join(members: Mapping[str, frozenset[str]]) -> list[frozenset[str]]:
-    """Return the networks of a hub's sessions, given the members of its network that each session announces.
+    """Return the networks of a hub's sessions, given the members of its own network that each session announces.
 
-    The sets of two sessions on the same network overlap, as at least one of the two workers knows the other.
+    The sets of two sessions on the same network overlap, because at least one of the two workers knows the other.
     """
     networks: list[frozenset[str]] = []
     for session, announced in members.items():

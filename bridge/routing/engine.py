@@ -1,4 +1,4 @@
-"""The engine of one side: follows both graphs, maintains the routes between them, and reports.
+"""The engine of one side: it follows both graphs, maintains the routes between them, and reports their state.
 
 One loop thread owns the routes. When a graph changes, it compares the wanted routes with the existing ones and updates
 only the differences.
@@ -34,9 +34,9 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """State of an engine; ``network`` is None while unavailable, ``rate`` messages and calls per second of all routes.
+    """The state of an engine. ``network`` is None while unavailable; ``rate`` is in messages and calls per second.
 
-    ``standing_by`` names the daemons that are active instead, ``waiting`` is the reason why nothing crosses yet.
+    ``standing_by`` names the daemons that are active instead; ``waiting`` is the reason why nothing is bridged yet.
     """
 
     network: str | None
@@ -65,10 +65,10 @@ class Summary:
 
 
 class NetworkTokens:
-    """Announces on the hub the network that an engine's session bridges, its members and its subscribed velocities.
+    """Announces on the hub the network that an engine bridges, the network's members, and its subscribed velocities.
 
-    The members are the workers on the network. Only the engine's loop changes it; any thread may read ``network``,
-    which is None while it is unavailable.
+    The members are the workers on the network. Only the engine's loop calls the methods; any thread may read
+    ``network``, which is None while the network is unavailable.
     """
 
     def __init__(self, hub: Hub, side: str, daemon: str) -> None:
@@ -78,12 +78,12 @@ class NetworkTokens:
         self._velocities: dict[tuple[str, str], Callable[[], None]] = {}
 
     def change(self, network: str | None) -> None:
-        """Announce another network."""
+        """Announce a changed network, or withdraw the announcement if it is None."""
         self.network = network
         self._hub.set_origin(Origin(self._side, network, self._daemon) if network is not None else None)
 
     def announce_members(self, members: frozenset[str]) -> None:
-        """Announce the members before any endpoint of the engine, and until none can exist."""
+        """Announce the members; call it before the engine has any endpoint, and with none only after all are closed."""
         for member in members - self._members.keys():
             self._members[member] = self._hub.graph.announce_member(member)
         for member in self._members.keys() - members:
@@ -98,7 +98,7 @@ class NetworkTokens:
 
 
 class _Checked(NamedTuple):
-    """The result of a check; replaced as a whole, so that any thread reads it without a lock."""
+    """The result of a check, which is replaced as a whole so that any thread can read it without a lock."""
 
     decisions: tuple[RouteDecision, ...] = ()
     refused: int = 0
@@ -107,8 +107,8 @@ class _Checked(NamedTuple):
 class Engine:
     """Routes between one edge and the hub.
 
-    One thread, that of the check loop, decides on the routes, and writes the last check, the rate and the tokens. Other
-    threads read these, each of which is replaced as a whole, and wake the loop.
+    Only the thread of the check loop decides on the routes, and writes the last check, the rate and the tokens. Other
+    threads may read these, each of which is replaced as a whole, and wake the loop.
     """
 
     def __init__(
@@ -165,12 +165,12 @@ class Engine:
         self._loop.wake()
 
     def graph_changed(self) -> None:
-        """Schedule a check after a graph change. Only wakes; may be called from any thread."""
+        """Schedule a check after a graph change. Only wakes a thread; may be called from any thread."""
         self._loop.wake()
         self._peers.wake()
 
     def presence_changed(self) -> None:
-        """Handle a change of other Midspan workers. Only wakes; may be called from any thread."""
+        """Handle a change of other Midspan workers. Only wakes a thread; may be called from any thread."""
         self._peers.wake()
 
     def message_refused(self, topic: str, reason: str, why: str) -> None:
@@ -180,7 +180,7 @@ class Engine:
                 route.bad(why, reason)
 
     def edge_failed(self, reason: str) -> None:
-        """Fail the worker: the edge cannot continue."""
+        """Fail the worker, because the edge cannot continue."""
         self._on_failure(reason)
 
     # -- the loop ------------------------------------------------------------------------------------------------------
@@ -189,7 +189,7 @@ class Engine:
         self._rate = sum(route.counters.tick() for route in self._routes.all())
 
     def _check(self) -> bool:
-        """Compare the wanted routes with the existing ones; return whether any is refused, and to be tried again."""
+        """Compare the wanted routes with the existing ones; return whether any is refused and has to be tried again."""
         network = self.edge.network()
         if network != self._tokens.network:
             self._change_network(network)
@@ -214,13 +214,13 @@ class Engine:
         self._tokens.change(network)
 
     def tap(self, topic: str, seconds: float) -> dict[str, str]:
-        """Show a topic that does not cross on the hub for a number of seconds; see `SideToHubTopics.tap`."""
+        """Publish a topic that is not bridged, for a number of seconds; see `SideToHubTopics.tap`."""
         return self._routes.topics_to_hub.tap(topic, seconds)
 
     # -- reports -------------------------------------------------------------------------------------------------------
 
     def alive(self) -> str:
-        """Raise `TimeoutError` if the loop or a dispatcher hangs; return a text about a busy loop, or ""."""
+        """Raise `TimeoutError` if a thread hangs; return a text about a busy one, or ""."""
         reports = [
             self._loop.alive(),
             self._peers.alive(),
@@ -237,13 +237,13 @@ class Engine:
         return list(self._checked.decisions)
 
     def summary(self) -> Summary:
-        """Return the engine's state in numbers; cheap with any number of routes."""
+        """Return a summary of the engine's state; its cost does not grow with the number of routes."""
         outcome, routes = self._peers.outcome, len(self.routes())
         network, refused = self._tokens.network, self._checked.refused
         return Summary(network, routes, refused, self._rate, outcome.standing_by, outcome.waiting)
 
     def status(self, warnings: Sequence[str] = (), **fields: Any) -> WorkerStatus:
-        """Return the status document: routes, refusals and warnings, with further fields and warnings."""
+        """Return the status document: routes, refusals and warnings, with the given fields and warnings added."""
         outcome = self._peers.outcome
         routes = (route.status() for route in self.routes())
         return WorkerStatus(

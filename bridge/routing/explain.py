@@ -1,4 +1,4 @@
-"""The answer of ``midspan explain``: the decisions on a name, and names on the side with only one kind of endpoint."""
+"""The answer to ``midspan explain``: the decisions on a name, and names on the side without a publisher or server."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _USERS = {
     ("service", "in"): (Kind.SERVER, "served by"),
     ("service", "out"): (Kind.CLIENT, "called by"),
 }
-"""The side's endpoints of a decision, by kind and direction."""
+"""The kind of a decision's endpoints on the side, and a verb for them, by the decision's kind and direction."""
 
 
 def explain(
@@ -29,12 +29,12 @@ def explain(
 ) -> list[dict[str, Any]]:
     """Return all decisions on a topic, service or action; on everything for ``""``.
 
-    The name on the side and the one on the hub both match; an action's name matches its five parts. The ``users`` of an
-    entry are the side's nodes with the middleware and the release of their programs, in words.
+    ``topic`` is compared with the names on the side and on the hub; an action's name matches its five parts. The
+    ``users`` of an entry list the side's nodes, and the middleware and the release of their programs.
 
     Args:
-        topic: the name.
-        decisions: all of the side.
+        topic: the name of the topic, service or action.
+        decisions: all decisions of the side.
         endpoints: the side's graph.
         programs: as `Edge.programs` returns them.
     """

@@ -1,8 +1,8 @@
 """The gates between a side and the hub: the rules at entry and exit, and the loop guard.
 
-Messages never loop: endpoints that any Midspan created on a foreign network are never routed from it (each edge
-detects them by marks on that network), and messages from a network are never sent back to it. Nothing crosses while
-the origin of an endpoint is unknown. If several workers could carry the same message, one does; see
+Messages never loop: endpoints that any Midspan worker created on a foreign network are never routed from it (each edge
+detects them by marks on that network), and messages from a network are never sent back to it. An endpoint is not
+bridged while its origin is unknown. If several workers could forward the same message, only one does; see
 `bridge.routing.election`.
 
 The rules treat an action as a whole, by its own name and type; a new name applies to all five of its topics and
@@ -33,15 +33,15 @@ def may_leave(endpoint: HubEndpoint, edge: Edge) -> bool:
 
 
 def may_carry(endpoint: HubEndpoint, outcome: Outcome) -> bool:
-    """Return whether this worker, and no other worker, bridges a hub publisher's messages to its network."""
+    """Return whether this worker is the one that bridges a hub publisher's messages to its network."""
     return outcome.active and (endpoint.origin is None or endpoint.zid in outcome.carried)
 
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """A topic, service or action that the rules decide on: its name, and its ROS 2 type, "" while unknown.
+    """A topic, service or action on which the rules decide, with its name and its ROS 2 type ("" while unknown).
 
-    For a part of an action, these are the action's; ``part`` is the part: ``send_goal``, ``status``, ...
+    For a part of an action (``part``: ``send_goal``, ``status``, ...), name and type are those of the action.
     """
 
     kind: Literal["topic", "service", "action"]
@@ -51,16 +51,16 @@ class Subject:
 
     @property
     def unknown(self) -> bool:
-        """Whether it belongs to an action whose type is not known yet."""
+        """Whether it is part of an action whose type is not known yet."""
         return bool(self.part) and not self.type_name
 
     def part_name(self, name: str) -> str:
-        """Return the topic's or service's name, given the name of the whole."""
+        """Return the name of the topic or service, given the name of the subject, such as the action."""
         return part_name(name, self.part) if self.part else name
 
 
 class GraphActions:
-    """The actions of one graph, by the name and ROS 2 type of each topic and service on it."""
+    """The actions of one graph, recognized by the names and ROS 2 types of its topics and services."""
 
     def __init__(self, named: Iterable[tuple[str, str]]) -> None:
         self._types: dict[str, str] = {}
@@ -71,10 +71,10 @@ class GraphActions:
                 self._types[action] = type_name.removesuffix(ending)
 
     def subject(self, kind: Literal["topic", "service"], name: str, type_name: str) -> Subject:
-        """Return the subject of a topic or service: itself, or its action."""
+        """Return the subject for a topic or service: itself, or the action to which it belongs."""
         action, part = split(name)
         if not part or not (COMMON.get(part) == type_name or type_name.endswith(ENDINGS.get(part, "/"))):
-            return Subject(kind, name, type_name)  # also a topic that only has the name of a part of an action
+            return Subject(kind, name, type_name)  # this includes a topic that is only named like a part of an action
         return Subject("action", action, self._types.get(action, ""), part)
 
 
@@ -91,7 +91,7 @@ class EntryGate:
         self._actions = GraphActions((e.topic, ros2_name("topic", e.type)) for e in offered)
 
     def decide(self, kind: Crosses, name: str, type_name: str) -> RoutePolicy:
-        """Return the policy of the rules; ``type_name`` as the side spells it."""
+        """Return the rules' decision; ``type_name`` is spelled as on the side."""
         subject = self._actions.subject(kind, name, ros2_name(kind, type_name))
         if subject.unknown:
             return RoutePolicy(allowed=False, why=_UNKNOWN, name=name, settled=True)
@@ -99,7 +99,7 @@ class EntryGate:
 
 
 class ExitGate:
-    """The gate from the hub to the side; traffic of daemons other than ``daemon`` has passed their rules."""
+    """The gate from the hub to the side; traffic from daemons other than ``daemon`` has passed their own rules."""
 
     def __init__(self, rules: RuleSet, side: str, daemon: str, endpoints: Iterable[HubEndpoint]) -> None:
         self._rules, self._side, self._daemon = rules, side, daemon
@@ -107,7 +107,7 @@ class ExitGate:
         self._actions = GraphActions((e.topic, e.type_name) for e in offered)
 
     def decide(self, kind: Crosses, origin: Origin | None, name: str, type_name: str) -> RoutePolicy:
-        """Return the policy of the rules for traffic from ``origin``."""
+        """Return the rules' decision on traffic from ``origin``."""
         subject = self._actions.subject(kind, name, type_name)
         if subject.unknown:
             return RoutePolicy(allowed=False, why=_UNKNOWN, name=name, settled=True)
@@ -117,7 +117,7 @@ class ExitGate:
 
 
 def _whole(policy: RoutePolicy, subject: Subject) -> RoutePolicy:
-    """Return the policy for a part of an action: only the rule's new name applies."""
+    """Return the policy for a topic, service or part of an action; for the latter two, only the new name applies."""
     if subject.kind == "topic":
         return policy
     name = subject.part_name(policy.name)
@@ -125,7 +125,7 @@ def _whole(policy: RoutePolicy, subject: Subject) -> RoutePolicy:
 
 
 def ros2_name(kind: Crosses, type_name: str) -> str:
-    """Return a type's ROS 2 spelling, derived only from its name, for the rules' ``type`` globs."""
+    """Return the ROS 2 spelling of a type's name, for the rules' ``type`` globs."""
     package, _, name = type_name.partition("/")
     middle = "srv" if kind == "service" else "msg"
     return type_name if "/" in name or not name else f"{package}/{middle}/{name}"

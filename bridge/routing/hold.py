@@ -1,8 +1,8 @@
-"""Blocks a planner's velocities while the gateway wants the robot to stand.
+"""Blocks a planner's velocities while the gateway requires the robot to stand still.
 
 The gateway publishes true on ``/navigation/hold`` (``std_msgs/Bool``, latched) for a stop or pause that the planner has
-not confirmed. The worker of the planner's side then blocks the velocities at their entry into the hub, so they reach no
-other side and no module. A worker that starts while a gateway runs blocks them until it receives this topic.
+not confirmed. The worker of the planner's side then blocks the velocities at their entry into the hub, so that they
+reach no other side and no module. A worker that starts while a gateway runs blocks them until it receives this topic.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ def held_topics(section: NavigationSection, side: str) -> frozenset[str]:
 
 
 class Hold:
-    """Follows the holds that gateways request for ``topics`` of the hub, which may change.
+    """Follows the requests of gateways to hold the messages of the hub's ``topics``, a set that may change.
 
-    ``held``: messages of those topics may not enter the hub now. Fast enough for a check at each message.
+    ``held``: messages on those topics may not enter the hub now. It may be read for each message.
     """
 
     def __init__(self, hub: Hub, topics: Collection[str]) -> None:
@@ -52,10 +52,10 @@ class Hold:
         self._refresh()
 
     def _refresh(self) -> None:
-        """Update ``held``: a gateway without a message yet counts as holding, one that has left does not."""
+        """Update ``held``: a gateway counts as holding until its first message, and no longer after it has left."""
         present = {publisher.gid for publisher in self._graph.publishers(HOLD)}
         with self._lock:
-            for departed in self._there - present:  # what a gateway says may come before the graph knows it
+            for departed in self._there - present:  # a gateway's message may arrive before the graph lists it
                 self._said.pop(departed, None)
             self._there = present
             self.held = any(self._said.get(gid, True) for gid in present)

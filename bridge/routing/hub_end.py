@@ -1,4 +1,4 @@
-"""The parts of a route to the side at its end on the hub: publishers, subscription, held samples, and the demand."""
+"""The hub end of a route to the side: its publishers, its subscription, its held samples, and the demand for it."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from bridge.routing.stall import AgeGate
 from bridge.state_machine import Machine, Table
 
 UNHEARD = 10.0
-"""Seconds without a subscriber on the side after which a fast stream stays on the hub."""
+"""Seconds without a subscriber on the side after which a route unsubscribes from a fast stream."""
 
 QUICK = 5.0
-"""Messages per second from which a stream counts as fast: a new subscriber misses some of them anyway. Rarer messages
+"""Messages per second above which a stream counts as fast: a new subscriber misses some of them anyway. Rarer messages
 may be events, which a new subscriber must not miss."""
 
 _MAX_DEPARTED = 4096
-"""Maximum number of publishers that may return."""
+"""Maximum number of departed publishers that are remembered, because they may return."""
 
 
 @dataclass(slots=True)
 class HubSource:
-    """A publisher on the hub whose messages pass; ``age`` judges their time stamps."""
+    """A publisher on the hub whose messages are bridged; ``age`` checks their timestamps."""
 
     endpoint: HubEndpoint
     latched: bool
@@ -42,10 +42,11 @@ class HubSources:
     """The engine's classification of a topic's publishers on the hub. Immutable, so threads need no lock to read it.
 
     Attributes:
-        allowed: publishers whose messages pass, by GID.
-        refused: GIDs of those whose messages do not.
-        waiting: publishers that may pass later, by GID.
-        natives: programs that are not workers, by session: some (zenoh-ros2-sdk) put an invented GID in their samples.
+        allowed: publishers whose messages are bridged, by GID.
+        refused: GIDs of publishers whose messages are not bridged.
+        waiting: publishers that may be allowed later, by GID.
+        natives: allowed publishers that do not belong to workers, by session: some (zenoh-ros2-sdk) put an invented
+            GID in their samples.
     """
 
     allowed: Mapping[bytes, HubSource] = field(default_factory=dict)
@@ -63,7 +64,7 @@ class HubSources:
         return HubSources(sources, frozenset(e.gid for e in refused), {e.gid: e for e in waiting}, natives)
 
     def of(self, sample: HubSample) -> HubSource | None:
-        """Return the publisher of a sample; None if it may not pass, or is not known."""
+        """Return the publisher of a sample; None if it is not allowed, or unknown."""
         source = self.allowed.get(sample.gid)
         if source is not None or sample.gid in self.refused or sample.gid in self.waiting:
             return source
@@ -71,10 +72,10 @@ class HubSources:
 
 
 class RouteSubscription:
-    """A route's subscription on the hub, which may be closed and opened again; its counts continue.
+    """A route's subscription on the hub, which may be closed and opened again without resetting its counts.
 
     It is paused while the side has no subscriber to a fast stream. Only the engine's loop opens and closes it; any
-    thread may read.
+    thread may read its state.
     """
 
     def __init__(self, subscribe: Callable[[Qos], HubSubscription]) -> None:
@@ -89,21 +90,21 @@ class RouteSubscription:
 
     @property
     def open(self) -> bool:
-        """Whether the route subscribes now."""
+        """Whether the route is subscribed now."""
         return self._current is not None
 
     @property
     def paused(self) -> bool:
-        """Whether the stream stays on the hub, because the side has no subscriber."""
+        """Whether the route has unsubscribed from a fast stream, because the side has no subscriber."""
         return self._demand.state is Demand.PAUSED
 
     def follow_demand(self, messages: int, *, wanted: bool) -> None:
-        """Close the subscription if its stream pauses; ``messages`` have crossed, ``wanted``: the side subscribes."""
+        """Close the subscription if its stream pauses; see `StreamDemand.update`."""
         if self._demand.update(messages, wanted=wanted, subscribed=self.open) is Demand.PAUSED:
             self.close()
 
     def request(self, qos: Qos) -> bool:
-        """Subscribe with a QoS, unless a subscription of the same durability exists; return whether it is new."""
+        """Subscribe with a QoS, unless a subscription with that durability exists; return whether one was opened."""
         if self._current is not None and qos.durability is self._durability:
             return False
         self.close()
@@ -121,10 +122,10 @@ class RouteSubscription:
     def request_returned(
         self, allowed: Mapping[bytes, HubSource], publishing: Lock, remove: Callable[[Collection[bytes]], None]
     ) -> None:
-        """Request the cached messages of publishers that departed and may pass again; they count as received.
+        """Request the cached messages of publishers that departed and are allowed again; they count as received.
 
-        ``remove`` removes the messages of such publishers that the route holds, as their caches contain these too; it
-        is called with the route's lock ``publishing``.
+        ``remove`` removes the messages that the route holds for such publishers, because their caches contain these
+        too; it is called while the route's lock ``publishing`` is held.
         """
         for gid in self._departed.keys() & allowed.keys():
             del self._departed[gid]
@@ -141,7 +142,7 @@ class RouteSubscription:
             self._current = None
 
     def status(self) -> tuple[tuple[str, str], int]:
-        """Return the transport with the reason for zenoh, and how many samples used the lane."""
+        """Return the transport with the reason for using zenoh, and the number of samples that used the lane."""
         current = self._current
         if current is None:
             return ("", ""), self._by_lane_before
@@ -154,11 +155,12 @@ class RouteSubscription:
 
 
 class HeldSamples:
-    """Samples that a route publishes later, or never; ``dropped`` is called for each that a newer one displaces.
+    """Samples that a route may publish later; ``dropped`` is called for each sample that a newer one displaces.
 
     Attributes:
-        unknown: from publishers that the engine has not classified yet.
-        latched: latched ones of publishers that may pass later, or of any without a lease. They arrive once.
+        unknown: samples from publishers that the engine has not classified yet.
+        latched: latched samples, which arrive only once, of publishers that may be allowed later, or of any publisher
+            while the worker lacks the lease.
     """
 
     def __init__(self, dropped: Callable[[], None]) -> None:
@@ -166,16 +168,16 @@ class HeldSamples:
         self.latched = Backlog[HubSample](QUEUE_DEPTH[Priority.STATE], QUEUE_BYTES, dropped)
 
     def add_unknown(self, sample: HubSample) -> None:
-        """Hold a sample of a publisher that is not classified, after the older ones."""
+        """Hold a sample of an unclassified publisher, after the older samples."""
         self.unknown.add(sample.gid, sample, len(sample.payload))
 
     def add_latched(self, sample: HubSample, endpoint: HubEndpoint) -> None:
-        """Hold a latched sample; only as many as its publisher ``endpoint`` retains."""
+        """Hold a latched sample; of each publisher, hold only as many as its ``endpoint`` retains."""
         depth = min(max(endpoint.qos.depth, 1), MAX_PENDING)
         self.latched.keep(sample.gid, sample, len(sample.payload), depth)
 
     def remove(self, sources: Collection[bytes]) -> None:
-        """Remove the samples of some publishers, by GID; they do not count as dropped."""
+        """Remove the samples of publishers, given by GID, without counting them as dropped."""
         for backlog in (self.unknown, self.latched):
             backlog.pop_matching(lambda waiting: waiting.source in sources)
 
@@ -185,11 +187,11 @@ class Demand(Enum):
 
     WANTED = "it has subscribers"
     UNWANTED = "it had none at the last check"
-    PAUSED = "it has none, and the stream stays on the hub"
+    PAUSED = "it has none, and the route has unsubscribed"
 
 
 class DemandEvent(Enum):
-    """What changes `Demand`."""
+    """The events that change `Demand`."""
 
     SUBSCRIBED = "a check sees a subscriber on the side"
     UNSUBSCRIBED = "a check sees none"
@@ -204,7 +206,7 @@ DEMAND: Table[Demand, DemandEvent] = {
 
 
 class StreamDemand(Machine[Demand, DemandEvent]):
-    """Decides when a stream stays on the hub: if it is fast, and the side has no subscriber for `UNHEARD` seconds.
+    """Decides when to pause a stream: if it is fast, and the side has had no subscriber for `UNHEARD` seconds.
 
     Used only by the engine's loop; any thread may read ``state``.
     """
@@ -216,10 +218,11 @@ class StreamDemand(Machine[Demand, DemandEvent]):
     def update(self, messages: int, *, wanted: bool, subscribed: bool) -> Demand:
         """Return the state at a check.
 
-        ``messages`` have crossed so far; ``wanted``: the side has a subscriber; ``subscribed``: the route receives.
+        ``messages``: number of bridged messages so far; ``wanted``: whether the side has a subscriber; ``subscribed``:
+        whether the route's subscription is open.
         """
         seconds, count = time.monotonic() - self._counted_since, messages - self._messages_then
-        if self.state is Demand.WANTED or seconds > UNHEARD:  # a subscriber of the last check may have left just now
+        if self.state is Demand.WANTED or seconds > UNHEARD:  # the last check's subscriber may have left just now
             self._counted_since, self._messages_then = time.monotonic(), messages
         if wanted:
             self.on(DemandEvent.SUBSCRIBED)

@@ -1,4 +1,4 @@
-"""Routes of topics from the hub to the side, and the set of them."""
+"""Topic routes from the hub to the side, and the set that opens and closes them."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _STATIC = "static transforms"
 
 
 class SidePublishers:
-    """A route's publishers on the side: ``latched`` retains the last messages of each source, ``volatile`` none.
+    """A route's publishers on the side: ``latched`` retains the last messages of each source, ``volatile`` does not.
 
     Each is None until a source needs it. Only the engine's loop opens and closes them; any thread may publish.
-    ``static`` merges the latched transforms, which stay when their publishers leave; None for other topics.
+    ``static`` merges the latched transforms, which remain when their publishers leave; None for other topics.
     """
 
     def __init__(self, advertise: Callable[[Qos], EdgePublisher]) -> None:
@@ -47,7 +47,7 @@ class SidePublishers:
         self.static: StaticTransforms | None = None
 
     def open_latched(self, depth: int, *, transforms: bool = False) -> None:
-        """Open the publisher for latched sources, if it is not open; ``transforms``: it publishes static transforms."""
+        """Open the publisher for latched sources, if it is not open; ``transforms``: for static transforms."""
         if self.latched is None:
             if transforms and self.static is None:
                 self.static = StaticTransforms()
@@ -69,7 +69,7 @@ class SidePublishers:
 
     @property
     def dropped(self) -> int:
-        """Number of messages that the slowest subscriber of the side missed."""
+        """Number of messages that the slowest subscriber on the side missed."""
         return max((p.dropped for p in (self.latched, self.volatile) if p is not None), default=0)
 
     def close(self) -> None:
@@ -80,17 +80,17 @@ class SidePublishers:
 
 
 class HubToSideRoute(TopicRoute):
-    """One topic and type of the hub, published on the side.
+    """Publishes one topic and type of the hub on the side.
 
-    Each latched hub publisher stays a separate source on the side. Samples of publishers that the engine did not name
-    (from this same network, or not yet known) do not pass. A fast stream without a subscriber on the side stays on the
-    hub.
+    Each latched hub publisher remains a separate source on the side. Samples from publishers that the engine did not
+    allow (on this same network, or not yet known) are not published. A fast stream without a subscriber on the side is
+    not subscribed to on the hub.
 
     The engine's loop calls `update` and replaces the sources; samples arrive on zenoh's receiving threads. Both publish
     only while they hold ``queue.publishing``; the backlogs have their own locks.
 
     Attributes:
-        origin: that of the topic's first publisher, None for a native program of the hub.
+        origin: origin of the topic's first publisher, None for a native program on the hub.
         queue: publishes or queues each message that arrives.
         held: messages that wait for the classification of their publishers, or for the lease.
     """
@@ -118,8 +118,8 @@ class HubToSideRoute(TopicRoute):
     ) -> None:
         """Follow the hub's publishers of this topic; called only by the engine's loop.
 
-        ``waiting``: publishers that may pass later, once their origin is known or the election has ended. Their latched
-        messages arrive only once, and are stored until then.
+        ``waiting``: publishers that may be allowed later, when their origin is known or the election has ended. Their
+        latched messages are stored until then, because they arrive only once.
         """
         followed = (allowed, refused, waiting)
         if followed != self._followed:
@@ -159,7 +159,7 @@ class HubToSideRoute(TopicRoute):
         return self._context.edge.advertise(self.side_topic, self.conversion.target, self.policy.override(qos))
 
     def _follow_demand(self, allowed: Sequence[HubEndpoint]) -> None:
-        """Keep a fast stream on the hub while the side has no subscriber; subscribe for the first subscriber."""
+        """Unsubscribe from a fast stream while the side has no subscriber; subscribe again when one appears."""
         streams = self._priority is Priority.STREAM and self._publishers.latched is None
         volatile = self._publishers.volatile if streams else None
         wanted = volatile is None or volatile.has_subscribers
@@ -175,7 +175,7 @@ class HubToSideRoute(TopicRoute):
             self._qos = qos
 
     def _remove_held(self, sources: Collection[bytes]) -> None:
-        """Remove the held messages of publishers whose caches will deliver them; hold ``queue.publishing``."""
+        """Remove the held messages of publishers whose caches will deliver them. Requires ``queue.publishing``."""
         self.held.remove(sources)
         self.queue.remove(sources)
 
@@ -224,7 +224,7 @@ class HubToSideRoute(TopicRoute):
     # -- samples -------------------------------------------------------------------------------------------------------
 
     def _refused_by_hub(self, reason: str, why: str) -> None:
-        """Count a sample without a valid attachment, or too large; runs on zenoh's receiving thread."""
+        """Count a sample that is too large or lacks a valid attachment; runs on zenoh's receiving thread."""
         self.bad(why, reason)
 
     def _admits(self, sample: HubSample) -> bool:
@@ -234,8 +234,8 @@ class HubToSideRoute(TopicRoute):
     def handle(self, sample: HubSample) -> None:
         """Publish a message on the side, or hold it until its publisher is known.
 
-        The loop may replace the sources meanwhile. It looks for stored and retained messages afterwards, so this checks
-        the sources again after it has stored or retained one.
+        The loop may replace the sources meanwhile, and then looks for stored and retained messages. So this method
+        checks the sources again after it has stored or retained a message.
         """
         sources = self._sources
         source = sources.allowed.get(sample.gid) or sources.of(sample)
@@ -258,7 +258,7 @@ class HubToSideRoute(TopicRoute):
                 if self._sources is not sources:
                     self._context.wake()
         elif sample.gid not in sources.refused:
-            if self._priority is Priority.COMMAND:  # never stored for later
+            if self._priority is Priority.COMMAND:  # a command is never stored for later
                 self.counters.dropped("unknown")
             else:
                 self.held.add_unknown(sample)
@@ -292,7 +292,7 @@ class HubToSideRoute(TopicRoute):
             self.bad(str(err))
             return
         self.counters.crossed(len(data))
-        # The age of a message cached for late joiners is not a latency. The system clock may be set meanwhile.
+        # A message cached for late joiners counts no latency. Compare monotonic times: the system clock may be set.
         latency = time.time_ns() - sample.source_time_ns
         if time.monotonic() - latency / 1e9 >= self._subscription.since:
             self.counters.latency(latency)
@@ -323,21 +323,21 @@ class HubToSideRoute(TopicRoute):
 
 
 class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
-    """Follows the hub's publishers."""
+    """The routes of the topics that the hub's publishers send."""
 
     direction = "out"
     _outcome = Outcome()
     _velocities: Collection[tuple[str, str]] = ()
 
     @override
-    def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # the hub's graph counts
+    def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # only the hub's graph matters
         publishers = self._context.hub.graph.publishers()
         return {(e.topic, e.type_name) for e in publishers if may_leave(e, self._context.edge)}
 
     def follow(
         self, gate: ExitGate, endpoints: Sequence[Endpoint], decisions: list[RouteDecision], outcome: Outcome
     ) -> None:
-        """Update the routes for both graphs, the rules and the election; append one decision for each topic."""
+        """Update the routes according to both graphs, the rules and the election; append a decision for each topic."""
         self._outcome, self._velocities = outcome, native_velocities(endpoints)
         groups = hub_groups(self._context.hub.graph.publishers(), self._context.hub.versions)
         # Close ended routes first: a side may have one type per topic.
@@ -415,8 +415,8 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
                 return
             if other := preferred(side_topic, conversion.target.name, self._velocities):
                 decision.refuse(
-                    f"nodes of the side subscribe to {side_topic} as {other}",
-                    f"convert it by a rule: 'to: {edge.side}', 'stamped: {str('Stamped' in other).lower()}'",
+                    f"nodes on the side subscribe to {side_topic} as {other}",
+                    f"convert it with a rule: 'to: {edge.side}', 'stamped: {str('Stamped' in other).lower()}'",
                 )
                 return
             route = HubToSideRoute(key, side_topic, endpoints[0][0].origin, conversion, policy, self._context)

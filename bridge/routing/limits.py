@@ -14,9 +14,10 @@ COMMAND_NAME = re.compile(r"(^|[/_])(cmd|command)", re.IGNORECASE)
 
 
 class Priority(Enum):
-    """The class of a route.
+    """The priority class of a route.
 
-    STATE is queued until delivered; COMMAND is newest only, never latched or delivered late; STREAM drops its oldest.
+    STATE messages are queued until delivered. Of COMMAND messages only the newest is queued; they are never latched or
+    delivered late. A full queue of STREAM messages drops the oldest.
     """
 
     STATE = "state"
@@ -25,21 +26,21 @@ class Priority(Enum):
 
 
 def default_priority(topic: str, type_name: str, *, latched: bool) -> Priority:
-    """Return the class of a topic without a rule: velocity commands by type and name, latched topics as state."""
+    """Return the class of a topic for which no rule sets one; type and name show whether it is a velocity command."""
     if type_name in VELOCITIES and COMMAND_NAME.search(topic):
         return Priority.COMMAND
     return Priority.STATE if latched else Priority.STREAM
 
 
 _ARREARS = 0.1
-"""Seconds of silence that are compensated: sources jitter, and send bursts on a busy machine."""
+"""Seconds of silence that are compensated, because sources jitter, and send bursts on a busy machine."""
 
 
 class RateLimit:
     """Passes at most ``rate`` messages per second; the caller drops the others.
 
-    A jittering source reaches the mean rate: messages after a short silence pass earlier, but never two within half a
-    period.
+    A jittering source still reaches the mean rate: messages pass earlier after a short silence, but never two of them
+    within half a period.
     """
 
     __slots__ = ("_due", "_gap", "_least", "_period")
@@ -70,13 +71,13 @@ BULK_DEPTH = 50
 """The same for types with unbounded byte arrays, such as images, clouds and maps."""
 
 BULK = 64 * 1024
-"""Size in bytes from which separate threads carry a message, so that it does not delay small ones."""
+"""Size in bytes above which separate threads handle a message, so that it does not delay small ones."""
 
 QUEUE_BYTES = 64 * 1024 * 1024
-"""Maximum bytes in one route's queue, without the newest message."""
+"""Maximum number of bytes in one route's queue, not counting the newest message."""
 
 MAX_PENDING = 64
-"""Maximum number of messages held for an unknown publisher; the limit in bytes is the same as that of a queue."""
+"""Maximum number of messages held for unknown publishers; their limit in bytes is `QUEUE_BYTES`."""
 
 _BYTES = re.compile(r"^[ \t]*(?:u?int8|byte|char|octet)\[\][ \t]", re.MULTILINE)
 
@@ -87,7 +88,7 @@ def stream_depth(definition: str) -> int:
 
 
 def combined_qos(qualities: list[Qos]) -> Qos:
-    """Return the QoS of a subscription to several publishers: best effort if any of them is, latched if any is."""
+    """Return the QoS of a subscription to several publishers: best effort if any of them is, and latched if any is."""
     best_effort = any(q.reliability is Reliability.BEST_EFFORT for q in qualities)
     latched = [q for q in qualities if q.latched]
     return Qos(

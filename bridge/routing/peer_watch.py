@@ -1,4 +1,4 @@
-"""Follow the other Midspan workers on the side's network, take part in the election, and hold the lease."""
+"""Follows the other Midspan workers on the side's network, takes part in the election, and holds the lease."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from bridge.routing.processes import has_ended, process_name
 
 
 class Lease:
-    """The time ``until`` which messages may cross (monotonic seconds).
+    """The time ``until`` which messages may be bridged (monotonic seconds).
 
-    It expires while a worker hangs, which then drops its backlog.
+    The lease of a worker that hangs expires, so that it drops its backlog afterwards.
     """
 
     __slots__ = ("until",)
@@ -30,49 +30,49 @@ class Lease:
 
     @property
     def over(self) -> bool:
-        """Whether it has expired, and nothing may cross now. A route that knows the time compares it with ``until``."""
+        """Whether it has expired. A route that already knows the time compares it with ``until`` instead."""
         return time.monotonic() > self.until
 
     def extend(self, until: float) -> None:
-        """Let messages cross until a time on the monotonic clock."""
+        """Allow bridging until a time on the monotonic clock."""
         self.until = until
 
     def end(self) -> None:
-        """Let nothing cross from now on."""
+        """Allow no bridging from now on."""
         self.until = 0.0
 
 
 _log = logging.getLogger(__name__)
 
 FENCE = 0.7
-"""Seconds after its last record for which a worker stays active: less than `bridge.routing.election.SILENCE`."""
+"""Seconds for which a worker stays active after its last record: less than `bridge.routing.election.SILENCE`."""
 
 ALONE = 1.5
-"""The same without other workers on the network: a worker that joins meanwhile waits for longer."""
+"""The same if there are no other workers on the network: a worker that joins meanwhile waits for longer than this."""
 
 _ALONE_PERIOD = 0.4
-"""Seconds between two rounds if no other worker is known; the first worker that joins wakes the thread at once."""
+"""Seconds between rounds if no other worker is known; the first worker that joins wakes the thread at once."""
 
 _TURN_SECONDS = 3.0
-"""Seconds without progress after which a round hangs."""
+"""Seconds without progress after which a round counts as hanging."""
 
 _PAUSE = 0.02
 _HUB_LINKED = 1.0
-"""Seconds from the first link on the hub until all its sessions are known."""
+"""Seconds from the first link on the hub until all sessions on the hub are known."""
 
 _HUB_AGAIN = 2.5
-"""The same after a hang that lost the links, which are restored one after the other (`bridge.hub.links`)."""
+"""The same after a hang that cost the links, which are restored one after the other (`bridge.hub.links`)."""
 
 _LINKS_LAST = 0.75 * LEASE_MS / 1000
-"""Seconds of a hang after which other sessions of the hub drop its links: less than the lease, since the last
-keep-alive was sent before the hang."""
+"""Seconds of a hang after which other sessions on the hub drop the links to this one: less than zenoh's lease, because
+the last keep-alive was sent before the hang."""
 
 _HUB_ALONE = 3.0
 """Seconds after which a session without links counts as the only one on its hub."""
 
 
 class HubViews:
-    """The hub as its session sees it: which networks its workers join, and when all of them are known."""
+    """The hub as this worker's session sees it: which networks its workers bridge, and when all of them are known."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
@@ -90,7 +90,7 @@ class HubViews:
             self._linked = now
         since = self._started + _HUB_ALONE if self._linked is None else self._linked + self._settling
         members = graph.members()
-        # A worker that does not list its network's members, such as a foreign one, counts as a network by itself.
+        # A worker that does not list its network's members, such as a foreign one, counts as a separate network.
         sessions = frozenset(graph.origins())
         silent = sessions - members.keys()
         if silent:
@@ -100,7 +100,7 @@ class HubViews:
 
 
 class PeerWatch:
-    """A thread that exchanges records with the other workers, decides by `Election`, and holds the ``lease``.
+    """A thread that exchanges records with the other workers, runs the `Election`, and holds the ``lease``.
 
     Only this thread writes; other threads read the outcome and the lease, each of which is replaced as a whole.
     """
@@ -136,7 +136,7 @@ class PeerWatch:
         self._wake.set()
 
     def stop(self) -> None:
-        """Announce that this worker has left; call it after its routes are closed."""
+        """Stop the thread, and announce that this worker has left; call it after its routes are closed."""
         self.lease.end()
         self._stopping.set()
         self._wake.set()
@@ -145,7 +145,7 @@ class PeerWatch:
             self._edge.announce(self._election.leave().encode())
 
     def alive(self) -> str:
-        """Check this thread, as `bridge.routing.engine.Engine.alive` does for its own."""
+        """Check this thread, as `bridge.routing.engine.Engine.alive` does for the engine's threads."""
         return self._step.judge(f"following the other workers on {self._edge.side}", self._turned)
 
     def _run(self) -> None:
@@ -199,10 +199,10 @@ class PeerWatch:
             self._changed()
 
     def _with_routes_before_hang(self, decided: Outcome) -> Outcome:
-        """Return the outcome for the engine: a lone worker keeps its routes after a hang until it meets another.
+        """Return the outcome for the engine: a lone worker keeps its routes after a hang until it sees another worker.
 
-        The expired lease blocks the routes meanwhile. Programs that users connected to their endpoints, as on YARP,
-        would not connect to new ones.
+        The expired lease blocks the routes meanwhile. They are kept because programs that users connected to their
+        endpoints, as in YARP, would not connect to new endpoints.
         """
         if decided.active or len(decided.members) > 1:
             self._outcome_before_hang = None
@@ -216,7 +216,7 @@ class PeerWatch:
         before, now = self._outcome.standing_by, outcome.standing_by
         was_waiting = bool(self._outcome.waiting)
         if FOREIGN in outcome.waiting and outcome.waiting != self._outcome.waiting:
-            _log.warning("%s: nothing crosses here: %s", self._edge.side, outcome.waiting)
+            _log.warning("%s: nothing is bridged: %s", self._edge.side, outcome.waiting)
         if now and now != before:
             _log.info("%s: on standby, %s is active on this network", self._edge.side, now)
         elif outcome.active and not now and not outcome.waiting and (before or was_waiting or not self._outcome.active):

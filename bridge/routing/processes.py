@@ -1,7 +1,7 @@
-"""Names of processes, by which workers on the same machine detect at once that a process has exited.
+"""Process names, by which workers on the same machine detect at once that another worker's process has exited.
 
-A process is named by the machine's boot id, the PID namespace, the id and the time of its start, so a name is invalid
-on other machines and in other containers, and a reused id does not match (proc(5)).
+The name of a process contains the machine's boot id, the PID namespace, the process id and its start time, so that it
+is invalid on other machines and in other containers, and does not match a reused id (proc(5)).
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ _PROC = Path("/proc")
 
 
 def process_name(pid: int = 0) -> str:
-    """Return the name of a process, by default of the calling process; "" if the system has no /proc."""
+    """Return the name of a process, by default the calling process; "" if the system has no /proc."""
     pid = pid or os.getpid()
     place, started = process_space(), _started(pid)
     return f"{place} {pid} {started}" if place and started else ""
 
 
 def has_ended(name: str) -> bool:
-    """Return whether a process of this machine has ended; False if that is unknown here."""
+    """Return whether a process on this machine has ended; False if that cannot be determined here."""
     place, _, process = name.rpartition(" ")[0].rpartition(" ")
     pid, started = process, name.rpartition(" ")[2]
     return (

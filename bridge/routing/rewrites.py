@@ -1,13 +1,13 @@
-"""Messages whose contents the bridge changes: static transforms, and initial poses of a localizer.
+"""The messages whose contents the bridge changes: static transforms, and initial poses for a localizer.
 
 ROS 1 latches one message per publisher, and tf2's Python broadcaster does not repeat its earlier transforms. This
 module therefore stores the static transforms of a topic by child frame, and sends all of them in one message. Such a
 topic is recognized by its type and by being latched.
 
 With a covariance of zeros, amcl places all particles on one point and cannot correct its error (amcl 1.17.3 then had a
-variance of 1e-12). Programs that only set the pose send such a covariance, so it is replaced by the one that rviz
-sends. This applies only to messages that leave the hub: Midspan's own localizer, which subscribes on the hub, has a
-setting for such initial poses.
+variance of 1e-12). Programs that set only the pose send such a covariance, so it is replaced by the covariance that
+rviz sends. This applies only to messages that leave the hub: Midspan's own localizer, which subscribes on the hub, has
+a setting for such initial poses.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MAX_FRAMES = 100_000
 
 
 _ENCAPSULATION = {b"\0\0": ">", b"\0\1": "<"}
-"""CDR's first two bytes, and the byte order for Python's `struct`."""
+"""The byte order, in the notation of Python's `struct`, for the first two bytes of a CDR message."""
 
 _LITTLE = b"\0\1\0\0"
 
@@ -39,7 +39,10 @@ class StaticTransforms:
         return len(self._by_child)
 
     def merge(self, cdr: bytes) -> bytes:
-        """Merge a TFMessage (CDR), and return one with all transforms; `ValueError` if invalid or over `MAX_FRAMES`."""
+        """Merge a TFMessage (CDR), and return one with all transforms.
+
+        Raises `ValueError` if the message is invalid or there are more than `MAX_FRAMES` frames.
+        """
         try:
             transforms = _transforms(cdr)
         except (ValueError, struct.error) as err:
@@ -54,7 +57,7 @@ class StaticTransforms:
 
 
 class _Transform(NamedTuple):
-    """One geometry_msgs/TransformStamped: stamp (s, ns), frames with their terminating NUL, seven numbers."""
+    """A geometry_msgs/TransformStamped: stamp (s, ns), frame names with their terminating NUL, seven numbers."""
 
     stamp: tuple[int, int]
     frame: bytes
@@ -72,7 +75,7 @@ def _transforms(cdr: bytes) -> list[_Transform]:
     """Return the transforms of a TFMessage; raises `ValueError` or `struct.error` for invalid bytes."""
     order = _ENCAPSULATION.get(cdr[:2])
     if order is None:
-        raise ValueError("its bytes do not begin as CDR does")
+        raise ValueError("it does not begin with a CDR header")
     data, at = memoryview(cdr)[len(_LITTLE) :], 4
     (count,) = struct.unpack_from(f"{order}I", data)
 
@@ -120,7 +123,7 @@ _AFTER_FRAME = 7 * 8
 
 
 def with_spread(conversion: Conversion, hub_topic: str) -> Conversion:
-    """Return a conversion from the hub; for initial poses, one that fills in a missing covariance."""
+    """Return ``conversion``, or for initial poses one that also fills in a missing covariance."""
     if conversion.source.name != POSE_TYPE or hub_topic.rpartition("/")[2] != TOPIC:
         return conversion
     then = conversion.convert
@@ -128,7 +131,7 @@ def with_spread(conversion: Conversion, hub_topic: str) -> Conversion:
 
 
 def filled_in(cdr: bytes) -> bytes:
-    """Return the message (CDR, little-endian), with `SPREAD` if its covariance is all zeros."""
+    """Return the message (CDR, little-endian), with `SPREAD` as its covariance if that is all zeros."""
     begin = _covariance(cdr)
     end = begin + len(_NONE)
     return cdr[:begin] + _GIVEN + cdr[end:] if begin and cdr[begin:end] == _NONE else cdr

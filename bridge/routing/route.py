@@ -31,10 +31,10 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class EngineContext:
-    """The shared context of one engine's routes: the two ends that they join, and common helpers.
+    """The shared context of one engine's routes: the hub and the edge that they join, and common helpers.
 
     Attributes:
-        lease: whether messages may cross now.
+        lease: whether messages may be bridged now.
         hold: the velocities that may not enter the hub now.
         types: exchanges definitions with other workers.
         small, bulk: dispatchers of small and large messages to the side.
@@ -55,10 +55,10 @@ class EngineContext:
 
 
 class Route:
-    """A topic or a service that crosses in one direction.
+    """A topic or service that is bridged in one direction.
 
-    ``hub_type`` is the type's ROS 2 name, ``side_type`` its name on the side; ``refused`` is why an endpoint that the
-    route needs is missing, "" if it has them all.
+    ``hub_type`` is the type's ROS 2 name, ``side_type`` its name on the side. ``refused`` is the reason why the route
+    lacks an endpoint that it needs, "" if it has them all.
     """
 
     direction = ""
@@ -91,13 +91,13 @@ class Route:
         return True
 
     def bad(self, error: str, reason: str = "bad") -> None:
-        """Count a refused message and log at a limited rate. May be called from any thread."""
+        """Count a refused message, and log it at a limited rate. May be called from any thread."""
         self.counters.dropped(reason)
         if self.counters.failed(error):
             _log.warning("%s %s: message refused: %s", self.direction, self.side_topic, error)
 
     def attempt(self, update: Callable[[], None], decision: RouteDecision) -> None:
-        """Update the route; a failure is reported, does not affect other routes, and is retried at the next check."""
+        """Update the route; report a failure, which does not affect other routes and is retried at the next check."""
         try:
             update()
         except MessageTypeError as err:
@@ -106,7 +106,7 @@ class Route:
             if err.errno in OUT:
                 decision.refuse("this process has no file descriptor left", RAISE)
             else:
-                decision.refuse(f"error of the system: {err.strerror or err}", "it is retried every few seconds")
+                decision.refuse(f"system error: {err.strerror or err}", "it is retried every few seconds")
             if decision.reason != self.refused:
                 topic, text, cure = decision.topic, decision.reason, decision.cure
                 _log.warning("%s %s is refused: %s; %s", decision.direction, topic, text, cure)
@@ -133,7 +133,7 @@ class Route:
 
 
 class TopicRoute(Route):
-    """One topic that crosses in one direction."""
+    """A topic that is bridged in one direction."""
 
     def __init__(
         self, key: RouteKey, names: tuple[str, str], conversion: Conversion, policy: RoutePolicy, context: EngineContext
@@ -148,18 +148,18 @@ class TopicRoute(Route):
         self._lease = context.lease
 
     def priority_of(self, *, latched: bool) -> Priority:
-        """Return the priority class: from the rule, or else from type and latching."""
+        """Return the priority class that the rule sets, or else the default for the type and latching."""
         if self.policy.priority:
             return Priority(self.policy.priority)
         return default_priority(self.hub_topic, self.hub_type, latched=latched)
 
     def latches(self, qos: Qos) -> bool:
-        """Return whether the messages of a publisher with this QoS are state; a command never is."""
+        """Return whether the messages of a publisher with this QoS are state; commands never are."""
         latched = self.policy.override(qos).latched
         return latched and self.priority_of(latched=latched) is not Priority.COMMAND
 
     def over_rate(self, *, latched: bool) -> bool:
-        """Return whether the rule's ``rate`` drops a message that arrives now. State is exempt: it may not repeat."""
+        """Return whether the rule's ``rate`` drops a message that arrives now. Never drops state: it may not repeat."""
         if self._limit is None or latched or self._limit.passes():
             return False
         self.counters.dropped("rate")
@@ -171,11 +171,11 @@ class TopicRoute(Route):
 
     @property
     def static(self) -> bool:
-        """Whether the route carries merged static transforms, which stay when their publishers leave."""
+        """Whether the route publishes merged static transforms, which remain when their publishers leave."""
         raise NotImplementedError
 
     def describe(self, sources: int, way: tuple[str, str], by_lane: int) -> RouteStatus:
-        """Return the route for the status document; ``way``: the transport on the hub, and the reason for zenoh."""
+        """Return the route for the status document; ``way``: transport on the hub, and the reason for using zenoh."""
         return RouteStatus(
             **self.row(active=bool(sources), sources=sources),
             priority=self._priority.value,

@@ -16,10 +16,10 @@ from bridge.routing.versions import note_losses
 
 
 class EngineRoutes:
-    """The routes of one side, and the rules that they follow. Only the engine's loop changes the routes.
+    """The routes of one side, and the rules that apply to them. Only the engine's loop changes the routes.
 
     Attributes:
-        rules: used from the next check on; any thread may replace them.
+        rules: any thread may replace them; they apply from the next check on.
         topics_to_hub: the routes of the side's topics.
         velocities: hub topic and type of the velocities that the side's own nodes subscribe to, at the last check.
     """
@@ -37,7 +37,7 @@ class EngineRoutes:
         return [route for routes in self._sets for route in routes.routes()]
 
     def follow(self, outcome: Outcome, *, joined: bool) -> list[RouteDecision]:
-        """Bring the routes in line with both graphs, the rules and the election; return the decision on each name.
+        """Update the routes according to both graphs, the rules and the election; return the decision on each name.
 
         ``joined`` is whether the side's network is available.
         """
@@ -76,9 +76,9 @@ class EngineRoutes:
             routes.close()
 
     def warnings(self) -> list[str]:
-        """Return the fields of messages that do not cross."""
+        """Return warnings about fields that are missing in this machine's version of a type."""
         return sorted({
-            f"{route.side_topic}: {', '.join(route.conversion.left_out)} does not cross: this machine's"
+            f"{route.side_topic}: {', '.join(route.conversion.left_out)} is not bridged: this machine's"
             f" {route.hub_type} has no such field (the publisher's md5 is {route.conversion.source.type_id})"
             for route in self.topics_to_hub.routes()
             if route.conversion.left_out

@@ -1,4 +1,4 @@
-"""The rules of the configuration, compiled: whether a topic, service or action crosses, under which name and how."""
+"""The compiled rules of the configuration: whether, how and under which name a topic, service or action is bridged."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _WILDCARD = re.compile(r"\*\*|\*|\?")
 
 @lru_cache(maxsize=4096)
 def glob_regex(glob: str) -> re.Pattern[str]:
-    """Compile a glob: ``*`` and ``?`` stay within one part between slashes, ``**`` crosses parts; each is a group.
+    """Compile a glob: ``*`` and ``?`` match within one part between slashes, ``**`` across parts; each is a group.
 
     A trailing ``/**`` also matches the name without it, as in ``/camera/**`` for ``/camera``.
     """
@@ -37,17 +37,17 @@ def glob_regex(glob: str) -> re.Pattern[str]:
 
 
 def rename_glob(match: re.Match[str], new: str) -> str:
-    """Fill the wildcards of a new name with what the glob's wildcards matched, in order."""
+    """Replace the wildcards of a new name, in order, by the text that the glob's wildcards matched."""
     groups = iter([g or "" for g in match.groups()])
     renamed = _WILDCARD.sub(lambda _: next(groups, ""), new)
     return renamed.rstrip("/") or "/"
 
 
 class NameFilter:
-    """Chooses topics by name: those that match a glob and none of the excluding expressions.
+    """Selects the topics whose names match a glob and none of the excluding expressions.
 
     Args:
-        globs: as in rules; a missing slash at the start is added, as it is to each name.
+        globs: as in rules; globs and names get a leading slash if they lack one.
         exclude: regular expressions, searched anywhere in the name.
     """
 
@@ -56,7 +56,7 @@ class NameFilter:
         self._exclude = [re.compile(expression) for expression in exclude]
 
     def matches(self, name: str) -> bool:
-        """Return whether a topic of this name is chosen."""
+        """Return whether a topic of this name is selected."""
         name = _slashed(name)
         return any(glob.fullmatch(name) for glob in self._globs.values()) and not any(
             expression.search(name) for expression in self._exclude
@@ -93,7 +93,7 @@ ENTRY = "zenoh"
 Kind = Literal["topic", "service", "action"]
 
 _MOST_DECIDED = 20_000
-"""Largest number of decisions to cache."""
+"""Maximum number of cached decisions."""
 
 _PARAMETERS = frozenset(
     f"rcl_interfaces/srv/{name}"
@@ -110,17 +110,17 @@ _NAMED = "routing.parameters names its node"
 
 @dataclass(frozen=True, slots=True)
 class RoutePolicy:
-    """The policy of the rules for one topic, service or action at one gate.
+    """The rules' decision on one topic, service or action at one gate.
 
     Attributes:
         why: the rule or default that decided.
         name: the name beyond the gate.
-        cure: the change of the configuration that lets it cross; "" if it crosses or if no change does.
-        private: withheld as private to its side.
-        settled: no rule could change the decision.
+        cure: the change to the configuration that would allow it; "" if it is allowed or no change would help.
+        private: whether it is withheld because it is private to its side.
+        settled: whether no rule could change the decision.
         rate: messages per second, None without a limit.
-        priority: forced by the rule, else "".
-        depth: forced by the rule, else None.
+        priority: the priority that the rule sets, else "".
+        depth: the depth that the rule sets, else None.
         timeout: age in seconds beyond which a command is dropped.
         stamped: whether velocities are ``TwistStamped`` or ``Twist`` beyond the gate, None for their own type.
     """
@@ -139,7 +139,7 @@ class RoutePolicy:
     qos: QosOverride = field(default_factory=QosOverride)
 
     def override(self, qos: Qos) -> Qos:
-        """Return the QoS with the policies that the rule forces."""
+        """Return the QoS with the policies that the rule sets."""
         reliability, durability = qos.reliability, qos.durability
         if self.qos.reliability is not None:
             reliability = Reliability[self.qos.reliability.upper()]
@@ -150,7 +150,7 @@ class RoutePolicy:
 
 
 class RuleSet:
-    """The rules of a configuration, at two gates: from a side into the hub, and from there to a side."""
+    """The rules of a configuration, applied at two gates: from a side into the hub, and from the hub to a side."""
 
     def __init__(self, section: RoutingSection) -> None:
         self.section = section
@@ -164,12 +164,12 @@ class RuleSet:
         return self._once((side, topic, type_name, kind), lambda: self._enter(side, topic, type_name, kind))
 
     def naming(self, name: str) -> Iterator[tuple[str, Rule, bool]]:
-        """Yield each rule with its readable name, and whether its pattern matches, ignoring kind, side and type."""
+        """Yield each rule's readable name, the rule, and whether its pattern matches (for any kind, side and type)."""
         for of, rule, pattern in zip(self._names, self.section.rules, self._patterns, strict=True):
             yield of, rule, pattern is not None and pattern.fullmatch(name) is not None
 
     def _once(self, question: tuple[str, ...], decide: Callable[[], RoutePolicy]) -> RoutePolicy:
-        """Return the cached decision, or decide: each pass over a graph asks the same questions."""
+        """Return the decision, which is cached because each pass over a graph asks the same questions."""
         policy = self._decided.get(question)
         if policy is None:
             if len(self._decided) >= _MOST_DECIDED:
@@ -194,8 +194,9 @@ class RuleSet:
         """Decide whether a topic, service or action from the side ``origin`` may leave the hub to ``side``.
 
         A native hub topic (origin ``zenoh``) has passed no gate yet, so rules without ``to`` apply to it in full, and
-        private topics and services are withheld here. For others such rules were applied at their entry, and only
-        deny, class and QoS apply here again. ``elsewhere``: another daemon, with other rules, let it in.
+        private topics and services are withheld here. To other topics such rules were applied when they entered the
+        hub, so that here only denial, priority and QoS apply again. ``elsewhere``: another daemon, whose rules may
+        differ, let the topic in.
         """
         question = (origin, side, topic, type_name, kind, "elsewhere" if elsewhere else "")
         return self._once(question, lambda: self._leave(origin, side, topic, type_name, kind, elsewhere=elsewhere))
@@ -213,7 +214,7 @@ class RuleSet:
             return policy if native else replace(policy, name=topic, rate=None, stamped=None)
         if matches and self.section.default == "deny":
             return RoutePolicy(False, "rules allow it to other sides only", topic, f"add a rule that {_allows(side)}")
-        # a rule for another side may have let in what is private
+        # a rule for another side may have let a private topic in
         passed = not native and (elsewhere or not matches or any(m.rule.to == ENTRY for m in matches))
         private = None if passed else self._private(origin, topic, type_name, kind, side)
         if private is not None and not private.allowed:
@@ -242,13 +243,13 @@ class RuleSet:
         return None
 
     def _shares(self, origin: str, name: str, type_name: str, kind: Kind) -> bool:
-        """Return whether this is a parameter service of a node that a rule names, on the side of the rule's owner."""
+        """Return whether this is a parameter service, on the side of its owner, of a node that a rule names."""
         if kind != "service" or type_name not in _PARAMETERS:
             return False
         return self._owners.get(name.rpartition("/")[0]) == ("ros1" if origin == "ros1" else "ros2")
 
     def _withheld(self, side: str, name: str, type_name: str, kind: Kind) -> bool:
-        """Return whether a service or event of shared parameters is withheld: the side's nodes have no parameters."""
+        """Return whether this is a service or event of shared parameters on a side whose nodes have no parameters."""
         network = all_networks().get(side)
         if not self.section.private or (network is not None and network.node_parameters):
             return False
@@ -289,9 +290,9 @@ def _denied(matches: list[_Match], topic: str) -> RoutePolicy | None:
 
 
 def _change(match: _Match) -> str:
-    """Return what to do with a rule that denies."""
+    """Return how to change the configuration so that a rule no longer denies."""
     if isinstance(match.rule, MadeRule):
-        return f"change {match.rule.of.partition(' (')[0]}, which makes that rule"
+        return f"change {match.rule.of.partition(' (')[0]}, which generates that rule"
     return f"remove or narrow {match.name}"
 
 
@@ -309,7 +310,7 @@ def _allowed(matches: list[_Match], topic: str) -> RoutePolicy | None:
 
 
 def _names(rules: Iterable[Rule]) -> Iterator[str]:
-    """Yield the readable name of each rule: its number in the file, or the section that made it."""
+    """Yield the readable name of each rule: its number in the file, or the section that generates it."""
     number = 0
     for rule in rules:
         number += not isinstance(rule, MadeRule)

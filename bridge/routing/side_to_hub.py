@@ -1,4 +1,4 @@
-"""Routes of topics from the side to the hub, and the set of them."""
+"""Topic routes from the side to the hub, and the set that opens and closes them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ PENDING_SECONDS = 5.0
 
 
 class StaticPublisher:
-    """The hub publisher of a route's static transforms, which publishes them merged. `put` is thread-safe."""
+    """The hub publisher of a route's static transforms, which it merges. `put` is thread-safe."""
 
     def __init__(self, publisher: HubPublisher) -> None:
         self.publisher = publisher
@@ -44,14 +44,14 @@ class StaticPublisher:
         self._lock = threading.Lock()
 
     def put(self, payload: bytes, source_time_ns: int | None = None) -> None:
-        """Merge a TFMessage (CDR), and publish all transforms; `ValueError` if it is invalid."""
+        """Merge a TFMessage (CDR), and publish all transforms; raises `ValueError` if the message is invalid."""
         with self._lock:
             self.publisher.put(self._transforms.merge(payload), source_time_ns)
 
 
 @dataclass(slots=True)
 class _Source:
-    """A publisher of the side; ``put`` publishes on the hub, by ``publisher``."""
+    """A publisher on the side; ``put`` publishes its messages on the hub through ``publisher``."""
 
     endpoint: Endpoint
     publisher: HubPublisher
@@ -64,7 +64,7 @@ class _Held(NamedTuple):
     payload: bytes
     time_ns: int | None
     leased: bool
-    """Whether it arrived while messages might cross."""
+    """Whether it arrived while the worker had the lease."""
 
 
 class _Message(NamedTuple):
@@ -76,14 +76,15 @@ class _Message(NamedTuple):
 
 
 class SideToHubRoute(TopicRoute):
-    """One topic and type of the side, published on the hub.
+    """Publishes one topic and type of the side on the hub.
 
-    Each latched publisher of the side has its own hub publisher, so that its last message disappears when it leaves;
-    the others share one. Static transforms are merged, and retained by one publisher for the life of the route;
-    transforms that are not latched pass unchanged.
+    Each latched publisher on the side has its own hub publisher, so that its last message disappears when it leaves;
+    the others share one. Static transforms are merged, and one publisher retains them for the life of the route;
+    transforms that are not latched are published unchanged.
 
-    ``pending``: messages held for their publisher, or for the lease. ``_releasing`` is held while they are removed and
-    published, so that a newer latched message, which another thread delivers, waits for them.
+    ``pending`` holds messages until their publisher is known, or until the worker has the lease. The lock
+    ``_releasing`` is held while they are removed and published, so that a newer latched message, which another thread
+    delivers, is published after them.
     """
 
     direction = "in"
@@ -167,9 +168,9 @@ class SideToHubRoute(TopicRoute):
             self._shared = None
 
     def _subscribe(self) -> None:
-        """Subscribe once with the strongest QoS; the edge adapts it to each publisher.
+        """Subscribe once, with the strongest QoS, which the edge adapts to each publisher.
 
-        Another subscription for a publisher with another QoS would deliver latched messages twice.
+        A second subscription for publishers with a different QoS would deliver latched messages twice.
         """
         if self._subscription is not None:
             return
@@ -183,7 +184,7 @@ class SideToHubRoute(TopicRoute):
         self._subscription = self._context.edge.subscribe(self.key.topic, self.conversion.source, wanted, self.deliver)
 
     def _flush_pending(self) -> None:
-        """Publish the held messages of known publishers, and drop old ones of unknown publishers."""
+        """Publish the held messages of known publishers, and drop the overdue ones of unknown publishers."""
         if self._lease.over:
             return
         before = self.pending.overdue(PENDING_SECONDS)
@@ -206,7 +207,7 @@ class SideToHubRoute(TopicRoute):
                 self.counters.dropped("standby")
 
     def deliver(self, payload: bytes, source: str, time_ns: int | None) -> None:
-        """Handle a message of one of the side's publishers; the edge calls it, on any thread."""
+        """Handle a message from one of the side's publishers; the edge calls this method, on any thread."""
         known = self._sources.get(source)
         since = time.monotonic()
         if known is None or known.latched or since > self._lease.until:
@@ -215,7 +216,7 @@ class SideToHubRoute(TopicRoute):
             self._pass(known, source, payload, time_ns, since)
 
     def _deliver_rare(self, known: _Source | None, payload: bytes, source: str, time_ns: int | None) -> None:
-        """Handle a message that is latched, of an unknown publisher, or arrives without the lease."""
+        """Handle a message that is latched, is from an unknown publisher, or arrives without the lease."""
         counters = self.counters
         if self._lease.over:
             # a latched message arrives only once, and the route may continue
@@ -226,7 +227,7 @@ class SideToHubRoute(TopicRoute):
             else:
                 counters.dropped("standby")
         elif known is None and not self._blocked():
-            # The edge's graph has the publisher, ours not yet: hold the newest message until the engine calls `update`.
+            # The engine may not have seen the publisher yet: hold its newest message until the engine calls `update`.
             if self._priority is Priority.COMMAND:
                 counters.dropped("unknown")  # a command is never held
             else:
@@ -235,7 +236,7 @@ class SideToHubRoute(TopicRoute):
             self._context.wake()
         elif known is None:
             counters.dropped("held")
-        elif known.latched and (self.pending or self._releasing.locked()):  # in this order
+        elif known.latched and (self.pending or self._releasing.locked()):  # check the two in this order
             with self._releasing:
                 self._release()
                 self._pass(known, source, payload, time_ns, time.monotonic())
@@ -246,7 +247,7 @@ class SideToHubRoute(TopicRoute):
         return self._hold is not None and self._hold.held and self.hub_topic in self._hold.topics
 
     def _pass(self, known: _Source, source: str, payload: bytes, time_ns: int | None, since: float) -> None:
-        """Publish a message of a known publisher, which arrived at ``since``, unless it must not pass now."""
+        """Publish a known publisher's message, which arrived at ``since`` (monotonic), unless it has to be dropped."""
         size = len(payload)
         if self._hold is not None and self._blocked():
             self.counters.dropped("held")
@@ -325,7 +326,10 @@ _TAP_ANSWER = 2.0
 
 
 class SideToHubTopics(RouteSet[RouteKey, SideToHubRoute]):
-    """Follows the side's publishers; any thread may call `tap`, and waits for ``_changed`` until its route exists."""
+    """The routes of the topics that the side's publishers send.
+
+    Any thread may call `tap`, which waits for ``_changed`` until its route exists.
+    """
 
     direction = "in"
 
@@ -339,7 +343,7 @@ class SideToHubTopics(RouteSet[RouteKey, SideToHubRoute]):
         return {(e.topic, e.type) for e in endpoints if e.kind is Kind.PUBLISHER}
 
     def follow(self, gate: EntryGate, endpoints: Sequence[Endpoint], decisions: list[RouteDecision]) -> None:
-        """Update the routes for the side's graph and the rules; append one decision for each topic."""
+        """Update the routes according to the side's graph and the rules; append a decision for each topic."""
         wanted = native_groups(endpoints, Kind.PUBLISHER, decisions)
         # Close ended routes first: a side may have one type per topic, and the hub one topic per name.
         for key in [k for k in self._routes if k not in wanted]:
@@ -387,9 +391,10 @@ class SideToHubTopics(RouteSet[RouteKey, SideToHubRoute]):
         route.attempt(lambda: route.update(endpoints), decision)
 
     def tap(self, topic: str, seconds: float) -> dict[str, str]:
-        """Show a topic that does not cross on the hub for ``seconds``, under a name that no side routes.
+        """Publish a topic that is not bridged, for ``seconds``, under a name on the hub that no side routes.
 
-        Returns the hub topic, type, hash and zenoh key; {} if the side lacks the topic. Call again to extend it.
+        Return the hub topic, type, hash and zenoh key; {} if the side lacks the topic. Call it again to extend the
+        time, which is at most 60 s.
         """
         if len(self._taps) > _MAX_TAPS:
             self._taps = {t: until for t, until in self._taps.items() if until > time.monotonic()}

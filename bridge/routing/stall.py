@@ -1,7 +1,7 @@
-"""The age of commands: old ones are dropped, not delivered late.
+"""The age of commands: old commands are dropped instead of being delivered late.
 
-A command ages on its path, which source time stamps show, and in the sockets of a worker that stalls (stopped by a
-signal, suspended or starved), which missed beats of a `StallDetector` show.
+A command ages on its path, which source timestamps show, and in the sockets of a worker that stalls (because it is
+stopped by a signal, suspended or starved), which missed beats of a `StallDetector` show.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from bridge.clock import steady_ns
 
 _BEAT = 0.1
 _REST_BEAT = 0.25
-"""Seconds between beats while no commands arrive, since each wake-up costs an idle process 50 to 100 us. Shorter than
-what `StallDetector.stood_still` counts as a stall, so that the first command is judged as strictly."""
+"""Seconds between beats while no commands arrive, because each wake-up costs an idle process 50 to 100 us. This is
+shorter than what `StallDetector.stood_still` counts as a stall, so that the first command is checked as strictly."""
 
 _REST_SECONDS = 5.0
 _LATE = 0.5
@@ -30,8 +30,8 @@ def _now() -> float:
 class StallDetector:
     """Detects stalls of this process, on a separate thread.
 
-    ``resumed`` is called on that thread after a stall of more than one second, with its seconds; ``pause`` is the
-    current time between two beats, in seconds.
+    ``resumed`` is called on that thread after a stall of more than one second, with its duration in seconds; ``pause``
+    is the current time between two beats, in seconds.
     """
 
     def __init__(self, resumed: Callable[[float], None] = lambda _: None) -> None:
@@ -64,7 +64,7 @@ class StallDetector:
                 self.pause = _REST_BEAT if self._last - self._asked > _REST_SECONDS else _BEAT
 
     def beat(self) -> None:
-        """Mark that the process runs."""
+        """Note that the process runs, and detect a stall since the last beat."""
         now = _now()
         since = now - self._last
         if since > _LATE:
@@ -84,19 +84,19 @@ class StallDetector:
 
 
 STEP_NS = 100_000_000
-"""A larger step back between two time stamps is a clock that was set back, not a reordered message."""
+"""Larger steps back between timestamps mean that the clock was set back, not that messages were reordered; in ns."""
 
 HOLD = 0.5
-"""Seconds to find the smallest delay, in which no message counts as fresh."""
+"""Seconds for determining the smallest delay, during which no message counts as fresh."""
 
 
 class AgeGate:
-    """Age of one source's messages by their time stamps, for any offset between the two clocks.
+    """Determines the age of one source's messages from their timestamps, for any offset between the two clocks.
 
-    The smallest difference between arrival and time stamp is the clocks' offset plus the shortest delay; any excess is
-    waiting time. The smallest difference decays slowly, so that drifting clocks do not make all messages look old.
-    Arrival is measured by a clock that is never set. If the source's clock is set back, or at the start the first
-    message looks old, the smallest difference is determined again.
+    The smallest difference between arrival and timestamp is the clocks' offset plus the shortest delay; any excess is
+    waiting time. The smallest difference grows slowly, so that drifting clocks do not make all messages look old. The
+    arrival is measured by a clock that is never set. The smallest difference is determined again if the source's clock
+    is set back, or if the first message looks old.
     """
 
     __slots__ = ("_held_until", "_least", "_newest", "_seen")
@@ -107,12 +107,12 @@ class AgeGate:
         self._seen = self._held_until = 0.0
 
     def age(self, source_time_ns: int) -> float:
-        """Return a message's extra delay in seconds; infinite after a newer message, or while the offset is unknown."""
+        """Return a message's extra delay in seconds; infinity after a newer message, or while the offset is unknown."""
         arrival = steady_ns()
         difference, now = arrival - source_time_ns, arrival / 1e9
         newest, self._newest = self._newest, source_time_ns
         if self._least is None and time.time_ns() - source_time_ns > STEP_NS:
-            # Either its clock is behind, or older messages arrive first, as with DDS for a new reader.
+            # Either the source's clock is slow, or older messages arrive first, as with DDS for a new reader.
             self._held_until = now + HOLD
         if self._least is None or difference < self._least:
             self._least = difference

@@ -1,4 +1,4 @@
-"""Exchanges definitions of message types among workers: one that lacks a definition asks the others."""
+"""Exchanges definitions of message types among workers: a worker that lacks a definition asks the others."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class TypeExchange:
             self._offered[hub_type.name] = hub_type
 
     def ask(self, name: str, type_hash: str) -> None:
-        """Request a definition from the other workers, at most every ten seconds; pass it to `Edge.learn`."""
+        """Request a definition from the other workers, at most every ten seconds, and pass it to `Edge.learn`."""
         now = time.monotonic()
         if now - self._asked.get((name, type_hash), -_ASK_AGAIN) < _ASK_AGAIN:
             return

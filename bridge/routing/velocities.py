@@ -1,7 +1,7 @@
-"""Velocities as ``Twist`` or ``TwistStamped``: which of them a side's own nodes subscribe to, and their conversion.
+"""Velocities as ``Twist`` or ``TwistStamped``: which type a side's own nodes subscribe to, and the conversions.
 
-A route to the side exists only once the hub has a publisher, and it subscribes on the hub with or without a subscriber
-on the side. So the hub's endpoints do not show what a base expects, and each side announces it separately.
+A route to the side exists only while the hub has a publisher, and it subscribes on the hub with or without a subscriber
+on the side. So the hub's endpoints do not show which type a base expects, and each side announces that separately.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from bridge.routing.rules import RoutePolicy, RuleSet, glob_regex, rename_glob
 Convert = Callable[[bytes], bytes]
 
 _HEADER, _LITTLE_ENDIAN = 4, b"\0\1"
-"""Bytes of CDR's encapsulation header, and how it begins."""
+"""Size of CDR's encapsulation header in bytes, and its first bytes."""
 
 _STAMP = struct.Struct("<iII")
-"""Seconds and nanoseconds of the stamp, and the length of the frame's name with its zero."""
+"""Seconds and nanoseconds of the stamp, and the length of the frame's name including its NUL."""
 
 _FRAME = b"base_link\0"
 _VELOCITY = 48
-"""Bytes of a velocity: six numbers of 8 bytes, aligned to these."""
+"""Size of a velocity in bytes: six numbers of 8 bytes, aligned to 8 bytes."""
 
 
 def subscribed_velocities(
     edge: Edge, endpoints: Sequence[Endpoint], gate: ExitGate, rules: RuleSet
 ) -> frozenset[tuple[str, str]]:
-    """Return hub topic and type of each topic of velocities that reaches a native subscription on the side.
+    """Return hub topic and type of each velocity topic that reaches a native subscription on the side.
 
-    A topic that a rule renames by a regular expression is not recognized, nor one that loses what a wildcard matched.
+    A topic is not recognized if a rule renames it by a regular expression, or drops what a wildcard matched.
     """
     return frozenset(
         (hub_topic, type_name)
@@ -50,17 +50,17 @@ def subscribed_velocities(
 
 
 def native_velocities(endpoints: Sequence[Endpoint]) -> frozenset[tuple[str, str]]:
-    """Return the side's topics of velocities that its own nodes subscribe to, with their ROS 2 types."""
+    """Return the side's velocity topics to which its own nodes subscribe, with their ROS 2 types."""
     native = (e for e in endpoints if e.kind is Kind.SUBSCRIPTION and e.made_by is MadeBy.NATIVE)
     velocities = ((e.topic, ros2_name("topic", e.type)) for e in native)
     return frozenset(velocity for velocity in velocities if velocity[1] in VELOCITIES)
 
 
 def preferred(side_topic: str, side_type: str, native: Collection[tuple[str, str]]) -> str:
-    """Return the type of velocities that the side's nodes subscribe to instead of this one, "" if they do not.
+    """Return the velocity type to which the side's nodes subscribe instead of this type, "" if they do not.
 
-    A side has one type for each topic, so a route of this type would keep out the other one. ROS 1's master would even
-    report this type for the topic, and the nodes' own one would no longer be known.
+    A side has one type per topic, so a route of this type would exclude the other. ROS 1's master would even report
+    this type for the topic, and the type that the nodes use would no longer be known.
     """
     type_name = ros2_name("topic", side_type)
     if type_name not in VELOCITIES or (side_topic, type_name) in native:
@@ -69,19 +69,19 @@ def preferred(side_topic: str, side_type: str, native: Collection[tuple[str, str
 
 
 def _hub_topics(edge: Edge, side_topic: str, rules: RuleSet) -> Iterator[str]:
-    """Yield the topics on the hub that may lead to a topic of the side: its own name, and those that rules rename."""
+    """Yield the hub topics that may lead to a topic of the side: the one with its name, and those that rules rename."""
     renamed = (
         rename_glob(match, rule.topic)
         for rule in rules.section.rules
         if rule.topic and rule.rename and (match := glob_regex(rule.rename).fullmatch(side_topic))
     )
     for name in (edge.hub_name(side_topic), *renamed):
-        with suppress(HubWireError):  # a wildcard that nothing fills leaves an empty part
+        with suppress(HubWireError):  # a wildcard that matched nothing leaves an empty part
             yield check_topic(name)
 
 
 def _leads_to(edge: Edge, gate: ExitGate, hub_topic: str, type_name: str) -> str:
-    """Return the side's topic on which messages of the hub's own programs arrive, "" if they do not cross."""
+    """Return the side's topic on which messages from the hub's own programs arrive, "" if they are not bridged."""
     policy = gate.decide("topic", None, hub_topic, type_name)
     if _other_type(type_name, policy):
         return ""
@@ -90,7 +90,7 @@ def _leads_to(edge: Edge, gate: ExitGate, hub_topic: str, type_name: str) -> str
 
 
 def velocity_to_side(edge: Edge, type_name: str, type_hash: str, policy: RoutePolicy) -> Conversion:
-    """Return the conversion of a hub type to the side's, as `Edge.from_hub`, with the rule's form of velocities."""
+    """Return the conversion of a hub type to the side, like `Edge.from_hub`, but with the rule's velocity type."""
     conversion, other = edge.from_hub(type_name, type_hash), _other_type(type_name, policy)
     if not other:
         return conversion
@@ -99,7 +99,7 @@ def velocity_to_side(edge: Edge, type_name: str, type_hash: str, policy: RoutePo
 
 
 def velocity_to_hub(edge: Edge, endpoint: Endpoint, policy: RoutePolicy) -> Conversion:
-    """Return the conversion of an endpoint's type to the hub, as `Edge.to_hub`, with the rule's form of velocities."""
+    """Return the conversion of an endpoint's type to the hub, like `Edge.to_hub`, but with the rule's velocity type."""
     conversion = edge.to_hub(endpoint)
     other = _other_type(conversion.target.name, policy)
     if not other:
@@ -109,7 +109,7 @@ def velocity_to_hub(edge: Edge, endpoint: Endpoint, policy: RoutePolicy) -> Conv
 
 
 def _other_type(type_name: str, policy: RoutePolicy) -> str:
-    """Return the type that a rule converts velocities of this type to, "" if it leaves them as they are."""
+    """Return the type to which a rule converts velocities of this type, "" if it does not convert them."""
     if policy.stamped is None or type_name not in VELOCITIES:
         return ""
     wanted = TWIST_STAMPED if policy.stamped else TWIST
@@ -123,12 +123,12 @@ def _chain(first: Convert | None, then: Convert | None) -> Convert | None:
 
 
 def _rewrite(type_name: str, clock: RunClock) -> Convert:
-    """Return the function that converts a message (CDR) of the other type to this one."""
+    """Return the function that converts a velocity (CDR) of the other type to this type."""
     return unstamped if type_name == TWIST else lambda cdr: with_stamp(cdr, clock)
 
 
 def with_stamp(cdr: bytes, clock: RunClock) -> bytes:
-    """Return a ``Twist`` (CDR, little-endian) as a ``TwistStamped`` of now; raises `ConversionError`."""
+    """Convert a ``Twist`` (CDR, little-endian) to a ``TwistStamped`` of now; raises `ConversionError`."""
     begin, stamp = _HEADER, clock.stamp()
     _check(cdr, begin)
     head = _STAMP.pack(stamp["sec"], stamp["nanosec"], len(_FRAME)) + _FRAME
@@ -136,7 +136,7 @@ def with_stamp(cdr: bytes, clock: RunClock) -> bytes:
 
 
 def unstamped(cdr: bytes) -> bytes:
-    """Return a ``TwistStamped`` (CDR, little-endian) as a ``Twist``; raises `ConversionError`."""
+    """Convert a ``TwistStamped`` (CDR, little-endian) to a ``Twist``; raises `ConversionError`."""
     _check(cdr, _HEADER + _STAMP.size)
     length = _STAMP.unpack_from(cdr, _HEADER)[2]
     begin = _HEADER + (_STAMP.size + length + 7) // 8 * 8
@@ -145,6 +145,6 @@ def unstamped(cdr: bytes) -> bytes:
 
 
 def _check(cdr: bytes, begin: int) -> None:
-    """Reject a message without a velocity at this offset."""
+    """Raise `ConversionError` if a message has no velocity at this offset."""
     if cdr[:2] != _LITTLE_ENDIAN or len(cdr) < begin + _VELOCITY:
         raise ConversionError(f"not a velocity in little-endian CDR: {len(cdr)} bytes, beginning with {cdr[:4].hex()}")

@@ -1,4 +1,4 @@
-"""What explain reports on versions of types: what messages lose between them, and servers of a second one."""
+"""What ``explain`` reports on versions of types: the fields that are lost, and servers of a second version."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _KINDS = {
     ("service", "in"): EndpointKind.CLIENT,
     ("service", "out"): EndpointKind.SERVER,
 }
-"""The endpoints of the hub at the far end of a route, by its kind and direction."""
+"""The kind of the hub endpoints at the far end of a route, by the route's kind and direction."""
 
 
 def note_losses(hub: Hub, edge: Edge, decisions: Iterable[RouteDecision]) -> None:
-    """Note in the decisions on bridged names which fields are lost, once for each version."""
+    """Add to the decisions on bridged names which fields are lost, once for each version of a type."""
     versions, of_side = hub.versions, dict(edge.version_notes())
     others: dict[tuple[EndpointKind, str], dict[tuple[str, str], HubEndpoint]] = {}
     for end in hub.graph.endpoints():
@@ -43,14 +43,14 @@ def _text(end: HubEndpoint, versions: TypeVersions) -> str:
 
 
 def loss_text(versions: TypeVersions, kind: EndpointKind, type_name: str, type_hash: str, whose: str) -> str:
-    """Return which fields messages between an endpoint of another version and this machine lose, "" if none.
+    """Return which fields are lost between an endpoint of another version and this machine, "" if none.
 
     Args:
         versions: the known versions.
-        kind: of the endpoint.
-        type_name: its type.
-        type_hash: its version.
-        whose: the node and its version, for the text.
+        kind: kind of the endpoint.
+        type_name: type of the endpoint.
+        type_hash: hash of the endpoint's version of the type.
+        whose: beginning of the text, which names the node and its version.
     """
     left_out: dict[str, None] = {}
     changed: dict[str, None] = {}
@@ -65,7 +65,7 @@ def loss_text(versions: TypeVersions, kind: EndpointKind, type_name: str, type_h
 
 
 def _crossings(kind: EndpointKind, theirs: str, here: str) -> tuple[tuple[str, str, str], ...]:
-    """Return the versions between which messages of an endpoint are converted, each with the part of a service."""
+    """Return the conversions of an endpoint's messages: source version, target version, and part of a service."""
     match kind:
         case EndpointKind.PUBLISHER:
             return ((theirs, here, ""),)
@@ -78,14 +78,14 @@ def _crossings(kind: EndpointKind, theirs: str, here: str) -> tuple[tuple[str, s
 
 
 def second_version(versions: TypeVersions, name: str, type_name: str, offered: str, other: str) -> Obstacle:
-    """Return why a server is not offered beside one of another version of its type, and the cure.
+    """Return why a server is not offered in addition to one with another version of the type, and how to fix that.
 
     Args:
         versions: the known versions.
-        name: the service.
-        type_name: the type of both.
-        offered: the version that is offered.
-        other: the version that is not.
+        name: name of the service.
+        type_name: type of both servers.
+        offered: hash of the version that is offered.
+        other: hash of the version that is not offered.
     """
     first, second = (_label(versions, type_name, version) for version in (offered, other))
     cure = "stop one of the servers, give one another name, or install the same version of the package for both"

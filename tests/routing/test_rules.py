@@ -95,7 +95,7 @@ def test_the_cure_of_a_rule_that_a_section_makes_names_the_section() -> None:
     section = RoutingSection().model_copy(update={"rules": (rule, Rule.model_validate(DENY))})
     policy = RuleSet(section).enter("ros1", "/scan", STRING)
     assert policy.why == "the section navigation (move_base has /move_base there itself) and rule 1 deny it"
-    assert policy.cure.startswith("change navigation, which makes that rule and remove or narrow rule 1")
+    assert policy.cure.startswith("change navigation, which generates that rule and remove or narrow rule 1")
 
 
 @pytest.mark.parametrize(

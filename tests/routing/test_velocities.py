@@ -184,8 +184,8 @@ def test_of_two_forms_a_side_gets_the_one_that_its_nodes_subscribe_to(side: Side
     until(lambda: [route.hub_type for route in side.engine.routes()] == [STAMPED], "the base's form replaces it")
     until(lambda: (stamped.put(WITH_STAMP), side.received)[1], "it arrives")
     (refused,) = [decision for decision in side.engine.decisions() if decision.refused]
-    assert (refused.type, refused.cure) == (TWIST, "convert it by a rule: 'to: ros1', 'stamped: true'")
-    assert f"nodes of the side subscribe to {CMD_VEL} as {STAMPED}" in refused.reason
+    assert (refused.type, refused.cure) == (TWIST, "convert it with a rule: 'to: ros1', 'stamped: true'")
+    assert f"nodes on the side subscribe to {CMD_VEL} as {STAMPED}" in refused.reason
     stamped.close()
     until(lambda: not side.engine.routes(), "no program has the base's form")
     side.network.remove(base)

@@ -1,4 +1,4 @@
-"""Servers on the hub, offered on the side."""
+"""Services whose servers are on the hub, offered on the side."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SERVICE: Final = "service"
 
 
 class HubToSideService(ServiceRoute):
-    """A server of the hub, called from the side. It is offered there while the server is available."""
+    """A service whose server is on the hub, offered on the side while the server is available."""
 
     direction = "out"
 
@@ -37,18 +37,18 @@ class HubToSideService(ServiceRoute):
 
 
 class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
-    """Follows the hub's servers."""
+    """The routes of the services that the hub's servers offer."""
 
     direction = "out"
     kind = _SERVICE
 
     @override
-    def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # the hub's graph counts
+    def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # only the hub's graph matters
         servers = self._context.hub.graph.servers()
         return {(e.topic, e.type_name) for e in servers if may_leave(e, self._context.edge)}
 
     def close_departed(self) -> None:
-        """Close the routes of servers that have left, before an action's topics: its last messages still go out."""
+        """Close the routes of servers that have left; see `SideToHubServices.close_departed`."""
         present = {hub_key(e, self._context.hub.versions) for e in self._context.hub.graph.servers()}
         for key in [k for k in self._routes if k not in present]:
             self._routes.pop(key).close()
@@ -56,9 +56,9 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
     def follow(
         self, gate: ExitGate, endpoints: Sequence[Endpoint], decisions: list[RouteDecision], outcome: Outcome
     ) -> None:
-        """Update the routes for both graphs, the rules and the election, after `close_departed`; one decision each.
+        """Update the routes according to both graphs, the rules and the election; append a decision for each service.
 
-        A name that has a server in ``endpoints``, the side's graph, gets no other server there.
+        Call `close_departed` first. A service that already has a server in ``endpoints``, the side's graph, is refused.
         """
         groups = hub_groups(self._context.hub.graph.servers(), self._context.hub.versions)
         natives = {e.topic: e for e in endpoints if e.kind is Kind.SERVER and e.made_by is not MadeBy.MIDSPAN}
@@ -71,7 +71,7 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
                 self._refuse_second(key, decision, natives, taken)
             if decision.kind == "bridged":
                 self._keep(key, servers, decision)
-                if key in self._routes:  # a server that cannot cross leaves the name to others
+                if key in self._routes:  # a server that cannot be bridged leaves the name to others
                     taken[decision.topic] = key
                 if decision.topic in barred and not decision.refused:
                     also = RouteDecision("out", decision.topic, key.topic, key.type_name, decision.policy, of=_SERVICE)
@@ -81,7 +81,7 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
                 self._routes.pop(key).close(f"{key.topic} is no longer bridged")
 
     def _judge(self, key: RouteKey, servers: list[HubEndpoint], gate: ExitGate, outcome: Outcome) -> RouteDecision:
-        """Return the decision of the loop guard, the election and the rules on one service."""
+        """Return the decision on one service according to the loop guard, the election and the rules."""
         edge, name, type_name = self._context.edge, key.topic, key.type_name
         foreign = [e for e in servers if may_leave(e, edge)]
         carried = [e for e in foreign if may_carry(e, outcome)]
@@ -101,11 +101,11 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
     def _refuse_second(
         self, key: RouteKey, decision: RouteDecision, natives: dict[str, Endpoint], taken: dict[str, RouteKey]
     ) -> None:
-        """Refuse a second server of one name: a call goes to one server."""
+        """Refuse a service if its name already has another server on the side: a call goes to only one server."""
         name, holder = decision.topic, taken.get(decision.topic, key)
         cure = "give one of them another name by a rule with 'rename'"
         if name in natives:
-            decision.refuse(f"{natives[name].node} serves {name} there already", cure)
+            decision.refuse(f"{natives[name].node} already serves {name} there", cure)
         elif holder.topic != key.topic:
             decision.refuse(f"{holder.topic} is already offered under the name {name}", cure)
         elif holder.type_name != key.type_name:

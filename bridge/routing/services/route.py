@@ -30,7 +30,7 @@ Convert = Callable[[bytes], bytes] | None
 
 
 class BridgedCall:
-    """A call from a client on one network to the server on the other. It ends once."""
+    """A call from a client on one network to the server on the other. It ends exactly once."""
 
     __slots__ = ("_abandon_far", "_began", "_done", "_lock", "_over", "_route")
 
@@ -42,7 +42,7 @@ class BridgedCall:
         self._abandon_far: Abandon | None = None
 
     def begin(self, request: bytes) -> None:
-        """Convert the request and call the far server, on a thread of the edge or of zenoh."""
+        """Convert the request and call the far server; runs on a thread of the edge or of zenoh."""
         if self._over:
             return
         try:
@@ -78,7 +78,7 @@ class BridgedCall:
         self.end(data)
 
     def end(self, result: bytes | CallError) -> None:
-        """End the call with its first result; later ones are ignored."""
+        """End the call with its first result; later results are ignored."""
         if self._end():
             self._route.over(self, result, time.monotonic_ns() - self._began)
             self._done(result)
@@ -106,7 +106,7 @@ class CallCounters(Counters):
     """Counts pending calls and results: replies, errors and abandoned calls.
 
     ``messages`` counts the calls, and latencies are those of whole calls. Refused calls count as errors, and as drops
-    by reason: ``queue`` (too many at once), ``bad``, ``large``, ``standby``.
+    with one of the reasons ``queue`` (too many at once), ``bad``, ``large`` and ``standby``.
     """
 
     __slots__ = ("abandoned", "errors", "pending", "replies")
@@ -122,14 +122,14 @@ class CallCounters(Counters):
 
 
 MAX_CALLS = 1000
-"""Maximum number of pending calls of one route; further ones end with an error at once."""
+"""Maximum number of pending calls of one route; further calls fail at once."""
 
 MAX_RESULTS = 10_000
 """The same for result requests of an action, which stay pending while the goals are active."""
 
 
 class ServiceRoute(Route):
-    """One service, offered in its ``direction``. Calls are never queued for a missing server: they fail."""
+    """A service that is bridged in its ``direction``. Calls to a missing server fail; they are never queued."""
 
     kind = "service"
     request: Convert = None
@@ -155,7 +155,7 @@ class ServiceRoute(Route):
 
     @abstractmethod
     def open(self) -> None:
-        """Open the missing endpoints; called only by the engine's loop."""
+        """Open the endpoints that are missing; called only by the engine's loop."""
 
     @property
     def offered(self) -> bool:
@@ -163,7 +163,7 @@ class ServiceRoute(Route):
         return self._near is not None
 
     def call(self, request: bytes, done: Done) -> Abandon:
-        """Start a call of a client on the near network; see `bridge.hub.endpoints.calls.Call`."""
+        """Start a call from a client on the near network; see `bridge.hub.endpoints.calls.Call`."""
         call = BridgedCall(self, done)
         trouble = ""
         with self._lock:
@@ -195,14 +195,14 @@ class ServiceRoute(Route):
         return far.call(request, done)
 
     def carry(self, work: Callable[[], None], size: int) -> bool:
-        """Run ``work`` at once if it has few bytes; large ones are queued, as a congested link may block them."""
+        """Run ``work`` at once if it handles few bytes; large work is queued, because a congested link may block it."""
         if size > BULK or self._large.busy:
             return self._large.offer(work, size)
         work()
         return True
 
     def over(self, call: BridgedCall, result: bytes | CallError | None, nanoseconds: int) -> None:
-        """Count the end of a call; a result of None means abandoned."""
+        """Count the end of a call; a result of None means that it was abandoned."""
         with self._lock:
             self._calls.pop(call, None)
             counters = self.counters
@@ -228,7 +228,7 @@ class ServiceRoute(Route):
         if isinstance(far, HubClient):
             self._end_calls(error)
         if far is not None:
-            far.close()  # an edge may still send a better result than an error, for example of a goal
+            far.close()  # an edge may still send a better result than an error, for example a goal's result
         self._end_calls(error)
         if near is not None:
             near.close()

@@ -1,4 +1,4 @@
-"""Servers of the side, offered on the hub."""
+"""Services whose servers are on the side, offered on the hub."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ _UUID = slice(4, 20)
 
 
 class SideToHubService(ServiceRoute):
-    """A server of the side, called from the hub.
+    """A service whose server is on the side, and whose clients are on the hub.
 
-    A client of rmw_zenoh gets no errors. A failed call of an action's services gets a reply of its type: the goal is
-    rejected, its end is unknown (it may still be executing, so no client gets *aborted*), or the cancel request is
-    rejected. If the side did not send the call, the error with its reason comes before that reply, and Midspan's own
-    clients use the error.
+    Clients of rmw_zenoh cannot receive errors, so a failed call to a service of an action gets a reply of its type: the
+    goal is rejected, its end is unknown (it may still be executing, so no client gets *aborted*), or the cancel request
+    is rejected. If the call was refused before a server received it, the error with its reason precedes that reply, and
+    Midspan's own clients use the error.
     """
 
     direction = "in"
     _refusal: Callable[[str], bytes] | None = None
     orphaned: Callable[[bytes], None] | None = None
-    """Called with the request of a call whose client left before its reply; on a thread of zenoh."""
+    """Called, on a thread of zenoh, with the request of a call whose client left before the reply."""
 
     @override
     def open(self) -> None:
@@ -102,7 +102,7 @@ def _refusal(registry: Registry, type_name: str, type_hash: str) -> Callable[[st
 
 
 class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
-    """Follows the side's servers."""
+    """The routes of the services that the side's servers offer."""
 
     direction = "in"
     kind = _SERVICE
@@ -112,14 +112,20 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
         return {(e.topic, e.type) for e in endpoints if e.kind is Kind.SERVER}
 
     def close_departed(self, endpoints: Sequence[Endpoint]) -> None:
-        """Close the routes of servers that have left, before an action's topics: its last messages still go out."""
+        """Close the routes of servers that have left.
+
+        Call this before an action's topic routes are closed, so that they still publish its last messages.
+        """
         servers = [e for e in endpoints if e.kind is Kind.SERVER and e.made_by is MadeBy.NATIVE]
         present = {(e.topic, e.type, e.type_id) for e in servers}
         for key in [k for k in self._routes if (k.topic, k.type_name, k.type_id) not in present]:
             self._routes.pop(key).close()
 
     def follow(self, gate: EntryGate, endpoints: Sequence[Endpoint], decisions: list[RouteDecision]) -> None:
-        """Update the routes for the side's graph and the rules, after `close_departed`; one decision each."""
+        """Update the routes according to the side's graph and the rules; append a decision for each service.
+
+        Call `close_departed` first.
+        """
         wanted = native_groups(endpoints, Kind.SERVER, decisions)
         taken = {route.hub_topic: key for key, route in self._routes.items()}
         for key, servers in wanted.items():
@@ -155,7 +161,7 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
             decision.bar(obstacle)
 
     def _trouble(self, key: RouteKey, hub_name: str, taken: dict[str, RouteKey]) -> Obstacle | None:
-        """Return why the hub cannot offer a service, None if it can: a call goes to one server."""
+        """Return why a service cannot be offered on the hub, None if it can: each name has only one server."""
         holder = taken.get(hub_name, key)
         cure = "give one of them another name by a rule with 'rename'"
         if holder.topic != key.topic:
@@ -167,7 +173,7 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
             return second_version(versions, key.topic, key.type_name, holder.type_id, key.type_id)
         open_here = key in self._routes and self._routes[key].offered
         for other in self._context.hub.graph.servers(hub_name):
-            # of two bridges that start at the same time, both agree on the one that withdraws
+            # two bridges that start at the same time agree on which of them withdraws
             if not other.own and not (open_here and other.origin and self._context.hub.zid < other.zid):
                 return Obstacle(f"{other.node} serves {hub_name} on the hub already", cure)
         return None
@@ -187,13 +193,14 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
         return route
 
     def _cancel(self, action: str, request: bytes) -> None:
-        """Cancel a planner's goal whose result no client awaits: the gateway left, or lost its connection.
+        """Cancel a planner's goal whose result no client awaits, because the gateway left or lost its connection.
 
-        No other client has that goal, so no other could stop the robot. Clients of other actions may leave their goals.
+        No other client has that goal, so no other could stop the robot. Goals of other actions may outlive their
+        clients.
         """
         name = part_name(action, CANCEL_GOAL)
         route = next((route for route in self.routes() if route.hub_topic == name), None)
         if route is None or len(request) < _UUID.stop:
             return
-        _log.warning("the client that sent %s a goal has left: the goal is canceled", action)
+        _log.warning("the client that sent a goal to %s has left: canceling the goal", action)
         route.call(_HEADER + request[_UUID] + bytes(8), lambda _reply: None)
